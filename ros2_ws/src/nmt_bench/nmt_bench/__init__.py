@@ -1,0 +1,1 @@
+"""Rig files, command line, run orchestration, launch-free harness, reports."""

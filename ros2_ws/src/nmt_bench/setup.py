@@ -1,0 +1,19 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="nmt_bench",
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed", "rigs/*.yaml", "templates/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/nmt_bench"]),
+        ("share/nmt_bench", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="nmt developers",
+    maintainer_email="nmt@example.org",
+    description="Rig files, command line, run orchestration, launch-free harness, reports",
+    license="Apache-2.0",
+    entry_points={"console_scripts": ["nmt = nmt_bench.cli:main"]},
+)

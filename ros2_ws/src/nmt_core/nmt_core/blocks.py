@@ -1,0 +1,131 @@
+"""Blocks of samples and the oscillator phase that comes with them.
+
+The sample index is the clock of the bench: everything that happens is named by the sample it happened at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class Quantity(IntEnum):
+    """What a channel measures; the values are those of ``nmt_msgs/SampleBlock``."""
+
+    UNKNOWN = 0
+    FORCE = 1
+    DISPLACEMENT = 2
+    VELOCITY = 3
+    ACCELERATION = 4
+    VOLTAGE = 5
+    CURRENT = 6
+
+    @property
+    def unit(self) -> str:
+        """SI unit of the quantity, empty for ``UNKNOWN``."""
+        return _UNITS[self]
+
+    @property
+    def topic(self) -> str:
+        """Name of the topic that carries the quantity."""
+        return self.name.lower()
+
+
+_UNITS = {
+    Quantity.UNKNOWN: "",
+    Quantity.FORCE: "N",
+    Quantity.DISPLACEMENT: "m",
+    Quantity.VELOCITY: "m/s",
+    Quantity.ACCELERATION: "m/s^2",
+    Quantity.VOLTAGE: "V",
+    Quantity.CURRENT: "A",
+}
+
+SAMPLE_TOPICS = tuple(
+    quantity.topic
+    for quantity in (Quantity.FORCE, Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VOLTAGE)
+)
+
+
+class BlockFlag(IntFlag):
+    """Flags of a block; the values are those of ``nmt_msgs/SampleBlock``."""
+
+    NONE = 0
+    OVERLOAD = 1
+    LIMIT = 2
+    WATCHDOG = 4
+
+
+@dataclass(frozen=True, slots=True)
+class OscillatorPhase:
+    """Phase of the excitation over a block.
+
+    At sample k of the block the phase is ``cycles + f t + rate t² / 2`` with ``t = k / sample_rate``, in cycles.
+
+    Attributes:
+        cycles: phase at the first sample, cycles in [0, 1); NaN if not known.
+        frequency_hz: frequency at the first sample, Hz; 0 without periodic excitation.
+        rate_hz_s: rate of change of the frequency, Hz/s.
+    """
+
+    cycles: float
+    frequency_hz: float
+    rate_hz_s: float = 0.0
+
+    def phase(self, samples: int, sample_rate: float) -> FloatArray:
+        """Phase at each sample of the block.
+
+        Args:
+            samples: number of samples.
+            sample_rate: Hz.
+
+        Returns:
+            Phase in rad, shape ``(samples,)``, starting in [0, 2π) and not wrapped within the block.
+        """
+        time = np.arange(samples) / sample_rate
+        return 2.0 * np.pi * (self.cycles + time * (self.frequency_hz + 0.5 * self.rate_hz_s * time))
+
+
+UNKNOWN_PHASE = OscillatorPhase(float("nan"), float("nan"))
+
+
+@dataclass(frozen=True, slots=True)
+class SampleBlock:
+    """Simultaneously sampled channels of one quantity.
+
+    Attributes:
+        first_sample: index of the first sample since the start of acquisition.
+        sample_rate: Hz.
+        quantity: what the channels measure.
+        unit: unit of the data.
+        channels: channel names, one a row of ``data``.
+        points: measurement point of each channel, 0 where it belongs to none.
+        data: shape ``(channels, samples)``.
+        oscillator: phase of the excitation.
+        flags: see :class:`BlockFlag`.
+    """
+
+    first_sample: int
+    sample_rate: float
+    quantity: Quantity
+    unit: str
+    channels: tuple[str, ...]
+    points: tuple[int, ...]
+    data: FloatArray
+    oscillator: OscillatorPhase = UNKNOWN_PHASE
+    flags: int = 0
+
+    @property
+    def samples(self) -> int:
+        """Number of samples in the block."""
+        return int(self.data.shape[1])
+
+    @property
+    def end_sample(self) -> int:
+        """Index of the sample after the last one: the next block's ``first_sample``."""
+        return self.first_sample + self.samples

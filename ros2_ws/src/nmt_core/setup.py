@@ -1,0 +1,19 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="nmt_core",
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/nmt_core"]),
+        ("share/nmt_core", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="nmt developers",
+    maintainer_email="nmt@example.org",
+    description="Sample blocks, error type, ramps, parameter tables and the node base shared by the bench's nodes",
+    license="Apache-2.0",
+    entry_points={"console_scripts": []},
+)

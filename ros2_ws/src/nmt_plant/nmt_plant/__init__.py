@@ -1,0 +1,1 @@
+"""The rig: structural models, shaker, sensors, time integration, reference solutions; plant node."""

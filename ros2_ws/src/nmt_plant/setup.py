@@ -1,0 +1,19 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="nmt_plant",
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/nmt_plant"]),
+        ("share/nmt_plant", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="nmt developers",
+    maintainer_email="nmt@example.org",
+    description="The rig: structural models, shaker, sensors, time integration, reference solutions; plant node",
+    license="Apache-2.0",
+    entry_points={"console_scripts": ["plant = nmt_plant.plant_node:main"]},
+)

@@ -1,0 +1,1 @@
+"""Phase-locked loop for phase resonance testing; PLL node."""

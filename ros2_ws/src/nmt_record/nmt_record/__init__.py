@@ -1,0 +1,1 @@
+"""rosbag2 writer and reader of the bench; recorder node."""

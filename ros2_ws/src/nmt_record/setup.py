@@ -1,0 +1,19 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="nmt_record",
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/nmt_record"]),
+        ("share/nmt_record", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="nmt developers",
+    maintainer_email="nmt@example.org",
+    description="rosbag2 writer and reader of the bench; recorder node",
+    license="Apache-2.0",
+    entry_points={"console_scripts": ["recorder = nmt_record.recorder_node:main"]},
+)

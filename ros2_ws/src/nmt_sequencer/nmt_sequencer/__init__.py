@@ -1,0 +1,1 @@
+"""Level plans and the state machine of a test run; sequencer node."""

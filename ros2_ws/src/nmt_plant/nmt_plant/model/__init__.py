@@ -1,0 +1,1 @@
+"""Models of the plant: structures, local elements, shaker, assembly, linear modes, time integration."""

@@ -1,0 +1,112 @@
+"""What phase-locked loop and extraction need to know of the linear system, as plain numbers.
+
+It comes from a model (simulated rigs) or from a linear modal test (any rig), travels as JSON in node parameters, in
+the bag's start record and in ``linear.json``, and reads back to the same bits.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
+
+
+@dataclass(frozen=True)
+class LinearDescription:
+    """Linear modes at the response points, and the drive point with the exciter attached.
+
+    Attributes:
+        source: ``model`` or ``test``.
+        drive_point: measurement point of the exciter.
+        target_mode: index of the mode under test.
+        points: response points, in the order of the rows of ``shapes``.
+        frequencies_rad_s: linear modal frequencies of the structure without exciter, rad/s, ascending.
+        damping_ratios: modal damping ratios of the structure, 1.
+        shapes: mass-normalised mode shapes Φ, 1/√kg, ``shapes[point][mode]``.
+        drive_point_shape: target mode at the drive point, 1/√kg.
+        plant_frequency_rad_s: frequency of the target mode with the exciter attached, rad/s.
+        plant_damping_ratio: its damping ratio, 1.
+        moving_mass_kg: moving mass of the exciter, kg.
+        force_per_volt: fundamental force at linear phase resonance, N/V; NaN if not known.
+        displacement_per_volt: drive-point displacement there, m/V; NaN if not known.
+    """
+
+    source: str
+    drive_point: int
+    target_mode: int
+    points: tuple[int, ...]
+    frequencies_rad_s: tuple[float, ...]
+    damping_ratios: tuple[float, ...]
+    shapes: tuple[tuple[float, ...], ...]
+    drive_point_shape: float
+    plant_frequency_rad_s: float
+    plant_damping_ratio: float
+    moving_mass_kg: float
+    force_per_volt: float = math.nan
+    displacement_per_volt: float = math.nan
+
+    def __post_init__(self) -> None:
+        modes = len(self.frequencies_rad_s)
+        if not self.points or not modes or len(self.damping_ratios) != modes:
+            raise BenchError("The linear description needs at least one point and a damping ratio for every mode.")
+        if len(self.shapes) != len(self.points) or any(len(row) != modes for row in self.shapes):
+            raise BenchError(
+                f"The linear description's shapes must have {len(self.points)} rows (points) of {modes} modes each."
+            )
+        if not 0 <= self.target_mode < modes:
+            raise BenchError(f"The linear description's target_mode must be below {modes}, got {self.target_mode}.")
+
+    @property
+    def shape_matrix(self) -> FloatArray:
+        """Φ, shape ``(points, modes)``, 1/√kg."""
+        return np.array(self.shapes, dtype=np.float64)
+
+    @property
+    def frequency_hz(self) -> float:
+        """Frequency of the target mode, Hz."""
+        return self.frequencies_rad_s[self.target_mode] / (2.0 * math.pi)
+
+    def to_json(self) -> str:
+        """JSON text; NaN becomes null."""
+        values = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(self).items()}
+        return json.dumps(values)
+
+    @classmethod
+    def from_mapping(cls, values: dict[str, Any]) -> LinearDescription:
+        """Build from parsed JSON.
+
+        Raises:
+            BenchError: a key is missing, unknown or of the wrong kind.
+        """
+        try:
+            data = dict(values)
+            for key in ("points", "frequencies_rad_s", "damping_ratios"):
+                data[key] = tuple(data[key])
+            data["shapes"] = tuple(tuple(float(x) for x in row) for row in data["shapes"])
+            for key in ("force_per_volt", "displacement_per_volt"):
+                if data.get(key) is None:
+                    data[key] = math.nan
+            return cls(**data)
+        except (KeyError, TypeError, ValueError) as error:
+            raise BenchError(f"The linear description is not complete or not well-formed: {error}.") from error
+
+    @classmethod
+    def from_json(cls, text: str) -> LinearDescription:
+        """Build from JSON text.
+
+        Raises:
+            BenchError: not JSON, or as :meth:`from_mapping`.
+        """
+        try:
+            values = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise BenchError(f"The linear description is not valid JSON: {error}.") from error
+        if not isinstance(values, dict):
+            raise BenchError("The linear description must be a JSON object.")
+        return cls.from_mapping(values)

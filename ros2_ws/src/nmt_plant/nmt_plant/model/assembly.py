@@ -13,10 +13,10 @@ from .structure import Array, Structure
 
 
 @dataclass(frozen=True)
-class ForceOutput:
-    """Force on the structure at the drive point.
+class OutputRow:
+    """Linear output of the system.
 
-    f = acceleration · q̈ + velocity · q̇ + displacement · q + feedthrough · input; rows have shape (n,).
+    y = acceleration · q̈ + velocity · q̇ + displacement · q + feedthrough · input; rows have shape (n,).
     """
 
     acceleration: Array
@@ -51,7 +51,7 @@ class ElectromechanicalSystem:
     elements: tuple[LocalElement, ...]
     points: dict[int, int]
     drive_point: int
-    force: ForceOutput
+    force: OutputRow
     structure_size: int
     coil: int | None = None
     current: int | None = None
@@ -107,6 +107,44 @@ class ElectromechanicalSystem:
         return q, complex(row @ q + self.force.feedthrough)
 
 
+def displacement_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
+    """Lateral displacement of `point`, m (KeyError where there is no such point)."""
+    zero = np.zeros(system.size)
+    return OutputRow(zero, zero, system.selector(point), 0.0)
+
+
+def velocity_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
+    """Lateral velocity of `point`, m/s (KeyError where there is no such point)."""
+    zero = np.zeros(system.size)
+    return OutputRow(zero, system.selector(point), zero, 0.0)
+
+
+def acceleration_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
+    """Lateral acceleration of `point`, m/s² (KeyError where there is no such point)."""
+    zero = np.zeros(system.size)
+    return OutputRow(system.selector(point), zero, zero, 0.0)
+
+
+def input_output(system: ElectromechanicalSystem) -> OutputRow:
+    """The input itself: voltage (V) with a shaker, force (N) without."""
+    zero = np.zeros(system.size)
+    return OutputRow(zero, zero, zero, 1.0)
+
+
+def current_output(system: ElectromechanicalSystem) -> OutputRow:
+    """Coil current, A.
+
+    Raises:
+        ValueError: the system has no shaker.
+    """
+    if system.current is None:
+        raise ValueError("the system has no shaker, hence no coil current")
+    zero = np.zeros(system.size)
+    row = np.zeros(system.size)
+    row[system.current] = 1.0
+    return OutputRow(zero, zero, row, 0.0)
+
+
 def _extended(direction: Array, size: int) -> Array:
     result = np.zeros(size)
     result[: direction.shape[0]] = direction
@@ -144,7 +182,7 @@ def assemble(
             elements=tuple(elements),
             points=dict(structure.points),
             drive_point=drive_point,
-            force=ForceOutput(zero, zero, zero, 1.0),
+            force=OutputRow(zero, zero, zero, 1.0),
             structure_size=n,
         )
     size = n + 2
@@ -185,7 +223,7 @@ def assemble(
         elements=tuple(element.along(_extended(element.direction, size)) for element in elements),
         points=dict(structure.points),
         drive_point=drive_point,
-        force=ForceOutput(rows[0], rows[1], rows[2], 0.0),
+        force=OutputRow(rows[0], rows[1], rows[2], 0.0),
         structure_size=n,
         coil=coil,
         current=current,

@@ -1,0 +1,225 @@
+"""Time integration of an electromechanical system, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .assembly import ElectromechanicalSystem, OutputRow
+from .integration_kernel import integrate
+from .local_elements import (
+    JENKINS,
+    PARAMETER_COUNT,
+    TWO_SIDED_GAP,
+    UNILATERAL_STOP,
+    element_stored_energy,
+)
+from .propagator import propagator, state_space
+from .structure import Array
+
+_PIECEWISE_LINEAR = frozenset({JENKINS, UNILATERAL_STOP, TWO_SIDED_GAP})
+# A corner is timed to step / 2^8; its error in impulse falls with the square of that.
+CORNER_LEVELS = 8
+
+
+class IntegrationError(ArithmeticError):
+    """The motion stopped being finite, or a local force could not be solved for."""
+
+
+class TimeIntegrator:
+    """Steps a system at a fixed sample rate.
+
+    The result for a sample does not depend on the length of the blocks it is computed in, bit for bit.
+
+    Args:
+        system: assembled structure, local elements and exciter.
+        sample_rate: Hz.
+        outputs: rows of the outputs.
+        substeps: steps per sample; the input stays straight between samples.
+        corner_levels: halvings used to locate a corner of a local element.
+        dense: keep the physical state and full transition matrices instead of the modal form (slower; for checks).
+
+    Raises:
+        ValueError: a rate or number of steps that is not positive.
+    """
+
+    def __init__(
+        self,
+        system: ElectromechanicalSystem,
+        sample_rate: float,
+        outputs: Sequence[OutputRow],
+        substeps: int = 1,
+        corner_levels: int = CORNER_LEVELS,
+        dense: bool = False,
+    ) -> None:
+        if not (np.isfinite(sample_rate) and sample_rate > 0):
+            raise ValueError(f"sample_rate must be positive, got {sample_rate}")
+        if substeps < 1:
+            raise ValueError(f"substeps must be at least 1, got {substeps}")
+        self.system = system
+        self.sample_rate = float(sample_rate)
+        self.substeps = int(substeps)
+        self._levels = int(corner_levels)
+        self._space = state_space(system)
+        self._propagator = propagator(self._space, 1.0 / (sample_rate * substeps), corner_levels, dense)
+        elements = self._space.elements
+        self._kinds = np.array([element.kind for element in elements], dtype=np.int64)
+        self._parameters = np.array([element.parameters for element in elements]).reshape(-1, PARAMETER_COUNT)
+        self._affine = all(element.kind in _PIECEWISE_LINEAR for element in elements)
+        c, self._d_ports, self._d_input = self._space.output(list(outputs))
+        self._c = np.ascontiguousarray(c @ self._propagator.from_working)
+        self._history = np.empty((0, 0))
+        self._force_history = np.empty((0, 0))
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to rest at time zero, sliders at zero."""
+        p, n = self._propagator, self._kinds.size
+        ports = p.port_feedthrough.shape[1]
+        self._state = np.zeros(p.to_working.shape[0])
+        self._memory = (
+            np.zeros(2 * ports),
+            np.zeros(3 * ports),
+            np.zeros(n, dtype=np.int64),
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(2, dtype=np.int64),
+        )
+        self._settle_branches()
+        self.samples = 0
+
+    def set_state(self, displacement: Array, velocity: Array, current: float = 0.0) -> None:
+        """Start from displacements and velocities (m,) of the degrees of freedom with inertia, sliders relaxed at zero.
+
+        Raises:
+            ValueError: wrong shapes.
+        """
+        m = self._space.mechanical_size
+        if displacement.shape != (m,) or velocity.shape != (m,):
+            raise ValueError(f"displacement and velocity must have shape ({m},)")
+        physical = np.concatenate([displacement, velocity, np.full(self._space.size - 2 * m, current)])
+        self.reset()
+        self._state[:] = self._propagator.to_working @ physical
+        self._settle_branches()
+
+    def _settle_branches(self) -> None:
+        """Branches, forces and kinematics that fit the present state (sliders yield where they must)."""
+        p = self._propagator
+        forces, kinematics, branch, slider, _, _ = self._memory
+        ports = forces.size // 2
+        if ports == 0:
+            return
+        kinematics[:] = p.port_rows @ self._state
+        forces[:] = 0.0
+        for e, (kind, values) in enumerate(zip(self._kinds, self._parameters, strict=True)):
+            q = self._space.element_port[e]
+            w, v = kinematics[q], kinematics[ports + q]
+            branch[e] = 0
+            if kind == JENKINS:
+                reach = values[1] / values[0]
+                if abs(w - slider[e]) > reach:
+                    side = 1 if w > slider[e] else -1
+                    slider[e] = w - side * reach
+                    branch[e] = side if side * v > 0 else 0
+            elif kind == UNILATERAL_STOP:
+                branch[e] = int(w > values[1])
+            elif kind == TWO_SIDED_GAP:
+                branch[e] = int(w > values[1]) - int(w < -values[1])
+        from .integration_kernel import port_forces
+
+        work = np.zeros(ports), np.zeros(ports)
+        # Twice: the accelerations in the slopes depend on the forces.
+        for _ in range(2):
+            port_forces(
+                self._kinds, self._parameters, self._space.element_port, branch, slider, kinematics, ports,
+                forces, *work,
+            )  # fmt: skip
+            kinematics[:] = p.port_rows @ self._state + p.port_feedthrough @ forces[:ports]
+
+    def advance(self, inputs: Array) -> Array:
+        """Integrate over one block.
+
+        Args:
+            inputs: (n + 1,) input at the n samples of the block and at the first of the next, straight between.
+
+        Returns:
+            (outputs, n) outputs at the n samples; the state moves on to the next block's first sample.
+
+        Raises:
+            IntegrationError: the motion is not finite any more.
+            ValueError: inputs of a wrong shape or not finite.
+        """
+        inputs = np.ascontiguousarray(inputs, dtype=np.float64)
+        if inputs.ndim != 1 or inputs.size < 1:
+            raise ValueError("inputs must be one-dimensional with at least one value")
+        if not np.isfinite(inputs).all():
+            raise ValueError("inputs must be finite")
+        n = inputs.size - 1
+        p = self._propagator
+        if self._history.shape[1] < n:
+            self._history = np.empty((self._state.size, n))
+            self._force_history = np.empty((p.port_feedthrough.shape[1], n))
+        result = np.empty((self._c.shape[0], n))
+        good = integrate(
+            p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input, p.port_feedthrough, p.compliance, self._kinds,
+            self._parameters, self._space.element_port, self._affine, self._levels, self.substeps, inputs,
+            self._state, *self._memory, self._c, self._d_ports, self._d_input, self._history,
+            self._force_history, result,
+        )  # fmt: skip
+        self.samples += n
+        if not good:
+            raise IntegrationError(
+                f"the motion is not finite near sample {self.samples}; check the parameters of the local elements"
+            )
+        return result
+
+    @property
+    def modal(self) -> bool:
+        """Whether the state is kept in modal form."""
+        return self._propagator.modal
+
+    @property
+    def physical_state(self) -> Array:
+        """Present state: displacements (m,), velocities (m,), current if any."""
+        result: Array = self._propagator.from_working @ self._state
+        return result
+
+    @property
+    def element_forces(self) -> Array:
+        """(ports,) present forces of the local elements, summed over those with one direction, N."""
+        forces = self._memory[0]
+        return forces[: forces.size // 2].copy()
+
+    @property
+    def slider_dissipation(self) -> Array:
+        """(elements,) energy lost in the sliders of Jenkins elements since the start, J; 0 for others."""
+        return self._memory[4].copy()
+
+    @property
+    def steps(self) -> int:
+        """Sub-steps taken since the start."""
+        return int(self._memory[5][0])
+
+    @property
+    def corners(self) -> int:
+        """Corners of local elements passed since the start."""
+        return int(self._memory[5][1])
+
+    @property
+    def stored_energy(self) -> float:
+        """Kinetic and elastic energy of structure, exciter and local elements, and of the inductance, J."""
+        m = self._space.mechanical_size
+        s = self.physical_state
+        x, v, i = s[:m], s[m : 2 * m], s[2 * m :]
+        system = self.system
+        stiffness, inductance = system.stiffness[:m, :m], system.damping[m:, m:]
+        energy = 0.5 * float(v @ system.mass[:m, :m] @ v + x @ stiffness @ x + i @ inductance @ i)
+        for element in system.elements:
+            if element not in self._space.elements:
+                energy += 0.5 * element.linear_stiffness * float(element.direction[:m] @ x) ** 2
+        slider = self._memory[3]
+        for e, element in enumerate(self._space.elements):
+            w = float(element.direction[:m] @ x)
+            energy += element_stored_energy(element.kind, element.parameters, w, slider[e])
+        return energy

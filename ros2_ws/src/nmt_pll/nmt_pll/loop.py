@@ -1,0 +1,325 @@
+"""The phase-locked loop: detector, controllers and lock logic, one block at a time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
+from nmt_pll.gains import LoopPlant
+from nmt_pll.lock import Dwell, LockCriteria, LockStateMachine, LoopState, Transition
+from nmt_pll.phase_detector import AdaptiveFourierFilter, phase_error
+from nmt_pll.settings import CONTROL_FORCE, CONTROL_RESPONSE, CONTROL_VOLTAGE, LevelCommand, LoopSettings
+
+_VELOCITY_LEAD = {
+    Quantity.DISPLACEMENT: math.pi / 2.0,
+    Quantity.VELOCITY: 0.0,
+    Quantity.ACCELERATION: -math.pi / 2.0,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LockWindow:
+    """A lock and the window it opens; as ``nmt_msgs/LockEvent``."""
+
+    level: LevelCommand
+    sample: int
+    frequency_hz: float
+    phase_error: float
+    first_sample: int
+    samples: int
+    periods: int
+
+
+@dataclass(frozen=True, slots=True)
+class LoopOutput:
+    """Answer of the loop to one block.
+
+    Attributes:
+        last_sample: last sample it is based on.
+        frequency_hz: frequency for the next block; 0 with the drive off.
+        amplitude: drive amplitude for the next block, V.
+        ramp: half-cosine duration for a change of amplitude, s.
+        state: loop state.
+        phase_error: rad, NaN if not valid.
+        force_amplitude: N; response_amplitude: unit of the response.
+        level: level worked on, None before the first.
+        lock: set with the block in which lock was confirmed.
+        transition: set with the block in which the state changed.
+    """
+
+    last_sample: int
+    frequency_hz: float
+    amplitude: float
+    ramp: float
+    state: LoopState
+    phase_error: float
+    force_amplitude: float
+    response_amplitude: float
+    level: LevelCommand | None
+    lock: LockWindow | None
+    transition: Transition | None
+    flags: int
+
+
+class Loop(Protocol):
+    """What the node needs of a phase-locked loop."""
+
+    def set_level(self, level: LevelCommand) -> None:
+        """Take a level to be worked on from its ``apply_at_sample`` on."""
+
+    def process(self, force: SampleBlock, response: SampleBlock) -> LoopOutput:
+        """Answer one block."""
+
+
+class PhaseLockedLoop:
+    """Adaptive Fourier filter, scheduled PI controller and lock state machine.
+
+    Args:
+        linear: linear description of the rig.
+        settings: loop settings.
+        sample_rate: Hz.
+        block_samples: samples a block.
+    """
+
+    def __init__(
+        self, linear: LinearDescription, settings: LoopSettings, sample_rate: float, block_samples: int
+    ) -> None:
+        self.linear = linear
+        self.settings = settings
+        self.sample_rate = sample_rate
+        self.block_duration = block_samples / sample_rate
+        self.cutoff = settings.resolved_cutoff(linear)
+        self.filter = AdaptiveFourierFilter(2, settings.harmonics, self.cutoff, sample_rate)
+        dead_time = (1.5 + settings.latency_blocks) * self.block_duration
+        self.plant = LoopPlant.from_description(linear)
+        self.schedule = GainSchedule(self.plant, settings, self.cutoff, dead_time)
+        mode = linear.frequencies_rad_s[linear.target_mode]
+        self.controller = FrequencyController(
+            2.0 * math.pi * settings.start_frequency_hz or mode, settings.guard_low * mode, settings.guard_high * mode
+        )
+        self.start_frequency = self.controller.output
+        self.amplitude_controller = AmplitudeController(0.3 * self.schedule.bandwidth_limit)
+        self.criteria = LockCriteria(
+            settings.phase_tolerance,
+            settings.frequency_tolerance,
+            settings.amplitude_tolerance,
+            settings.scatter_limit,
+            settings.unlock_tolerance,
+        )
+        dwell_time = settings.dwell_periods * 2.0 * math.pi / mode
+        self.dwell = Dwell(
+            math.ceil(dwell_time / self.block_duration), 2.0 / (self.cutoff * self.block_duration)
+        )
+        self.machine = LockStateMachine()
+        self.decay = self.plant.structure_decay
+        self._levels: list[LevelCommand] = []
+        self._level: LevelCommand | None = None
+        self._block_samples = block_samples
+        self._response_quantity = Quantity.DISPLACEMENT
+        self._amplitude = 0.0
+        self._ramp = settings.quiet_ramp
+        self._closed_from = 0
+        self._judged_from = 0
+        self._deadline: float = math.inf
+        self._bound_since: int | None = None
+        self._good_frequency = self.start_frequency
+        self.newest_sequence = 0
+
+    def set_level(self, level: LevelCommand) -> None:
+        """Take a level to be worked on from its ``apply_at_sample`` on.
+
+        Raises:
+            BenchError: amplitude, ramp or control are not usable.
+        """
+        if not (math.isfinite(level.amplitude) and level.amplitude >= 0):
+            raise BenchError(f"Level {level.index}: the amplitude must be finite and >= 0, got {level.amplitude}.")
+        if not (math.isfinite(level.ramp) and level.ramp >= 0):
+            raise BenchError(f"Level {level.index}: the ramp must be finite and >= 0 s, got {level.ramp}.")
+        if level.control not in (CONTROL_VOLTAGE, CONTROL_RESPONSE, CONTROL_FORCE):
+            raise BenchError(f"Level {level.index}: control {level.control} is not known; use voltage, response or force.")
+        self._levels.append(level)
+        self._levels.sort(key=lambda item: (item.apply_at_sample, item.sequence))
+        self.newest_sequence = max(self.newest_sequence, level.sequence)
+
+    def process(self, force: SampleBlock, response: SampleBlock) -> LoopOutput:
+        """Answer one block of force and drive-point response (first channel of each).
+
+        Raises:
+            ValueError: the blocks do not cover the same samples, or the response is not a motion.
+        """
+        if force.first_sample != response.first_sample or force.samples != response.samples:
+            raise ValueError("force and response blocks do not cover the same samples")
+        end = force.end_sample
+        flags = force.flags | response.flags
+        present = force.oscillator.frequency_hz
+        error, force_amplitude, response_amplitude = self._measure(force, response)
+        self._start_due_level(end)
+        lock = None
+        state = self.machine.state
+        if state in (LoopState.ACQUIRING, LoopState.LOCKED):
+            valid = not math.isnan(error) and end > self._closed_from
+            if valid:
+                self._control(error, force_amplitude, response_amplitude, response.quantity, end)
+            reason = self._reason_to_give_up(flags, end, valid)
+            if reason:
+                self._give_up(end, reason)
+            elif valid and end > self._judged_from:
+                self.dwell.add(error, present, response_amplitude)
+                if self.dwell.full:
+                    lock = self._judge(end)
+        running = self._amplitude > 0.0
+        return LoopOutput(
+            last_sample=end - 1,
+            frequency_hz=self.controller.output / (2.0 * math.pi),
+            amplitude=self._amplitude if running else 0.0,
+            ramp=self._ramp,
+            state=self.machine.state,
+            phase_error=error,
+            force_amplitude=force_amplitude,
+            response_amplitude=response_amplitude,
+            level=self._level,
+            lock=lock,
+            transition=self.machine.take_transition(),
+            flags=flags,
+        )
+
+    def _measure(self, force: SampleBlock, response: SampleBlock) -> tuple[float, float, float]:
+        """Phase error (NaN if not valid), force amplitude and response amplitude after the block."""
+        phase = force.oscillator
+        if math.isnan(phase.cycles) or not phase.frequency_hz > 0:
+            return math.nan, 0.0, 0.0
+        lead = _VELOCITY_LEAD.get(response.quantity)
+        if lead is None:
+            raise ValueError(f"the response is {response.quantity.name.lower()}, not a motion")
+        data = np.stack((force.data[self._row(force)], response.data[self._row(response)]))
+        fundamental = self.filter.process(data, phase.cycles, phase.frequency_hz, phase.rate_hz_s)[:, 1]
+        force_amplitude, response_amplitude = abs(fundamental[0]), abs(fundamental[1])
+        if not (math.isfinite(force_amplitude) and math.isfinite(response_amplitude)):
+            self.filter.reset()
+            return math.nan, 0.0, 0.0
+        if force_amplitude < self.settings.force_floor or response_amplitude <= self.settings.response_floor:
+            return math.nan, force_amplitude, response_amplitude
+        return phase_error(fundamental[0], fundamental[1], lead), force_amplitude, response_amplitude
+
+    def _row(self, block: SampleBlock) -> int:
+        """Row of the drive point's channel; the only channel where there is but one."""
+        if len(block.points) == 1:
+            return 0
+        try:
+            return block.points.index(self.linear.drive_point)
+        except ValueError:
+            raise ValueError(
+                f"no {block.quantity.topic} channel at the drive point {self.linear.drive_point}"
+            ) from None
+
+    def _start_due_level(self, end: int) -> None:
+        """Begin the newest level whose ``apply_at_sample`` the next block reaches."""
+        while self._levels and self._levels[0].apply_at_sample <= end:
+            self._begin(self._levels.pop(0), end)
+
+    def _begin(self, level: LevelCommand, end: int) -> None:
+        was_quiet = self._amplitude == 0.0
+        same_level = self._level is not None and self._level.index == level.index
+        self._level = level
+        self._ramp = level.ramp
+        if level.amplitude == 0.0:
+            self._amplitude = 0.0
+            if self.machine.state != LoopState.LOCK_LOST or not same_level:
+                self.machine.fix(end, "the drive goes to zero")
+            return
+        if was_quiet:
+            start = 2.0 * math.pi * level.frequency_hz or self._good_frequency
+            self.controller.reset(start)
+            self.filter.reset()
+            self.decay = self.plant.structure_decay
+        warm_up = 5.0 / self.cutoff if was_quiet else 0.0
+        ramp_end = end + round(level.ramp * self.sample_rate)
+        self._closed_from = end + round(max(warm_up, 0.5 * level.ramp if was_quiet else 0.0) * self.sample_rate)
+        self._judged_from = max(ramp_end, self._closed_from) + round(2.0 / self.cutoff * self.sample_rate)
+        self._deadline = self._judged_from + level.timeout * self.sample_rate if level.timeout else math.inf
+        self._bound_since = None
+        self._amplitude = self._start_voltage(level, was_quiet)
+        self.dwell.clear()
+        self.machine.acquire(end, f"level {level.index} starts")
+
+    def _start_voltage(self, level: LevelCommand, was_quiet: bool) -> float:
+        """Drive voltage a level starts with; controlled amplitudes start from the linear estimate."""
+        if level.control == CONTROL_VOLTAGE:
+            return level.amplitude
+        if not was_quiet:
+            return self._amplitude
+        per_volt = self.linear.displacement_per_volt
+        if level.control == CONTROL_FORCE:
+            per_volt = self.linear.force_per_volt
+        elif self._response_quantity == Quantity.ACCELERATION:
+            per_volt *= self.controller.output**2
+        return level.amplitude / per_volt if per_volt > 0 else 1.0e-3
+
+    def _control(self, error: float, force: float, response: float, quantity: Quantity, end: int) -> None:
+        omega = self.controller.output
+        self._response_quantity = quantity
+        displacement = response / omega**2 if quantity == Quantity.ACCELERATION else response
+        decay = force * self.linear.drive_point_shape**2 * math.cos(error) / (2.0 * omega * displacement)
+        weight = min(1.0, self.cutoff * self.block_duration)
+        self.decay += weight * (min(max(decay, 0.0), 0.3 * omega) - self.decay)
+        self.controller.update(error, self.schedule.gains(self.decay), self.block_duration)
+        level = self._level
+        if level is not None and level.control != CONTROL_VOLTAGE and end > self._closed_from:
+            measured = force if level.control == CONTROL_FORCE else response
+            self._amplitude = self.amplitude_controller.update(
+                self._amplitude, level.amplitude, measured, self.block_duration
+            )
+            self._ramp = self.block_duration
+        if self.controller.at_bound:
+            self._bound_since = self._bound_since or end
+        else:
+            self._bound_since = None
+
+    def _reason_to_give_up(self, flags: int, end: int, valid: bool) -> str:
+        if flags & BlockFlag.LIMIT:
+            return "a safety limit has tripped"
+        if flags & BlockFlag.WATCHDOG:
+            return "the drive watchdog has tripped"
+        if self._bound_since is not None and end - self._bound_since > self.dwell.length * self._block_samples:
+            side = "lower" if self.controller.integrator <= self.controller.low else "upper"
+            return (
+                f"the frequency stays at the {side} end of the guard band "
+                f"({self.controller.integrator / (2 * math.pi):.2f} Hz): this is not the target mode"
+            )
+        if end > self._deadline and self.machine.state == LoopState.ACQUIRING:
+            return "no lock within the time-out"
+        if self.machine.state == LoopState.LOCKED and not valid:
+            return "force or response fell below its amplitude floor"
+        return ""
+
+    def _judge(self, end: int) -> LockWindow | None:
+        statistics = self.dwell.statistics()
+        if self.machine.state == LoopState.LOCKED:
+            reason = self.criteria.lost(statistics)
+            if reason:
+                self._give_up(end, reason)
+            return None
+        if not self.criteria.locked(statistics):
+            return None
+        self.machine.lock(
+            end, f"phase error {math.degrees(statistics.mean):.3f} deg over {self.settings.dwell_periods:g} periods"
+        )
+        self._good_frequency = self.controller.output
+        level = self._level
+        if level is None or level.window_periods == 0:
+            return None
+        frequency = self.controller.output / (2.0 * math.pi)
+        samples = round(level.window_periods * self.sample_rate / frequency)
+        return LockWindow(level, end - 1, frequency, statistics.mean, end, samples, level.window_periods)
+
+    def _give_up(self, end: int, reason: str) -> None:
+        self.machine.lose(end, reason)
+        self._amplitude = 0.0
+        self._ramp = self.settings.quiet_ramp

@@ -1,0 +1,103 @@
+"""Settings of the phase-locked loop, one frozen object for loop, node and documentation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """How the loop detects phase, controls frequency and judges lock. Zero where noted means "derive from the rig".
+
+    Attributes:
+        cutoff: ω_LP of the adaptive filter, rad/s; 0 = 0.15 of the target mode's frequency.
+        harmonics: harmonics the filter tracks besides the mean.
+        imaginary_part: λ_I of the closed-form gains; 0 is the conservative choice.
+        proportional, integral: fixed gains k_p (1/s) and k_i (1/s²); 0 = closed form, scheduled with the measured damping.
+        delay_margin: largest closed-loop bandwidth times dead time, rad.
+        start_frequency_hz: first frequency, Hz; 0 = linear frequency of the target mode.
+        guard_low, guard_high: frequency band around the target mode, as factors of its linear frequency.
+        phase_tolerance: largest mean phase error at lock, rad.
+        frequency_tolerance: largest relative drift of the frequency over the dwell, 1.
+        amplitude_tolerance: largest relative drift of the response amplitude over the dwell, 1.
+        scatter_limit: largest standard deviation of the phase error at lock, rad.
+        dwell_periods: periods over which all of these must hold.
+        unlock_tolerance: mean phase error over the dwell that ends a lock, rad.
+        force_floor: smallest force amplitude with a valid phase, N.
+        response_floor: smallest response amplitude with a valid phase, unit of the response.
+        latency_blocks: blocks of buffering between command and excitation.
+        quiet_ramp: half-cosine to zero after a lost lock, s.
+    """
+
+    cutoff: float = 0.0
+    harmonics: int = 7
+    imaginary_part: float = 0.0
+    proportional: float = 0.0
+    integral: float = 0.0
+    delay_margin: float = 0.25
+    start_frequency_hz: float = 0.0
+    guard_low: float = 0.4
+    guard_high: float = 1.15
+    phase_tolerance: float = math.radians(0.2)
+    frequency_tolerance: float = 1.0e-4
+    amplitude_tolerance: float = 2.0e-3
+    scatter_limit: float = math.radians(10.0)
+    dwell_periods: float = 10.0
+    unlock_tolerance: float = math.radians(10.0)
+    force_floor: float = 1.0e-4
+    response_floor: float = 0.0
+    latency_blocks: int = 0
+    quiet_ramp: float = 0.5
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not math.isfinite(value) or value < 0:
+                raise BenchError(f"PLL setting '{item.name}' must be finite and not negative, got {value}.")
+        if not self.guard_low < 1.0 < self.guard_high:
+            raise BenchError("The PLL's guard band must contain the target mode: guard_low < 1 < guard_high.")
+        for name in ("phase_tolerance", "dwell_periods", "unlock_tolerance", "quiet_ramp", "delay_margin"):
+            if getattr(self, name) <= 0:
+                raise BenchError(f"PLL setting '{name}' must be positive.")
+        if (self.proportional > 0) != (self.integral > 0):
+            raise BenchError("Give both fixed PLL gains, proportional and integral, or none of them.")
+
+    def resolved_cutoff(self, linear: LinearDescription) -> float:
+        """ω_LP in rad/s."""
+        return self.cutoff or 0.15 * linear.frequencies_rad_s[linear.target_mode]
+
+
+@dataclass(frozen=True, slots=True)
+class LevelCommand:
+    """One level for the loop to work on; fields as in ``nmt_msgs/Level``."""
+
+    sequence: int
+    index: int
+    amplitude: float
+    apply_at_sample: int
+    ramp: float
+    control: int = 1
+    frequency_hz: float = 0.0
+    window_periods: int = 0
+    timeout: float = 0.0
+
+
+CONTROL_VOLTAGE, CONTROL_RESPONSE, CONTROL_FORCE = 1, 2, 3
+
+
+def settings_from(values: dict[str, Any]) -> LoopSettings:
+    """Settings from a mapping.
+
+    Raises:
+        BenchError: unknown name or a value that :class:`LoopSettings` refuses.
+    """
+    known = {item.name for item in fields(LoopSettings)}
+    for name in values:
+        if name not in known:
+            raise BenchError(f"PLL setting '{name}' is not known; known are {', '.join(sorted(known))}.")
+    return LoopSettings(**values)

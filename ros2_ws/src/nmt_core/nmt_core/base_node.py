@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -32,8 +33,27 @@ STATE_QOS = QoSProfile(
 )
 
 
+HEARTBEAT_PERIOD = 0.25  # s of wall time
+READY = "ready"
+COMMON_PARAMETERS = (
+    Parameter(
+        "expected_peers",
+        [""],
+        "",
+        "Endpoints that must be connected before the node calls itself ready, as 'topic:count'; empty = none.",
+    ),
+    Parameter("watched_nodes", [""], "", "Nodes whose heartbeat this node watches; empty = none."),
+    Parameter(
+        "silence_timeout", 3.0, "s", "Wall time without a heartbeat after which a watched node is lost.", low=0.5
+    ),
+)
+
+
 class BenchNode(Node):
     """A node whose parameters come from a table and whose counters go to ``/diagnostics``.
+
+    A heartbeat on ``/diagnostics`` says ``ready`` once every expected peer is connected in both directions; the
+    sequencer starts a run only when all nodes it watches are ready, so that no first sample is lost.
 
     Args:
         name: default node name.
@@ -55,9 +75,16 @@ class BenchNode(Node):
         kwargs.setdefault("start_parameter_services", True)
         kwargs.setdefault("enable_rosout", False)
         super().__init__(name, **kwargs)
-        self.values = self._declare(table, dict(values or {}))
+        self.values = self._declare((*table, *COMMON_PARAMETERS), dict(values or {}))
         self.counters: dict[str, int | float | str] = {}
+        self._expected = _parse_peers(self.values["expected_peers"], self.get_name())
+        self._endpoints: dict[str, list[Any]] = {}
+        self.watched_nodes = [name for name in self.values["watched_nodes"] if name]
+        self._heard: dict[str, tuple[float, str]] = {}
+        if self.watched_nodes:
+            self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._heartbeat = self.create_timer(HEARTBEAT_PERIOD, self._beat)
 
     def _declare(self, table: Sequence[Parameter], values: dict[str, Any]) -> dict[str, ParameterValue]:
         known = {parameter.name for parameter in table}
@@ -77,6 +104,51 @@ class BenchNode(Node):
         given.update(values)
         return check_values(table, given, self.get_name())
 
+    def bench_publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Any:
+        """A publisher that counts among the node's endpoints."""
+        publisher = self.create_publisher(kind, topic, qos)
+        self._endpoints.setdefault(topic, []).append(publisher.get_subscription_count)
+        return publisher
+
+    def bench_subscription(
+        self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile, raw: bool = False
+    ) -> Any:
+        """A subscription that counts among the node's endpoints."""
+        subscription = self.create_subscription(kind, topic, callback, qos, raw=raw)
+        self._endpoints.setdefault(topic, []).append(subscription.get_publisher_count)
+        return subscription
+
+    def missing_peers(self) -> list[str]:
+        """Topics whose expected peers are not connected yet."""
+        return [
+            topic
+            for topic, count in self._expected.items()
+            if max((connected() for connected in self._endpoints.get(topic, [])), default=0) < count
+        ]
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        now = time.monotonic()
+        for status in message.status:
+            self._heard[status.name] = (now, status.message)
+
+    def unready_nodes(self) -> dict[str, str]:
+        """Watched nodes that have not called themselves ready, each with what it waits for."""
+        states = {name: self._heard.get(name, (0.0, "not heard of"))[1] for name in self.watched_nodes}
+        return {name: state for name, state in states.items() if state != READY}
+
+    def silent_node(self) -> str:
+        """A watched node that was heard once and has fallen silent; empty if none."""
+        limit = time.monotonic() - float(self.values["silence_timeout"])
+        return next((n for n in self.watched_nodes if n in self._heard and self._heard[n][0] < limit), "")
+
+    def _beat(self) -> None:
+        missing = self.missing_peers()
+        self.update_counters()
+        self.publish_diagnostics(message=f"waiting for {', '.join(missing)}" if missing else READY)
+
+    def update_counters(self) -> None:
+        """Called before each heartbeat; nodes fill :attr:`counters` here."""
+
     def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
         """Publish the counters under the node's name."""
         status = DiagnosticStatus(level=level, name=self.get_name(), message=message, hardware_id="")
@@ -87,6 +159,18 @@ class BenchNode(Node):
 
     def shut_down(self) -> None:
         """Called once before the node is destroyed, whatever ended it; nodes quiet the drive and close files here."""
+
+
+def _parse_peers(entries: Any, owner: str) -> dict[str, int]:
+    expected = {}
+    for entry in entries:
+        if not entry:
+            continue
+        topic, _, count = entry.partition(":")
+        if not topic or not count.isdigit():
+            raise BenchError(f"Parameter 'expected_peers' of {owner} takes 'topic:count', got '{entry}'.")
+        expected[topic] = int(count)
+    return expected
 
 
 def _descriptor(item: Parameter) -> ParameterDescriptor:

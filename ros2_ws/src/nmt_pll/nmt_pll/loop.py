@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
+from nmt_core.blocks import BlockFlag, FloatArray, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
@@ -77,6 +77,9 @@ class Loop(Protocol):
     def process(self, force: SampleBlock, response: SampleBlock) -> LoopOutput:
         """Answer one block."""
 
+    def quiet(self, reason: str) -> None:
+        """Take the drive to zero from the next block on."""
+
 
 class PhaseLockedLoop:
     """Adaptive Fourier filter, scheduled PI controller and lock state machine.
@@ -130,6 +133,7 @@ class PhaseLockedLoop:
         self._deadline: float = math.inf
         self._bound_since: int | None = None
         self._good_frequency = self.start_frequency
+        self._quiet_reason = ""
         self.newest_sequence = 0
 
     def set_level(self, level: LevelCommand) -> None:
@@ -160,7 +164,7 @@ class PhaseLockedLoop:
         flags = force.flags | response.flags
         present = force.oscillator.frequency_hz
         error, force_amplitude, response_amplitude = self._measure(force, response)
-        self._start_due_level(end)
+        self._start_due_level(force.first_sample, end)
         lock = None
         state = self.machine.state
         if state in (LoopState.ACQUIRING, LoopState.LOCKED):
@@ -189,6 +193,14 @@ class PhaseLockedLoop:
             transition=self.machine.take_transition(),
             flags=flags,
         )
+
+    def quiet(self, reason: str) -> None:
+        """Take the drive to zero from the next block on; a lost lock with this reason."""
+        self._quiet_reason = reason
+
+    def warm_up_data(self) -> FloatArray:
+        """A silent block of the loop's shape, for compiling before the first real one."""
+        return np.zeros((2, self._block_samples))
 
     def _measure(self, force: SampleBlock, response: SampleBlock) -> tuple[float, float, float]:
         """Phase error (NaN if not valid), force amplitude and response amplitude after the block."""
@@ -219,9 +231,9 @@ class PhaseLockedLoop:
                 f"no {block.quantity.topic} channel at the drive point {self.linear.drive_point}"
             ) from None
 
-    def _start_due_level(self, end: int) -> None:
-        """Begin the newest level whose ``apply_at_sample`` the next block reaches."""
-        while self._levels and self._levels[0].apply_at_sample <= end:
+    def _start_due_level(self, first: int, end: int) -> None:
+        """Begin the levels whose ``apply_at_sample`` this block, starting at ``first``, has reached."""
+        while self._levels and self._levels[0].apply_at_sample <= first:
             self._begin(self._levels.pop(0), end)
 
     def _begin(self, level: LevelCommand, end: int) -> None:
@@ -283,6 +295,9 @@ class PhaseLockedLoop:
             self._bound_since = None
 
     def _reason_to_give_up(self, flags: int, end: int, valid: bool) -> str:
+        if self._quiet_reason:
+            reason, self._quiet_reason = self._quiet_reason, ""
+            return reason
         if flags & BlockFlag.LIMIT:
             return "a safety limit has tripped"
         if flags & BlockFlag.WATCHDOG:

@@ -8,6 +8,7 @@ from typing import Any
 
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_core.parameters import Parameter
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,37 @@ class LevelCommand:
 
 
 CONTROL_VOLTAGE, CONTROL_RESPONSE, CONTROL_FORCE = 1, 2, 3
+
+
+_DESCRIPTIONS = {
+    "cutoff": ("rad/s", "Cut-off of the adaptive filter; 0 = 0.15 of the target mode's frequency."),
+    "harmonics": ("", "Harmonics the filter tracks besides the mean."),
+    "imaginary_part": ("", "Imaginary part of the closed-form gains; 0 is the conservative choice."),
+    "proportional": ("1/s", "Fixed proportional gain; 0 = closed form, scheduled with the measured damping."),
+    "integral": ("1/s^2", "Fixed integral gain; 0 = as above."),
+    "delay_margin": ("rad", "Largest closed-loop bandwidth times dead time."),
+    "start_frequency_hz": ("Hz", "First frequency; 0 = linear frequency of the target mode."),
+    "guard_low": ("", "Lower end of the guard band as a factor of the linear frequency."),
+    "guard_high": ("", "Upper end of the guard band as a factor of the linear frequency."),
+    "phase_tolerance": ("rad", "Largest mean phase error at lock."),
+    "frequency_tolerance": ("", "Largest relative drift of the frequency over the dwell at lock."),
+    "amplitude_tolerance": ("", "Largest relative drift of the response amplitude over the dwell at lock."),
+    "scatter_limit": ("rad", "Largest standard deviation of the phase error at lock."),
+    "dwell_periods": ("periods", "Time over which the lock criteria must hold."),
+    "unlock_tolerance": ("rad", "Mean phase error over the dwell that ends a lock."),
+    "force_floor": ("N", "Smallest force amplitude with a valid phase."),
+    "response_floor": ("m or m/s^2", "Smallest response amplitude with a valid phase."),
+    "latency_blocks": ("blocks", "Buffering between command and excitation."),
+    "quiet_ramp": ("s", "Half-cosine to zero after a lost lock."),
+}
+
+
+def setting_parameters() -> tuple[Parameter, ...]:
+    """The settings as node parameters; names, types and defaults are those of :class:`LoopSettings`."""
+    return tuple(
+        Parameter(item.name, item.default, *_DESCRIPTIONS[item.name], low=0.0)  # type: ignore[arg-type]
+        for item in fields(LoopSettings)
+    )
 
 
 def settings_from(values: dict[str, Any]) -> LoopSettings:

@@ -1,0 +1,226 @@
+"""The PLL node: force and response blocks in, drive commands, loop state and lock events out."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
+from nmt_core.blocks import Quantity, SampleBlock
+from nmt_core.conversions import block_from_message, set_stamp
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+from nmt_core.parameters import Parameter
+from nmt_msgs.msg import Drive, Frequency, Level, LockEvent, SampleBlock as SampleBlockMessage
+from nmt_pll.lock import LoopState
+from nmt_pll.loop import Loop, LoopOutput, PhaseLockedLoop
+from nmt_pll.settings import (
+    CONTROL_FORCE,
+    CONTROL_RESPONSE,
+    CONTROL_VOLTAGE,
+    LevelCommand,
+    LoopSettings,
+    setting_parameters,
+    settings_from,
+)
+
+PARAMETERS = (
+    Parameter("linear_json", "", "", "Linear description of the rig as JSON; see the reference of linear.json."),
+    Parameter("sample_rate", 10000.0, "Hz", "Sample rate of the blocks.", low=1.0),
+    Parameter("block_samples", 200, "samples", "Samples a block.", low=2, high=100000),
+    Parameter(
+        "response_topic",
+        "displacement",
+        "",
+        "Topic of the drive-point response whose phase is controlled.",
+        choices=("displacement", "velocity", "acceleration"),
+    ),
+    *setting_parameters(),
+)
+
+
+class PllNode(BenchNode):
+    """Closes the phase loop block by block; one Drive and one Frequency message answer each block.
+
+    Args:
+        values: parameter values for launch-free use; see ``PARAMETERS``.
+        **kwargs: forwarded to :class:`rclpy.node.Node`.
+
+    Raises:
+        BenchError: no linear description, or a parameter is out of range.
+    """
+
+    def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
+        super().__init__("pll", PARAMETERS, values, **kwargs)
+        text = str(self.values["linear_json"])
+        if not text:
+            raise BenchError(
+                "The pll node needs the parameter 'linear_json'; make a parameter file with './nmt params RIG'."
+            )
+        names = {item.name for item in fields(LoopSettings)}
+        settings = settings_from({name: value for name, value in self.values.items() if name in names})
+        self.sample_rate = float(self.values["sample_rate"])
+        self.block_samples = int(self.values["block_samples"])
+        self.loop: Loop = PhaseLockedLoop(
+            LinearDescription.from_json(text), settings, self.sample_rate, self.block_samples
+        )
+        self._delay = settings.latency_blocks * self.block_samples
+        self._response_topic = str(self.values["response_topic"])
+        self._waiting: dict[str, SampleBlock] = {}
+        self._next_sample: int | None = None
+        self._sequence = 0
+        self._gaps = self._refused = self._late_levels = self._lost_locks = 0
+        self._warm_up()
+
+        self._drive = self.bench_publisher(Drive, "drive", SAMPLES_QOS)
+        self._frequency = self.bench_publisher(Frequency, "frequency", SAMPLES_QOS)
+        self._lock = self.bench_publisher(LockEvent, "lock", SAMPLES_QOS)
+        self._drive_message = Drive()
+        self._frequency_message = Frequency()
+        self.bench_subscription(Level, "level", self._on_level, SAMPLES_QOS)
+        for topic in ("force", self._response_topic):
+            self.bench_subscription(SampleBlockMessage, topic, self._on_block, SAMPLES_QOS)
+        self.create_timer(0.25, self._guard)
+
+    def _guard(self) -> None:
+        """Quiet the drive if the node that commands the levels has gone."""
+        silent = self.silent_node()
+        if silent:
+            self.loop.quiet(f"node {silent} has fallen silent")
+
+    def _warm_up(self) -> None:
+        """Compile the detector's kernel before the first block, not with it."""
+        loop = self.loop
+        if isinstance(loop, PhaseLockedLoop):
+            loop.filter.process(loop.warm_up_data(), 0.0, 1.0)
+            loop.filter.reset()
+
+    def _on_level(self, message: Level) -> None:
+        level = LevelCommand(
+            sequence=message.sequence,
+            index=message.index,
+            amplitude=message.amplitude,
+            apply_at_sample=message.apply_at_sample,
+            ramp=message.ramp,
+            control=message.control or CONTROL_VOLTAGE,
+            frequency_hz=message.frequency_hz,
+            window_periods=message.window_periods,
+            timeout=message.timeout,
+        )
+        try:
+            self.loop.set_level(level)
+        except BenchError as error:
+            self._refused += 1
+            self.get_logger().error(f"Level refused: {error}")
+            return
+        if self._next_sample is not None and level.apply_at_sample < self._next_sample:
+            self._late_levels += 1
+        self._sequence = max(self._sequence, level.sequence)
+        if self._next_sample is not None:
+            # The sequencer holds the horizon until it sees its level acknowledged; blocks may have to wait for that.
+            self._frequency_message.level_sequence = self._sequence
+            self._frequency_message.reason = ""
+            self._frequency.publish(self._frequency_message)
+
+    def _on_block(self, message: SampleBlockMessage) -> None:
+        try:
+            block = block_from_message(message)
+        except ValueError as error:
+            self._refused += 1
+            self.get_logger().error(f"Sample block refused: {error}", throttle_duration_sec=1.0)
+            return
+        kind = "force" if block.quantity == Quantity.FORCE else "response"
+        self._waiting[kind] = block
+        if len(self._waiting) < 2:
+            return
+        force, response = self._waiting["force"], self._waiting["response"]
+        if force.first_sample != response.first_sample:
+            # One topic is ahead: drop the older block and wait for its successor.
+            older = "force" if force.first_sample < response.first_sample else "response"
+            del self._waiting[older]
+            self._gaps += 1
+            return
+        self._waiting.clear()
+        if self._next_sample is not None and force.first_sample != self._next_sample:
+            self._gaps += 1
+            if force.first_sample < self._next_sample:
+                self._refused += 1
+                return
+        if force.sample_rate != self.sample_rate:
+            self._refused += 1
+            self.get_logger().error(
+                f"Sample rate is {force.sample_rate} Hz, the parameter says {self.sample_rate} Hz.",
+                throttle_duration_sec=1.0,
+            )
+            return
+        self._next_sample = force.end_sample
+        try:
+            output = self.loop.process(force, response)
+        except ValueError as error:
+            self._refused += 1
+            self.get_logger().error(f"Blocks refused: {error}", throttle_duration_sec=1.0)
+            return
+        self._publish(output, response.unit)
+
+    def _publish(self, output: LoopOutput, unit: str) -> None:
+        end = output.last_sample + 1
+        drive = self._drive_message
+        set_stamp(drive.stamp, output.last_sample, self.sample_rate)
+        drive.apply_at_sample = end + self._delay
+        drive.based_on_sample = output.last_sample
+        drive.waveform = Drive.SINE if output.amplitude > 0.0 else Drive.OFF
+        drive.frequency_hz = output.frequency_hz
+        drive.amplitude = output.amplitude
+        drive.ramp = output.ramp
+        self._drive.publish(drive)
+
+        state = self._frequency_message
+        state.stamp = drive.stamp
+        state.last_sample = output.last_sample
+        state.level_index = output.level.index if output.level else 0
+        state.level_sequence = self._sequence
+        state.state = int(output.state)
+        state.frequency_hz = output.frequency_hz if output.amplitude > 0.0 else 0.0
+        state.phase_error = output.phase_error
+        state.force_amplitude = output.force_amplitude
+        state.response_amplitude = output.response_amplitude
+        state.response_unit = unit
+        state.drive_amplitude = output.amplitude
+        state.flags = output.flags
+        state.reason = output.transition.reason if output.transition else ""
+        if output.transition and output.transition.state == LoopState.LOCK_LOST:
+            self._lost_locks += 1
+        if output.lock is not None:
+            self._publish_lock(output)
+        self._frequency.publish(state)
+
+    def _publish_lock(self, output: LoopOutput) -> None:
+        lock = output.lock
+        assert lock is not None
+        message = LockEvent()
+        set_stamp(message.stamp, lock.sample, self.sample_rate)
+        message.level_index = lock.level.index
+        message.level = lock.level.amplitude
+        message.level_unit = {
+            CONTROL_VOLTAGE: "V",
+            CONTROL_FORCE: "N",
+            CONTROL_RESPONSE: {"displacement": "m", "velocity": "m/s"}.get(self._response_topic, "m/s^2"),
+        }[lock.level.control]
+        message.sample = lock.sample
+        message.frequency_hz = lock.frequency_hz
+        message.phase_error = lock.phase_error
+        message.window_first_sample = lock.first_sample
+        message.window_samples = lock.samples
+        message.window_periods = lock.periods
+        self._lock.publish(message)
+
+    def update_counters(self) -> None:
+        """Counters for the heartbeat."""
+        self.counters.update(
+            gaps=self._gaps, refused=self._refused, late_levels=self._late_levels, lock_losses=self._lost_locks
+        )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of ``ros2 run nmt_pll pll``."""
+    return spin_node(PllNode, args)

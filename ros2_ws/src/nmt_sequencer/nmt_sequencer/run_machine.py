@@ -1,0 +1,390 @@
+"""State machine of a run, free of ROS and of wall time: loop states and lock events in, levels and pacing out.
+
+In lockstep every decision is taken at a tick, a fixed number of blocks, from what the loop reported up to that very
+sample, and takes effect one tick ahead at the horizon that the plant may not cross. A level is published before the
+horizon moves past its sample, and the horizon moves only when the loop has acknowledged the level. So the same plan on
+the same rig gives the same samples, however the processes are scheduled.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+from nmt_core.errors import BenchError
+from nmt_sequencer.level_plan import check_levels
+
+NO_HORIZON = 2**62
+
+
+class RunPhase(IntEnum):
+    """Phase of a run; values as in ``nmt_msgs/RunState``."""
+
+    UNKNOWN = 0
+    IDLE = 1
+    RUNNING = 2
+    PAUSED = 3
+    STOPPING = 4
+    DONE = 5
+
+
+class ResultCode(IntEnum):
+    """How a run ended; values as in ``nmt_msgs/RunLevels``."""
+
+    UNKNOWN = 0
+    SUCCEEDED = 1
+    CANCELED = 2
+    STOPPED = 3
+    LOCK_LOST = 4
+    LIMIT = 5
+    NODE_LOST = 6
+    REFUSED = 7
+    INTERNAL_ERROR = 8
+
+
+LOOP_LOCKED = 3
+LOOP_LOST = 4
+FLAG_LIMIT = 2
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """What to run.
+
+    Attributes:
+        run_id: name of the run.
+        levels: target amplitudes in order.
+        control: 1 voltage (V), 2 response (m or m/s²), 3 force (N).
+        ramp: half-cosine between levels, s.
+        window_periods: whole periods to capture.
+        timeout: bench time a level may take to lock, s; 0 = no limit.
+        stop_on_lost_lock: end the run at the first level that does not lock.
+    """
+
+    run_id: str
+    levels: tuple[float, ...]
+    control: int = 1
+    ramp: float = 0.5
+    window_periods: int = 200
+    timeout: float = 30.0
+    stop_on_lost_lock: bool = False
+
+    def __post_init__(self) -> None:
+        check_levels(self.levels, "Plan")
+        if self.control not in (1, 2, 3):
+            raise BenchError(f"Control {self.control} is not known; use 1 (voltage), 2 (response) or 3 (force).")
+        if not 0.0 <= self.ramp < 1e6:
+            raise BenchError(f"The ramp must be finite and >= 0 s, got {self.ramp}.")
+        if not 0.0 <= self.timeout < 1e9:
+            raise BenchError(f"The time-out must be finite and >= 0 s, got {self.timeout}.")
+        if self.window_periods < 1:
+            raise BenchError(f"A window needs at least one period, got {self.window_periods}.")
+
+
+@dataclass(frozen=True)
+class Pacing:
+    """Time base of the machine.
+
+    Attributes:
+        sample_rate: Hz.
+        block_samples: samples a block.
+        tick_blocks: blocks a tick.
+        lockstep: the plant waits for the horizon.
+        quiet_ramp: half-cosine to zero at the end, s.
+        settle: bench time after that ramp before the run is done, s.
+        latency_blocks: blocks a command takes to act.
+    """
+
+    sample_rate: float
+    block_samples: int
+    tick_blocks: int = 5
+    lockstep: bool = True
+    quiet_ramp: float = 0.5
+    settle: float = 0.2
+    latency_blocks: int = 0
+
+    @property
+    def tick(self) -> int:
+        """Samples a tick."""
+        return self.block_samples * max(self.tick_blocks, 2 + self.latency_blocks)
+
+    def samples(self, seconds: float) -> int:
+        """Whole blocks that cover a time, in samples."""
+        blocks = -(-round(seconds * self.sample_rate) // self.block_samples)
+        return blocks * self.block_samples
+
+
+@dataclass(frozen=True, slots=True)
+class LoopReport:
+    """What the machine reads of ``nmt_msgs/Frequency``."""
+
+    last_sample: int
+    level_index: int
+    level_sequence: int
+    state: int
+    frequency_hz: float
+    phase_error: float
+    flags: int = 0
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LevelOrder:
+    """A level to be published; fields as in ``nmt_msgs/Level``."""
+
+    sequence: int
+    index: int
+    control: int
+    amplitude: float
+    apply_at_sample: int
+    ramp: float
+    window_periods: int
+    timeout: float
+
+
+@dataclass
+class LevelRecord:
+    """Outcome of one level."""
+
+    index: int
+    amplitude: float
+    started: int
+    locked_at: int | None = None
+    window_end: int | None = None
+    ended: int | None = None
+    complete: bool = False
+    reason: str = ""
+
+
+@dataclass
+class RunMachine:
+    """Works through a plan.
+
+    Feed :meth:`on_report` and :meth:`on_lock`; after each call publish what :meth:`take_orders` returns and then the
+    state. :attr:`horizon` is the first sample the plant may not produce yet.
+    """
+
+    pacing: Pacing
+    phase: RunPhase = RunPhase.IDLE
+    plan: RunPlan | None = None
+    code: ResultCode = ResultCode.UNKNOWN
+    reason: str = ""
+    horizon: int = 0
+    newest: int = -1
+    records: list[LevelRecord] = field(default_factory=list)
+    report: LoopReport | None = None
+    end_sample: int = 0
+    stop_request: tuple[ResultCode, str] | None = None
+    _orders: list[LevelOrder] = field(default_factory=list)
+    _sequence: int = 0
+    _acknowledged: int = 0
+    _unacknowledged: deque[LevelOrder] = field(default_factory=deque)
+    _ticks: deque[LoopReport] = field(default_factory=deque)
+    _next_tick: int = 0
+    _next_horizon: int = 0
+    _quiet_at: int | None = None
+    _lock_events: set[int] = field(default_factory=set)
+    _loss_reasons: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def active(self) -> bool:
+        """True from start until the drive is at zero."""
+        return self.phase in (RunPhase.RUNNING, RunPhase.PAUSED, RunPhase.STOPPING)
+
+    @property
+    def level_index(self) -> int:
+        """Index of the present level."""
+        return self.records[-1].index if self.records else 0
+
+    @property
+    def progress(self) -> float:
+        """Fraction of the plan done, 0..1."""
+        if self.plan is None:
+            return 0.0
+        if self.phase == RunPhase.DONE and self.code == ResultCode.SUCCEEDED:
+            return 1.0
+        done = sum(record.complete or bool(record.reason) for record in self.records)
+        share = 0.0
+        current = self.records[-1] if self.records else None
+        if current and not current.complete and current.locked_at is not None and current.window_end:
+            share = (self.newest - current.locked_at) / max(1, current.window_end - current.locked_at)
+        return min(1.0, (done + min(max(share, 0.0), 1.0)) / len(self.plan.levels))
+
+    def start(self, plan: RunPlan) -> None:
+        """Begin a plan.
+
+        Raises:
+            BenchError: a run is active.
+        """
+        if self.active:
+            raise BenchError(f"A run is active ({self.plan.run_id if self.plan else ''}); stop it or wait for its end.")
+        self.plan = plan
+        self.phase = RunPhase.RUNNING
+        self.code, self.reason = ResultCode.UNKNOWN, ""
+        self.records.clear()
+        self._lock_events.clear()
+        self._loss_reasons.clear()
+        self._ticks.clear()
+        self._quiet_at = None
+        self.stop_request = None
+        tick = self.pacing.tick
+        begin = self.horizon if self.pacing.lockstep else self.newest + 1
+        self._next_tick = (begin // tick + 1) * tick
+        self._next_horizon = begin + 2 * tick if self.pacing.lockstep else NO_HORIZON
+        self._begin_level(begin + tick if self.pacing.lockstep else self._soon())
+        self._advance_horizon()
+
+    def stop(self, code: ResultCode, reason: str) -> None:
+        """End the run early: the drive is ramped to zero at the next tick."""
+        if self.active and self.phase != RunPhase.STOPPING and self.stop_request is None:
+            self.stop_request = (code, reason)
+            if self.phase == RunPhase.PAUSED:
+                self.resume()
+
+    def abandon(self, code: ResultCode, reason: str) -> None:
+        """Declare the run over although the loop no longer answers."""
+        if self.active:
+            if self.code == ResultCode.UNKNOWN:
+                self.code, self.reason = code, reason
+            self.phase = RunPhase.DONE
+            self.end_sample = self.newest + 1
+
+    def pause(self) -> bool:
+        """Hold the present level; in lockstep bench time stands still. False if no run can be paused."""
+        if self.phase != RunPhase.RUNNING:
+            return False
+        self.phase = RunPhase.PAUSED
+        return True
+
+    def resume(self) -> bool:
+        """Go on after a pause. False if nothing is paused."""
+        if self.phase != RunPhase.PAUSED:
+            return False
+        self.phase = RunPhase.RUNNING
+        self.work()
+        return True
+
+    def on_report(self, report: LoopReport) -> None:
+        """Take in the loop's state after a block."""
+        if report.level_sequence > self._acknowledged:
+            self._acknowledged = report.level_sequence
+            while self._unacknowledged and self._unacknowledged[0].sequence <= report.level_sequence:
+                self._unacknowledged.popleft()
+        if report.state == LOOP_LOST and report.reason:
+            self._loss_reasons[report.level_index] = report.reason
+        if report.last_sample > self.newest:
+            self.newest = report.last_sample
+            self.report = report
+            if self.phase == RunPhase.PAUSED and report.flags & FLAG_LIMIT:
+                self.phase = RunPhase.RUNNING
+            if self.active and report.last_sample + 1 >= self._next_tick:
+                if self.phase == RunPhase.PAUSED:
+                    self._ticks.clear()
+                self._ticks.append(report)
+                self._next_tick = ((report.last_sample + 1) // self.pacing.tick + 1) * self.pacing.tick
+        self.work()
+
+    def on_lock(self, level_index: int, sample: int, window_end: int) -> None:
+        """Take in a lock event: its sample and the sample after its window."""
+        self._lock_events.add(level_index)
+        for record in self.records:
+            if record.index == level_index:
+                record.locked_at, record.window_end = sample, window_end
+        self.work()
+
+    def take_orders(self) -> list[LevelOrder]:
+        """Levels to be published now, in order."""
+        orders, self._orders = self._orders, []
+        return orders
+
+    def _soon(self) -> int:
+        return self.newest + 1 + (1 + self.pacing.latency_blocks) * self.pacing.block_samples
+
+    def work(self) -> None:
+        """Take the decisions that are due; called by the methods that feed the machine."""
+        while self._ticks and self.active:
+            if self.phase == RunPhase.PAUSED:
+                return
+            report = self._ticks[0]
+            if report.state == LOOP_LOCKED and report.level_index not in self._lock_events:
+                return  # the lock event is on its way; decide with it, not without
+            self._ticks.popleft()
+            end = report.last_sample + 1
+            if self.pacing.lockstep:
+                self._next_horizon = (end // self.pacing.tick + 2) * self.pacing.tick
+            self._decide(report, self._effective_from(end))
+        if self.active:
+            self._advance_horizon()
+
+    def _effective_from(self, end: int) -> int:
+        if self.pacing.lockstep:
+            return (end // self.pacing.tick + 1) * self.pacing.tick
+        return max(self._soon(), end)
+
+    def _advance_horizon(self) -> None:
+        limit = self._unacknowledged[0].apply_at_sample if self._unacknowledged else NO_HORIZON
+        self.horizon = max(self.horizon, min(self._next_horizon, limit))
+
+    def _decide(self, report: LoopReport, effective: int) -> None:
+        plan = self.plan
+        assert plan is not None
+        if self.phase == RunPhase.STOPPING:
+            if self._quiet_at is not None and report.last_sample + 1 >= self._quiet_at:
+                self.phase = RunPhase.DONE
+                self._advance_horizon()
+                self.end_sample = self.horizon if self.pacing.lockstep else self.newest + 1
+            return
+        record = self.records[-1]
+        if report.flags & FLAG_LIMIT:
+            record.reason = record.reason or "a safety limit has tripped"
+            self._quiet(effective, ResultCode.LIMIT, f"Level {record.index}: {record.reason}.")
+            return
+        if self.stop_request is not None:
+            code, reason = self.stop_request
+            record.ended = report.last_sample
+            self._quiet(effective, code, reason)
+            return
+        if report.level_index != record.index or report.last_sample < record.started:
+            return  # the loop has not begun this level yet
+        if report.state == LOOP_LOST:
+            record.reason = self._loss_reasons.get(record.index, "lock was lost")
+            record.ended = report.last_sample
+            if plan.stop_on_lost_lock:
+                self._quiet(effective, ResultCode.LOCK_LOST, f"Level {record.index} did not hold lock: {record.reason}.")
+                return
+        elif record.window_end is not None and report.last_sample + 1 >= record.window_end:
+            record.complete = True
+            record.ended = report.last_sample
+        else:
+            return
+        if record.index + 1 < len(plan.levels):
+            self._begin_level(effective)
+        else:
+            locked = sum(item.complete for item in self.records)
+            self._quiet(effective, ResultCode.SUCCEEDED, f"{locked} of {len(plan.levels)} levels locked.")
+
+    def _begin_level(self, effective: int) -> None:
+        plan = self.plan
+        assert plan is not None
+        index = len(self.records)
+        self.records.append(LevelRecord(index, plan.levels[index], effective))
+        self._order(index, plan.levels[index], effective, plan.ramp, plan.window_periods, plan.timeout)
+
+    def _quiet(self, effective: int, code: ResultCode, reason: str) -> None:
+        self.phase = RunPhase.STOPPING
+        self.code, self.reason = code, reason
+        self._order(self.level_index, 0.0, effective, self.pacing.quiet_ramp, 0, 0.0)
+        self._quiet_at = effective + self.pacing.samples(self.pacing.quiet_ramp + self.pacing.settle)
+
+    def _order(
+        self, index: int, amplitude: float, effective: int, ramp: float, window_periods: int, timeout: float
+    ) -> None:
+        assert self.plan is not None
+        self._sequence += 1
+        order = LevelOrder(
+            self._sequence, index, self.plan.control, amplitude, effective, ramp, window_periods, timeout
+        )
+        self._orders.append(order)
+        if self.pacing.lockstep:
+            self._unacknowledged.append(order)

@@ -1,0 +1,328 @@
+"""The sequencer node: action server ``run_levels``, level commands, run state and the guard over the other nodes."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
+from nmt_core.conversions import set_stamp
+from nmt_core.errors import BenchError
+from nmt_core.parameters import Parameter
+from nmt_msgs.action import RunLevels
+from nmt_msgs.msg import Frequency, Level, LockEvent, ModalPoint, RunState
+from nmt_sequencer.run_machine import LoopReport, Pacing, ResultCode, RunMachine, RunPhase, RunPlan
+
+PARAMETERS = (
+    Parameter("sample_rate", 10000.0, "Hz", "Sample rate of the rig.", low=1.0),
+    Parameter("block_samples", 200, "samples", "Samples a block.", low=2, high=100000),
+    Parameter(
+        "pacing", "lockstep", "", "lockstep for simulated rigs, realtime for hardware.", choices=("lockstep", "realtime")
+    ),
+    Parameter("tick_blocks", 5, "blocks", "Blocks between two decisions.", low=1, high=1000),
+    Parameter("latency_blocks", 0, "blocks", "Buffering between command and excitation.", low=0, high=100),
+    Parameter("ramp", 0.5, "s", "Half-cosine between levels if the goal gives none.", low=0.0),
+    Parameter("quiet_ramp", 0.5, "s", "Half-cosine to zero at the end of a run.", low=0.0),
+    Parameter("window_periods", 200, "periods", "Whole periods a window if the goal gives none.", low=1, high=1000000),
+    Parameter("timeout", 60.0, "s", "Bench time a level may take to lock if the goal gives none.", low=0.0),
+    Parameter("ready_timeout", 30.0, "s", "Wall time to wait for all watched nodes before a run.", low=0.1),
+    Parameter("points_timeout", 30.0, "s", "Wall time to wait for missing modal points after a run.", low=0.0),
+)
+
+_GUARD_PERIOD = 0.1
+_FEEDBACK_PERIOD = 0.1
+_QUIET_TIMEOUT = 4.0
+
+
+class SequencerNode(BenchNode):
+    """Runs plans of levels, one at a time; every end is a ramp to zero.
+
+    Args:
+        values: parameter values for launch-free use; see ``PARAMETERS``.
+        **kwargs: forwarded to :class:`rclpy.node.Node`.
+    """
+
+    def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
+        super().__init__("sequencer", PARAMETERS, values, **kwargs)
+        v = self.values
+        self.machine = RunMachine(
+            Pacing(
+                sample_rate=float(v["sample_rate"]),
+                block_samples=int(v["block_samples"]),
+                tick_blocks=int(v["tick_blocks"]),
+                lockstep=v["pacing"] == "lockstep",
+                quiet_ramp=float(v["quiet_ramp"]),
+                latency_blocks=int(v["latency_blocks"]),
+            )
+        )
+        self._pending: tuple[Any, RunPlan, float] | None = None
+        self._goal: Any = None
+        self._finished: Future | None = None
+        self._points: dict[int, ModalPoint] = {}
+        self._done_since: float | None = None
+        self._stopping_since: float | None = None
+        self._newest_wall = 0.0
+        self._last_feedback = 0.0
+        self._published: tuple[Any, ...] = ()
+
+        self._level = self.bench_publisher(Level, "level", SAMPLES_QOS)
+        self._state = self.bench_publisher(RunState, "run_state", STATE_QOS)
+        self.bench_subscription(Frequency, "frequency", self._on_frequency, SAMPLES_QOS)
+        self.bench_subscription(LockEvent, "lock", self._on_lock, SAMPLES_QOS)
+        self.bench_subscription(ModalPoint, "modal_point", self._on_point, SAMPLES_QOS)
+        self._server = ActionServer(
+            self,
+            RunLevels,
+            "run_levels",
+            execute_callback=self._execute,
+            goal_callback=self._on_goal,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
+        for name, call in (("stop", self._stop), ("pause", self._pause), ("resume", self._resume)):
+            self.create_service(Trigger, name, call)
+        self.create_timer(_GUARD_PERIOD, self._guard)
+        self._publish_state()
+
+    # -- goals ---------------------------------------------------------------------------------------------------
+
+    def _plan(self, goal: Any) -> RunPlan:
+        v = self.values
+        return RunPlan(
+            run_id=goal.run_id or time.strftime("run-%Y%m%d-%H%M%S"),
+            levels=tuple(goal.levels),
+            control=goal.control or RunLevels.Goal.CONTROL_VOLTAGE,
+            ramp=goal.ramp or float(v["ramp"]),
+            window_periods=goal.window_periods or int(v["window_periods"]),
+            timeout=goal.timeout or float(v["timeout"]),
+            stop_on_lost_lock=goal.stop_on_lost_lock,
+        )
+
+    def _on_goal(self, goal: Any) -> GoalResponse:
+        try:
+            self._plan(goal)
+        except BenchError as error:
+            self.get_logger().error(f"Goal refused: {error}")
+            return GoalResponse.REJECT
+        if self._goal is not None or self.machine.active:
+            self.get_logger().error("Goal refused: a run is active; stop it or wait for its end.")
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    async def _execute(self, goal_handle: Any) -> Any:
+        self._goal = goal_handle
+        self._points.clear()
+        self._finished = Future()
+        plan = self._plan(goal_handle.request)
+        self._pending = (goal_handle, plan, time.monotonic())
+        self._done_since = self._stopping_since = None
+        try:
+            await self._finished
+            return self._result(goal_handle)
+        finally:
+            self._goal = self._pending = None
+
+    def _result(self, goal_handle: Any) -> Any:
+        machine = self.machine
+        result = RunLevels.Result()
+        result.result_code = int(machine.code)
+        result.message = machine.reason
+        result.levels_locked = sum(record.complete for record in machine.records)
+        result.levels_not_locked = len(machine.records) - result.levels_locked
+        result.points = [self._points[index] for index in sorted(self._points)]
+        if machine.code == ResultCode.SUCCEEDED:
+            goal_handle.succeed()
+        elif goal_handle.is_cancel_requested:
+            goal_handle.canceled()
+        else:
+            goal_handle.abort()
+        return result
+
+    def _begin_when_ready(self) -> None:
+        if self._pending is None:
+            return
+        goal_handle, plan, since = self._pending
+        missing = self.unready_nodes()
+        own = self.missing_peers()
+        if goal_handle.is_cancel_requested:
+            self._refuse(plan, ResultCode.CANCELED, "Cancelled before the first level.")
+        elif not missing and not own:
+            self._pending = None
+            self.machine.start(plan)
+            self._publish_all()
+        elif time.monotonic() - since > float(self.values["ready_timeout"]):
+            what = [f"{name} ({state})" for name, state in missing.items()]
+            what += [f"the peers of topic {topic}" for topic in own]
+            self._refuse(
+                plan,
+                ResultCode.NODE_LOST,
+                f"Not ready within {self.values['ready_timeout']:g} s: {', '.join(what)}; start the missing nodes.",
+            )
+
+    def _refuse(self, plan: RunPlan, code: ResultCode, reason: str) -> None:
+        self._pending = None
+        self.machine.plan, self.machine.code, self.machine.reason = plan, code, reason
+        self.machine.records.clear()
+        self.machine.phase = RunPhase.DONE
+        self.machine.end_sample = self.machine.newest + 1
+        self._publish_state()
+        self._finish()
+
+    def _finish(self) -> None:
+        if self._finished is not None and not self._finished.done():
+            self._finished.set_result(True)
+
+    # -- what comes in -------------------------------------------------------------------------------------------
+
+    def _on_frequency(self, message: Frequency) -> None:
+        if message.last_sample > self.machine.newest:
+            self._newest_wall = time.monotonic()
+        self.machine.on_report(
+            LoopReport(
+                last_sample=message.last_sample,
+                level_index=message.level_index,
+                level_sequence=message.level_sequence,
+                state=message.state,
+                frequency_hz=message.frequency_hz,
+                phase_error=message.phase_error,
+                flags=message.flags,
+                reason=message.reason,
+            )
+        )
+        self._publish_all()
+
+    def _on_lock(self, message: LockEvent) -> None:
+        self.machine.on_lock(
+            message.level_index, message.sample, message.window_first_sample + message.window_samples
+        )
+        self._publish_all()
+
+    def _on_point(self, message: ModalPoint) -> None:
+        self._points[message.level_index] = message
+
+    def _stop(self, _: Any, response: Any) -> Any:
+        response.success = self.machine.active or self._pending is not None
+        response.message = "ramping to zero" if response.success else "no run is active"
+        if self._pending is not None:
+            self._refuse(self._pending[1], ResultCode.STOPPED, "Stopped before the first level.")
+        self.machine.stop(ResultCode.STOPPED, "Stopped by the stop service.")
+        self._publish_all()
+        return response
+
+    def _pause(self, _: Any, response: Any) -> Any:
+        response.success = self.machine.pause()
+        response.message = "paused" if response.success else "no run can be paused"
+        self._publish_all()
+        return response
+
+    def _resume(self, _: Any, response: Any) -> Any:
+        response.success = self.machine.resume()
+        response.message = "going on" if response.success else "nothing is paused"
+        self._publish_all()
+        return response
+
+    # -- what goes out -------------------------------------------------------------------------------------------
+
+    def _publish_all(self) -> None:
+        for order in self.machine.take_orders():
+            message = Level()
+            message.sequence = order.sequence
+            message.index = order.index
+            message.control = order.control
+            message.amplitude = float(order.amplitude)
+            message.apply_at_sample = order.apply_at_sample
+            message.ramp = float(order.ramp)
+            message.window_periods = order.window_periods
+            message.timeout = float(order.timeout)
+            self._level.publish(message)
+        self._publish_state()
+        self._publish_feedback()
+
+    def _publish_state(self) -> None:
+        machine = self.machine
+        key = (machine.phase, machine.horizon, machine.level_index, machine.code, machine.reason)
+        if key == self._published:
+            return
+        self._published = key
+        message = RunState()
+        sample = machine.end_sample if machine.phase == RunPhase.DONE else max(machine.newest, 0)
+        set_stamp(message.stamp, sample, machine.pacing.sample_rate)
+        plan = machine.plan
+        message.run_id = plan.run_id if plan else ""
+        message.phase = int(machine.phase)
+        message.level_index = machine.level_index
+        message.level_count = len(plan.levels) if plan else 0
+        message.level = machine.records[-1].amplitude if machine.records else 0.0
+        message.progress = float(machine.progress)
+        message.sample = sample
+        message.horizon_sample = machine.horizon
+        message.result_code = int(machine.code)
+        message.reason = machine.reason
+        self._state.publish(message)
+
+    def _publish_feedback(self) -> None:
+        now = time.monotonic()
+        report = self.machine.report
+        if self._goal is None or report is None or now - self._last_feedback < _FEEDBACK_PERIOD:
+            return
+        self._last_feedback = now
+        feedback = RunLevels.Feedback()
+        feedback.level_index = self.machine.level_index
+        feedback.level_count = len(self.machine.plan.levels) if self.machine.plan else 0
+        feedback.level = self.machine.records[-1].amplitude if self.machine.records else 0.0
+        feedback.state = report.state
+        feedback.frequency_hz = report.frequency_hz
+        feedback.phase_error = report.phase_error
+        feedback.fraction_done = float(self.machine.progress)
+        feedback.sample = self.machine.newest
+        self._goal.publish_feedback(feedback)
+
+    # -- the guard -----------------------------------------------------------------------------------------------
+
+    def _guard(self) -> None:
+        """Ten times a second of wall time: readiness, cancel requests, silent nodes, the end of the run."""
+        self._begin_when_ready()
+        machine = self.machine
+        now = time.monotonic()
+        if self._goal is not None and self._goal.is_cancel_requested and machine.active:
+            machine.stop(ResultCode.CANCELED, "Cancelled by the client.")
+        if machine.active:
+            silent = self.silent_node()
+            if silent:
+                machine.stop(ResultCode.NODE_LOST, f"Node {silent} has fallen silent.")
+            if machine.phase == RunPhase.STOPPING or machine.stop_request is not None:
+                self._stopping_since = self._stopping_since or now
+                limit = _QUIET_TIMEOUT + (0.0 if machine.pacing.lockstep else machine.pacing.quiet_ramp + 1.0)
+                if now - self._stopping_since > limit and now - self._newest_wall > _QUIET_TIMEOUT / 2:
+                    code, reason = machine.stop_request or (machine.code, machine.reason)
+                    machine.abandon(code, f"{reason} The loop no longer answers; the plant's watchdog quiets the drive.")
+            machine.work()
+            self._publish_all()
+        elif self._goal is not None and self._pending is None and machine.phase == RunPhase.DONE:
+            self._done_since = self._done_since or now
+            waiting = {record.index for record in machine.records if record.complete} - set(self._points)
+            if not waiting or now - self._done_since > float(self.values["points_timeout"]):
+                self._finish()
+
+    def update_counters(self) -> None:
+        """Counters for the heartbeat."""
+        records = self.machine.records
+        self.counters.update(
+            phase=self.machine.phase.name,
+            levels_locked=sum(record.complete for record in records),
+            levels_not_locked=sum(bool(record.reason) for record in records),
+        )
+
+    def shut_down(self) -> None:
+        """End an active run: the loop is told to go to zero before the node goes."""
+        if self.machine.active:
+            self.machine.stop(ResultCode.STOPPED, "The sequencer was shut down.")
+            self.machine.abandon(ResultCode.STOPPED, "The sequencer was shut down.")
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of ``ros2 run nmt_sequencer sequencer``."""
+    return spin_node(SequencerNode, args)

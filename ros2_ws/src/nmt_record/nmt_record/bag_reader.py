@@ -1,0 +1,421 @@
+"""Reads bags, whole or cut off, without ROS.
+
+The message definitions come from the bag itself, so it opens where the bench's messages were never installed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, Protocol
+
+import yaml
+from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.rosbag2 import Reader
+
+from nmt_core.blocks import SampleBlock
+from nmt_core.conversions import block_from_message
+from nmt_core.errors import BenchError
+from nmt_record.bag_writer import FAILURE_KEY, RIG_YAML_KEY, RUN_JSON_KEY, START, STOP, BagWriter
+from nmt_record.bench_topics import SAMPLE_BLOCK, bench_name
+from nmt_record.cdr_peek import peek_block
+from nmt_record.mcap_file import Channel, McapFile, check_magic
+from nmt_record.message_definitions import MessageDefinition, typestore_of
+
+_SQLITE_MAGIC = b"SQLite format 3\0"
+_ENCODINGS = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
+
+RawMessage = tuple[str, int, int, bytes]
+
+
+class Bag:
+    """An opened bag. No file stays open between reads.
+
+    Topics are named without leading slash, and messages come in the order of reception.
+
+    Attributes:
+        path: what was opened.
+        topics: message type and number of messages by topic.
+        loss: one sentence on what is missing at the end of a bag that was not closed; None if nothing is.
+        run_start: the run's self-description from the start record; None if the bag has none.
+        run_stop: the stop record; None if the bag has none.
+        rig_yaml: the rig file as used; None if the bag has none.
+    """
+
+    def __init__(self, path: Path, source: _Source, custom: dict[str, str]) -> None:
+        self.path = path
+        self._source = source
+        self._custom = custom
+        self._types: dict[str, str] = {}
+        self.topics: dict[str, tuple[str, int]] = {}
+        for channel, count in source.channels():
+            name = bench_name(channel.topic)
+            if channel.serialization != "cdr":
+                raise BenchError(
+                    f"The bag {path} holds '{channel.serialization}' messages on topic '{name}', not "
+                    "ROS 2 ones (cdr); convert it with 'rosbags-convert'."
+                )
+            if self._types.setdefault(name, channel.message_type) != channel.message_type:
+                raise BenchError(
+                    f"The bag {path} holds two types of message on topic '{name}'; split it by type."
+                )
+            self.topics[name] = (channel.message_type, self.topics.get(name, ("", 0))[1] + count)
+        self._typestore: Any = None
+        self.run_start: dict[str, Any] | None = None
+        self.run_stop: dict[str, Any] | None = None
+        self.rig_yaml: str | None = None
+        self._read_records()
+        self.loss = self._describe_loss()
+
+    @classmethod
+    def open(cls, path: Path | str) -> Bag:
+        """Open a rosbag2 folder (MCAP or SQLite), an ``.mcap`` or ``.db3`` file, or a run's output folder.
+
+        A cut-off MCAP file is read as far as its chunks are whole; ``loss`` then says what is missing.
+
+        Raises:
+            BenchError: nothing there, empty, a ROS 1 bag, no bag at all, or nothing readable in it.
+        """
+        path = Path(path)
+        if not path.exists():
+            raise BenchError(f"There is no bag at {path}; check the path.")
+        try:
+            source, custom = _open_folder(path) if path.is_dir() else _open_file(path)
+        except OSError as error:
+            raise BenchError(f"The bag {path} cannot be read: {error.strerror or error}.") from error
+        return cls(path, source, custom)
+
+    def require_topics(self, *names: str) -> None:
+        """Check that topics are there and not empty.
+
+        Raises:
+            BenchError: names the missing ones and those that the bag has.
+        """
+        missing = [name for name in map(bench_name, names) if self.topics.get(name, ("", 0))[1] == 0]
+        if missing:
+            has = (
+                ", ".join(sorted(name for name, (_, count) in self.topics.items() if count))
+                or "no messages at all"
+            )
+            raise BenchError(
+                f"The bag {self.path} has no messages on {', '.join(missing)} (it has {has}); "
+                "record a run of the bench or name another bag."
+            )
+
+    def raw_messages(self, topics: Iterable[str] | None = None) -> Iterator[RawMessage]:
+        """Serialised messages.
+
+        Args:
+            topics: names; None = all.
+
+        Yields:
+            Topic, time of reception (ns), publish time (ns; bench time on the bench's stamped topics), CDR.
+
+        Raises:
+            BenchError: the bag is damaged.
+        """
+        wanted = None if topics is None else {bench_name(name) for name in topics}
+        return self._source.raw(wanted)
+
+    def messages(self, topics: Iterable[str] | None = None) -> Iterator[tuple[str, int, Any]]:
+        """Messages as objects of the ``rosbags`` reader (arrays are read-only).
+
+        Args:
+            topics: names; None = all.
+
+        Yields:
+            Topic, time of reception (ns), message.
+
+        Raises:
+            BenchError: the bag or a message is damaged.
+        """
+        for topic, received, _, raw in self.raw_messages(topics):
+            yield topic, received, self._deserialise(topic, raw)
+
+    def blocks(
+        self, topic: str, first_sample: int | None = None, stop_sample: int | None = None
+    ) -> Iterator[SampleBlock]:
+        """Blocks of samples of one topic, uncut.
+
+        Args:
+            topic: a topic of type ``nmt_msgs/SampleBlock``.
+            first_sample: leave out blocks that end before this sample.
+            stop_sample: leave out blocks that begin at or after this sample.
+
+        Raises:
+            BenchError: the topic is missing or holds something else, or the bag is damaged.
+        """
+        topic = bench_name(topic)
+        if self._types.get(topic, SAMPLE_BLOCK) != SAMPLE_BLOCK:
+            raise BenchError(
+                f"Topic '{topic}' of the bag {self.path} holds {self._types[topic]}, not samples."
+            )
+        self.require_topics(topic)
+        cut = first_sample is not None or stop_sample is not None
+        for _, _, _, raw in self.raw_messages([topic]):
+            try:
+                if cut:
+                    extent = peek_block(raw)
+                    if first_sample is not None and extent.end_sample <= first_sample:
+                        continue
+                    if stop_sample is not None and extent.first_sample >= stop_sample:
+                        continue
+                yield block_from_message(self._deserialise(topic, raw))
+            except (ValueError, AttributeError) as error:
+                raise BenchError(
+                    f"A block of topic '{topic}' in the bag {self.path} cannot be used: {error}."
+                ) from error
+
+    def lock_events(self) -> list[Any]:
+        """All lock events, in order; empty if the loop never locked."""
+        return [message for _, _, message in self.messages(["lock"])]
+
+    def repair(self, destination: Path | str) -> Path:
+        """Write what can be read to a new, regularly closed bag.
+
+        Args:
+            destination: folder to create.
+
+        Returns:
+            The folder.
+
+        Raises:
+            BenchError: the folder exists, the disk is full, or this bag is damaged in its middle.
+        """
+        destination = Path(destination)
+        writer = BagWriter(
+            destination,
+            run_json=json.dumps(self.run_start) if self.run_start else "",
+            rig_yaml=self.rig_yaml or "",
+            records=False,
+        )
+        try:
+            for channel, _ in self._source.channels():
+                writer.add_topic(
+                    channel.topic,
+                    channel.message_type,
+                    definition=channel.definition,
+                    offered_qos=channel.offered_qos,
+                )
+            for topic, received, published, raw in self.raw_messages():
+                writer.write(topic, raw, received, published)
+            if self.run_start is not None and self.run_stop is None:
+                writer.add_stop("repaired", self.loss or "")
+            writer.close()
+        except BaseException:
+            writer.close_quietly()
+            shutil.rmtree(destination, ignore_errors=True)
+            raise
+        return destination
+
+    def _deserialise(self, topic: str, raw: bytes) -> Any:
+        if self._typestore is None:
+            definitions = {channel.message_type: channel.definition for channel, _ in self._source.channels()}
+            self._typestore = typestore_of(definitions, str(self.path))
+        try:
+            return self._typestore.deserialize_cdr(raw, self._types[topic])
+        except Exception as error:  # generated code raises whatever the bytes lead it to
+            raise BenchError(
+                f"A message of topic '{topic}' in the bag {self.path} cannot be read ({error}); it does "
+                f"not fit the definition of {self._types[topic]} in the bag."
+            ) from error
+
+    def _read_records(self) -> None:
+        run_json, rig_yaml = self._custom.get(RUN_JSON_KEY), self._custom.get(RIG_YAML_KEY)
+        if "run_record" in self.topics:
+            for _, _, record in self.messages(["run_record"]):
+                if record.kind == START and self.run_start is None:
+                    self.run_start = self._parse(record.run_json)
+                    rig_yaml = record.rig_yaml or rig_yaml
+                elif record.kind == STOP:
+                    self.run_stop = self._parse(record.run_json)
+        if self.run_start is None and run_json:
+            self.run_start = self._parse(run_json)
+        self.rig_yaml = rig_yaml or None
+
+    def _parse(self, text: str) -> dict[str, Any]:
+        if not text:
+            return {}
+        try:
+            record = json.loads(text)
+        except ValueError as error:
+            raise BenchError(f"The run record in the bag {self.path} is not JSON: {error}.") from error
+        if not isinstance(record, dict):
+            raise BenchError(f"The run record in the bag {self.path} is not a JSON object.")
+        return record
+
+    def _describe_loss(self) -> str | None:
+        damage = self._source.damage
+        if damage is None and FAILURE_KEY in self._custom:
+            damage = "the recorder could not write on"
+        if damage is None and self.run_start is not None and self.run_stop is None:
+            damage = "it has no stop record"
+        if damage is None:
+            return None
+        lost = f", {self._source.lost_bytes} bytes at its end are lost" if self._source.lost_bytes else ""
+        last = None
+        names = [name for name, (kind, _) in self.topics.items() if kind == SAMPLE_BLOCK]
+        for _, _, _, raw in self.raw_messages(names) if names else ():
+            try:
+                extent = peek_block(raw)
+            except ValueError:
+                continue
+            if last is None or extent.end_sample > last.end_sample:
+                last = extent
+        if last is None or not last.sample_rate > 0:
+            kept = "it holds no samples"
+        else:
+            time = last.end_sample / last.sample_rate
+            kept = f"the last sample in it is {last.end_sample - 1} ({time:.3f} s of bench time)"
+        return f"The bag {self.path} was not closed ({damage}){lost}; {kept}."
+
+
+class _Source(Protocol):
+    damage: str | None
+    lost_bytes: int
+
+    def channels(self) -> list[tuple[Channel, int]]: ...
+
+    def raw(self, wanted: set[str] | None) -> Iterator[RawMessage]: ...
+
+
+class _McapSource:
+    """The MCAP files of one bag, in order."""
+
+    def __init__(self, files: list[McapFile]) -> None:
+        self._files = files
+        self.damage = next((file.damage for file in files if file.damage), None)
+        self.lost_bytes = sum(file.lost_bytes for file in files)
+
+    def channels(self) -> list[tuple[Channel, int]]:
+        return [
+            (channel, file.counts.get(key, 0))
+            for file in self._files
+            for key, channel in file.channels.items()
+        ]
+
+    def raw(self, wanted: set[str] | None) -> Iterator[RawMessage]:
+        for file in self._files:
+            names = {key: bench_name(channel.topic) for key, channel in file.channels.items()}
+            keys = None if wanted is None else {key for key, name in names.items() if name in wanted}
+            for key, received, published, raw in file.raw_messages(keys):
+                yield names[key], received, published, raw
+
+
+class _RosbagsSource:
+    """Whatever else the ``rosbags`` reader opens: SQLite, compressed messages."""
+
+    damage: str | None = None
+    lost_bytes = 0
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._channels: list[tuple[Channel, int]] = []
+        with self._reader() as reader:
+            for item in reader.connections:
+                definition = MessageDefinition(
+                    item.msgdef.data, item.digest, _ENCODINGS.get(item.msgdef.format, "")
+                )
+                channel = Channel(item.topic, item.msgtype, definition, item.ext.serialization_format, [])
+                self._channels.append((channel, item.msgcount))
+
+    def channels(self) -> list[tuple[Channel, int]]:
+        return self._channels
+
+    def raw(self, wanted: set[str] | None) -> Iterator[RawMessage]:
+        with self._reader() as reader:
+            chosen = [c for c in reader.connections if wanted is None or bench_name(c.topic) in wanted]
+            messages = reader.messages(chosen) if chosen else iter(())
+            while True:
+                try:
+                    connection, received, raw = next(messages)
+                except StopIteration:
+                    return
+                except Exception as error:
+                    raise BenchError(f"The bag {self._path} is damaged: {error}.") from error
+                yield bench_name(connection.topic), received, received, bytes(raw)
+
+    def _reader(self) -> Any:
+        try:
+            reader = Reader(self._path)
+            reader.open()
+        except Exception as error:  # storage back ends raise their own kinds
+            raise BenchError(f"The bag {self._path} cannot be opened: {str(error).rstrip('.')}.") from error
+        return _Closing(reader)
+
+
+class _Closing:
+    """Closes an opened reader at the end of a ``with`` block."""
+
+    def __init__(self, reader: Any) -> None:
+        self._reader = reader
+
+    def __enter__(self) -> Any:
+        return self._reader
+
+    def __exit__(self, *_: object) -> None:
+        self._reader.close()
+
+
+def _open_file(path: Path) -> tuple[_Source, dict[str, str]]:
+    if path.name == "metadata.yaml":
+        return _open_folder(path.parent)
+    with path.open("rb") as file:
+        head = file.read(16)
+    if head == _SQLITE_MAGIC:
+        return _RosbagsSource(path), {}
+    check_magic(path, head)
+    return _McapSource(_readable([McapFile.open(path)], path)), {}
+
+
+def _open_folder(folder: Path) -> tuple[_Source, dict[str, str]]:
+    names = {entry.name for entry in folder.iterdir()}
+    if not names:
+        raise BenchError(f"The folder {folder} is empty; nothing was recorded into it.")
+    metadata = _read_metadata(folder) if "metadata.yaml" in names else {}
+    custom = metadata.get("custom_data")
+    custom = {str(k): str(v) for k, v in custom.items()} if isinstance(custom, dict) else {}
+    compressed = str(metadata.get("compression_mode") or "").lower() in ("file", "message")
+    if compressed or metadata.get("storage_identifier") == "sqlite3":
+        return _RosbagsSource(folder), custom
+    # The folder may have been renamed or split: the names in metadata.yaml give the order, no more.
+    listed = metadata.get("relative_file_paths")
+    paths = [folder / Path(str(name)).name for name in listed] if isinstance(listed, list) else []
+    missing = [path.name for path in paths if not path.is_file()]
+    if missing:
+        raise BenchError(f"The bag {folder} lacks its file {missing[0]}; copy the whole folder again.")
+    paths = paths or sorted((folder / name for name in names if name.endswith(".mcap")), key=_natural)
+    if paths:
+        return _McapSource(_readable([McapFile.open(path) for path in paths], folder)), custom
+    if any(name.endswith(".db3") for name in names):
+        return _RosbagsSource(min(folder / name for name in names if name.endswith(".db3"))), custom
+    if (folder / "bag").is_dir():
+        return _open_folder(folder / "bag")
+    if any(name.endswith(".bag") for name in names):
+        raise BenchError(f"The folder {folder} holds a ROS 1 bag; convert it with 'rosbags-convert'.")
+    raise BenchError(f"The folder {folder} is not a bag; a rosbag2 folder or an .mcap file is needed.")
+
+
+def _readable(files: list[McapFile], path: Path) -> list[McapFile]:
+    if any(file.damage for file in files) and not any(file.channels for file in files):
+        raise BenchError(
+            f"The bag {path} was cut off before its first whole chunk; nothing in it can be read."
+        )
+    return files
+
+
+def _read_metadata(folder: Path) -> dict[str, Any]:
+    """Content of ``metadata.yaml``; empty if it is damaged, since the bag file explains itself."""
+    try:
+        content = yaml.safe_load((folder / "metadata.yaml").read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError):
+        return {}
+    information = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
+    return information if isinstance(information, dict) else {}
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]

@@ -1,0 +1,451 @@
+"""Writes rosbag2 folders in MCAP that survive the death of the writer.
+
+Chunks are closed and handed to the operating system every few messages or fractions of a second, so a killed
+recorder loses only the newest ones. ``docs/decisions/002-bag-writing.md`` explains the choice of the writer.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import struct
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from mcap.writer import CompressionType, Writer
+
+from nmt_core.errors import BenchError
+from nmt_record.bench_topics import RUN_RECORD, Service, bench_name, qos_profile
+from nmt_record.message_definitions import MessageDefinition, local_definitions
+
+RUN_JSON_KEY = "run.json"
+RIG_YAML_KEY = "rig.yaml"
+FAILURE_KEY = "failure"
+START = 1
+STOP = 2
+
+_METADATA_VERSION = 9
+_BYTES_PER_CHUNK = 4 * 2**20
+_MAGIC = b"\x89MCAP0\r\n"
+# End of data and a footer without summary: the shortest regular end of an MCAP file.
+_BARE_END = struct.pack("<BQI", 0x0F, 4, 0) + struct.pack("<BQQQI", 0x02, 20, 0, 0, 0) + _MAGIC
+
+
+def open_unbuffered(path: Path) -> io.RawIOBase:
+    """Create a file whose writes reach the operating system at once."""
+    return open(path, "xb", buffering=0)
+
+
+class BagWriter:
+    """One rosbag2 folder being written.
+
+    The first message is the start record of the run, the last one the stop record. Topics appear in the bag
+    with their first message.
+
+    Args:
+        path: folder to create; the file in it is ``<folder>_0.mcap``.
+        run_json: self-description of the run, a JSON object; empty = none.
+        rig_yaml: the rig file as used.
+        chunk_messages: messages after which a chunk is closed and flushed.
+        flush_interval: s of wall time after which :meth:`write` and :meth:`flush_if_due` close a chunk.
+        records: write start and stop record; off for copies, which have them already.
+        open_file: opens the MCAP file; must return an unbuffered file.
+
+    Attributes:
+        state: ``open``, ``closed`` or ``failed``.
+        failure: why writing ended early, one sentence; None as long as all is well.
+        counts: messages handed in by topic.
+
+    Raises:
+        BenchError: the folder exists, cannot be created or written, or ``run_json`` is not a JSON object.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        run_json: str = "",
+        rig_yaml: str = "",
+        chunk_messages: int = 500,
+        flush_interval: float = 0.5,
+        records: bool = True,
+        open_file: Callable[[Path], Any] = open_unbuffered,
+    ) -> None:
+        self.path = Path(path)
+        self.file_path = self.path / f"{self.path.name}_0.mcap"
+        self.state = "open"
+        self.failure: str | None = None
+        self.counts: dict[str, int] = {}
+        self._run = _parse_run(run_json)
+        self._custom = {RUN_JSON_KEY: run_json, RIG_YAML_KEY: rig_yaml}
+        self._custom = {key: text for key, text in self._custom.items() if text}
+        self._records = records
+        self._chunk_messages = chunk_messages
+        self._flush_interval = flush_interval
+        self._channels: dict[str, int] = {}
+        self._topics: dict[str, dict[str, Any]] = {}
+        self._schemas: dict[tuple[str, str], int] = {}
+        self._known: dict[str, tuple[str, MessageDefinition, list[dict[str, Any]]]] = {}
+        self._pending = 0
+        self._pending_bytes = 0
+        self._chunk_opened = time.monotonic()
+        self._newest = 0
+        self._times: tuple[int, int] | None = None
+        self._safe: tuple[dict[str, int], tuple[int, int] | None] = ({}, None)
+        if not hasattr(Writer, "flush"):
+            raise BenchError(
+                "The installed 'mcap' package cannot flush a chunk; install mcap 1.6.0 or newer."
+            )
+        self._open(open_file)
+        if records:
+            self.add_topic("run_record", RUN_RECORD, Service.STATE)
+            try:
+                self._write_record(START, run_json, rig_yaml, 0)
+                self.flush()
+            except BenchError as error:
+                self._remove()
+                cause = error.__cause__
+                why = cause.strerror or cause if isinstance(cause, OSError) else error
+                raise BenchError(f"The bag {self.path} cannot be created: {why}.") from error
+
+    @property
+    def messages(self) -> int:
+        """Messages handed in so far."""
+        return sum(self.counts.values())
+
+    def add_topic(
+        self,
+        topic: str,
+        message_type: str,
+        service: Service = Service.DEFAULT,
+        definition: MessageDefinition | None = None,
+        offered_qos: list[dict[str, Any]] | None = None,
+    ) -> None:
+        """Make a topic known; it appears in the bag with its first message.
+
+        Args:
+            topic: name, with or without leading slash.
+            message_type: ``package/msg/Name``.
+            service: quality of service to note.
+            definition: None = look it up on this machine.
+            offered_qos: profiles as rosbag2 writes them, in place of ``service``.
+
+        Raises:
+            BenchError: the definition is not to be found.
+        """
+        definition = definition or local_definitions().definition(message_type)
+        profiles = [qos_profile(service)] if offered_qos is None else offered_qos
+        self._known[bench_name(topic)] = (message_type, definition, profiles)
+
+    def write(
+        self, topic: str, raw: bytes, receive_time_ns: int | None = None, publish_time_ns: int | None = None
+    ) -> None:
+        """Append one serialised message.
+
+        Args:
+            topic: a topic made known by :meth:`add_topic`.
+            raw: CDR with its encapsulation header.
+            receive_time_ns: time of reception; None = now, never before the message ahead of it.
+            publish_time_ns: the message's own stamp; None = the time of reception.
+
+        Raises:
+            BenchError: the disk refuses; the bag has then been closed with all whole chunks in it.
+                Also if the bag is no longer open.
+        """
+        if self.state != "open":
+            raise BenchError(
+                self.failure or f"The bag {self.path} is closed; a closed bag takes no more messages."
+            )
+        if receive_time_ns is None:
+            # The wall clock may be set back; the order of the file must stay the order of reception.
+            receive_time_ns = max(time.time_ns(), self._newest)
+        if receive_time_ns > self._newest:
+            self._newest = receive_time_ns
+        try:
+            channel = self._channels.get(topic)
+            if channel is None:
+                channel = self._register(topic)
+            # Without chunk size limit this only appends to memory: the disk is touched by flush() alone.
+            self._mcap.add_message(
+                channel, receive_time_ns, raw, receive_time_ns if publish_time_ns is None else publish_time_ns
+            )
+        except OSError as error:
+            raise self._fail(error) from error
+        self.counts[topic] += 1
+        first, last = self._times or (receive_time_ns, receive_time_ns)
+        self._times = (min(first, receive_time_ns), max(last, receive_time_ns))
+        if not self._pending:
+            self._chunk_opened = time.monotonic()
+        self._pending += 1
+        self._pending_bytes += len(raw)
+        if (
+            self._pending >= self._chunk_messages
+            or self._pending_bytes >= _BYTES_PER_CHUNK
+            or time.monotonic() - self._chunk_opened >= self._flush_interval
+        ):
+            self.flush()
+
+    def write_message(
+        self, topic: str, message: Any, receive_time_ns: int | None = None, publish_time_ns: int | None = None
+    ) -> None:
+        """Serialise a message of the local type store (:func:`local_definitions`) and append it."""
+        store = local_definitions().typestore
+        raw = bytes(store.serialize_cdr(message, self._known[bench_name(topic)][0]))
+        self.write(bench_name(topic), raw, receive_time_ns, publish_time_ns)
+
+    def flush_if_due(self) -> None:
+        """Flush if the oldest unwritten message has waited for the flush interval."""
+        due = time.monotonic() - self._chunk_opened >= self._flush_interval
+        if self.state == "open" and self._pending and due:
+            self.flush()
+
+    def flush(self) -> None:
+        """Close the chunk and hand it to the operating system.
+
+        Raises:
+            BenchError: the disk refuses; the bag has then been closed with all whole chunks in it.
+        """
+        if self.state != "open":
+            return
+        try:
+            self._mcap.flush()
+        except OSError as error:
+            raise self._fail(error) from error
+        self._file.keep()
+        self._pending = 0
+        self._pending_bytes = 0
+        self._safe = (dict(self.counts), self._times)
+
+    def close(self, exit_state: str = "done", reason: str = "", stamp_ns: int = 0, **extra: Any) -> None:
+        """Write the stop record, the index and ``metadata.yaml``. A second call does nothing.
+
+        Args:
+            exit_state: how the run ended, in one word.
+            reason: the same in a sentence; may be empty.
+            stamp_ns: bench time of the stop record, ns.
+            **extra: further entries of the stop record (gaps, …).
+
+        Raises:
+            BenchError: the disk refuses; what had been written before remains readable.
+        """
+        if self.state != "open":
+            return
+        if self._records:
+            self.add_stop(exit_state, reason, stamp_ns, **extra)
+        self.flush()
+        try:
+            self._mcap.add_metadata(
+                "rosbag2", {"serialized_metadata": yaml.safe_dump(self._metadata()).strip()}
+            )
+            self._mcap.finish()
+            self._file.keep()
+            self._file.close()
+            self._write_metadata()
+        except OSError as error:
+            raise self._fail(error) from error
+        self.state = "closed"
+
+    def add_stop(self, exit_state: str, reason: str, stamp_ns: int = 0, **extra: Any) -> None:
+        """Append a stop record; :meth:`close` does so unless the writer was told to write no records.
+
+        Raises:
+            BenchError: as :meth:`write`.
+        """
+        if "run_record" not in self._known:
+            self.add_topic("run_record", RUN_RECORD, Service.STATE)
+        stop = {
+            **self._run,
+            "exit": {"state": exit_state, "reason": reason},
+            **extra,
+            "counts": dict(self.counts),
+        }
+        self._write_record(STOP, json.dumps(stop), "", stamp_ns)
+
+    def close_quietly(self) -> None:
+        """Close whatever is still open without raising; for use while another error is on its way."""
+        if self.state == "open":
+            with contextlib.suppress(BenchError):
+                self.close("failed")
+
+    def _open(self, open_file: Callable[[Path], Any]) -> None:
+        if self.path.exists():
+            raise BenchError(f"The bag folder {self.path} exists already; name another one or remove it.")
+        try:
+            self.path.mkdir(parents=True)
+            self._file = _ChunkFile(open_file(self.file_path))
+            # One chunk is as large as flush() lets it become. Uncompressed: samples of noise do not compress.
+            self._mcap = Writer(self._file, chunk_size=2**62, compression=CompressionType.NONE)
+            self._mcap.start(profile="ros2", library="nmt_record")
+            self._file.keep()
+        except OSError as error:
+            self._remove()
+            raise BenchError(f"The bag {self.path} cannot be created: {error.strerror or error}.") from error
+
+    def _register(self, topic: str) -> int:
+        if topic not in self._known:
+            raise BenchError(
+                f"Topic '{topic}' has not been made known to the bag {self.path}; call add_topic first."
+            )
+        message_type, definition, profiles = self._known[topic]
+        key = (message_type, definition.text)
+        if key not in self._schemas:
+            self._schemas[key] = self._mcap.register_schema(
+                message_type, definition.encoding if definition.text else "", definition.text.encode()
+            )
+        metadata = {
+            "offered_qos_profiles": yaml.safe_dump(profiles).strip() if profiles else "",
+            "topic_type_hash": definition.type_hash,
+        }
+        channel = self._mcap.register_channel(f"/{topic}", "cdr", self._schemas[key], metadata)
+        self._channels[topic] = channel
+        self._topics[topic] = {
+            "name": f"/{topic}",
+            "type": message_type,
+            "serialization_format": "cdr",
+            "offered_qos_profiles": profiles,
+            "type_description_hash": definition.type_hash,
+        }
+        self.counts[topic] = 0
+        return int(channel)
+
+    def _write_record(self, kind: int, run_json: str, rig_yaml: str, stamp_ns: int) -> None:
+        types = local_definitions().typestore.types
+        stamp = types["builtin_interfaces/msg/Time"](
+            sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000
+        )
+        record = types[RUN_RECORD](stamp=stamp, kind=kind, run_json=run_json, rig_yaml=rig_yaml)
+        self.write_message("run_record", record, publish_time_ns=stamp_ns)
+
+    def _fail(self, error: OSError) -> BenchError:
+        """Keep all whole chunks, give the file a regular end if there is room, and say what happened."""
+        self.state = "failed"
+        self.counts, self._times = dict(self._safe[0]), self._safe[1]
+        self.failure = (
+            f"The bag {self.path} could not be written further ({error.strerror or error}); its first "
+            f"{self.messages} messages are kept: make room on the disk and repeat the run."
+        )
+        self._custom[FAILURE_KEY] = self.failure
+        self._file.end_early(_BARE_END)
+        with contextlib.suppress(OSError):
+            self._write_metadata()
+        return BenchError(self.failure)
+
+    def _metadata(self) -> dict[str, Any]:
+        first, last = self._times or (0, 0)
+        span = {
+            "starting_time": {"nanoseconds_since_epoch": first},
+            "duration": {"nanoseconds": last - first},
+            "message_count": self.messages,
+        }
+        return {
+            "version": _METADATA_VERSION,
+            "storage_identifier": "mcap",
+            "relative_file_paths": [self.file_path.name],
+            **span,
+            "topics_with_message_count": [
+                {"topic_metadata": self._topics[topic], "message_count": count}
+                for topic, count in self.counts.items()
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [{"path": self.file_path.name, **span}],
+            "custom_data": self._custom or None,
+            "ros_distro": "jazzy",
+        }
+
+    def _write_metadata(self) -> None:
+        target = self.path / "metadata.yaml"
+        part = self.path / "metadata.yaml.part"
+        text = yaml.dump(
+            {"rosbag2_bagfile_information": self._metadata()}, Dumper=_PlainDumper, sort_keys=False
+        )
+        try:
+            part.write_text(text, encoding="utf-8")
+            part.replace(target)
+        except OSError:
+            with contextlib.suppress(OSError):
+                part.unlink()
+            raise
+
+    def _remove(self) -> None:
+        self.state = "failed"
+        with contextlib.suppress(OSError, AttributeError):
+            self._file.close()
+        for name in (self.file_path, self.path / "metadata.yaml"):
+            with contextlib.suppress(OSError):
+                name.unlink()
+        with contextlib.suppress(OSError):
+            self.path.rmdir()
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """Without anchors: the YAML parsers of others need not know them."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+class _ChunkFile:
+    """Unbuffered output that knows how much of it is whole and can go back to that."""
+
+    def __init__(self, file: Any) -> None:
+        self._raw = file
+        self._position = 0
+        self._whole = 0
+
+    def write(self, data: bytes) -> int:
+        view = memoryview(data)
+        while view:
+            written = self._raw.write(view)
+            if not written:
+                raise OSError("the file takes no more data")
+            self._position += written
+            view = view[written:]
+        return len(data)
+
+    def tell(self) -> int:
+        return self._position
+
+    def flush(self) -> None:
+        """Nothing is buffered."""
+
+    def keep(self) -> None:
+        """All that has been written so far is whole."""
+        self._whole = self._position
+
+    def end_early(self, tail: bytes) -> None:
+        """Cut off what is not whole, append ``tail`` if there is room for it, and close."""
+        if self._raw.closed:
+            return
+        with contextlib.suppress(OSError):
+            self._cut()
+            try:
+                self.write(tail)
+            except OSError:
+                self._cut()
+        with contextlib.suppress(OSError):
+            self.close()
+
+    def close(self) -> None:
+        self._raw.close()
+
+    def _cut(self) -> None:
+        self._raw.truncate(self._whole)
+        self._raw.seek(self._whole)
+        self._position = self._whole
+
+
+def _parse_run(run_json: str) -> Mapping[str, Any]:
+    if not run_json:
+        return {}
+    try:
+        run = json.loads(run_json)
+    except ValueError as error:
+        raise BenchError(f"The description of the run (run_json) is not JSON: {error}.") from error
+    if not isinstance(run, dict):
+        raise BenchError("The description of the run (run_json) must be a JSON object.")
+    return run

@@ -1,0 +1,147 @@
+"""Texts and hashes of message definitions, which make a bag readable where the message packages are absent.
+
+The texts of the bench's own messages are those of the installed package ``nmt_msgs`` (found by
+``AMENT_PREFIX_PATH``) or, without ROS, those of the source tree; the common ones come with ``rosbags``.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+from nmt_core.errors import BenchError
+
+_SECTION = "=" * 80
+
+
+@dataclass(frozen=True, slots=True)
+class MessageDefinition:
+    """What a bag says about a message type.
+
+    Attributes:
+        text: ros2msg text, followed by that of every message it contains; or ros2idl text.
+        type_hash: ``RIHS01_…`` hash of the type; empty if not known.
+        encoding: ``ros2msg`` or ``ros2idl``; empty if not known.
+    """
+
+    text: str
+    type_hash: str = ""
+    encoding: str = "ros2msg"
+
+
+class DefinitionStore:
+    """Definitions of message types on this machine, looked up when first asked for.
+
+    Attributes:
+        typestore: the ``rosbags`` type store that holds every type asked for so far.
+    """
+
+    def __init__(self) -> None:
+        self.typestore = get_typestore(Stores.ROS2_JAZZY)
+        self._texts: dict[str, str] = {}
+
+    def definition(self, message_type: str) -> MessageDefinition:
+        """Definition of ``package/msg/Name`` with everything it contains.
+
+        Raises:
+            BenchError: the type is not to be found or its text is malformed.
+        """
+        self._register(message_type)
+        generated, _ = self.typestore.generate_msgdef(message_type, ros_version=2)
+        own, *contained = generated.split(f"{_SECTION}\n")
+        # The text of the source carries the comments: units and the meaning of NaN travel with the bag.
+        text = self._texts.get(message_type, own).rstrip("\n") + "\n"
+        for section in contained:
+            head, _, body = section.partition("\n")
+            package, _, name = head.removeprefix("MSG: ").rpartition("/")
+            body = self._texts.get(f"{package}/msg/{name}", body)
+            text += f"{_SECTION}\n{head}\n{body.rstrip()}\n"
+        return MessageDefinition(text, self.typestore.hash_rihs01(message_type))
+
+    def fields(self, message_type: str) -> tuple[str, ...]:
+        """Names of the fields of a type, in the order of the wire."""
+        self._register(message_type)
+        return tuple(name for name, _ in self.typestore.fielddefs[message_type][1])
+
+    def _register(self, message_type: str) -> None:
+        if message_type in self.typestore.fielddefs:
+            return
+        path = _find_definition(message_type)
+        text = path.read_text(encoding="utf-8")
+        try:
+            self.typestore.register(get_types_from_msg(text, message_type))
+        except Exception as error:  # the parser raises whatever its grammar meets
+            raise BenchError(f"The message definition {path} cannot be read: {_first_line(error)}") from error
+        self._texts[message_type] = text
+        for _, description in self.typestore.fielddefs[message_type][1]:
+            contained = _contained_type(description)
+            if contained:
+                self._register(contained)
+
+
+def typestore_of(definitions: dict[str, MessageDefinition], path: str) -> Any:
+    """A ``rosbags`` type store made of the definitions in a bag.
+
+    Args:
+        definitions: by message type; a type without text is looked up on this machine.
+        path: of the bag, for the message.
+
+    Raises:
+        BenchError: a definition is malformed, contradicts another, or is missing here and in the bag.
+    """
+    store = get_typestore(Stores.EMPTY)
+    for message_type, definition in definitions.items():
+        if not definition.text:
+            definition = local_definitions().definition(message_type)
+        parse = get_types_from_idl if definition.encoding == "ros2idl" else get_types_from_msg
+        try:
+            if parse is get_types_from_idl:
+                store.register(parse(definition.text))
+            else:
+                store.register(parse(definition.text, message_type))
+            store.get_msgdef(message_type)
+        except Exception as error:  # the parser raises whatever its grammar meets
+            raise BenchError(
+                f"The bag {path} holds an unreadable definition of {message_type} ({_first_line(error)}); "
+                "record it again or take the topic out of the bag."
+            ) from error
+    return store
+
+
+@lru_cache(maxsize=1)
+def local_definitions() -> DefinitionStore:
+    """The definitions of this machine, loaded once."""
+    return DefinitionStore()
+
+
+def _find_definition(message_type: str) -> Path:
+    package, _, name = message_type.partition("/msg/")
+    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    candidates = [prefix / "share" / package / "msg" / f"{name}.msg" for prefix in prefixes]
+    candidates.append(Path(__file__).resolve().parents[2] / package / "msg" / f"{name}.msg")
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    raise BenchError(
+        f"The definition of message type {message_type} is not on this machine; "
+        f"source the workspace that contains {package} or leave the topic out."
+    )
+
+
+def _contained_type(description: Any) -> str | None:
+    kind, detail = description
+    if kind == Nodetype.NAME:
+        return str(detail)
+    if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) and detail[0][0] == Nodetype.NAME:
+        return str(detail[0][1])
+    return None
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,0 +1,110 @@
+"""The extraction node: blocks, loop states and lock events in, modal points out."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
+from nmt_core.conversions import block_from_message
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+from nmt_core.parameters import Parameter
+from nmt_extract.conversions import fill_modal_point
+from nmt_extract.extractor import Extractor
+from nmt_extract.harmonics import compile_kernels
+from nmt_extract.message_feed import MessageFeed
+from nmt_extract.settings import ExtractionSettings
+from nmt_msgs.msg import Frequency, Level, LockEvent, SampleBlock
+from nmt_msgs.msg import ModalPoint as ModalPointMessage
+
+_STATE_TYPES = {"frequency": Frequency, "lock": LockEvent, "level": Level}
+
+PARAMETERS = (
+    Parameter(
+        "linear_json", "", "", "Linear description of the rig as JSON; see the reference of linear.json."
+    ),
+    Parameter("harmonics", 10, "", "Number of harmonics H; 0..H are extracted.", low=1, high=200),
+    Parameter(
+        "topics",
+        ["force", "acceleration"],
+        "",
+        "Sample topics a window needs: force and the rig's response topics.",
+    ),
+    Parameter("sub_windows", 10, "", "Sub-windows for the standard uncertainties.", low=3, high=1000),
+    Parameter("minimum_periods", 3, "periods", "Windows of fewer whole periods are rejected.", low=3),
+    Parameter(
+        "hysteresis_json",
+        "",
+        "",
+        "Masses and points of a three-mass chain with a joint as JSON; empty = none.",
+    ),
+    Parameter("rig", "", "", "Name of the rig, for the log."),
+)
+
+
+class ExtractNode(BenchNode):
+    """Publishes one ``modal_point`` for each lock event and for each level that does not lock.
+
+    Args:
+        values: parameter values for launch-free use; see ``PARAMETERS``.
+        **kwargs: forwarded to :class:`rclpy.node.Node`.
+
+    Raises:
+        BenchError: no linear description, or a parameter is out of range.
+    """
+
+    def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
+        super().__init__("extract", PARAMETERS, values, **kwargs)
+        text = str(self.values["linear_json"])
+        if not text:
+            raise BenchError(
+                "The extract node needs the parameter 'linear_json'; make a parameter file with './nmt "
+                "params RIG'."
+            )
+        self.extractor = Extractor(LinearDescription.from_json(text), self._settings(), block_from_message)
+        compile_kernels()
+        self._publisher = self.bench_publisher(ModalPointMessage, "modal_point", SAMPLES_QOS)
+        for topic, callback in MessageFeed(self.extractor).callbacks.items():
+            kind = _STATE_TYPES.get(topic, SampleBlock)
+            self.bench_subscription(kind, topic, self._publishing(callback), SAMPLES_QOS)
+
+    def _settings(self) -> ExtractionSettings:
+        names = ("harmonics", "topics", "sub_windows", "minimum_periods")
+        values: dict[str, Any] = {name: self.values[name] for name in names}
+        text = str(self.values["hysteresis_json"])
+        if text:
+            try:
+                values["hysteresis"] = json.loads(text)
+            except json.JSONDecodeError as error:
+                raise BenchError(
+                    f"Parameter 'hysteresis_json' of {self.get_name()} is not JSON: {error}."
+                ) from error
+            if not isinstance(values["hysteresis"], dict):
+                raise BenchError(f"Parameter 'hysteresis_json' of {self.get_name()} must be a JSON object.")
+        return ExtractionSettings.from_mapping(values)
+
+    def _publishing(self, callback: Any) -> Any:
+        extractor = self.extractor
+
+        def on_message(message: Any) -> None:
+            callback(message)
+            if extractor.ready:
+                self._publish()
+
+        return on_message
+
+    def _publish(self) -> None:
+        for point in self.extractor.take():
+            self._publisher.publish(fill_modal_point(ModalPointMessage(), point))
+            if point.reason:
+                self.get_logger().warning(f"Level {point.level_index}: {point.reason}")
+
+    def update_counters(self) -> None:
+        """Counters for the heartbeat."""
+        self.counters.update(self.extractor.counters)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of ``ros2 run nmt_extract extract``."""
+    return spin_node(ExtractNode, args)

@@ -1,0 +1,127 @@
+"""The extraction as one object, live and offline: streams in, modal points out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from nmt_core.blocks import SampleBlock
+from nmt_core.linear_description import LinearDescription
+from nmt_extract.lock_event import LockEvent
+from nmt_extract.modal import modal_point
+from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns, rejected_point
+from nmt_extract.settings import ExtractionSettings
+from nmt_extract.window import ACQUIRING, LOCK_LOST, SpoiledWindow, WindowAssembler
+
+
+class Extractor:
+    """Takes blocks, loop states, levels and lock events in any interleaving and returns modal points.
+
+    Args:
+        linear: linear modes at the response points.
+        settings: None = defaults.
+        decode: makes a :class:`SampleBlock` of what :meth:`add_record` is given.
+        require_loop_state: False for data without a phase-locked loop.
+    """
+
+    def __init__(
+        self,
+        linear: LinearDescription,
+        settings: ExtractionSettings | None = None,
+        decode: Callable[[Any], SampleBlock] = lambda payload: payload,
+        *,
+        require_loop_state: bool = True,
+    ) -> None:
+        self.linear = linear
+        self.settings = settings or ExtractionSettings()
+        self._assembler = WindowAssembler(
+            self.settings.topics,
+            decode,
+            require_loop_state=require_loop_state,
+            minimum_periods=self.settings.minimum_periods,
+        )
+        self.add_record = self._assembler.add_record
+        self._levels: dict[int, tuple[float, str]] = {}
+        self._lock_samples: dict[int, int] = {}
+        self._state = 0
+        self._acquiring_since = -1
+        self._not_locked: list[ModalPoint] = []
+        self._counts = dict.fromkeys(Status, 0)
+
+    def add_block(self, topic: str, block: SampleBlock) -> None:
+        """Take one block of a topic."""
+        self.add_record(topic, block.first_sample, block.samples, block)
+
+    def add_state(
+        self, last_sample: int, state: int, level_index: int = 0, reason: str = "", response_unit: str = ""
+    ) -> None:
+        """Take the loop's state after one block (``nmt_msgs/Frequency``)."""
+        previous, self._state = self._state, state
+        if state == ACQUIRING and previous != ACQUIRING:
+            self._acquiring_since = last_sample
+        if state == LOCK_LOST and previous != LOCK_LOST:
+            locked = self._lock_samples.get(level_index, -1)
+            if not self._acquiring_since <= locked <= last_sample or locked < 0:
+                self._not_locked.append(
+                    self._not_locked_point(last_sample, level_index, reason, response_unit)
+                )
+        self._assembler.add_state(last_sample, state, reason)
+
+    def add_level(self, index: int, amplitude: float, unit: str) -> None:
+        """Take a level of the plan; the unit of controlled responses may be empty.
+
+        A level of amplitude zero ends the excitation and is no level of the plan.
+        """
+        if amplitude > 0.0:
+            self._levels[index] = (amplitude, unit)
+
+    def add_lock(self, lock: LockEvent) -> None:
+        """Take a lock event."""
+        self._lock_samples[lock.level_index] = lock.sample
+        self._assembler.add_lock(lock)
+
+    @property
+    def ready(self) -> bool:
+        """Whether :meth:`take` might return points."""
+        return bool(self._not_locked or self._assembler.waiting)
+
+    def take(self) -> list[ModalPoint]:
+        """Points that have become ready since the last call."""
+        points, self._not_locked = self._not_locked, []
+        for window in self._assembler.take():
+            if isinstance(window, SpoiledWindow):
+                points.append(rejected_point(window.lock, window.sample_rate, window.reason))
+            else:
+                points.append(modal_point(window, self.linear, self.settings))
+        for point in points:
+            self._counts[point.status] += 1
+        return points
+
+    def finish(self) -> list[ModalPoint]:
+        """The streams have ended: the points of windows that were never completed, with the reason."""
+        self._assembler.finish()
+        return self.take()
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """Points by status, gaps and blocks by topic."""
+        counters = {
+            "points": self._counts[Status.OK],
+            "rejected": self._counts[Status.REJECTED],
+            "not_locked": self._counts[Status.NOT_LOCKED],
+        }
+        counters.update({f"gaps_{topic}": count for topic, count in self._assembler.gaps.items()})
+        counters.update({f"blocks_{topic}": count for topic, count in self._assembler.blocks.items()})
+        return counters
+
+    def _not_locked_point(self, sample: int, level_index: int, reason: str, response_unit: str) -> ModalPoint:
+        level, unit = self._levels.get(level_index, (float("nan"), ""))
+        why = f": {reason.rstrip('.')}" if reason else ""
+        return ModalPoint(
+            level_index=level_index,
+            status=Status.NOT_LOCKED,
+            reason=f"The level did not lock{why}.",
+            level=level,
+            level_unit=unit or response_unit,
+            time_ns=bench_time_ns(sample, self._assembler.sample_rate),
+        )

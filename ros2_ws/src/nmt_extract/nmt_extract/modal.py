@@ -1,0 +1,402 @@
+"""Modal properties of a window: paper, section 2; method, eqs. 2 to 8."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+from nmt_extract.harmonics import (
+    ComplexArray,
+    Moments,
+    resolvable_harmonics,
+    segment_moments,
+    solve_moments,
+    whole_period_bounds,
+)
+from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
+from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns, rejected_point
+from nmt_extract.settings import ExtractionSettings
+from nmt_extract.sine_fit import fit_frequency
+from nmt_extract.uncertainty import jackknife, slope_uncertainty, sub_window_count
+from nmt_extract.window import Window
+
+_RESPONSES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
+_INTEGRATIONS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
+
+
+__all__ = ["ModalPoint", "ModalQuantities", "Status", "estimated_mass", "modal_point", "modal_quantities"]
+
+
+def estimated_mass(shapes: FloatArray) -> FloatArray:
+    """Mass matrix from linear mode shapes: M_exp = (Φᵀ)⁺ Φ⁺ (paper, eq. for M_exp; method, eq. 4).
+
+    Args:
+        shapes: mass-normalised Φ, 1/√kg, shape ``(points, modes)``.
+
+    Returns:
+        kg, shape ``(points, points)``; symmetric, of the rank of Φ.
+    """
+    inverse = np.linalg.pinv(shapes)
+    return np.asarray(inverse.T @ inverse, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class ModalQuantities:
+    """What follows from harmonics; every array leads with the axis ``sets``: the window and its variants."""
+
+    damping_ratio: FloatArray
+    modal_amplitude: FloatArray
+    self_excitation: FloatArray
+    force_n: FloatArray
+    active_power: FloatArray
+    apparent_power: FloatArray
+    pbmif: FloatArray
+    gamma_force: FloatArray
+    gamma_acceleration: FloatArray
+    mac: FloatArray
+    phase_error: FloatArray
+    normalised_shape: ComplexArray
+    participation: ComplexArray
+
+
+def modal_quantities(
+    omega: FloatArray,
+    force: ComplexArray,
+    drive_displacement: ComplexArray,
+    drive_acceleration: ComplexArray,
+    shape: ComplexArray,
+    linear_shapes: FloatArray,
+    target_mode: int,
+) -> ModalQuantities:
+    """Powers, damping, amplitude and mode indicators (method, eqs. 3 to 7).
+
+    Sign: powers are positive when the exciter feeds the structure, so ``force`` is the force of the exciter
+        on the
+    structure. PBMIF = |P|/S.
+
+    Args:
+        omega: ω̃, rad/s, shape ``(sets,)``.
+        force: F_n, N, shape ``(sets, H + 1)``.
+        drive_displacement: ψ̃_k,n at the drive point, m, shape ``(sets, H + 1)``.
+        drive_acceleration: acceleration harmonics at the drive point, m/s², shape ``(sets, H + 1)``.
+        shape: fundamental ψ̃₁ at the points of Φ, m, shape ``(sets, points)``.
+        linear_shapes: mass-normalised Φ, 1/√kg, shape ``(points, modes)``.
+        target_mode: index of the mode under test.
+
+    Returns:
+        The quantities, SI units.
+
+    Raises:
+        BenchError: force or response vanish.
+    """
+    orders = np.arange(1, force.shape[1])
+    velocity = 1j * orders * omega[:, np.newaxis] * drive_displacement[:, 1:]
+    forces = force[:, 1:]
+    power = 0.5 * (velocity * forces.conj()).real
+    apparent = np.sqrt(_energy(velocity) * _energy(forces)) * 0.5
+    force_amplitude = np.abs(forces[:, 0])
+    coordinates = (np.linalg.pinv(linear_shapes) * shape[:, np.newaxis, :]).sum(axis=2)
+    amplitude = np.sqrt(_energy(coordinates))
+    # Phase and amplitude of nothing are meaningless; rounding of zero signals stays far below.
+    if not (
+        np.all(amplitude > 0.0) and np.all(force_amplitude > 0.0) and np.all(np.abs(velocity[:, 0]) > 0.0)
+    ):
+        raise BenchError(
+            "There is no force or no response at the excitation frequency; check sensors and drive."
+        )
+    self_excitation = 2.0 * power[:, 0] / (omega * amplitude) ** 2
+    linear = linear_shapes[:, target_mode]
+    correlation = np.abs((linear * shape).sum(axis=1)) ** 2 / ((linear * linear).sum() * _energy(shape))
+    return ModalQuantities(
+        damping_ratio=self_excitation / (2.0 * omega),
+        modal_amplitude=amplitude,
+        self_excitation=self_excitation,
+        force_n=force_amplitude,
+        active_power=power[:, 0],
+        apparent_power=apparent,
+        pbmif=np.abs(power.sum(axis=1)) / apparent,
+        gamma_force=force_amplitude / np.sqrt(_energy(forces)),
+        gamma_acceleration=np.abs(drive_acceleration[:, 1]) / np.sqrt(_energy(drive_acceleration[:, 1:])),
+        mac=correlation,
+        phase_error=np.angle(forces[:, 0] * velocity[:, 0].conj()),
+        normalised_shape=shape / amplitude[:, np.newaxis],
+        participation=coordinates / amplitude[:, np.newaxis],
+    )
+
+
+def modal_point(
+    window: Window, linear: LinearDescription, settings: ExtractionSettings | None = None
+) -> ModalPoint:
+    """Modal properties of a window with their standard uncertainties.
+
+    Displacements come from displacement sensors if all points of the linear modes have one, else from
+    velocity sensors, else from accelerometers. If the window's excitation phase is not known, the frequency
+    is fitted to the force.
+
+    Uncertainties: delete-one jackknife over sub-windows of whole periods (see
+        :mod:`nmt_extract.uncertainty`).
+    ``frequency_hz_std`` is the scatter of the oscillator's mean frequency over the sub-windows or, for a
+    fitted frequency, the uncertainty of the slope of the force's phase over them. ``omega_rad_s_std`` adds
+    that phase resonance is met to the phase error only: Δω ≈ δ̃ ω̃ Δφ. The uncertainty of the linear shapes
+    is not included.
+
+    Args:
+        window: from :class:`nmt_extract.window.WindowAssembler`.
+        linear: linear modes Φ at the response points.
+        settings: None = defaults.
+
+    Returns:
+        The point; with status ``REJECTED`` and the reason if the window cannot be evaluated.
+    """
+    settings = settings or ExtractionSettings()
+    try:
+        return _Evaluation(window, linear, settings).point()
+    except BenchError as error:
+        return rejected_point(window.lock, window.sample_rate, str(error))
+
+
+class _Evaluation:
+    """One window on its way to a modal point; set 0 is the whole window, set k lacks sub-window k."""
+
+    def __init__(self, window: Window, linear: LinearDescription, settings: ExtractionSettings) -> None:
+        self.window = window
+        self.linear = linear
+        self.settings = settings
+        self._find_rows()
+        self._find_phase()
+        self._find_harmonics()
+
+    def _find_rows(self) -> None:
+        self.force_row = self._row(Quantity.FORCE, self.linear.drive_point)
+        if self.force_row is None:
+            forces = [
+                row for row, channel in enumerate(self.window.channels) if channel.quantity is Quantity.FORCE
+            ]
+            if len(forces) != 1:
+                raise BenchError(
+                    f"There is no force channel at drive point {self.linear.drive_point}; "
+                    f"force channels measure at {self._points_of(Quantity.FORCE)}."
+                )
+            if self.window.channels[forces[0]].point != 0:
+                raise BenchError(
+                    f"The force is measured at point {self.window.channels[forces[0]].point}, but the linear "
+                    f"description names point {self.linear.drive_point} as drive point."
+                )
+            self.force_row = forces[0]
+        for quantity in _RESPONSES:
+            rows = [self._row(quantity, point) for point in self.linear.points]
+            if all(row is not None for row in rows):
+                self.shape_rows = [row for row in rows if row is not None]
+                self.shape_quantity = quantity
+                break
+        else:
+            raise BenchError(
+                "No kind of response sensor covers all points "
+                f"({', '.join(map(str, self.linear.points))}) of the linear modes."
+            )
+        candidates = (self.shape_quantity, *_RESPONSES)
+        self.drive_row, self.drive_quantity = self._first_row(candidates)
+        self.gamma_row, self.gamma_quantity = self._first_row((Quantity.ACCELERATION, *candidates))
+
+    def _row(self, quantity: Quantity, point: int) -> int | None:
+        for row, channel in enumerate(self.window.channels):
+            if channel.quantity is quantity and channel.point == point:
+                return row
+        return None
+
+    def _first_row(self, quantities: tuple[Quantity, ...]) -> tuple[int, Quantity]:
+        for quantity in quantities:
+            row = self._row(quantity, self.linear.drive_point)
+            if row is not None:
+                return row, quantity
+        raise BenchError(f"No response is measured at drive point {self.linear.drive_point}.")
+
+    def _points_of(self, quantity: Quantity) -> str:
+        points = [str(c.point) for c in self.window.channels if c.quantity is quantity]
+        return "point " + ", ".join(points) if points else "no point"
+
+    def _find_phase(self) -> None:
+        window = self.window
+        self.fitted = window.cycles is None
+        if window.cycles is None:
+            frequency = fit_frequency(
+                window.data[self.force_row], window.sample_rate, window.lock.frequency_hz
+            )
+            samples: FloatArray = np.arange(window.samples, dtype=np.float64)
+            self.cycles: FloatArray = samples * (frequency / window.sample_rate)
+            end = window.samples * (frequency / window.sample_rate)
+        else:
+            self.cycles = window.cycles
+            end = window.end_cycles
+        self.advance = end - float(self.cycles[0])
+        self.periods = round(self.advance)
+        if self.periods < self.settings.minimum_periods:
+            raise BenchError(
+                f"The window holds {self.periods} whole periods; at least {self.settings.minimum_periods} "
+                "are needed."
+            )
+
+    def _find_harmonics(self) -> None:
+        window = self.window
+        samples_per_period = window.samples / self.advance
+        self.harmonics = resolvable_harmonics(self.settings.harmonics, samples_per_period)
+        if self.harmonics < 1:
+            raise BenchError(
+                f"{samples_per_period:.2g} samples a period do not resolve the fundamental; sample faster."
+            )
+        self.parts = sub_window_count(self.periods, self.settings.sub_windows)
+        bounds = whole_period_bounds(self.cycles, self.periods, max(1, self.parts))
+        moments = segment_moments(self.cycles, window.data, self.harmonics, bounds)
+        total = moments.total()
+        sets = total
+        if self.parts:
+            rest = moments.leave_one_out()
+            sets = Moments(
+                np.concatenate((total.basis, rest.basis)),
+                np.concatenate((total.projections, rest.projections)),
+            )
+        self.amplitudes = solve_moments(sets)
+        self._find_frequency(bounds, moments)
+
+    def _find_frequency(self, bounds: Any, moments: Moments) -> None:
+        rate = self.window.sample_rate
+        frequency = self.advance / (self.window.samples / rate)
+        self.frequency_hz = np.full(1 + self.parts, frequency)
+        self.frequency_std = math.nan
+        if not self.parts:
+            return
+        edges = np.append(self.cycles[bounds[:-1]], self.cycles[0] + self.advance)
+        if self.fitted:
+            fundamental = solve_moments(moments)[:, self.force_row, 1]
+            middle = 0.5 * (bounds[1:] + bounds[:-1]) / rate
+            # About their mean phase, so that no jump of 2π comes between.
+            phases = np.angle(fundamental * np.conj(fundamental.sum())) / (2.0 * np.pi)
+            self.frequency_std = slope_uncertainty(middle, phases)
+        else:
+            rest_advance = self.advance - np.diff(edges)
+            rest_time = (self.window.samples - np.diff(bounds)) / rate
+            self.frequency_hz[1:] = rest_advance / rest_time
+            self.frequency_std = float(jackknife(self.frequency_hz[1:]))
+
+    def point(self) -> ModalPoint:
+        linear = self.linear
+        omega = 2.0 * np.pi * self.frequency_hz
+        force = self.amplitudes[:, self.force_row]
+        shape = self._integrated(self.amplitudes[:, self.shape_rows], self.shape_quantity, omega, 0)
+        values = modal_quantities(
+            omega,
+            force,
+            self._integrated(self.amplitudes[:, self.drive_row], self.drive_quantity, omega, 0),
+            self._integrated(self.amplitudes[:, self.gamma_row], self.gamma_quantity, omega, 2),
+            shape[:, :, 1],
+            linear.shape_matrix,
+            linear.target_mode,
+        )
+        measured = {
+            name: getattr(values, name)
+            for name in (
+                "damping_ratio",
+                "modal_amplitude",
+                "self_excitation",
+                "force_n",
+                "active_power",
+                "apparent_power",
+                "pbmif",
+                "gamma_force",
+                "gamma_acceleration",
+                "mac",
+                "phase_error",
+            )
+        }
+        if self.settings.hysteresis is not None:
+            measured["hysteresis_damping"] = self._hysteresis(self.settings.hysteresis, omega, force)
+        fields = {name: float(value[0]) for name, value in measured.items()}
+        fields.update({f"{name}_std": self._uncertainty(name, value) for name, value in measured.items()})
+        fields["frequency_hz"] = float(self.frequency_hz[0])
+        fields["frequency_hz_std"] = self.frequency_std
+        fields["omega_rad_s"] = float(omega[0])
+        fields["omega_rad_s_std"] = math.hypot(
+            2.0 * math.pi * self.frequency_std,
+            fields["damping_ratio"] * omega[0] * math.hypot(fields["phase_error"], fields["phase_error_std"]),
+        )
+        # Harmonic n turns by n times the angle that makes the target mode's participation real.
+        reference = values.participation[0, linear.target_mode]
+        turn = np.conj(reference) / abs(reference) if abs(reference) > 0.0 else 1.0 + 0.0j
+        turns = turn ** np.arange(self.harmonics + 1)
+        lock, window = self.window.lock, self.window
+        return ModalPoint(
+            level_index=lock.level_index,
+            status=Status.OK,
+            reason="",
+            level=lock.level,
+            level_unit=lock.level_unit,
+            time_ns=bench_time_ns(lock.window_end - 1, window.sample_rate),
+            window_first_sample=lock.window_first_sample,
+            window_samples=lock.window_samples,
+            window_periods=self.periods,
+            harmonics=self.harmonics,
+            points=linear.points,
+            force_harmonics=force[0] * turns,
+            shape_harmonics=(shape[0] * turns).T,
+            normalised_shape=values.normalised_shape[0] * turn,
+            participation=values.participation[0] * turn,
+            **fields,
+        )
+
+    def _uncertainty(self, name: str, value: FloatArray) -> float:
+        if not self.parts:
+            return math.nan
+        rest = value[1:]
+        if name == "phase_error":
+            rest = np.angle(np.exp(1j * (rest - value[0])))
+        return float(jackknife(rest))
+
+    @staticmethod
+    def _integrated(
+        amplitudes: ComplexArray, quantity: Quantity, omega: FloatArray, derivative: int
+    ) -> ComplexArray:
+        """The ``derivative``-th time derivative of the displacement; n = 0 is NaN where unknown."""
+        power = derivative - _INTEGRATIONS[quantity]
+        if power == 0:
+            return amplitudes
+        orders = np.arange(amplitudes.shape[-1])
+        factor = 1j * np.multiply.outer(omega, orders)
+        if amplitudes.ndim == 3:
+            factor = factor[:, np.newaxis, :]
+        result = np.empty_like(amplitudes)
+        result[..., 1:] = amplitudes[..., 1:] * factor[..., 1:] ** power
+        result[..., 0] = 0.0 if power > 0 else complex(math.nan, math.nan)
+        return result
+
+    def _hysteresis(self, layout: HysteresisLayout, omega: FloatArray, force: ComplexArray) -> FloatArray:
+        accelerations = []
+        for point in (layout.excited_point, layout.middle_point, layout.free_point):
+            for quantity in (Quantity.ACCELERATION, Quantity.VELOCITY, Quantity.DISPLACEMENT):
+                row = self._row(quantity, point)
+                if row is not None:
+                    accelerations.append(self._integrated(self.amplitudes[:, row], quantity, omega, 2))
+                    break
+            else:
+                raise BenchError(
+                    f"No response is measured at point {point}, which the hysteresis layout names."
+                )
+        first, middle, free = accelerations
+        return np.array(
+            [
+                hysteresis_loop(
+                    layout, float(omega[k]), (first[k], middle[k], free[k]), force[k]
+                ).damping_ratio
+                for k in range(omega.shape[0])
+            ]
+        )
+
+
+def _energy(values: ComplexArray) -> FloatArray:
+    """Σ |x|² over the last axis."""
+    return np.asarray((values.real**2 + values.imag**2).sum(axis=-1), dtype=np.float64)

@@ -1,0 +1,205 @@
+"""Writes and reads ``modal.csv`` (the table) and ``modal.json`` (everything).
+
+Numbers are written with as many digits as reading them back to the same bits takes, so two files of the same
+extraction are identical. Rows of levels without values hold ``nan``; ``modal.json`` says why.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_extract.harmonics import ComplexArray
+from nmt_extract.modal_point import COMPLEX, ModalPoint, Status
+
+_MEASURED_COLUMNS = (
+    "frequency_hz",
+    "omega_rad_s",
+    "damping_ratio",
+    "modal_amplitude",
+    "force_n",
+    "pbmif",
+    "gamma_force",
+    "gamma_acceleration",
+    "mac",
+)
+COLUMNS = ("level", *(name + suffix for name in _MEASURED_COLUMNS for suffix in ("", "_std")))
+"""Columns of ``modal.csv``, in order; units as in :class:`nmt_extract.modal_point.ModalPoint`."""
+
+FORMAT = "nmt modal points 1"
+
+
+def write_csv(points: Iterable[ModalPoint], path: Path | str) -> None:
+    """Write ``modal.csv``: one row for each level, in the given order.
+
+    Raises:
+        BenchError: the file cannot be written; an older file is then left as it was.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for point in points:
+        writer.writerow([repr(float(getattr(point, name))) for name in COLUMNS])
+    _write_whole(Path(path), text.getvalue())
+
+
+def read_csv(path: Path | str) -> dict[str, list[float]]:
+    """Read ``modal.csv``.
+
+    Returns:
+        Columns by name.
+
+    Raises:
+        BenchError: not there, other columns, or a value that is no number.
+    """
+    rows = list(csv.reader(io.StringIO(_read(Path(path)))))
+    if not rows or tuple(rows[0]) != COLUMNS:
+        raise BenchError(
+            f"{path} is not a table of modal points; its first line must be {','.join(COLUMNS)}."
+        )
+    columns: dict[str, list[float]] = {name: [] for name in COLUMNS}
+    for number, row in enumerate(rows[1:], start=2):
+        try:
+            for name, text in zip(COLUMNS, row, strict=True):
+                columns[name].append(float(text))
+        except ValueError as error:
+            raise BenchError(f"{path} line {number} is not a row of {len(COLUMNS)} numbers.") from error
+    return columns
+
+
+def write_json(
+    points: Iterable[ModalPoint], path: Path | str, inputs: Mapping[str, Any] | None = None
+) -> None:
+    """Write ``modal.json``: all fields, harmonics and reasons.
+
+    Args:
+        points: in the order of the levels.
+        path: file.
+        inputs: what the extraction worked with (linear description, settings, run id, ...), JSON values.
+
+    Raises:
+        BenchError: the file cannot be written; an older file is then left as it was.
+    """
+    document = {
+        "format": FORMAT,
+        "inputs": _plain(dict(inputs or {})),
+        "points": [_point_to_mapping(point) for point in points],
+    }
+    _write_whole(Path(path), json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def read_json(path: Path | str) -> tuple[list[ModalPoint], dict[str, Any]]:
+    """Read ``modal.json``.
+
+    Returns:
+        Points (the same bits as were written) and inputs.
+
+    Raises:
+        BenchError: not there, or not such a file.
+    """
+    try:
+        document = json.loads(_read(Path(path)))
+        if document["format"] != FORMAT:
+            raise ValueError(f"its format is '{document['format']}'")
+        return [_point_from_mapping(values) for values in document["points"]], document["inputs"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise BenchError(f"{path} is not a file of modal points ('{FORMAT}'): {error}.") from error
+
+
+def write_results(
+    points: Sequence[ModalPoint], folder: Path | str, inputs: Mapping[str, Any] | None = None
+) -> None:
+    """Write ``modal.csv`` and ``modal.json`` into a folder that exists.
+
+    Raises:
+        BenchError: a file cannot be written.
+    """
+    write_csv(points, Path(folder) / "modal.csv")
+    write_json(points, Path(folder) / "modal.json", inputs)
+
+
+def _point_to_mapping(point: ModalPoint) -> dict[str, Any]:
+    values: dict[str, Any] = {item.name: getattr(point, item.name) for item in fields(point)}
+    values["status"] = point.status.name
+    return {name: _plain(value) for name, value in values.items()}
+
+
+def _point_from_mapping(values: Mapping[str, Any]) -> ModalPoint:
+    data: dict[str, Any] = {}
+    for item in fields(ModalPoint):
+        value = values[item.name]
+        if item.name in COMPLEX:
+            data[item.name] = _complex_array(value, 2 if item.name == "shape_harmonics" else 1)
+        elif item.name == "status":
+            data[item.name] = Status[value]
+        elif item.name == "points":
+            data[item.name] = tuple(value)
+        else:
+            data[item.name] = math.nan if value is None else value
+    return ModalPoint(**data)
+
+
+def _complex_array(value: Mapping[str, Any], dimensions: int) -> ComplexArray:
+    real, imag = np.array(value["real"], dtype=np.float64), np.array(value["imag"], dtype=np.float64)
+    result = np.empty(real.shape if real.size else (0,) * dimensions, dtype=np.complex128)
+    result.real, result.imag = real.reshape(result.shape), imag.reshape(result.shape)
+    return result
+
+
+def _plain(value: Any) -> Any:
+    """JSON values; numbers that are not finite become null."""
+    if isinstance(value, np.ndarray):
+        if np.iscomplexobj(value):
+            return {"real": _plain(value.real.tolist()), "imag": _plain(value.imag.tolist())}
+        return _plain(value.tolist())
+    if isinstance(value, (bool, int, str)) or value is None:
+        return value
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    raise TypeError(f"{type(value).__name__} has no form in JSON")
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "it is not text"
+        raise BenchError(f"{path} cannot be read: {why}.") from error
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """Write a file completely or not at all."""
+    temporary = ""
+    try:
+        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
+        os.replace(temporary, path)
+    except OSError as error:
+        if temporary:
+            Path(temporary).unlink(missing_ok=True)
+        raise BenchError(
+            f"{path} cannot be written: {error.strerror}; check the folder and the free space."
+        ) from error

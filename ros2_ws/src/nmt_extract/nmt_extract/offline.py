@@ -1,0 +1,150 @@
+"""Extraction from bags: the same code as the live node, fed with recorded messages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from nmt_core.conversions import block_from_message
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+from nmt_extract.extractor import Extractor
+from nmt_extract.message_feed import STATE_TOPICS, MessageFeed
+from nmt_extract.modal_point import ModalPoint
+from nmt_extract.settings import ExtractionSettings
+
+
+@dataclass(frozen=True, eq=False)
+class ExtractionResult:
+    """What a bag gave.
+
+    Attributes:
+        points: in the order in which they became ready, as the live node publishes them.
+        run: the run's description from the bag's start record; empty if it has none.
+        loss: one sentence on what is missing from the bag; None if nothing is.
+        counters: points by status, gaps and blocks by topic.
+        linear: linear description that was used.
+        settings: settings that were used.
+    """
+
+    points: list[ModalPoint]
+    run: dict[str, Any]
+    loss: str | None
+    counters: dict[str, int]
+    linear: LinearDescription
+    settings: ExtractionSettings = field(default_factory=ExtractionSettings)
+
+    @property
+    def inputs(self) -> dict[str, Any]:
+        """What ``modal.json`` says about where the points come from."""
+        return {
+            "run_id": self.run.get("run_id"),
+            "rig": self.run.get("rig"),
+            "linear": vars(self.linear),
+            "extraction": self.settings.to_mapping(),
+            "counters": self.counters,
+            "loss": self.loss,
+        }
+
+
+def extract_bag(
+    path: Path | str,
+    linear: LinearDescription | None = None,
+    settings: ExtractionSettings | None = None,
+) -> ExtractionResult:
+    """Extract all modal points of a bag, streaming.
+
+    Args:
+        path: bag, see :meth:`nmt_record.bag_reader.Bag.open`.
+        linear: takes the place of the linear description in the bag's start record.
+        settings: takes the place of the settings there.
+
+    Returns:
+        The points; equal to those that the live node published, bit for bit.
+
+    Raises:
+        BenchError: no such bag, or it lacks lock events, samples or the linear description.
+    """
+    from nmt_record.bag_reader import Bag
+
+    return extract_opened_bag(Bag.open(path), linear, settings)
+
+
+def extract_opened_bag(
+    bag: Any,
+    linear: LinearDescription | None = None,
+    settings: ExtractionSettings | None = None,
+) -> ExtractionResult:
+    """As :func:`extract_bag`, for an opened bag."""
+    run: dict[str, Any] = bag.run_start or {}
+    if linear is None:
+        linear = _linear_of(run, bag)
+    if settings is None:
+        settings = _settings_of(run, bag)
+    _require(bag, settings)
+    extractor = Extractor(
+        linear, settings, block_from_message, require_loop_state=_count(bag, "frequency") > 0
+    )
+    callbacks = MessageFeed(extractor).callbacks
+    points: list[ModalPoint] = []
+    wanted = [topic for topic in (*settings.topics, *STATE_TOPICS) if topic in bag.topics]
+    for topic, _, message in bag.messages(wanted):
+        callbacks[topic](message)
+        if extractor.ready:
+            points += extractor.take()
+    points += extractor.finish()
+    return ExtractionResult(points, run, bag.loss, extractor.counters, linear, settings)
+
+
+def _linear_of(run: dict[str, Any], bag: Any) -> LinearDescription:
+    description = run.get("linear")
+    if not isinstance(description, dict):
+        raise BenchError(
+            f"The bag {bag.path} does not say which linear modes its structure has (no 'linear' in its "
+            "start record); "
+            "give a linear description."
+        )
+    return LinearDescription.from_mapping(description)
+
+
+def _settings_of(run: dict[str, Any], bag: Any) -> ExtractionSettings:
+    values = run.get("extraction") or {}
+    if not isinstance(values, dict):
+        raise BenchError(
+            f"The bag {bag.path} has an 'extraction' entry that is not a mapping in its start record."
+        )
+    if "topics" not in values:
+        present = [t for t in ("force", "displacement", "velocity", "acceleration") if _count(bag, t)]
+        if "force" in present and len(present) > 1:
+            values = {**values, "topics": present}
+    return ExtractionSettings.from_mapping(values)
+
+
+def _require(bag: Any, settings: ExtractionSettings) -> None:
+    has = (
+        ", ".join(sorted(topic for topic, (_, count) in bag.topics.items() if count)) or "no messages at all"
+    )
+    missing = [topic for topic in settings.topics if not _count(bag, topic)]
+    if missing:
+        raise BenchError(
+            f"The bag {bag.path} has no samples of {', '.join(missing)} (it has {has}); record a run of "
+            "the bench or "
+            "name another bag."
+        )
+    if not _count(bag, "lock") and not _count(bag, "frequency"):
+        raise BenchError(
+            f"The bag {bag.path} has no 'lock' events, so no window to extract (it has {has}); record a "
+            "run of the "
+            "bench with its phase-locked loop."
+        )
+    if not _count(bag, "lock"):
+        raise BenchError(
+            f"The bag {bag.path} has no 'lock' events: no level of the run locked, so there is no window "
+            "to extract; "
+            "see the reasons on topic 'frequency'."
+        )
+
+
+def _count(bag: Any, topic: str) -> int:
+    return int(bag.topics.get(topic, ("", 0))[1])

@@ -1,0 +1,87 @@
+"""Settings of the extraction; they travel as the ``extraction`` entry of a run's description."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
+from nmt_extract.hysteresis import HysteresisLayout
+
+_TOPICS = tuple(quantity.topic for quantity in Quantity if quantity is not Quantity.UNKNOWN)
+
+
+@dataclass(frozen=True)
+class ExtractionSettings:
+    """How windows become modal points.
+
+    Attributes:
+        harmonics: H: harmonics 0..H are extracted (fewer where the sampling rate does not resolve them).
+        topics: sample topics that must be complete over a window; ``force`` and at least one response.
+        sub_windows: K, sub-windows for the standard uncertainties.
+        minimum_periods: windows of fewer whole periods are rejected.
+        hysteresis: masses and points of a chain of three masses; None = no hysteresis damping.
+    """
+
+    harmonics: int = 10
+    topics: tuple[str, ...] = ("force", "acceleration")
+    sub_windows: int = 10
+    minimum_periods: int = 3
+    hysteresis: HysteresisLayout | None = None
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("harmonics", 1, 200),
+            ("sub_windows", 3, 1000),
+            ("minimum_periods", 3, 10**9),
+        ):
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+                raise BenchError(
+                    f"Extraction setting '{name}' must be a whole number in {low}..{high}, got {value!r}."
+                )
+        unknown = [topic for topic in self.topics if topic not in _TOPICS]
+        if unknown or len(set(self.topics)) != len(self.topics):
+            raise BenchError(
+                f"Extraction setting 'topics' must list different topics out of {', '.join(_TOPICS)}, "
+                f"got {', '.join(map(repr, self.topics))}."
+            )
+        if "force" not in self.topics or not {"displacement", "velocity", "acceleration"} & set(self.topics):
+            raise BenchError(
+                "Extraction setting 'topics' must hold force and one of displacement, velocity, acceleration."
+            )
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        values = asdict(self)
+        values["topics"] = list(self.topics)
+        values["hysteresis"] = None if self.hysteresis is None else self.hysteresis.to_mapping()
+        return values
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> ExtractionSettings:
+        """Build from parsed JSON.
+
+        Raises:
+            BenchError: a key is unknown or a value not acceptable.
+        """
+        known = {field.name for field in fields(cls)}
+        for key in values:
+            if key not in known:
+                raise BenchError(
+                    f"Extraction setting '{key}' is not known; there are {', '.join(sorted(known))}."
+                )
+        data = dict(values)
+        if "topics" in data:
+            if not isinstance(data["topics"], (list, tuple)) or not all(
+                isinstance(t, str) for t in data["topics"]
+            ):
+                raise BenchError(
+                    f"Extraction setting 'topics' must be a list of names, got {data['topics']!r}."
+                )
+            data["topics"] = tuple(data["topics"])
+        if data.get("hysteresis") is not None:
+            data["hysteresis"] = HysteresisLayout.from_mapping(data["hysteresis"])
+        return cls(**data)

@@ -1,0 +1,166 @@
+"""The command line: picks the command, loads only its module, and turns every end into an exit code.
+
+Each command is a module with ``add_parser(subparsers)`` and ``run(arguments) -> int``. Nothing but the chosen
+command's module is imported, so help and refusals come at once.
+
+Exit codes: 0 done, 1 unexpected error (its traceback is in a log file), 2 a mistake that the user can mend,
+130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import ModuleType
+from typing import NoReturn
+
+from nmt_core.errors import BenchError
+
+EXIT_DONE = 0
+EXIT_UNEXPECTED = 1
+EXIT_USER = 2
+EXIT_INTERRUPTED = 130
+
+PROGRAM = "./nmt"
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "demo": ("nmt_bench.demo_command", "the paper's virtual experiment, from the first node to the report"),
+    "run": ("nmt_bench.run_command", "one test of a rig: step the level, lock, record, extract, report"),
+    "extract": ("nmt_bench.extract_command", "modal properties from a recorded bag; equal to the live ones"),
+    "reference": ("nmt_bench.reference_command", "computed backbone of a rig's model (EPMC, harmonic balance)"),
+    "benchmark": ("nmt_bench.benchmark_command", "speed of this machine beside limits and peers"),
+}
+"""Module and one line of help of each command; ``test``, ``doctor`` and ``setup`` belong to the launcher."""
+
+_LAUNCHER_COMMANDS = """\
+also, from the launcher:
+  test                  the whole test-suite
+  doctor                what is missing on this machine and how to mend it
+  setup                 only the set-up
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose refusal is one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        sentence = message[:1].upper() + message[1:].rstrip(".")
+        self.exit(EXIT_USER, f"{self.prog}: {sentence}; see '{self.prog} --help'.\n")
+
+
+def build_parser(command: str | None = None) -> argparse.ArgumentParser:
+    """The parser of the whole command line.
+
+    Args:
+        command: the command whose options are wanted; the others get their line of help only.
+
+    Raises:
+        BenchError: the command's module is not installed.
+    """
+    parser = _Parser(
+        prog=PROGRAM,
+        description="A test bench for nonlinear modal testing: phase-resonant tests on simulated rigs and on hardware.",
+        epilog=_LAUNCHER_COMMANDS,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"nmt {_version()}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+    for name, (module, summary) in COMMANDS.items():
+        if name == command:
+            _load(name, module).add_parser(subparsers)
+        else:
+            subparsers.add_parser(name, help=summary, add_help=False)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: arguments without the program's name; None = those of the process.
+
+    Returns:
+        The exit code.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    command = next((word for word in words if not word.startswith("-")), None)
+    try:
+        parser = build_parser(command)
+        if not words:
+            parser.print_help()
+            return EXIT_USER
+        arguments = parser.parse_args(words)
+        if arguments.command is None:
+            parser.error("a command is missing")
+        status = _load(arguments.command, COMMANDS[arguments.command][0]).run(arguments)
+        sys.stdout.flush()
+        return int(status)
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else EXIT_DONE if stop.code is None else EXIT_USER
+    except BenchError as error:
+        _complain(command, str(error))
+        return EXIT_USER
+    except KeyboardInterrupt:
+        _complain(command, "Stopped on request (Ctrl-C).")
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output has gone (``| head``): nobody is left to tell. Python would complain at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_UNEXPECTED
+    except Exception as error:
+        kind = type(error).__name__
+        log = write_error_log(words)
+        _complain(command, f"This should not have happened ({kind}: {_first_line(error)}); details are in {log}.")
+        return EXIT_UNEXPECTED
+
+
+def write_error_log(words: Sequence[str]) -> Path:
+    """Write the traceback of the exception being handled to a log file.
+
+    Args:
+        words: the command line's arguments.
+
+    Returns:
+        Path of the file, in the folder for temporary files.
+    """
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    handle, name = tempfile.mkstemp(prefix=f"nmt-error-{stamp}-", suffix=".log", text=True)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(f"nmt {_version()}, Python {sys.version}\narguments: {list(words)!r}\n\n{traceback.format_exc()}")
+    return Path(name)
+
+
+def _load(name: str, module: str) -> ModuleType:
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is None:
+            raise
+        hint = "run './nmt setup' and, if that does not mend it, './nmt doctor'"
+        raise BenchError(f"The command '{name}' cannot start because '{error.name}' is not installed; {hint}.") from error
+
+
+def _complain(command: str | None, sentence: str) -> None:
+    sys.stdout.flush()
+    name = f"{PROGRAM} {command}" if command in COMMANDS else PROGRAM
+    sys.stderr.write(f"{name}: {sentence}\n")
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0].rstrip(".") if lines else "no message"
+
+
+def _version() -> str:
+    try:
+        return version("nmt_bench")
+    except PackageNotFoundError:
+        return "(not installed)"

@@ -1,0 +1,154 @@
+"""The ``--out`` folder of a command: never overwritten by mistake, never half-written."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from types import TracebackType
+
+from nmt_core.errors import BenchError
+
+RESULT_NAMES = (
+    "bag",
+    "modal.csv",
+    "modal.json",
+    "report.html",
+    "rig.yaml",
+    "run.json",
+    "reference.csv",
+    "linear.json",
+    "frf.csv",
+    "study.csv",
+    "diagnosis.json",
+)
+"""Names that commands write; ``--force`` replaces these and touches nothing else in the folder."""
+
+
+def add_output_options(parser: argparse.ArgumentParser, contents: str, required: bool = True) -> None:
+    """Add ``--out`` and ``--force`` to a command's parser.
+
+    Args:
+        parser: the command's parser.
+        contents: what the command leaves in the folder, for the help text.
+        required: whether ``--out`` must be given.
+    """
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=required,
+        help=f"folder for the results ({contents}); made if it does not exist",
+    )
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="replace earlier results in the folder; files that nmt did not write stay",
+    )
+
+
+class OutputFolder:
+    """Context manager around the results of one command.
+
+    Without ``live`` the command writes to a hidden folder beside ``path``, whose contents are moved in place when the
+    block ends well and removed when it does not: what is in ``path`` is always whole. With ``live`` the command
+    writes in place, for recordings that must survive a killed process; an empty folder is removed again.
+
+    Args:
+        path: the folder of the results.
+        force: replace results that are there already.
+        live: write in place.
+
+    Raises:
+        BenchError: on entry, if the folder cannot be made, is not a folder, or is not empty and ``force`` is not set.
+    """
+
+    def __init__(self, path: Path | str, force: bool = False, live: bool = False) -> None:
+        self.path = Path(path)
+        self._force = force
+        self._live = live
+        self._work = self.path
+        self._made = False
+
+    def __enter__(self) -> Path:
+        check_output(self.path, self._force)
+        try:
+            if self._live:
+                self._made = not self.path.exists()
+                self.path.mkdir(parents=True, exist_ok=True)
+                for name in RESULT_NAMES:
+                    _remove(self.path / name)
+            else:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                self._work = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.part-", dir=self.path.parent))
+                self._work.chmod(0o777 & ~_umask())
+        except OSError as error:
+            raise BenchError(
+                f"The results folder {self.path} cannot be written ({_reason(error)}); choose another with --out."
+            ) from error
+        return self._work
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live:
+            if kind is not None and self._made and not any(self.path.iterdir()):
+                self.path.rmdir()
+            return
+        try:
+            if kind is None:
+                self._commit()
+        finally:
+            shutil.rmtree(self._work, ignore_errors=True)
+
+    def _commit(self) -> None:
+        if not self.path.exists():
+            self._work.rename(self.path)
+            return
+        for item in sorted(self._work.iterdir()):
+            target = self.path / item.name
+            if item.is_dir() or target.is_dir():
+                _remove(target)
+            os.replace(item, target)
+
+
+def check_output(path: Path, force: bool) -> None:
+    """Refuse an output folder that would be overwritten.
+
+    Raises:
+        BenchError: ``path`` is a file, or a folder that is not empty while ``force`` is not set.
+    """
+    if path.exists() and not path.is_dir():
+        raise BenchError(f"The results folder {path} is a file; choose another with --out.")
+    if path.is_dir() and not force and any(path.iterdir()):
+        raise BenchError(
+            f"The results folder {path} is not empty; choose another with --out, or add --force to replace its results."
+        )
+
+
+def free_folder(path: Path) -> Path:
+    """``path`` if it is free, else the first of ``path-2``, ``path-3`` … that is."""
+    candidate, number = path, 1
+    while candidate.exists() and (not candidate.is_dir() or any(candidate.iterdir())):
+        number += 1
+        candidate = path.with_name(f"{path.name}-{number}")
+    return candidate
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or str(error)).lower()
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -12,6 +12,7 @@ from typing import Any
 import lz4.frame  # type: ignore[import-untyped]
 import yaml
 import zstandard
+from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from nmt_core.errors import BenchError
@@ -149,8 +150,9 @@ class McapFile:
             opcode, length = _RECORD.unpack(_read_exact(file, size - tail, 9))
             if opcode != _OP_FOOTER or length != 20:
                 return False
+            file.seek(0)
             summary = make_reader(file).get_summary()
-        except Exception:  # the summary is a convenience: whatever is wrong with it, the scan decides
+        except (McapError, *_DAMAGE):  # the scan decides how far the file is good
             return False
         statistics = summary and summary.statistics
         if not summary or not statistics or (statistics.message_count and not summary.chunk_indexes):
@@ -230,7 +232,7 @@ class McapFile:
         if _read_exact(file, size - 8, 8) != MAGIC:
             self.damage = "its index is incomplete"
 
-    def _take(self, data: bytes, schemas: dict[int, tuple[str, str, str]]) -> set[int]:
+    def _take(self, data: bytes | memoryview, schemas: dict[int, tuple[str, str, str]]) -> set[int]:
         """Note schemas, channels and counts of some records, all or nothing; returns the channels seen."""
         new_channels: dict[int, Channel] = {}
         counts: dict[int, int] = {}
@@ -292,7 +294,7 @@ def _read_exact(file: Any, offset: int, length: int) -> bytes:
     return data
 
 
-def _unpack_chunk(content: bytes) -> bytes:
+def _unpack_chunk(content: bytes) -> bytes | memoryview:
     """Records in a chunk, checked by size and checksum."""
     _, _, size, checksum = _CHUNK.unpack_from(content)
     compression, at = _string(content, _CHUNK.size, len(content))
@@ -300,7 +302,7 @@ def _unpack_chunk(content: bytes) -> bytes:
     at += 8
     if length != len(content) - at or size > _LARGEST_CHUNK:
         raise ValueError("a chunk claims another size than it has")
-    data = content[at:]
+    data: bytes | memoryview = memoryview(content)[at:]  # without a copy
     if compression == "zstd":
         data = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
     elif compression == "lz4":
@@ -312,7 +314,7 @@ def _unpack_chunk(content: bytes) -> bytes:
     return data
 
 
-def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
+def _records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
     """Opcode, begin and end of the content of each record."""
     position, size = 0, len(data)
     while position < size:
@@ -324,7 +326,7 @@ def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
         yield opcode, start, position
 
 
-def _messages(data: bytes, wanted: set[int] | None) -> Iterator[tuple[int, int, int, bytes]]:
+def _messages(data: bytes | memoryview, wanted: set[int] | None) -> Iterator[tuple[int, int, int, bytes]]:
     record, message, size = _RECORD.unpack_from, _MESSAGE.unpack_from, len(data)
     position = 0
     while position < size:
@@ -336,15 +338,16 @@ def _messages(data: bytes, wanted: set[int] | None) -> Iterator[tuple[int, int, 
         if opcode == _OP_MESSAGE:
             channel, _, log_time, publish_time = message(data, start)
             if wanted is None or channel in wanted:
-                yield channel, log_time, publish_time, data[start + 22 : position]
+                # A copy of its own is aligned, so arrays in it are, too.
+                yield channel, log_time, publish_time, bytes(data[start + 22 : position])
 
 
-def _string(data: bytes, position: int, end: int) -> tuple[str, int]:
+def _string(data: bytes | memoryview, position: int, end: int) -> tuple[str, int]:
     (length,) = _UINT32.unpack_from(data, position)
     stop = position + 4 + length
     if stop > end:
         raise ValueError("a text reaches beyond its record")
-    return data[position + 4 : stop].decode("utf-8"), stop
+    return str(data[position + 4 : stop], "utf-8"), stop
 
 
 def _channel(

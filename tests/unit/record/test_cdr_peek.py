@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from nmt_record.bench_topics import RUN_STATE, SAMPLE_BLOCK
+from nmt_record.cdr_peek import peek_block, peek_run_state, peek_stamp
+
+TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
+SETTINGS = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@SETTINGS
+@given(
+    first=st.integers(0, 2**64 - 1),
+    samples=st.integers(0, 9),
+    names=st.lists(TEXT, min_size=1, max_size=5),
+    points=st.integers(0, 5),
+    frame=TEXT,
+    unit=TEXT,
+    sec=st.integers(-5, 2**31 - 1),
+    nanosec=st.integers(0, 999_999_999),
+)
+def test_block_agrees_with_full_decoding(store, first, samples, names, points, frame, unit, sec, nanosec):
+    types = store.typestore.types
+    stamp = types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+    message = types[SAMPLE_BLOCK](
+        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame),
+        first_sample=first,
+        sample_rate=25_600.0,
+        quantity=3,
+        unit=unit,
+        channels=names,
+        points=np.zeros(points, dtype=np.uint32),
+        data=np.ones(samples * len(names)),
+        oscillator_cycles=0.0,
+        oscillator_frequency_hz=0.0,
+        oscillator_rate_hz_s=0.0,
+        flags=1,
+    )
+    raw = bytes(store.typestore.serialize_cdr(message, SAMPLE_BLOCK, little_endian=True))
+    full = store.typestore.deserialize_cdr(raw, SAMPLE_BLOCK)
+    extent = peek_block(raw)
+    assert extent == (full.first_sample, len(full.data) // len(full.channels), full.sample_rate)
+    assert extent.end_sample == first + samples
+    assert peek_stamp(raw) == sec * 1_000_000_000 + nanosec
+    for end in range(len(raw) - 34 - 8 * samples * len(names)):
+        with pytest.raises(ValueError, match=r"too short|do not divide|not plain"):
+            peek_block(raw[:end])
+
+
+@SETTINGS
+@given(run_id=TEXT, phase=st.integers(0, 255), sample=st.integers(0, 2**64 - 1), reason=TEXT)
+def test_run_state_agrees_with_full_decoding(store, run_id, phase, sample, reason):
+    types = store.typestore.types
+    message = types[RUN_STATE](
+        stamp=types["builtin_interfaces/msg/Time"](sec=1, nanosec=2),
+        run_id=run_id,
+        phase=phase,
+        level_index=3,
+        level_count=4,
+        level=0.5,
+        progress=0.25,
+        sample=sample,
+        horizon_sample=7,
+        result_code=1,
+        reason=reason,
+    )
+    raw = bytes(store.typestore.serialize_cdr(message, RUN_STATE, little_endian=True))
+    assert peek_run_state(raw) == (run_id, phase, sample)
+    with pytest.raises(ValueError, match="too short"):
+        peek_run_state(raw[:30])
+
+
+@SETTINGS
+@given(st.binary(max_size=200))
+def test_any_bytes_raise_nothing_but_value_errors(raw):
+    for peek in (peek_block, peek_run_state, peek_stamp):
+        for prefix in (b"", b"\0\1\0\0"):
+            try:
+                peek(prefix + raw)
+            except ValueError as error:
+                assert str(error)
+
+
+def test_big_endian_is_refused():
+    with pytest.raises(ValueError, match="little-endian"):
+        peek_block(b"\0\0\0\0" + bytes(100))

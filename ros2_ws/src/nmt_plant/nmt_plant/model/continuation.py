@@ -61,10 +61,13 @@ class Branch:
 
     @property
     def folds(self) -> int:
-        """Number of turning points of the parameter along the branch."""
-        signs = np.sign(self.tangents[:, -1])
-        signs = signs[signs != 0]
-        return int(np.count_nonzero(signs[1:] != signs[:-1]))
+        """Number of turning points of the parameter along the branch, seen by the tangents or by the points."""
+        return max(_sign_changes(self.tangents[:, -1]), _sign_changes(np.diff(self.points[:, -1])))
+
+    @property
+    def single_valued(self) -> bool:
+        """The parameter range was traversed without turning back; an incomplete branch does not count."""
+        return self.complete and self.folds == 0
 
     def at_parameter(self, value: float) -> FloatArray:
         """First point (n + 1,) at which the parameter passes ``value``, by cubic Hermite interpolation.
@@ -107,6 +110,12 @@ class Branch:
                 high = t
         result: FloatArray = np.append(point[:-1], value)
         return result
+
+
+def _sign_changes(values: FloatArray) -> int:
+    signs = np.sign(values)
+    signs = signs[signs != 0]
+    return int(np.count_nonzero(signs[1:] != signs[:-1]))
 
 
 def _hermite(
@@ -208,6 +217,10 @@ def follow_branch(
             step *= 0.4
             continue
         trial, jacobian, used = solution
+        # A correction longer than the step has left the branch for another one.
+        if float(np.linalg.norm(trial - predicted)) > step and step > 1e3 * control.smallest_step:
+            step *= 0.4
+            continue
         try:
             trial_tangent = _tangent(jacobian, tangent)
         except np.linalg.LinAlgError:

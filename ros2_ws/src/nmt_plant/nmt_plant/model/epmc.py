@@ -44,7 +44,7 @@ class EpmcBackbone:
         orders: (n_orders,) harmonic orders of the shapes.
         normalised_shape: (k, n_orders, n) φ̃_n on all degrees of freedom, 1/√kg, with φ̃₁ᴴ M φ̃₁ = 1.
         branch: the continuation's own points.
-        single_valued: q grows all along the branch.
+        single_valued: q grows along the whole branch, up to the largest one requested.
     """
 
     modal_amplitude: FloatArray
@@ -128,6 +128,17 @@ class EpmcProblem:
         local[:, self.basis.offsets[self.basis.fundamental]] = self.local.directions @ self.linear_shape
         excitation = self._linear_excitation / self.linear_frequency
         return np.concatenate((local.ravel(), [self._linear_amplitude, 0.0, 1.0, excitation, log_amplitude]))
+
+    def is_linear_at(self, log_amplitude: float) -> bool:
+        """Whether the local forces of the sticking linear mode at log10 q are linear within 1 %."""
+        r, size = self.local.coordinates, self.basis.size
+        z = self.linear_start(log_amplitude)
+        local = z[: r * size].reshape(r, size) * 10.0**log_amplitude
+        force, _, _ = self.local.forces(local, self.linear_frequency)
+        small = 1e-9
+        expected = self.local.forces(local * small, self.linear_frequency)[0] / small
+        scale = max(float(np.abs(expected).max()), self.linear_frequency**2 * 10.0**log_amplitude)
+        return bool(np.abs(force - expected).max() <= 0.01 * scale)
 
     def __call__(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual (n,) and Jacobian (n, n + 1) at z (n + 1,)."""
@@ -378,7 +389,7 @@ def epmc_backbone(
 
     Args:
         structure, elements, mode, samples: see ``EpmcProblem``.
-        modal_amplitudes: (k,) positive, ascending q (m√kg); the smallest should lie in the linear range.
+        modal_amplitudes: (k,) positive, ascending q (m√kg).
         basis: harmonic orders; 0 … 7 when None.
         control: settings of the continuation.
 
@@ -396,18 +407,18 @@ def epmc_backbone(
     basis = basis or FourierBasis.up_to(7)
     problem = EpmcProblem(structure, elements, basis, mode, samples)
     logs = np.log10(amplitudes)
-    start = solve_at_parameter(problem, problem.linear_start(float(logs[0])), what="nonlinear mode")
-    if amplitudes.size == 1:
-        branch = Branch(start[None, :], np.zeros((1, start.size)), True)
-    else:
-        branch = follow_branch(problem, start, float(logs[-1]) + 1e-9, control, what="nonlinear mode")
+    first = float(logs[0])
+    while not problem.is_linear_at(first) and first > logs[0] - 8.0:
+        first -= 0.5
+    start = solve_at_parameter(problem, problem.linear_start(first), what="nonlinear mode")
+    branch = follow_branch(problem, start, float(logs[-1]) + 1e-9, control, what="nonlinear mode")
 
     # First passage of each amplitude; on a branch that folds in q the later ones are not reported.
     local = problem.local.coordinates * basis.size
     omega, excitation = np.empty(logs.size), np.empty(logs.size)
     shapes = np.empty((logs.size, basis.orders.size, structure.size), dtype=np.complex128)
     for k, value in enumerate(logs):
-        guess = start if k == 0 else branch.at_parameter(float(value))
+        guess = start if value == first else branch.at_parameter(float(value))
         z = solve_at_parameter(problem, guess, what="nonlinear mode")
         omega[k] = z[local + 2] * problem.linear_frequency
         excitation[k] = z[local + 3] * problem.linear_frequency
@@ -419,5 +430,5 @@ def epmc_backbone(
         orders=basis.orders,
         normalised_shape=shapes,
         branch=branch,
-        single_valued=branch.folds == 0,
+        single_valued=branch.single_valued,
     )

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 from nmt_core.errors import BenchError
 
@@ -56,7 +57,7 @@ class PhaseResonantBackbone:
     """Phase-resonant responses at the requested drive amplitudes.
 
     Attributes:
-        responses: one per drive amplitude (first passage where the branch folds).
+        responses: one per drive amplitude reached (first passage where the branch folds).
         branch: the continuation's own points; the parameter is log10 of the drive amplitude.
     """
 
@@ -70,8 +71,8 @@ class PhaseResonantBackbone:
 
     @property
     def single_valued(self) -> bool:
-        """The drive amplitude grows all along the branch."""
-        return self.branch.folds == 0
+        """The drive amplitude grows along the whole branch, up to the highest one requested."""
+        return self.branch.single_valued
 
 
 class _Quadrature:
@@ -99,8 +100,41 @@ class _Quadrature:
         return self.problem.response(z[:-2], z[-2] * self.problem.reference_frequency, z[-1])
 
 
+def linear_phase_resonance(problem: ForcedProblem, band: float = 0.3) -> float:
+    """Frequency (rad/s) nearest to the reference where the system linearised at rest is in phase resonance.
+
+    Args:
+        problem: forced problem; its reference frequency is the middle of the search.
+        band: half width of the search, relative to the reference frequency.
+
+    Raises:
+        BenchError: force and displacement are nowhere in quadrature there, e.g. with the drive near a node.
+    """
+    system, reference = problem.system, problem.reference_frequency
+
+    def quadrature(omega: float) -> float:
+        unknowns, force = system.response(omega)
+        return float((force * np.conj(unknowns[system.points[system.drive_point]])).real)
+
+    grid = reference * np.linspace(1.0 - band, 1.0 + band, 1201)
+    values = np.array([quadrature(omega) for omega in grid])
+    # The inertia takes over above a resonance (Re F x̄ falls through zero), the stiffness above an
+    # antiresonance.
+    falling = np.flatnonzero((values[:-1] > 0.0) & (values[1:] <= 0.0))
+    if falling.size == 0:
+        raise BenchError(
+            f"no phase resonance near {reference / (2.0 * np.pi):.4g} Hz with the drive at point "
+            f"{system.drive_point}: the point lies near a node of the mode; drive another point."
+        )
+    nearest = falling[np.argmin(np.abs(grid[falling] - reference))]
+    return float(brentq(quadrature, grid[nearest], grid[nearest + 1], xtol=1e-10 * reference))
+
+
 def phase_resonant_backbone(
-    problem: ForcedProblem, drive_amplitudes: Sequence[float] | FloatArray, control: StepControl | None = None
+    problem: ForcedProblem,
+    drive_amplitudes: Sequence[float] | FloatArray,
+    control: StepControl | None = None,
+    skip_unreached: bool = False,
 ) -> PhaseResonantBackbone:
     """Follow phase resonance from low drive upwards and evaluate it at the given drive amplitudes.
 
@@ -108,10 +142,12 @@ def phase_resonant_backbone(
         problem: forced problem whose reference frequency is the sticking linear frequency of the mode.
         drive_amplitudes: (k,) positive and ascending; the smallest should lie in the linear range.
         control: settings of the continuation.
+        skip_unreached: leave out drive amplitudes beyond a fold of the branch instead of raising.
 
     Raises:
-        BenchError: amplitudes not positive and ascending.
-        NotConvergedError: phase resonance could not be found or followed.
+        BenchError: amplitudes not positive and ascending, no phase resonance in the linear range, or an
+            amplitude that the branch does not reach.
+        NotConvergedError: phase resonance could not be followed.
     """
     drives = np.asarray(drive_amplitudes, dtype=np.float64)
     if (
@@ -123,14 +159,22 @@ def phase_resonant_backbone(
         raise BenchError("drive amplitudes must be positive, ascending and different; check the levels.")
     system = _Quadrature(problem)
     logs = np.log10(drives)
-    guess = np.concatenate((problem.linear_start(problem.reference_frequency), [1.0, logs[0]]))
+    resonance = linear_phase_resonance(problem)
+    ratio = resonance / problem.reference_frequency
+    guess = np.concatenate((problem.linear_start(resonance), [ratio, logs[0]]))
     start = solve_at_parameter(system, guess, what="phase resonance")
     if logs.size == 1:
         branch = Branch(start[None, :], np.zeros((1, start.size)), True)
         return PhaseResonantBackbone((system.response(start),), branch)
     branch = follow_branch(system, start, float(logs[-1]) + 1e-9, control, what="phase-resonant backbone")
+    highest = float(branch.points[:, -1].max())
+    if logs[-1] > highest and not skip_unreached:
+        raise BenchError(
+            f"phase resonance folds back at a drive amplitude of {10.0**highest:.4g} and does not reach "
+            f"{drives[-1]:.4g}; lower the highest level."
+        )
     solutions = [start]
-    for value in logs[1:]:
+    for value in logs[1:][logs[1:] <= highest]:
         solutions.append(
             solve_at_parameter(system, branch.at_parameter(float(value)), what="phase resonance")
         )

@@ -20,7 +20,9 @@ BLOCK = 200
 FREQUENCY_HZ = 21.7
 DRIVE_POINT = 2
 POINTS = (2, 4)
-RIG_YAML = "name: beam\ndescription: A made-up beam\nassumptions:\n- The signals are pure sines & nothing else.\n"
+RIG_YAML = (
+    "name: beam\ndescription: A made-up beam\nassumptions:\n- The signals are pure sines & nothing else.\n"
+)
 
 LINEAR = LinearDescription(
     source="model",
@@ -58,7 +60,16 @@ def write_bag(
         "started": "2026-01-01T00:00:00+00:00",
     }
     writer = BagWriter(path, run_json=json.dumps(run), rig_yaml=RIG_YAML)
-    for name in ("force", "displacement", "voltage", "frequency", "level", "lock", "modal_point", "run_state"):
+    for name in (
+        "force",
+        "displacement",
+        "voltage",
+        "frequency",
+        "level",
+        "lock",
+        "modal_point",
+        "run_state",
+    ):
         topic = parse_topic(name)
         writer.add_topic(name, topic.message_type, topic.service)
     clock = 0
@@ -72,9 +83,22 @@ def write_bag(
     sample = 0
     for index, level in enumerate(levels):
         first = sample
-        put("level", _make(types, "Level",
-            sequence=index + 1, index=index, control=1, amplitude=level, apply_at_sample=first, ramp=0.1,
-            frequency_hz=FREQUENCY_HZ, window_periods=window_periods, timeout=10.0))  # fmt: skip
+        put(
+            "level",
+            _make(
+                types,
+                "Level",
+                sequence=index + 1,
+                index=index,
+                control=1,
+                amplitude=level,
+                apply_at_sample=first,
+                ramp=0.1,
+                frequency_hz=FREQUENCY_HZ,
+                window_periods=window_periods,
+                timeout=10.0,
+            ),
+        )
         window_first = first + int(SAMPLE_RATE)
         locked = False
         for _ in range(round(level_seconds * SAMPLE_RATE / BLOCK)):
@@ -92,16 +116,42 @@ def write_bag(
                 put(block.quantity.topic, _message(types, block))
             sample += BLOCK
             state = 2 if sample < window_first else 4 if index == lost_level else 3
-            put("frequency", _make(types, "Frequency",
-                last_sample=sample - 1, level_index=index, level_sequence=index + 1, state=state,
-                frequency_hz=FREQUENCY_HZ, phase_error=math.nan if state == 4 else 0.001 * index,
-                force_amplitude=level, response_amplitude=q * 0.4, response_unit="m", drive_amplitude=level, reason=""))  # fmt: skip
+            put(
+                "frequency",
+                _make(
+                    types,
+                    "Frequency",
+                    last_sample=sample - 1,
+                    level_index=index,
+                    level_sequence=index + 1,
+                    state=state,
+                    frequency_hz=FREQUENCY_HZ,
+                    phase_error=math.nan if state == 4 else 0.001 * index,
+                    force_amplitude=level,
+                    response_amplitude=q * 0.4,
+                    response_unit="m",
+                    drive_amplitude=level,
+                    reason="",
+                ),
+            )
             if state == 3 and not locked:
                 locked = True
-                put("lock", _make(types, "LockEvent",
-                    level_index=index, level=level, level_unit="V", sample=sample - 1,
-                    frequency_hz=FREQUENCY_HZ, phase_error=0.0, window_first_sample=sample,
-                    window_samples=round(window_periods / FREQUENCY_HZ * SAMPLE_RATE), window_periods=window_periods))  # fmt: skip
+                put(
+                    "lock",
+                    _make(
+                        types,
+                        "LockEvent",
+                        level_index=index,
+                        level=level,
+                        level_unit="V",
+                        sample=sample - 1,
+                        frequency_hz=FREQUENCY_HZ,
+                        phase_error=0.0,
+                        window_first_sample=sample,
+                        window_samples=round(window_periods / FREQUENCY_HZ * SAMPLE_RATE),
+                        window_periods=window_periods,
+                    ),
+                )
     if stop:
         writer.close("done", "every level was worked through")
     else:
@@ -125,16 +175,37 @@ def _time(types: dict[str, type]) -> object:
     return types["builtin_interfaces/msg/Time"](0, 0)
 
 
-def _block(first: int, quantity: Quantity, channels: tuple[str, ...], points: tuple[int, ...], data: object) -> SampleBlock:
+def _block(
+    first: int, quantity: Quantity, channels: tuple[str, ...], points: tuple[int, ...], data: object
+) -> SampleBlock:
     cycles = FREQUENCY_HZ * first / SAMPLE_RATE % 1.0
-    return SampleBlock(first, SAMPLE_RATE, quantity, quantity.unit, channels, points, np.asarray(data),
-                       OscillatorPhase(cycles, FREQUENCY_HZ))  # fmt: skip
+    return SampleBlock(
+        first,
+        SAMPLE_RATE,
+        quantity,
+        quantity.unit,
+        channels,
+        points,
+        np.asarray(data),
+        OscillatorPhase(cycles, FREQUENCY_HZ),
+    )
 
 
 def _message(types: dict[str, type], block: SampleBlock) -> object:
     header = types["std_msgs/msg/Header"](_time(types), "beam")
-    return _make(types, "SampleBlock",
-        header=header, first_sample=block.first_sample, sample_rate=block.sample_rate, quantity=int(block.quantity),
-        unit=block.unit, channels=list(block.channels), points=np.array(block.points, dtype=np.uint32),
-        data=np.ascontiguousarray(block.data).ravel(), oscillator_cycles=block.oscillator.cycles,
-        oscillator_frequency_hz=block.oscillator.frequency_hz, oscillator_rate_hz_s=0.0, flags=0)  # fmt: skip
+    return _make(
+        types,
+        "SampleBlock",
+        header=header,
+        first_sample=block.first_sample,
+        sample_rate=block.sample_rate,
+        quantity=int(block.quantity),
+        unit=block.unit,
+        channels=list(block.channels),
+        points=np.array(block.points, dtype=np.uint32),
+        data=np.ascontiguousarray(block.data).ravel(),
+        oscillator_cycles=block.oscillator.cycles,
+        oscillator_frequency_hz=block.oscillator.frequency_hz,
+        oscillator_rate_hz_s=0.0,
+        flags=0,
+    )

@@ -47,7 +47,9 @@ def damping_of(q: float) -> float:
     return 0.0051 + 0.117 * ratio**2 / (1.0 + ratio**2) ** 1.5 * 0.75
 
 
-def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = True, seed: int = 1) -> RunReportData:
+def synthetic_run(
+    levels: int = 10, failed: int | None = 6, reference: bool = True, seed: int = 1
+) -> RunReportData:
     random = np.random.default_rng(seed)
     amplitudes = np.geomspace(0.05, 1.5, levels)
     amounts = np.geomspace(3e-5, 2.4e-3, levels)
@@ -63,7 +65,9 @@ def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = Tr
             frequency += (target - frequency) * 0.06
             samples.append(sample - 1)
             hertz.append(frequency if amplitude else 0.0)
-            phase.append(math.nan if not amplitude else error + (frequency - target) * 0.4 + 1e-4 * random.normal())
+            phase.append(
+                math.nan if not amplitude else error + (frequency - target) * 0.4 + 1e-4 * random.normal()
+            )
             state.append(kind)
             drive.append(amplitude)
 
@@ -73,34 +77,52 @@ def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = Tr
         omega, damping = omega_of(q), damping_of(q)
         target = omega / (2 * math.pi)
         starts.append(LevelStart(index, float(level), sample))
-        common = dict(level_index=index, level=float(level), level_unit="V")
+        common = {"level_index": index, "level": float(level), "level_unit": "V"}
         if index == failed:
             go(300, target * 1.01, 2, 0.3, level)
             go(120, target * 1.01, 4, math.nan, level * 0.1)
-            points.append(ModalPoint(**common, status=Status.NOT_LOCKED,
-                                     reason="phase error stayed at 17° until the time-out of 11 s"))  # fmt: skip
+            points.append(
+                ModalPoint(
+                    **common,
+                    status=Status.NOT_LOCKED,
+                    reason="phase error stayed at 17° until the time-out of 11 s",
+                )
+            )
             continue
         go(180, target, 2, 0.02 / (index + 1), level)
         periods = 200
         window = round(periods / target * SAMPLE_RATE)
         locks.append(LockMark(index, float(level), "V", sample, target, sample + BLOCK, window, periods))
         go(-(-window // BLOCK) + 2, target, 3, 0.0, level)
-        points.append(ModalPoint(**common, **_point(index, q, omega, damping, random), status=Status.OK, reason="",
-                                 window_first_sample=sample, window_samples=window, window_periods=periods))  # fmt: skip
+        points.append(
+            ModalPoint(
+                **common,
+                **_point(index, q, omega, damping, random),
+                status=Status.OK,
+                reason="",
+                window_first_sample=sample,
+                window_samples=window,
+                window_periods=periods,
+            )
+        )
         time = np.arange(round(3 * SAMPLE_RATE / target)) / SAMPLE_RATE
         force = 2.2 * level * (np.cos(omega * time) + 0.03 * np.cos(3 * omega * time + 1.0))
         response = 0.35 * q * np.sin(omega * time)
-        excerpts.append(
-            Excerpt(index, float(level), "V", target, SAMPLE_RATE, force, response, "$x_2$", "m")
-        )
+        excerpts.append(Excerpt(index, float(level), "V", target, SAMPLE_RATE, force, response, "$x_2$", "m"))
     go(60, frequency, 1, math.nan, 0.0)
     history = LoopHistory(
         np.array(samples), np.array(hertz), np.array(phase), np.array(state), np.array(drive)
     )
     centre = history.sample.astype(float) - BLOCK / 2
     envelopes = [
-        Envelope(name, symbol, unit, centre, -factor * history.drive_amplitude, factor * history.drive_amplitude)
-        for name, symbol, unit, factor in (("u", "$u$", "V", 1.0), ("f2", "$F$", "N", 2.2), ("x2", "$x_2$", "m", 4e-4))
+        Envelope(
+            name, symbol, unit, centre, -factor * history.drive_amplitude, factor * history.drive_amplitude
+        )
+        for name, symbol, unit, factor in (
+            ("u", "$u$", "V", 1.0),
+            ("f2", "$F$", "N", 2.2),
+            ("x2", "$x_2$", "m", 4e-4),
+        )
     ]
     curve = np.geomspace(1e-5, 5e-3, 120)
     return RunReportData(
@@ -125,7 +147,10 @@ def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = Tr
                 "The phase-locked loop's block diagram is missing in the paper; an adaptive filter is used.",
             ],
         },
-        stop={"exit": {"state": "done", "reason": "every level was worked through"}, "counts": {"force": len(samples)}},
+        stop={
+            "exit": {"state": "done", "reason": "every level was worked through"},
+            "counts": {"force": len(samples)},
+        },
         linear=LINEAR,
         history=history,
         envelopes=envelopes,
@@ -133,7 +158,10 @@ def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = Tr
         levels=starts,
         locks=locks,
         reference=ReferenceCurve(
-            "EPMC reference", curve, np.array([omega_of(q) for q in curve]), np.array([damping_of(q) for q in curve])
+            "EPMC reference",
+            curve,
+            np.array([omega_of(q) for q in curve]),
+            np.array([damping_of(q) for q in curve]),
         )
         if reference
         else None,
@@ -143,16 +171,30 @@ def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = Tr
 
 
 _NAMES = (
-    "frequency_hz", "omega_rad_s", "damping_ratio", "modal_amplitude", "self_excitation", "force_n", "active_power",
-    "apparent_power", "pbmif", "gamma_force", "gamma_acceleration", "mac", "phase_error", "hysteresis_damping",
-)  # fmt: skip
+    "frequency_hz",
+    "omega_rad_s",
+    "damping_ratio",
+    "modal_amplitude",
+    "self_excitation",
+    "force_n",
+    "active_power",
+    "apparent_power",
+    "pbmif",
+    "gamma_force",
+    "gamma_acceleration",
+    "mac",
+    "phase_error",
+    "hysteresis_damping",
+)
 
 
 def _values(value: float) -> dict[str, float]:
     return {key: value for name in _NAMES for key in (name, f"{name}_std")}
 
 
-def _point(index: int, q: float, omega: float, damping: float, random: np.random.Generator) -> dict[str, object]:
+def _point(
+    index: int, q: float, omega: float, damping: float, random: np.random.Generator
+) -> dict[str, object]:
     force = 2.2 * 0.05 * 1.45**index
     measured = omega * (1 + 3e-5 * random.normal())
     values = _values(math.nan)
@@ -175,11 +217,11 @@ def _point(index: int, q: float, omega: float, damping: float, random: np.random
         values[name], values[f"{name}_std"] = value, std
     decay = 10.0 ** -np.arange(11) * np.array([0, *([1.0, 0.02] * 5)])
     shape = np.array([0.35, 1.05, 1.5, 1.95]) * (1 - 0.01 * index) * np.exp(1j * 0.004 * index * np.arange(4))
-    return values | dict(
-        harmonics=10,
-        points=POINTS,
-        force_harmonics=force * (decay * (2 + index) + 1e-6) * 10 + 0j,
-        shape_harmonics=np.outer(decay * 10 + 1e-7, q * shape) * -1j,
-        normalised_shape=shape * -1j,
-        participation=np.array([1.0, 0.01 * (index + 1) * np.exp(1j)]) * -1j,
-    )
+    return values | {
+        "harmonics": 10,
+        "points": POINTS,
+        "force_harmonics": force * (decay * (2 + index) + 1e-6) * 10 + 0j,
+        "shape_harmonics": np.outer(decay * 10 + 1e-7, q * shape) * -1j,
+        "normalised_shape": shape * -1j,
+        "participation": np.array([1.0, 0.01 * (index + 1) * np.exp(1j)]) * -1j,
+    }

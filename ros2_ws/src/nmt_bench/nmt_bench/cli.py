@@ -35,7 +35,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("nmt_bench.demo_command", "the paper's virtual experiment, from the first node to the report"),
     "run": ("nmt_bench.run_command", "one test of a rig: step the level, lock, record, extract, report"),
     "extract": ("nmt_bench.extract_command", "modal properties from a recorded bag; equal to the live ones"),
-    "reference": ("nmt_bench.reference_command", "computed backbone of a rig's model (EPMC, harmonic balance)"),
+    "reference": (
+        "nmt_bench.reference_command",
+        "computed backbone of a rig's model (EPMC, harmonic balance)",
+    ),
     "benchmark": ("nmt_bench.benchmark_command", "speed of this machine beside limits and peers"),
 }
 """Module and one line of help of each command; ``test``, ``doctor`` and ``setup`` belong to the launcher."""
@@ -118,7 +121,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         kind = type(error).__name__
         log = write_error_log(words)
-        _complain(command, f"This should not have happened ({kind}: {_first_line(error)}); details are in {log}.")
+        _complain(
+            command, f"This should not have happened ({kind}: {_first_line(error)}); details are in {log}."
+        )
         return EXIT_UNEXPECTED
 
 
@@ -134,7 +139,9 @@ def write_error_log(words: Sequence[str]) -> Path:
     stamp = time.strftime("%Y%m%d-%H%M%S")
     handle, name = tempfile.mkstemp(prefix=f"nmt-error-{stamp}-", suffix=".log", text=True)
     with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(f"nmt {_version()}, Python {sys.version}\narguments: {list(words)!r}\n\n{traceback.format_exc()}")
+        file.write(
+            f"nmt {_version()}, Python {sys.version}\narguments: {list(words)!r}\n\n{traceback.format_exc()}"
+        )
     return Path(name)
 
 
@@ -145,7 +152,9 @@ def _load(name: str, module: str) -> ModuleType:
         if error.name is None:
             raise
         hint = "run './nmt setup' and, if that does not mend it, './nmt doctor'"
-        raise BenchError(f"The command '{name}' cannot start because '{error.name}' is not installed; {hint}.") from error
+        raise BenchError(
+            f"The command '{name}' cannot start because '{error.name}' is not installed; {hint}."
+        ) from error
 
 
 def _complain(command: str | None, sentence: str) -> None:

@@ -50,6 +50,21 @@ def uncertain(value: float, std: float, fallback_decimals: int = 4, most_decimal
     return f"{plain(value, decimals)} ± {std:.{decimals}f}"
 
 
+def concise(value: float, std: float, fallback_decimals: int = 4, most_decimals: int = 6) -> str:
+    """``1.2345(67)``: the value, and in brackets its standard uncertainty in units of the last digits.
+
+    Arguments as for :func:`uncertain`.
+    """
+    value_text, _, std_text = uncertain(value, std, fallback_decimals, most_decimals).partition(" ± ")
+    if not std_text:
+        return value_text
+    if std_text.startswith("<"):
+        return f"{value_text}(<1)"
+    whole, _, fraction = std_text.partition(".")
+    digits = fraction.lstrip("0") if whole == "0" else std_text
+    return f"{value_text}({digits or '0'})"
+
+
 def plain(value: float, decimals: int) -> str:
     """Fixed-point text with a true minus sign; an em dash for a value that is not finite."""
     return f"{value:.{decimals}f}".replace("-", "−") if math.isfinite(value) else "—"

@@ -61,7 +61,11 @@ def report_html(data: RunReportData) -> str:
             report_backbone.indicator_figure,
             report_backbone.participation_figure,
         ),
-        "shape": (report_shapes.shape_figure, report_backbone.amplitude_figure, report_shapes.harmonics_figure),
+        "shape": (
+            report_shapes.shape_figure,
+            report_backbone.amplitude_figure,
+            report_shapes.harmonics_figure,
+        ),
         "run": (
             report_history.history_figure,
             report_history.envelope_figure,

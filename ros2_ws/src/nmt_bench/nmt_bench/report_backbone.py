@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from nmt_bench.quantity_format import significant, uncertain
+from nmt_bench.report_columns import unit_text
 from nmt_bench.report_data import RunReportData
 from nmt_bench.report_svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
 
@@ -33,15 +34,21 @@ def frequency_figure(data: RunReportData) -> ReportFigure:
         main.axhline(linear, color=MUTED, linewidth=0.9, linestyle=(0, (1, 2)))
         main.annotate(
             rf"linear mode $\omega_{{{data.linear.target_mode + 1}}}$ = {linear:.2f} rad/s",
-            (0.99, linear), xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points",
-            ha="right", va="bottom", color=MUTED, fontsize=8,
-        )  # fmt: skip
+            (0.99, linear),
+            xycoords=("axes fraction", "data"),
+            xytext=(0, 3),
+            textcoords="offset points",
+            ha="right",
+            va="bottom",
+            color=MUTED,
+            fontsize=8,
+        )
         ratio = main.secondary_yaxis(1.19, functions=(lambda y: y / linear, lambda y: y * linear))
         _quiet_axis(ratio, rf"$\tilde\omega\,/\,\omega_{{{data.linear.target_mode + 1}}}$")
     hertz = main.secondary_yaxis(1.0, functions=(lambda y: y / (2 * math.pi), lambda y: y * 2 * math.pi))
     _quiet_axis(hertz, r"$\tilde f$ / Hz")
     _reference_line(main, data, "omega_rad_s", 1.0, q)
-    tips = _points(main, points, q, q_std, omega, omega_std, "omega_rad_s", 1.0, "rad/s")
+    tips = _points(main, points, q, q_std, omega, omega_std, "omega_rad_s", "rad/s", data.reference is None)
     main.set_ylabel(r"modal frequency $\tilde\omega$ / (rad/s)")
     if data.reference is not None:
         _deviation(residual, data, points, omega, omega_std, 0)
@@ -61,19 +68,29 @@ def damping_figure(data: RunReportData) -> ReportFigure:
     damping, damping_std = _column(points, "damping_ratio")
     figure, main, residual = _axes_with_residual(data.reference is not None, right=0.97)
     _reference_line(main, data, "damping_ratio", 100.0, q)
-    tips = _points(main, points, q, q_std, 100 * damping, 100 * damping_std, "damping_ratio", 100.0, "%")
+    tips = _points(
+        main, points, q, q_std, 100 * damping, 100 * damping_std, "damping_ratio", "%", data.reference is None
+    )
     hysteresis, hysteresis_std = _column(points, "hysteresis_damping")
     if np.any(np.isfinite(hysteresis)):
-        main.errorbar(q, 100 * hysteresis, 100 * np.nan_to_num(hysteresis_std), fmt="s", markerfacecolor="white",
-                      color=GREEN, label=r"from hysteresis loops $\delta_\mathrm{hyst}$")  # fmt: skip
+        main.errorbar(
+            q,
+            100 * hysteresis,
+            100 * np.nan_to_num(hysteresis_std),
+            fmt="s",
+            markerfacecolor="white",
+            color=GREEN,
+            label=r"from hysteresis loops $\delta_\mathrm{hyst}$",
+        )
         main.legend(loc="best")
     main.set_ylabel(r"modal damping ratio $\tilde\delta$ / %")
     main.set_ylim(bottom=0.0)
     if data.reference is not None:
         _deviation(residual, data, points, damping, damping_std, 1)
     _finish(main, residual, q)
-    caption = "Modal damping ratio δ̃ over modal amplitude <i>q</i>. Bars: standard uncertainty." + _reference_caption(
-        data
+    caption = (
+        "Modal damping ratio δ̃ over modal amplitude <i>q</i>. Bars: standard uncertainty."
+        + _reference_caption(data)
     )
     label = "Modal damping ratio over modal amplitude"
     return ReportFigure("damping", "Damping δ̃(q)", caption, svg_text(figure, "damping", label, tips))
@@ -95,7 +112,7 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
     )
     for axes, (name, title) in zip(panels.flat, names, strict=True):
         value, std = _column(points, name)
-        tips |= _points(axes, points, q, q_std, value, std, name, 1.0, "")
+        tips |= _points(axes, points, q, q_std, value, std, name, "")
         axes.axhline(1.0, color=MUTED, linewidth=0.8)
         axes.set_title(title)
         lowest = float(np.nanmin(value)) if np.any(np.isfinite(value)) else 0.9
@@ -110,8 +127,12 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
         "1 is a perfectly appropriated mode. PBMIF: active over apparent power; γ<sub>F</sub>, γ<sub>A</sub>: "
         "fundamental content of force and drive-point acceleration; MAC: correlation with the linear mode."
     )
-    label = "Power-based mode indicator, fundamental contents and modal assurance criterion over modal amplitude"
-    return ReportFigure("indicators", "Quality of the isolation", caption, svg_text(figure, "indicators", label, tips))
+    label = (
+        "Power-based mode indicator, fundamental contents and modal assurance criterion over modal amplitude"
+    )
+    return ReportFigure(
+        "indicators", "Quality of the isolation", caption, svg_text(figure, "indicators", label, tips)
+    )
 
 
 def participation_figure(data: RunReportData) -> ReportFigure | None:
@@ -128,8 +149,14 @@ def participation_figure(data: RunReportData) -> ReportFigure | None:
     for mode in range(gamma.shape[1]):
         number = mode + 1
         target = " (target)" if mode == data.linear.target_mode else ""
-        magnitude.plot(q, np.abs(gamma[:, mode]), "o-", color=colours[mode % 5], linewidth=1.0,
-                       label=f"linear mode {number}{target}")  # fmt: skip
+        magnitude.plot(
+            q,
+            np.abs(gamma[:, mode]),
+            "o-",
+            color=colours[mode % 5],
+            linewidth=1.0,
+            label=f"linear mode {number}{target}",
+        )
         phase.plot(q, np.degrees(np.angle(gamma[:, mode])), "o-", color=colours[mode % 5], linewidth=1.0)
     magnitude.set_yscale("log")
     magnitude.set_ylabel(r"$|\Gamma|$")
@@ -141,7 +168,9 @@ def participation_figure(data: RunReportData) -> ReportFigure | None:
     _log_q(phase, q)
     caption = "Participation Γ = Φ⁺φ̃₁ of the linear modes in the nonlinear mode: magnitude and phase."
     label = "Participation of the linear modes over modal amplitude"
-    return ReportFigure("participation", "Modal participation Γ", caption, svg_text(figure, "participation", label))
+    return ReportFigure(
+        "participation", "Modal participation Γ", caption, svg_text(figure, "participation", label)
+    )
 
 
 def amplitude_figure(data: RunReportData) -> ReportFigure:
@@ -153,8 +182,8 @@ def amplitude_figure(data: RunReportData) -> ReportFigure:
     figure = Figure(figsize=(6.3, 4.5))
     upper, lower = figure.subplots(2, 1, sharex=True)
     figure.subplots_adjust(left=0.14, right=0.97, bottom=0.12, top=0.96, hspace=0.12)
-    tips = _points(upper, points, level, None, q, q_std, "modal_amplitude", 1.0, "m√kg")
-    tips |= _points(lower, points, level, None, force, force_std, "force_n", 1.0, "N")
+    tips = _points(upper, points, level, None, q, q_std, "modal_amplitude", "m√kg")
+    tips |= _points(lower, points, level, None, force, force_std, "force_n", "N")
     for point in data.failed_points:
         for axes in (upper, lower):
             axes.axvline(point.level, color=RED, linewidth=1.0, linestyle=(0, (4, 3)))
@@ -164,14 +193,16 @@ def amplitude_figure(data: RunReportData) -> ReportFigure:
     upper.set_ylabel(r"$q$ / (m$\sqrt{\mathrm{kg}}$)")
     lower.set_ylabel(r"force $|F_1|$ / N")
     unit = points[0].level_unit if points else "V"
-    lower.set_xlabel(f"level / {_unit_text(unit)}")
+    lower.set_xlabel(f"level / {unit_text(unit)}")
     for axes in (upper, lower):
         axes.set_xscale("log")
         axes.set_yscale("log")
     _decade_ticks(lower)
     caption = "Modal amplitude and fundamental of the excitation force at each level."
     label = "Modal amplitude and force over level"
-    return ReportFigure("amplitudes", "Amplitude and force", caption, svg_text(figure, "amplitudes", label, tips))
+    return ReportFigure(
+        "amplitudes", "Amplitude and force", caption, svg_text(figure, "amplitudes", label, tips)
+    )
 
 
 def _column(points: Sequence[ModalPoint], name: str) -> tuple[Any, Any]:
@@ -181,21 +212,36 @@ def _column(points: Sequence[ModalPoint], name: str) -> tuple[Any, Any]:
 
 
 def _points(
-    axes: Axes, points: Sequence[ModalPoint], x: Any, x_std: Any, y: Any, y_std: Any,
-    name: str, factor: float, unit: str,
-) -> dict[str, str]:  # fmt: skip
+    axes: Axes,
+    points: Sequence[ModalPoint],
+    x: Any,
+    x_std: Any,
+    y: Any,
+    y_std: Any,
+    name: str,
+    unit: str,
+    joined: bool = True,
+) -> dict[str, str]:
     """Draw points with error bars; returns the hover texts by gid."""
     axes.errorbar(
-        x, y, np.nan_to_num(y_std), None if x_std is None else np.nan_to_num(x_std),
-        fmt="none", ecolor=BLUE, elinewidth=1.0, capsize=2.0, capthick=1.0,
-    )  # fmt: skip
-    axes.plot(x, y, "-", color=BLUE, linewidth=0.8, alpha=0.55)
+        x,
+        y,
+        np.nan_to_num(y_std),
+        None if x_std is None else np.nan_to_num(x_std),
+        fmt="none",
+        ecolor=BLUE,
+        elinewidth=1.0,
+        capsize=2.0,
+        capthick=1.0,
+    )
+    if joined:
+        axes.plot(x, y, "-", color=BLUE, linewidth=0.8, alpha=0.55)
     tips = {}
     for point, horizontal, vertical, std in zip(points, x, y, y_std, strict=True):
         gid = f"{name}-{point.level_index}"
         axes.plot([horizontal], [vertical], "o", color=BLUE, gid=gid)
         tips[gid] = (
-            f"level {point.level_index + 1}: {significant(point.level)} {_unit_text(point.level_unit)}\n"
+            f"level {point.level_index + 1}: {significant(point.level)} {unit_text(point.level_unit)}\n"
             f"q = {significant(point.modal_amplitude, 5)} m√kg\n"
             f"{_PLAIN_SYMBOLS[name]} = {uncertain(float(vertical), float(std), 6)} {unit}".rstrip()
         )
@@ -240,19 +286,28 @@ def _reference_line(main: Axes, data: RunReportData, column: str, factor: float,
     main.legend(loc="best")
 
 
-def _deviation(residual: Axes | None, data: RunReportData, points: Sequence[ModalPoint], value: Any, std: Any,
-               column: int) -> None:  # fmt: skip
-    assert residual is not None and data.reference is not None
+def _deviation(
+    residual: Axes | None,
+    data: RunReportData,
+    points: Sequence[ModalPoint],
+    value: Any,
+    std: Any,
+    column: int,
+) -> None:
+    assert residual is not None
+    assert data.reference is not None
     q = np.array([point.modal_amplitude for point in points])
     reference = np.array([data.reference.at(amplitude)[column] for amplitude in q])
     with np.errstate(invalid="ignore", divide="ignore"):
         percent = 100.0 * (value / reference - 1.0)
         bars = 100.0 * np.nan_to_num(std) / reference
     residual.axhline(0.0, color=INK, linewidth=1.0)
-    residual.errorbar(q, percent, np.nan_to_num(bars), fmt="o", color=BLUE, markersize=3.5, elinewidth=1.0, capsize=2.0)
+    residual.errorbar(
+        q, percent, np.nan_to_num(bars), fmt="o", color=BLUE, markersize=3.5, elinewidth=1.0, capsize=2.0
+    )
     residual.set_ylabel("dev. / %")
-    finite = np.abs(percent[np.isfinite(percent)])
-    limit = 1.35 * float(finite.max()) if finite.size else 1.0
+    reach = np.abs(percent) + np.nan_to_num(bars)
+    limit = 1.2 * float(np.nanmax(reach)) if np.any(np.isfinite(reach)) else 1.0
     residual.set_ylim(-max(limit, 1e-3), max(limit, 1e-3))
     residual.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
 
@@ -289,7 +344,3 @@ def _quiet_axis(axis: Any, label: str) -> None:
     axis.spines["right"].set_visible(True)
     axis.spines["right"].set_color(MUTED)
     axis.spines["right"].set_linewidth(0.5)
-
-
-def _unit_text(unit: str) -> str:
-    return unit.replace("^2", "²")

@@ -31,12 +31,12 @@ EXCERPT_PERIODS = 3.0
 
 
 def report_data_from_bag(
-    path: Path | str, points: Sequence[ModalPoint] | None = None, reference: ReferenceCurve | None = None
+    path: Path | str | Bag, points: Sequence[ModalPoint] | None = None, reference: ReferenceCurve | None = None
 ) -> RunReportData:
     """Read what a report shows.
 
     Args:
-        path: a bag, as ``nmt_record.bag_reader.Bag.open`` takes it.
+        path: a bag, as ``nmt_record.bag_reader.Bag.open`` takes it, or one that is open.
         points: modal points to show; None = those recorded in the bag.
         reference: computed backbone to compare with.
 
@@ -49,7 +49,7 @@ def report_data_from_bag(
     from nmt_extract.conversions import modal_point_from_message
     from nmt_record.bag_reader import Bag
 
-    bag = Bag.open(path)
+    bag = path if isinstance(path, Bag) else Bag.open(path)
     run = bag.run_start or {}
     linear = LinearDescription.from_mapping(run["linear"]) if run.get("linear") else None
     loop: list[tuple[int, float, float, int, float]] = []
@@ -59,10 +59,18 @@ def report_data_from_bag(
     for topic, _, message in bag.messages(["frequency", "level", "lock", "modal_point"]):
         if topic == "frequency":
             loop.append(
-                (message.last_sample, message.frequency_hz, message.phase_error, message.state, message.drive_amplitude)
+                (
+                    message.last_sample,
+                    message.frequency_hz,
+                    message.phase_error,
+                    message.state,
+                    message.drive_amplitude,
+                )
             )
         elif topic == "level":
-            levels.append(LevelStart(int(message.index), float(message.amplitude), int(message.apply_at_sample)))
+            levels.append(
+                LevelStart(int(message.index), float(message.amplitude), int(message.apply_at_sample))
+            )
         elif topic == "lock":
             locks.append(_lock(message))
         else:
@@ -143,7 +151,9 @@ class _Signal:
 
     def _close_stretch(self, end_sample: int) -> None:
         values = np.concatenate(self._gathered)
-        self._envelope.append((0.5 * (self._first + end_sample), np.fmin.reduce(values), np.fmax.reduce(values)))
+        self._envelope.append(
+            (0.5 * (self._first + end_sample), np.fmin.reduce(values), np.fmax.reduce(values))
+        )
         self._gathered.clear()
 
 
@@ -161,9 +171,7 @@ def _signals(
     present = [topic for topic in _SYMBOLS if bag.topics.get(topic, ("", 0))[1]]
     if "displacement" in present and "acceleration" in present:
         present.remove("acceleration")
-    spans = [
-        (lock.window_first_sample, lock.window_first_sample + _excerpt_samples(lock)) for lock in locks
-    ]
+    spans = [(lock.window_first_sample, lock.window_first_sample + _excerpt_samples(lock)) for lock in locks]
     point = linear.drive_point if linear is not None else -1
     signals: dict[str, _Signal] = {}
     for topic in present:
@@ -194,7 +202,12 @@ def _signals(
         )
     rates = [signal.sample_rate for signal in signals.values()]
     end_sample = max((signal.end_sample for signal in signals.values()), default=0)
-    return [signal.envelope() for signal in signals.values()], excerpts, rates[0] if rates else math.nan, end_sample
+    return (
+        [signal.envelope() for signal in signals.values()],
+        excerpts,
+        rates[0] if rates else math.nan,
+        end_sample,
+    )
 
 
 def _excerpt_samples(lock: LockMark) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from nmt_bench.quantity_format import significant
+from nmt_bench.report_columns import unit_text
 from nmt_bench.report_data import Excerpt, LevelStart, LoopState, RunReportData
 from nmt_bench.report_svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
 
@@ -55,7 +57,9 @@ def history_figure(data: RunReportData) -> ReportFigure | None:
     _lost_spans((frequency, phase), time, history.state)
     if np.any(history.state == LoopState.LOCK_LOST):
         frequency.fill_between([], [], [], color=RED, alpha=0.14, label="lock lost")
-    frequency.legend(loc="upper right", ncols=3, frameon=True, facecolor="white", framealpha=0.9, edgecolor="none")
+    frequency.legend(
+        loc="upper right", ncols=3, frameon=True, facecolor="white", framealpha=0.9, edgecolor="none"
+    )
     _level_numbers(strip, data)
     _level_starts((frequency, phase), data)
     frequency.set_ylabel("frequency / Hz")
@@ -67,7 +71,7 @@ def history_figure(data: RunReportData) -> ReportFigure | None:
     phase.set_yscale("symlog", linthresh=1.0, linscale=1.0)
     largest = float(np.nanmax(np.abs(degrees))) if np.any(np.isfinite(degrees)) else 1.0
     limit = max(3.0, 1.3 * largest)
-    ticks = [tick for tick in (-180.0, -90.0, -30.0, -10.0, -1.0, 0.0, 1.0, 10.0, 30.0, 90.0, 180.0) if abs(tick) <= limit]
+    ticks = [tick for tick in (-180.0, -10.0, -1.0, 0.0, 1.0, 10.0, 180.0) if abs(tick) <= limit]
     phase.set_ylim(-limit, limit)
     phase.set_yticks(ticks, [f"{tick:g}".replace("-", "−") for tick in ticks])
     phase.minorticks_off()
@@ -80,7 +84,13 @@ def history_figure(data: RunReportData) -> ReportFigure | None:
         "logarithmic beyond."
     )
     label = "Loop state, excitation frequency and phase error over bench time"
-    return ReportFigure("history", "Frequency and phase error over the run", caption, svg_text(figure, "history", label), wide=True)
+    return ReportFigure(
+        "history",
+        "Frequency and phase error over the run",
+        caption,
+        svg_text(figure, "history", label),
+        wide=True,
+    )
 
 
 def envelope_figure(data: RunReportData) -> ReportFigure | None:
@@ -91,13 +101,15 @@ def envelope_figure(data: RunReportData) -> ReportFigure | None:
     figure = Figure(figsize=(12.9, 1.2 + 1.35 * count))
     panels = np.atleast_1d(figure.subplots(count, 1, sharex=True))
     bottom = 0.55 / figure.get_figheight()
-    figure.subplots_adjust(left=0.062, right=0.985, bottom=bottom, top=1.0 - 0.35 / figure.get_figheight(), hspace=0.12)
+    figure.subplots_adjust(
+        left=0.062, right=0.985, bottom=bottom, top=1.0 - 0.35 / figure.get_figheight(), hspace=0.12
+    )
     for axes, envelope, colour in zip(panels, data.envelopes, (MUTED, BLUE, ORANGE, GREEN), strict=False):
         _windows(axes, data)
         time = envelope.sample / data.sample_rate
         time, low, high = _merged(time, envelope.low, envelope.high)
         axes.fill_between(time, low, high, color=colour, linewidth=0.4)
-        axes.set_ylabel(f"{envelope.symbol} / {_unit_text(envelope.unit)}")
+        axes.set_ylabel(f"{envelope.symbol} / {unit_text(envelope.unit)}")
         axes.yaxis.set_major_locator(MaxNLocator(5, symmetric=True))
         axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
     _level_starts(panels, data)
@@ -106,7 +118,9 @@ def envelope_figure(data: RunReportData) -> ReportFigure | None:
     panels[-1].set_xlim(0.0, data.end_sample / data.sample_rate or None)
     caption = "Smallest and largest values of the signals over the run; blue bands: the windows that were extracted."
     label = "Envelopes of drive voltage, force and response over bench time"
-    return ReportFigure("envelope", "Signals over the whole run", caption, svg_text(figure, "envelope", label), wide=True)
+    return ReportFigure(
+        "envelope", "Signals over the whole run", caption, svg_text(figure, "envelope", label), wide=True
+    )
 
 
 def excerpt_figure(data: RunReportData) -> ReportFigure | None:
@@ -131,11 +145,17 @@ def excerpt_figure(data: RunReportData) -> ReportFigure | None:
         if index + columns >= len(chosen):
             panels[index].set_xlabel("time in the window / periods")
             panels[index].tick_params(labelbottom=True)
-    some = f" {len(chosen)} of {len(data.excerpts)} levels are shown." if len(chosen) < len(data.excerpts) else ""
+    some = (
+        f" {len(chosen)} of {len(data.excerpts)} levels are shown."
+        if len(chosen) < len(data.excerpts)
+        else ""
+    )
     symbol = chosen[0].response_symbol
     caption = f"Force (blue, left axis, N) and response {_html_symbol(symbol)} at the drive point (orange, right axis) at the start of each window.{some}"
     label = "Force and drive-point response over a few periods at every level"
-    return ReportFigure("signals", "Force and response in time", caption, svg_text(figure, "signals", label), wide=True)
+    return ReportFigure(
+        "signals", "Force and response in time", caption, svg_text(figure, "signals", label), wide=True
+    )
 
 
 def chosen_excerpts(excerpts: Sequence[Excerpt]) -> list[Excerpt]:
@@ -161,7 +181,7 @@ def thinned(x: Any, y: Any, stretches: int = 1200) -> tuple[Any, Any]:
         return x, y
     keep: list[int] = []
     edges = np.linspace(0, count, stretches + 1).astype(int)
-    for first, stop in zip(edges[:-1], edges[1:], strict=True):
+    for first, stop in itertools.pairwise(edges):
         part = y[first:stop]
         if np.all(np.isnan(part)):
             keep.append(first)
@@ -184,7 +204,10 @@ def _excerpt(axes: Axes, excerpt: Excerpt, first_column: bool, last_column: bool
     other = axes.twinx()
     other.plot(periods, excerpt.response, color=ORANGE, linewidth=1.2)
     axes.plot(periods, excerpt.force, color=BLUE, linewidth=1.2)
-    for side, values, colour, spine in ((axes, excerpt.force, BLUE, "left"), (other, excerpt.response, ORANGE, "right")):
+    for side, values, colour, spine in (
+        (axes, excerpt.force, BLUE, "left"),
+        (other, excerpt.response, ORANGE, "right"),
+    ):
         limit = 1.12 * float(np.nanmax(np.abs(values))) or 1.0
         side.set_ylim(-limit, limit)
         side.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
@@ -194,13 +217,16 @@ def _excerpt(axes: Axes, excerpt: Excerpt, first_column: bool, last_column: bool
         side.spines[spine].set_visible(True)
     other.grid(False)
     if last_column:
-        other.set_ylabel(f"{excerpt.response_symbol} / {_unit_text(excerpt.response_unit)}", color=ORANGE, fontsize=8)
+        other.set_ylabel(
+            f"{excerpt.response_symbol} / {unit_text(excerpt.response_unit)}", color=ORANGE, fontsize=8
+        )
     if first_column:
         axes.set_ylabel("$F$ / N", color=BLUE, fontsize=8)
     axes.set_title(
-        f"level {excerpt.level_index + 1}: {significant(excerpt.level, 3)} {_unit_text(excerpt.level_unit)}", fontsize=8.5,
+        f"level {excerpt.level_index + 1}: {significant(excerpt.level, 3)} {unit_text(excerpt.level_unit)}",
+        fontsize=8.5,
         loc="center",
-    )  # fmt: skip
+    )
     axes.set_xlim(0.0, float(periods[-1]))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
@@ -231,13 +257,15 @@ def _lost_spans(panels: Sequence[Axes], time: Any, state: Any) -> None:
 
 def _stretches(state: Any) -> list[tuple[int, int, int]]:
     edges = [0, *(np.flatnonzero(np.diff(state)) + 1).tolist(), len(state)]
-    return [(int(state[first]), first, stop) for first, stop in zip(edges[:-1], edges[1:], strict=True)]
+    return [(int(state[first]), first, stop) for first, stop in itertools.pairwise(edges)]
 
 
 def _windows(axes: Axes, data: RunReportData) -> None:
     for lock in data.locks:
         first = lock.window_first_sample / data.sample_rate
-        axes.axvspan(first, first + lock.window_samples / data.sample_rate, color=_WINDOW, linewidth=0, zorder=0)
+        axes.axvspan(
+            first, first + lock.window_samples / data.sample_rate, color=_WINDOW, linewidth=0, zorder=0
+        )
 
 
 def _level_starts(panels: Sequence[Axes], data: RunReportData) -> None:
@@ -258,18 +286,21 @@ def _level_numbers(axes: Axes, data: RunReportData, above: bool = False) -> None
         inside = step.index in middle
         colour = RED if above and step.index in failed else "white" if inside and not above else INK
         axes.annotate(
-            str(step.index + 1), (place, 1.0 if above else 0.5), xycoords=("data", "axes fraction"),
-            xytext=(0 if inside else 4, 3 if above else 0), textcoords="offset points", color=colour, fontsize=8,
-            fontweight="bold", ha="center" if inside else "left", va="bottom" if above else "center_baseline",
-        )  # fmt: skip
+            str(step.index + 1),
+            (place, 1.0 if above else 0.5),
+            xycoords=("data", "axes fraction"),
+            xytext=(0 if inside else 4, 3 if above else 0),
+            textcoords="offset points",
+            color=colour,
+            fontsize=8,
+            fontweight="bold",
+            ha="center" if inside else "left",
+            va="bottom" if above else "center_baseline",
+        )
 
 
 def _steps(data: RunReportData) -> list[LevelStart]:
     return [step for step in data.levels if step.amplitude > 0.0]
-
-
-def _unit_text(unit: str) -> str:
-    return unit.replace("^2", "²")
 
 
 def _html_symbol(symbol: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
 from typing import Any
@@ -19,45 +18,10 @@ from nmt_bench.quantity_format import (
     significant,
     uncertain,
 )
+from nmt_bench.report_columns import MODAL_COLUMNS, status_text, unit_text
 from nmt_bench.report_data import RunReportData
 from nmt_bench.report_svg import ReportFigure
 from nmt_extract.modal_point import Status
-
-
-@dataclass(frozen=True)
-class ModalColumn:
-    """A column of the table of modal properties.
-
-    Attributes:
-        name: field of the modal point; its standard uncertainty is ``<name>_std``.
-        symbol: heading, HTML.
-        plain_symbol: heading for terminals.
-        unit: SI unit, empty if none.
-        factor: what to multiply values with before printing (100 for percent).
-        decimals: decimal places where the uncertainty is not known.
-        scaled: whether the column takes a common power of ten.
-    """
-
-    name: str
-    symbol: str
-    plain_symbol: str
-    unit: str
-    factor: float = 1.0
-    decimals: int = 4
-    scaled: bool = False
-
-
-MODAL_COLUMNS = (
-    ModalColumn("frequency_hz", "f̃", "f̃", "Hz", decimals=4),
-    ModalColumn("omega_rad_s", "ω̃", "ω̃", "rad/s", decimals=3),
-    ModalColumn("damping_ratio", "δ̃", "δ̃", "%", factor=100.0, decimals=3),
-    ModalColumn("modal_amplitude", "<i>q</i>", "q", "m√kg", scaled=True),
-    ModalColumn("force_n", "|<i>F</i><sub>1</sub>|", "|F₁|", "N", decimals=4),
-    ModalColumn("pbmif", "PBMIF", "PBMIF", ""),
-    ModalColumn("gamma_force", "γ<sub><i>F</i></sub>", "γ_F", ""),
-    ModalColumn("gamma_acceleration", "γ<sub><i>A</i></sub>", "γ_A", ""),
-    ModalColumn("mac", "MAC", "MAC", "", decimals=5),
-)
 
 
 def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> str:
@@ -77,7 +41,11 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         ("assumptions", "Assumptions of the rig", _assumptions(data)),
         ("files", "Files and settings", _files(data) + _settings(data)),
     ]
-    body = "".join(f'<section id="{key}"><h2>{escape(name)}</h2>{html}</section>\n' for key, name, html in sections if html)
+    body = "".join(
+        f'<section id="{key}"><h2>{escape(name)}</h2>{html}</section>\n'
+        for key, name, html in sections
+        if html
+    )
     links = "".join(f'<a href="#{key}">{escape(name)}</a>' for key, name, html in sections if html)
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -133,8 +101,8 @@ def _header(data: RunReportData, links: str) -> str:
     description = data.rig.get("description", "")
     subtitle = f'<p class="subtitle">{escape(str(description))}</p>' if description else ""
     notices = "".join(
-        f'<p class="notice">Level {point.level_index + 1} ({significant(point.level)} {_unit(point.level_unit)}): '
-        f"{_status_text(point.status)}{': ' + escape(point.reason) if point.reason else ''}</p>"
+        f'<p class="notice">Level {point.level_index + 1} ({significant(point.level)} {unit_text(point.level_unit)}): '
+        f"{status_text(point.status)}{': ' + escape(point.reason) if point.reason else ''}</p>"
         for point in data.failed_points
     )
     if data.loss:
@@ -160,11 +128,15 @@ def _cards(data: RunReportData) -> str:
     frequencies = [point.frequency_hz for point in points]
     exponent = engineering_exponent(point.modal_amplitude for point in points)
     cards = [
-        ("Modal frequency f̃", f"{span(frequencies)} Hz", f"shift {_percent(min(frequencies) / max(frequencies) - 1.0)}"),
+        (
+            "Modal frequency f̃",
+            f"{span(frequencies)} Hz",
+            f"shift {_percent(min(frequencies) / max(frequencies) - 1.0)}",
+        ),
         ("Modal damping δ̃", f"{span([100 * p.damping_ratio for p in points], 3)} %", ""),
         (
-            f"Modal amplitude <i>q</i>{_times(exponent)}",
-            f"{span([p.modal_amplitude / 10**exponent for p in points], 3)} m√kg",
+            "Modal amplitude <i>q</i>",
+            f"({span([p.modal_amplitude / 10**exponent for p in points], 3)}) {power_of_ten(exponent)} m√kg",
             f"force {span([p.force_n for p in points], 3)} N",
         ),
     ]
@@ -219,8 +191,10 @@ def _modal_table(data: RunReportData) -> str:
     if not data.points:
         return "<p>The run gave no modal point.</p>"
     points, columns = data.good_points, MODAL_COLUMNS
-    exponents = {c.name: engineering_exponent(getattr(p, c.name) for p in points) if c.scaled else 0 for c in columns}
-    unit = _unit(data.points[0].level_unit)
+    exponents = {
+        c.name: engineering_exponent(getattr(p, c.name) for p in points) if c.scaled else 0 for c in columns
+    }
+    unit = unit_text(data.points[0].level_unit)
     head = f'<th>Level<span class="unit">{escape(unit)}</span></th>' + "".join(
         f'<th>{c.symbol}<span class="unit">{escape(" ".join(filter(None, (power_of_ten(exponents[c.name]), c.unit)))) or "1"}</span></th>'
         for c in columns
@@ -234,16 +208,20 @@ def _modal_table(data: RunReportData) -> str:
             width = len(columns) + (2 if data.reference is not None else 0)
             reason = f": {escape(point.reason)}" if point.reason else ""
             rows.append(
-                f'<tr class="failed">{cells[0]}<td class="reason" colspan="{width}">{_status_text(point.status)}{reason}</td></tr>'
+                f'<tr class="failed">{cells[0]}<td class="reason" colspan="{width}">{status_text(point.status)}{reason}</td></tr>'
             )
             continue
         for column in columns:
             factor = column.factor / 10.0 ** exponents[column.name]
             text = uncertain(
-                factor * getattr(point, column.name), factor * getattr(point, f"{column.name}_std"), column.decimals
+                factor * getattr(point, column.name),
+                factor * getattr(point, f"{column.name}_std"),
+                column.decimals,
             )
             value, _, std = text.partition(" ± ")
-            cells.append(f"<td>{value}" + (f' <span class="std">± {escape(std)}</span>' if std else "") + "</td>")
+            cells.append(
+                f"<td>{value}" + (f' <span class="std">± {escape(std)}</span>' if std else "") + "</td>"
+            )
         if data.reference is not None:
             expected = data.reference.at(point.modal_amplitude)
             cells.append(f"<td>{plain(100 * (point.omega_rad_s / expected[0] - 1), 4)}</td>")
@@ -251,10 +229,9 @@ def _modal_table(data: RunReportData) -> str:
         rows.append(f"<tr>{''.join(cells)}</tr>")
     note = ""
     if data.reference is not None:
-        note = f"<p>Δω̃, Δδ̃: deviation from {escape(data.reference.label)} at the same modal amplitude.</p>"
-    return (
-        f'<div class="scroll"><table class="modal"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>{note}'
-    )
+        label = escape(data.reference.label)
+        note = f'<p class="note">Δω̃, Δδ̃: deviation from {label} at the same modal amplitude.</p>'
+    return f'<div class="scroll"><table class="modal"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>{note}'
 
 
 def _level_table(data: RunReportData) -> str:
@@ -270,7 +247,7 @@ def _level_table(data: RunReportData) -> str:
     rows = []
     for step in steps:
         lock, point = locks.get(step.index), points.get(step.index)
-        unit = _unit(lock.level_unit) if lock else _unit(point.level_unit) if point else ""
+        unit = unit_text(lock.level_unit) if lock else unit_text(point.level_unit) if point else ""
         cells = [
             f'<td class="text">{step.index + 1}</td>',
             f"<td>{significant(step.amplitude)} {escape(unit)}</td>",
@@ -279,7 +256,7 @@ def _level_table(data: RunReportData) -> str:
             f"<td>{lock.window_periods if lock else '—'}</td>",
             f"<td>{plain(lock.window_samples / rate, 2) if lock else '—'}</td>",
             f"<td>{plain((after[id(step)] - step.sample) / rate, 2)}</td>",
-            f'<td class="text wrap">{_status_text(point.status) if point else "no result"}</td>',
+            f'<td class="text wrap">{status_text(point.status) if point else "no result"}</td>',
         ]
         bad = point is None or point.status != Status.OK
         opening = '<tr class="failed">' if bad else "<tr>"
@@ -296,7 +273,11 @@ def _assumptions(data: RunReportData) -> str:
     items = data.rig.get("assumptions") or []
     if isinstance(items, str):
         items = [items]
-    return f'<ul class="plain">{"".join(f"<li>{escape(str(item))}</li>" for item in items)}</ul>' if items else ""
+    return (
+        f'<ul class="plain">{"".join(f"<li>{escape(str(item))}</li>" for item in items)}</ul>'
+        if items
+        else ""
+    )
 
 
 def _files(data: RunReportData) -> str:
@@ -344,24 +325,8 @@ def _json_text(values: Any) -> str:
     return json.dumps(values, indent=1, ensure_ascii=False, default=str)
 
 
-def _status_text(status: int) -> str:
-    return {
-        Status.OK: "locked",
-        Status.REJECTED: "rejected",
-        Status.NOT_LOCKED: "not locked",
-    }.get(Status(status), "no result")
-
-
 def _percent(value: float) -> str:
     return f"{100 * value:+.2g} %".replace("-", "−") if math.isfinite(value) else "—"
-
-
-def _times(exponent: int) -> str:
-    return f" / {power_of_ten(exponent)}" if exponent else ""
-
-
-def _unit(unit: str) -> str:
-    return unit.replace("^2", "²")
 
 
 def _template(name: str) -> str:

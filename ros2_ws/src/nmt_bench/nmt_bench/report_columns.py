@@ -1,0 +1,55 @@
+"""The columns in which modal properties are shown to people, and the words for what became of a level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_extract.modal_point import Status
+
+
+@dataclass(frozen=True)
+class ModalColumn:
+    """A column of the table of modal properties.
+
+    Attributes:
+        name: field of the modal point; its standard uncertainty is ``<name>_std``.
+        symbol: heading, HTML.
+        plain_symbol: heading for terminals.
+        unit: SI unit, empty if none.
+        factor: what to multiply values with before printing (100 for percent).
+        decimals: decimal places where the uncertainty is not known.
+        scaled: whether the column takes a common power of ten.
+    """
+
+    name: str
+    symbol: str
+    plain_symbol: str
+    unit: str
+    factor: float = 1.0
+    decimals: int = 4
+    scaled: bool = False
+
+
+MODAL_COLUMNS = (
+    ModalColumn("frequency_hz", "f̃", "f̃", "Hz", decimals=4),
+    ModalColumn("omega_rad_s", "ω̃", "ω̃", "rad/s", decimals=3),
+    ModalColumn("damping_ratio", "δ̃", "δ̃", "%", factor=100.0, decimals=3),
+    ModalColumn("modal_amplitude", "<i>q</i>", "q", "m√kg", scaled=True),
+    ModalColumn("force_n", "|<i>F</i><sub>1</sub>|", "|F₁|", "N", decimals=4),
+    ModalColumn("pbmif", "PBMIF", "PBMIF", ""),
+    ModalColumn("gamma_force", "γ<sub><i>F</i></sub>", "γ_F", ""),
+    ModalColumn("gamma_acceleration", "γ<sub><i>A</i></sub>", "γ_A", ""),
+    ModalColumn("mac", "MAC", "MAC", "", decimals=5),
+)
+
+
+def status_text(status: int) -> str:
+    """What became of a level, in words."""
+    return {Status.OK: "locked", Status.REJECTED: "rejected", Status.NOT_LOCKED: "not locked"}.get(
+        Status(status), "no result"
+    )
+
+
+def unit_text(unit: str) -> str:
+    """A unit with its superscripts: ``m/s²`` for ``m/s^2``."""
+    return unit.replace("^2", "²")

@@ -1,0 +1,236 @@
+"""A short test of a simulated rig in one process without ROS: plant, loop and bag writer called in turn.
+
+It makes real bags where ROS is absent, and shows how much of the bench's time is computing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nmt_core.blocks import Quantity, SampleBlock
+
+if TYPE_CHECKING:
+    from nmt_plant.rig import Rig
+    from nmt_pll.loop import LoopOutput
+    from nmt_pll.settings import LevelCommand
+
+_LOCK_LOST = 4
+
+
+@dataclass(frozen=True)
+class SampleRun:
+    """What a sample run came to.
+
+    Attributes:
+        bag: folder of the bag.
+        blocks: number of blocks.
+        messages: number of messages in the bag.
+        bench_seconds: bench time, s.
+        plant_seconds: wall time in the plant (read and write), s.
+        loop_seconds: wall time in the phase-locked loop, s.
+        write_seconds: wall time for serialising and writing, s.
+        locked: levels that locked.
+    """
+
+    bag: Path
+    blocks: int
+    messages: int
+    bench_seconds: float
+    plant_seconds: float
+    loop_seconds: float
+    write_seconds: float
+    locked: int
+
+
+def record_sample_run(
+    bag: Path, rig: Rig, levels: Sequence[float], window_periods: int, closed: bool = True
+) -> SampleRun:
+    """Step through the levels: ramp, lock, one window each; record everything.
+
+    Args:
+        bag: folder to create.
+        rig: a simulated rig with displacement sensors.
+        levels: drive amplitudes, V.
+        window_periods: whole periods of each window.
+        closed: close the bag at the end; without it the bag is as a killed recorder leaves it.
+
+    Raises:
+        BenchError: the rig or its levels are not acceptable, or the bag cannot be written.
+    """
+    from nmt_plant.device import DriveCommand, Waveform
+    from nmt_plant.linear_description import linear_description
+    from nmt_plant.simulated_rig import SimulatedRig
+    from nmt_pll.loop import PhaseLockedLoop
+    from nmt_pll.settings import LevelCommand, settings_from
+    from nmt_record.bag_writer import BagWriter
+
+    linear = linear_description(rig)
+    device = SimulatedRig(rig)
+    device.configure()
+    loop = PhaseLockedLoop(linear, settings_from(rig.pll), device.sample_rate, device.block_samples)
+    run = {
+        "run_id": "sample-run",
+        "rig": rig.name,
+        "seed": rig.seed,
+        "plan": {"control": "voltage", "levels": list(levels), "window_periods": window_periods},
+        "linear": json.loads(linear.to_json()),
+        "extraction": {"harmonics": rig.extraction.harmonics, "topics": ["force", rig.extraction.quantity]},
+        "versions": {"nmt": "0.1.0"},
+    }
+    # JSON is YAML, so that the rig travels without a second writer.
+    writer = BagWriter(bag, run_json=json.dumps(run), rig_yaml=rig.model_dump_json(indent=1))
+    messages = _Messages(writer, rig.name)
+    response_quantity = Quantity[rig.extraction.quantity.upper()]
+
+    def start(index: int, sample: int) -> LevelCommand:
+        level = LevelCommand(
+            sequence=index + 1,
+            index=index,
+            amplitude=levels[index],
+            apply_at_sample=sample,
+            ramp=rig.test.ramp_s,
+            window_periods=window_periods,
+            timeout=rig.test.lock_timeout_s,
+        )
+        loop.set_level(level)
+        messages.put_level(level)
+        return level
+
+    spent = dict.fromkeys(("plant", "loop", "write"), 0.0)
+    device.start()
+    clock = time.perf_counter
+    begin = clock()
+    start(0, 0)
+    index, window_end, locked, sample, blocks = 0, None, 0, 0, 0
+    try:
+        while index < len(levels):
+            begin = clock()
+            block_set = {block.quantity: block for block in device.read()}
+            spent["plant"] += clock() - begin
+            force, response = block_set[Quantity.FORCE], block_set[response_quantity]
+            begin = clock()
+            output = loop.process(force, response)
+            spent["loop"] += clock() - begin
+            begin = clock()
+            for block in block_set.values():
+                messages.put_block(block)
+            messages.put_output(output, response.unit)
+            spent["write"] += clock() - begin
+            begin = clock()
+            waveform = Waveform.SINE if output.frequency_hz > 0.0 else Waveform.OFF
+            device.write(DriveCommand(waveform, output.frequency_hz, output.amplitude, output.ramp))
+            spent["plant"] += clock() - begin
+            sample = force.end_sample
+            blocks += 1
+            if output.lock is not None:
+                window_end = output.lock.first_sample + output.lock.samples
+                locked += 1
+            # As on the bench, the next level waits for the last sample of the window.
+            if (window_end is not None and sample >= window_end) or output.state == _LOCK_LOST:
+                index, window_end = index + 1, None
+                if index < len(levels):
+                    start(index, sample)
+        if closed:
+            writer.close("done", "every level was worked through")
+        else:
+            writer.flush()
+    finally:
+        device.close()
+        if closed:
+            writer.close_quietly()
+    return SampleRun(
+        bag=bag,
+        blocks=blocks,
+        messages=writer.messages,
+        bench_seconds=sample / device.sample_rate,
+        plant_seconds=spent["plant"],
+        loop_seconds=spent["loop"],
+        write_seconds=spent["write"],
+        locked=locked,
+    )
+
+
+class _Messages:
+    """Messages of the local type store, straight into a bag."""
+
+    def __init__(self, writer: Any, rig: str) -> None:
+        from nmt_record.bench_topics import BENCH_TOPICS
+        from nmt_record.message_definitions import local_definitions
+
+        for topic in BENCH_TOPICS:
+            writer.add_topic(topic.name, topic.message_type, topic.service)
+        self._types = local_definitions().typestore.types
+        self._writer = writer
+        self._header = self._types["std_msgs/msg/Header"](self._stamp(), rig)
+
+    def put_level(self, level: LevelCommand) -> None:
+        self._put("level", "Level", **dataclasses.asdict(level))
+
+    def put_block(self, block: SampleBlock) -> None:
+        self._put(
+            block.quantity.topic,
+            "SampleBlock",
+            header=self._header,
+            first_sample=block.first_sample,
+            sample_rate=block.sample_rate,
+            quantity=int(block.quantity),
+            unit=block.unit,
+            channels=list(block.channels),
+            points=np.array(block.points, dtype=np.uint32),
+            data=np.ascontiguousarray(block.data).ravel(),
+            oscillator_cycles=block.oscillator.cycles,
+            oscillator_frequency_hz=block.oscillator.frequency_hz,
+            oscillator_rate_hz_s=block.oscillator.rate_hz_s,
+            flags=block.flags,
+        )
+
+    def put_output(self, output: LoopOutput, response_unit: str) -> None:
+        level = output.level
+        self._put(
+            "frequency",
+            "Frequency",
+            last_sample=output.last_sample,
+            level_index=level.index if level is not None else 0,
+            level_sequence=level.sequence if level is not None else 0,
+            state=int(output.state),
+            frequency_hz=output.frequency_hz,
+            phase_error=output.phase_error,
+            force_amplitude=output.force_amplitude,
+            response_amplitude=output.response_amplitude,
+            response_unit=response_unit,
+            drive_amplitude=output.amplitude,
+            flags=output.flags,
+            reason=output.transition.reason if output.transition is not None else "",
+        )
+        if output.lock is not None:
+            lock = output.lock
+            self._put(
+                "lock",
+                "LockEvent",
+                level_index=lock.level.index,
+                level=lock.level.amplitude,
+                level_unit="V",
+                sample=lock.sample,
+                frequency_hz=lock.frequency_hz,
+                phase_error=lock.phase_error,
+                window_first_sample=lock.first_sample,
+                window_samples=lock.samples,
+                window_periods=lock.periods,
+            )
+
+    def _put(self, topic: str, kind: str, **values: Any) -> None:
+        message_type = self._types[f"nmt_msgs/msg/{kind}"]
+        if "stamp" in message_type.__dataclass_fields__:
+            values["stamp"] = self._stamp()
+        self._writer.write_message(topic, message_type(**values))
+
+    def _stamp(self) -> Any:
+        return self._types["builtin_interfaces/msg/Time"](0, 0)

@@ -282,7 +282,7 @@ class _Evaluation:
             rest_advance = self.advance - np.diff(edges)
             rest_time = (self.window.samples - np.diff(bounds)) / rate
             self.frequency_hz[1:] = rest_advance / rest_time
-            self.frequency_std = float(jackknife(self.frequency_hz[1:]))
+            self.frequency_std = jackknife(self.frequency_hz[1:], frequency)
 
     def point(self) -> ModalPoint:
         linear = self.linear
@@ -352,10 +352,9 @@ class _Evaluation:
     def _uncertainty(self, name: str, value: FloatArray) -> float:
         if not self.parts:
             return math.nan
-        rest = value[1:]
         if name == "phase_error":
-            rest = np.angle(np.exp(1j * (rest - value[0])))
-        return float(jackknife(rest))
+            return jackknife(np.angle(np.exp(1j * (value[1:] - value[0]))), 0.0)
+        return jackknife(value[1:], float(value[0]))
 
     @staticmethod
     def _integrated(

@@ -393,7 +393,7 @@ class _TopicPart:
             raise _SpoiledError(f"The quantity is {block.quantity.name.lower()} {where}.")
         if block.unit != block.quantity.unit:
             raise _SpoiledError(f"The unit is '{block.unit}' instead of {block.quantity.unit} {where}.")
-        for flag, text in _FLAG_NAMES:
+        for flag, text in _FLAG_NAMES if block.flags else ():
             if block.flags & flag:
                 raise _SpoiledError(
                     f"Within the window {text} ('{self.topic}', block at sample {block.first_sample})."

@@ -61,7 +61,7 @@ class Branch:
 
     @property
     def folds(self) -> int:
-        """Number of turning points of the parameter along the branch, seen by the tangents or by the points."""
+        """Number of turning points of the parameter along the branch, by its tangents or its points."""
         return max(_sign_changes(self.tangents[:, -1]), _sign_changes(np.diff(self.points[:, -1])))
 
     @property

@@ -1,25 +1,26 @@
 """Compiled time loop: exact linear propagation, implicit local forces, corners located by halving the step.
 
-A piecewise linear element (Jenkins, stop, gap) has a branch: sticking 0 and slipping ±1, open 0 and closed ±1. Within
-a sub-step branches are frozen; a sub-step whose end contradicts its branch is refused and halved, down to step / 2^K.
-There the sub-step is accepted and the branch switched, so a corner is timed to step / 2^K.
+A piecewise linear element (Jenkins, stop, gap) has a branch: sticking 0, slipping ±1; open 0, closed ±1.
+Within a sub-step branches are frozen; a sub-step whose end contradicts its branch is refused and halved, down
+to step / 2^K. There it is accepted and the branch switched, so a corner is timed to step / 2^K.
 """
 
 from __future__ import annotations
 
+import numpy as np
 from numpy.typing import NDArray
 
 from .local_elements import compiled, element_response
 from .structure import Array
 
-# A sticking element yields only above this multiple of its slip force: rounding must not toggle it at a turning point.
+# A sticking element yields only above this multiple of its slip force: rounding must not toggle it at rest.
 _YIELD = 1.0 + 1e-12
 _NEWTON_STEPS = 25
 _NEWTON_TOLERANCE = 1e-13
 _SLOPE_TOLERANCE = 1e-9
 _SMALLEST = 1e-290
 
-Integers = NDArray
+Integers = NDArray[np.int64]
 
 
 @compiled
@@ -340,7 +341,7 @@ def integrate(
                             for q in range(ports):
                                 scale_g = abs(force_trial[q]) + abs(forces[q])
                                 scale_s = abs(force_trial[ports + q]) + abs(forces[ports + q])
-                                # The slope's tangents leave out second derivatives, and it weighs less by a step.
+                                # The slope's tangents leave out second derivatives.
                                 if abs(residual[q]) > _NEWTON_TOLERANCE * scale_g + _SMALLEST:
                                     solved = False
                                 if abs(residual[ports + q]) > _SLOPE_TOLERANCE * scale_s + _SMALLEST:

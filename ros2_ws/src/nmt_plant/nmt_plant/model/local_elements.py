@@ -1,9 +1,9 @@
 """Local elements: friction, springs, stops and drag that act along one direction of the structure.
 
 An element has a direction d (n,): it sees w = d · q and ẇ = d · q̇, and acts on the structure as
--d g(w, ẇ, memory). Time integration and harmonic balance share the compiled functions of this file. To them an
-element is its integer `kind`, its `parameters` (PARAMETER_COUNT floats, unused ones zero) and, for the Jenkins
-element, one number of memory: the position of the slider.
+-d g(w, ẇ, memory). Time integration and harmonic balance share the compiled functions of this file. To them
+an element is its integer `kind`, its `parameters` (PARAMETER_COUNT floats, unused ones zero) and, for the
+Jenkins element, one number of memory: the position of the slider.
 """
 
 from __future__ import annotations

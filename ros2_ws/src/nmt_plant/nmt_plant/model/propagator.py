@@ -1,10 +1,10 @@
 """Exact propagation of the linear part over a time step, with polynomial holds for input and local forces.
 
-State s = [q with inertia (m), their velocities (m), coil current if any]; ṡ = A s + B_u u + B_g g, where g are the
-forces of the ports, i.e. the distinct directions of the local elements. Over a step the input is a straight line
-between samples; a port force is the cubic through its values and slopes at both ends (Hermite), so a smooth local
-force is integrated to fourth order and the linear part without error. Where the eigenvectors of A allow it, the
-state is kept in real modal form: pairs of states that a 2 x 2 block propagates.
+State s = [q with inertia (m), their velocities (m), coil current if any]; ṡ = A s + B_u u + B_g g, where g
+are the forces of the ports, i.e. the distinct directions of the local elements. Over a step the input is a
+straight line between samples; a port force is the cubic through its values and slopes at both ends (Hermite),
+so a smooth local force is integrated to fourth order and the linear part without error. Where the eigenvectors
+of A allow it, the state is kept in real modal form: pairs of states that a 2 x 2 block propagates.
 """
 
 from __future__ import annotations
@@ -130,8 +130,8 @@ class Propagator:
         modal: z is in pairs (x_i, y_i), stored as all x then all y.
         pair: (K+1, 4, pairs) blocks [[xx, xy], [yx, yy]] of each pair; empty unless modal.
         dense: (K+1, Z, Z) transition matrices; empty if modal.
-        start_weights: (K+1, 2 + 2 ports, Z) weights of what is known before the step: input at its start and its
-            end, port forces (N) at its start, their slopes (N/s) at its start.
+        start_weights: (K+1, 2 + 2 ports, Z) weights of what is known before the step: input at both ends,
+            port forces (N) at its start, their slopes (N/s) at its start.
         end_weights: (K+1, 2 ports, Z) weights of port forces, then their slopes, at the step's end.
         port_rows: (3 ports, Z) displacement, velocity, acceleration of the ports, grouped by kind.
         port_input: (3 ports,) direct share of the input in them.
@@ -155,7 +155,7 @@ class Propagator:
 
 
 def phi_functions(z: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
-    """φ_0 … φ_count with φ_0 = exp(z) and φ_{k+1} = (φ_k - 1/k!) / z, accurate for all |z|; shape (count + 1, …)."""
+    """φ_0 … φ_count, shape (count + 1, …): φ_0 = exp(z), φ_{k+1} = (φ_k - 1/k!) / z, accurate for all |z|."""
     result = np.empty((count + 1, *z.shape), dtype=complex)
     result[0] = np.exp(z)
     small = np.abs(z) < 1.0
@@ -177,7 +177,7 @@ def phi_functions(z: NDArray[np.complex128], count: int) -> NDArray[np.complex12
 
 
 def _holds(phi: Any, h: float) -> tuple[Any, ...]:
-    """Weights of (input start, input end, force start, slope start, force end, slope end) from φ_1 … φ_4."""
+    """Weights of input start and end, force and slope at the start, force and slope at the end."""
     i0, i1, i2, i3 = phi[0], phi[1], 2.0 * phi[2], 6.0 * phi[3]
     return (
         h * (i0 - i1),
@@ -234,7 +234,7 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
     for level in range(levels + 1):
         h = step / 2.0**level
         if modal:
-            phi = phi_functions(values * h, 4)
+            phi = phi_functions(np.asarray(values * h, dtype=complex), 4)
             e = phi[0]
             pair[level, 0, :u], pair[level, 1, :u] = e[upper].real, -e[upper].imag
             pair[level, 2, :u], pair[level, 3, :u] = e[upper].imag, e[upper].real

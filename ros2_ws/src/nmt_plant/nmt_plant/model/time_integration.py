@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .assembly import ElectromechanicalSystem, OutputRow
-from .integration_kernel import integrate
+from .integration_kernel import integrate, port_forces
 from .local_elements import (
     JENKINS,
     PARAMETER_COUNT,
@@ -38,7 +38,7 @@ class TimeIntegrator:
         outputs: rows of the outputs.
         substeps: steps per sample; the input stays straight between samples.
         corner_levels: halvings used to locate a corner of a local element.
-        dense: keep the physical state and full transition matrices instead of the modal form (slower; for checks).
+        dense: keep the physical state and full transition matrices instead of the modal form (for checks).
 
     Raises:
         ValueError: a rate or number of steps that is not positive.
@@ -90,7 +90,9 @@ class TimeIntegrator:
         self.samples = 0
 
     def set_state(self, displacement: Array, velocity: Array, current: float = 0.0) -> None:
-        """Start from displacements and velocities (m,) of the degrees of freedom with inertia, sliders relaxed at zero.
+        """Start from displacements and velocities (m,) of the degrees of freedom with inertia.
+
+        Sliders start at zero and yield where they must.
 
         Raises:
             ValueError: wrong shapes.
@@ -126,8 +128,6 @@ class TimeIntegrator:
                 branch[e] = int(w > values[1])
             elif kind == TWO_SIDED_GAP:
                 branch[e] = int(w > values[1]) - int(w < -values[1])
-        from .integration_kernel import port_forces
-
         work = np.zeros(ports), np.zeros(ports)
         # Twice: the accelerations in the slopes depend on the forces.
         for _ in range(2):
@@ -162,15 +162,15 @@ class TimeIntegrator:
             self._force_history = np.empty((p.port_feedthrough.shape[1], n))
         result = np.empty((self._c.shape[0], n))
         good = integrate(
-            p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input, p.port_feedthrough, p.compliance, self._kinds,
-            self._parameters, self._space.element_port, self._affine, self._levels, self.substeps, inputs,
-            self._state, *self._memory, self._c, self._d_ports, self._d_input, self._history,
+            p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input,
+            p.port_feedthrough, p.compliance, self._kinds, self._parameters, self._space.element_port,
+            self._affine, self._levels, self.substeps, inputs, self._state, *self._memory, self._c, self._d_ports, self._d_input, self._history,
             self._force_history, result,
         )  # fmt: skip
         self.samples += n
         if not good:
             raise IntegrationError(
-                f"the motion is not finite near sample {self.samples}; check the parameters of the local elements"
+                f"the motion is not finite near sample {self.samples}; check the local elements' parameters"
             )
         return result
 

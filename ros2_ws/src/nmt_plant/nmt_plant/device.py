@@ -1,0 +1,225 @@
+"""Device contract: what a simulated rig or a data acquisition system must do for the plant node.
+
+Call order: configure, start, then in turn read and write, stop, close. `read` returns the next block of every quantity
+and blocks until it is complete; `write` hands over a drive command that takes effect at the first block that starts at
+or after its `apply_at_sample`. `quiet` starts the emergency ramp: the drive goes to zero along a half-cosine and stays
+there until `reset`; reading goes on meanwhile. `close` is allowed in every state, and twice.
+
+Raises: DeviceStateError for a call out of order, BenchError for a command or configuration the user can mend,
+DeviceFault where the device itself fails (the node then quiets and closes it).
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+from nmt_core.blocks import SampleBlock
+from nmt_core.errors import BenchError
+
+
+class Waveform(IntEnum):
+    """Drive waveform; the values are those of ``nmt_msgs/Drive``."""
+
+    OFF = 1
+    SINE = 2
+    RANDOM = 3
+    SWEEP = 4
+
+
+@dataclass(frozen=True, slots=True)
+class DriveCommand:
+    """What the oscillator shall do; fields as in ``nmt_msgs/Drive``.
+
+    Attributes:
+        waveform: OFF, SINE, RANDOM or SWEEP.
+        frequency_hz: Hz, positive for SINE and SWEEP.
+        amplitude: V peak (SINE, SWEEP), V rms (RANDOM).
+        ramp: s, half-cosine from the present amplitude; 0 = at once. Repeating an amplitude does not restart its ramp.
+        apply_at_sample: first block that starts at or after this sample; 0 = next block.
+        based_on_sample: last sample the command was computed from.
+        harmonics: (harmonic number >= 2, complex amplitude in V) of additional terms Re A_n exp(i n θ).
+        band_low_hz, band_high_hz: band edges of RANDOM.
+        rate_hz_s, frequency_end_hz: rate of SWEEP and where it holds.
+
+    Raises:
+        BenchError: a value out of its range.
+    """
+
+    waveform: Waveform
+    frequency_hz: float = 0.0
+    amplitude: float = 0.0
+    ramp: float = 0.0
+    apply_at_sample: int = 0
+    based_on_sample: int = 0
+    harmonics: tuple[tuple[int, complex], ...] = ()
+    band_low_hz: float = 0.0
+    band_high_hz: float = 0.0
+    rate_hz_s: float = 0.0
+    frequency_end_hz: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.waveform not in tuple(Waveform):
+            raise BenchError(
+                f"drive command: waveform {self.waveform} is unknown; use OFF, SINE, RANDOM or SWEEP."
+            )
+        for name in ("frequency_hz", "amplitude", "ramp", "band_low_hz", "band_high_hz", "frequency_end_hz"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise BenchError(f"drive command: {name} must be finite and not negative, got {value}.")
+        if not math.isfinite(self.rate_hz_s):
+            raise BenchError(f"drive command: rate_hz_s must be finite, got {self.rate_hz_s}.")
+        periodic = self.waveform in (Waveform.SINE, Waveform.SWEEP)
+        if periodic and self.frequency_hz <= 0:
+            raise BenchError("drive command: frequency_hz must be positive for a sine or a sweep.")
+        if self.waveform == Waveform.RANDOM and not 0 < self.band_low_hz < self.band_high_hz:
+            raise BenchError("drive command: a random drive needs 0 < band_low_hz < band_high_hz.")
+        if self.waveform == Waveform.SWEEP:
+            way = self.frequency_end_hz - self.frequency_hz
+            if self.frequency_end_hz <= 0 or way * self.rate_hz_s < 0 or (way != 0 and self.rate_hz_s == 0):
+                raise BenchError("drive command: rate_hz_s must lead from frequency_hz to frequency_end_hz.")
+        for order, value in self.harmonics:
+            if order < 2 or not (math.isfinite(value.real) and math.isfinite(value.imag)):
+                raise BenchError(
+                    "drive command: harmonics need an order of at least 2 and a finite amplitude."
+                )
+
+
+class DeviceState(Enum):
+    """Where a device is in its life."""
+
+    CREATED = "created"
+    CONFIGURED = "configured"
+    RUNNING = "running"
+    STOPPED = "stopped"
+    CLOSED = "closed"
+
+
+class DeviceStateError(RuntimeError):
+    """A call out of order."""
+
+
+class DeviceFault(RuntimeError):  # noqa: N818 - a fault of the device, not of the caller
+    """The device failed: lost samples, lost connection, a motion that is not finite."""
+
+
+class Device(ABC):
+    """Base of all devices: checks the call order, leaves the work to the methods with an underscore."""
+
+    def __init__(self) -> None:
+        self._device_state = DeviceState.CREATED
+
+    @property
+    def state(self) -> DeviceState:
+        """Where the device is in its life."""
+        return self._device_state
+
+    @property
+    @abstractmethod
+    def sample_rate(self) -> float:
+        """Sample rate, Hz."""
+
+    @property
+    @abstractmethod
+    def block_samples(self) -> int:
+        """Samples in a block."""
+
+    @property
+    @abstractmethod
+    def next_sample(self) -> int:
+        """Index of the first sample of the next block."""
+
+    @property
+    @abstractmethod
+    def tripped(self) -> str:
+        """Why the drive was taken to zero and held there; empty if it was not."""
+
+    @property
+    @abstractmethod
+    def is_quiet(self) -> bool:
+        """Whether the drive is at zero and stays there without a new command."""
+
+    def configure(self) -> None:
+        """Prepare everything that takes time; once, from CREATED or STOPPED."""
+        self._require("configure", DeviceState.CREATED, DeviceState.STOPPED)
+        self._configure()
+        self._device_state = DeviceState.CONFIGURED
+
+    def start(self) -> None:
+        """Begin acquisition at sample 0 with the drive at zero."""
+        self._require("start", DeviceState.CONFIGURED)
+        self._start()
+        self._device_state = DeviceState.RUNNING
+
+    def read(self) -> list[SampleBlock]:
+        """The next block, one SampleBlock for each quantity, all with the same first sample and oscillator phase.
+
+        Raises:
+            DeviceFault: the device failed.
+        """
+        self._require("read", DeviceState.RUNNING)
+        return self._read()
+
+    def write(self, command: DriveCommand) -> None:
+        """Hand over a drive command; it counts for the watchdog even while a trip overrides it.
+
+        Raises:
+            BenchError: a command beyond what the device can do.
+        """
+        self._require("write", DeviceState.RUNNING)
+        self._write(command)
+
+    def quiet(self, reason: str, ramp: float | None = None) -> None:
+        """Emergency ramp: drive to zero along a half-cosine (s; the device's own when None), latched until reset."""
+        self._require("quiet", DeviceState.RUNNING)
+        self._quiet(reason, ramp)
+
+    def reset(self) -> None:
+        """Clear a latched trip; the drive stays at zero until the next command."""
+        self._require("reset", DeviceState.RUNNING)
+        self._reset()
+
+    def stop(self) -> None:
+        """End acquisition; the output is zero afterwards."""
+        self._require("stop", DeviceState.RUNNING)
+        self._device_state = DeviceState.STOPPED
+        self._stop()
+
+    def close(self) -> None:
+        """Release everything; stops first where needed."""
+        if self._device_state is DeviceState.RUNNING:
+            self.stop()
+        if self._device_state is not DeviceState.CLOSED:
+            self._device_state = DeviceState.CLOSED
+            self._close()
+
+    def _require(self, call: str, *allowed: DeviceState) -> None:
+        if self._device_state not in allowed:
+            names = " or ".join(state.value for state in allowed)
+            raise DeviceStateError(f"{call} needs a device that is {names}; this one is {self.state.value}")
+
+    @abstractmethod
+    def _configure(self) -> None: ...
+
+    @abstractmethod
+    def _start(self) -> None: ...
+
+    @abstractmethod
+    def _read(self) -> list[SampleBlock]: ...
+
+    @abstractmethod
+    def _write(self, command: DriveCommand) -> None: ...
+
+    @abstractmethod
+    def _quiet(self, reason: str, ramp: float | None) -> None: ...
+
+    @abstractmethod
+    def _reset(self) -> None: ...
+
+    @abstractmethod
+    def _stop(self) -> None: ...
+
+    @abstractmethod
+    def _close(self) -> None: ...

@@ -1,0 +1,210 @@
+"""Phase-continuous oscillator of the drive, with half-cosine amplitude ramps.
+
+The phase never jumps: a new frequency bends it at a block boundary. The drive is u = Re Σ A_n exp(i n θ) for SINE and
+SWEEP, band-limited Gaussian noise for RANDOM.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import butter, sosfilt, sosfreqz
+
+from nmt_core.blocks import FloatArray, OscillatorPhase
+from nmt_core.errors import BenchError
+from nmt_core.ramp import half_cosine
+
+from .device import DriveCommand, Waveform
+
+
+class Envelope:
+    """A value that follows its target along half-cosines, sample by sample."""
+
+    def __init__(self) -> None:
+        self.target = 0.0
+        self._start = 0.0
+        self._elapsed = 0
+        self._length = 0
+
+    @property
+    def value(self) -> float:
+        """Value at the present sample."""
+        return float(self.values(1)[0])
+
+    def aim(self, target: float, length: int) -> None:
+        """Go to `target` within `length` samples from the present value; does nothing if already on the way there."""
+        if target != self.target:
+            self._start, self._elapsed, self._length, self.target = self.value, 0, length, target
+
+    def values(self, count: int) -> FloatArray:
+        """Values at the present and the following samples, shape (count,)."""
+        if self._elapsed >= self._length:
+            return np.full(count, self.target)
+        weight = half_cosine((self._elapsed + np.arange(count)) / self._length)
+        result: FloatArray = self._start + (self.target - self._start) * weight
+        result[self._elapsed + np.arange(count) >= self._length] = self.target
+        return result
+
+    def advance(self, samples: int) -> None:
+        """Move on by `samples`."""
+        self._elapsed = min(self._elapsed + samples, self._length)
+
+    def clear(self) -> None:
+        """Zero at once."""
+        self.target = 0.0
+        self._start, self._elapsed, self._length = 0.0, 0, 0
+
+
+class BandNoise:
+    """Gaussian noise of unit variance between two frequencies, reproducible whatever the block length."""
+
+    def __init__(
+        self, low_hz: float, high_hz: float, sample_rate: float, generator: np.random.Generator
+    ) -> None:
+        if not 0 < low_hz < high_hz < 0.5 * sample_rate:
+            raise BenchError(
+                f"the random band {low_hz} to {high_hz} Hz must lie between 0 and half the sample rate, "
+                f"{0.5 * sample_rate} Hz."
+            )
+        self._generator = generator
+        self._filter = butter(4, [low_hz, high_hz], "bandpass", fs=sample_rate, output="sos")
+        _, response = sosfreqz(self._filter, worN=1 << 16)
+        self._gain = 1.0 / np.sqrt(np.mean(np.abs(response) ** 2))
+        self._memory = np.zeros((self._filter.shape[0], 2))
+        self._next = self._draw(1)
+
+    def _draw(self, count: int) -> FloatArray:
+        values, self._memory = sosfilt(self._filter, self._generator.standard_normal(count), zi=self._memory)
+        return np.asarray(self._gain * values, dtype=np.float64)
+
+    def values(self, samples: int) -> FloatArray:
+        """Noise at the `samples` of a block and the first of the next, shape (samples + 1,)."""
+        result = np.concatenate([self._next, self._draw(samples)])
+        self._next = result[-1:]
+        return result
+
+
+@dataclass(frozen=True, slots=True)
+class OscillatorBlock:
+    """Output over one block.
+
+    Attributes:
+        voltage: (samples + 1,) V at the block's samples and at the first of the next block, for a first-order hold.
+        phase: phase at the first sample.
+    """
+
+    voltage: FloatArray
+    phase: OscillatorPhase
+
+
+class Oscillator:
+    """Drive oscillator; commands take effect when they are applied, i.e. at a block boundary.
+
+    Args:
+        sample_rate: Hz.
+        seed: of the random waveform.
+    """
+
+    def __init__(self, sample_rate: float, seed: int = 0) -> None:
+        self.sample_rate = sample_rate
+        self._seed = seed
+        self.cycles = 0.0
+        self.frequency_hz = 0.0
+        self._rate = 0.0
+        self._frequency_end = 0.0
+        self._waveform = Waveform.OFF
+        self._amplitude = Envelope()
+        self._harmonic_weight = Envelope()
+        self._harmonics: tuple[tuple[int, complex], ...] = ()
+        self._noise: BandNoise | None = None
+        self._band = (0.0, 0.0)
+
+    @property
+    def amplitude(self) -> float:
+        """Present amplitude, V (peak, or rms of a random drive)."""
+        return self._amplitude.value
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether the output is zero and stays zero."""
+        return all(e.target == 0.0 and e.value == 0.0 for e in (self._amplitude, self._harmonic_weight))
+
+    def apply(self, command: DriveCommand) -> None:
+        """Follow a command from the next block on.
+
+        A change between a periodic and a random drive starts the new one from zero amplitude.
+
+        Raises:
+            BenchError: a frequency, harmonic or band beyond half the sample rate.
+        """
+        length = round(command.ramp * self.sample_rate)
+        nyquist = 0.5 * self.sample_rate
+        if command.waveform == Waveform.OFF:
+            self.ramp_to_zero(command.ramp)
+            return
+        random = command.waveform == Waveform.RANDOM
+        if not random:
+            orders = [1, *(order for order, _ in command.harmonics)]
+            highest = max(command.frequency_hz, command.frequency_end_hz) * max(orders)
+            if highest >= nyquist:
+                raise BenchError(
+                    f"the drive reaches {highest:g} Hz; it must stay below half the sample rate, {nyquist:g} Hz."
+                )
+        if random:
+            band = (command.band_low_hz, command.band_high_hz)
+            if self._noise is None or band != self._band:
+                seeds = np.random.SeedSequence([self._seed, 0x6472697665])
+                self._noise = BandNoise(*band, self.sample_rate, np.random.Generator(np.random.PCG64(seeds)))
+                self._band = band
+        if random != (self._waveform == Waveform.RANDOM) and self._waveform != Waveform.OFF:
+            self._amplitude.clear()
+            self._harmonic_weight.clear()
+        if not random:
+            self._noise = None
+            self.frequency_hz = command.frequency_hz
+            self._rate = command.rate_hz_s if command.waveform == Waveform.SWEEP else 0.0
+            self._frequency_end = command.frequency_end_hz
+        self._waveform = command.waveform
+        self._harmonics = () if random else command.harmonics
+        self._amplitude.aim(command.amplitude, length)
+        self._harmonic_weight.aim(1.0 if self._harmonics else 0.0, length)
+
+    def ramp_to_zero(self, ramp: float) -> None:
+        """Half-cosine to zero within `ramp` seconds; phase and frequency go on."""
+        length = round(ramp * self.sample_rate)
+        self._amplitude.aim(0.0, length)
+        self._harmonic_weight.aim(0.0, length)
+        self._rate = 0.0
+
+    def block(self, samples: int) -> OscillatorBlock:
+        """Output over the next `samples`; the oscillator moves on by as many."""
+        rate = self._rate
+        duration = samples / self.sample_rate
+        end = self.frequency_hz + rate * duration
+        if rate != 0.0 and (end - self._frequency_end) * rate >= 0.0:
+            # Land on the last frequency at the block's end: within a block the rate is constant.
+            end = self._frequency_end
+            rate = (end - self.frequency_hz) / duration
+            self._rate = 0.0
+        amplitude = self._amplitude.values(samples + 1)
+        if self._waveform == Waveform.RANDOM and self._noise is not None:
+            voltage = amplitude * self._noise.values(samples)
+            phase = OscillatorPhase(self.cycles, 0.0, 0.0)
+        else:
+            phase = OscillatorPhase(self.cycles, self.frequency_hz, rate)
+            theta = phase.phase(samples + 1, self.sample_rate)
+            voltage = amplitude * np.cos(theta)
+            if self._harmonics:
+                weight = self._harmonic_weight.values(samples + 1)
+                for order, value in self._harmonics:
+                    voltage += weight * (value * np.exp(1j * order * theta)).real
+            moved = self.cycles + duration * (self.frequency_hz + 0.5 * rate * duration)
+            self.cycles = moved - np.floor(moved)
+            self.frequency_hz = end
+        self._amplitude.advance(samples)
+        self._harmonic_weight.advance(samples)
+        if self.is_quiet:
+            self._waveform = Waveform.OFF
+            self._harmonics = ()
+        return OscillatorBlock(voltage, phase)

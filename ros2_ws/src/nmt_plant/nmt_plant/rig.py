@@ -1,0 +1,549 @@
+"""Rig files: what a rig consists of, validated; every number carries its unit in the name of its key."""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import math
+import os
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
+
+from .rig_file import KeyPath, RigDocument, apply_overrides, read_document
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Point = Annotated[int, Field(ge=1)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+
+# Environment variable with folders, separated as in PATH, that are searched for rigs by name first.
+RIG_PATH_VARIABLE = "NMT_RIG_PATH"
+
+
+class Section(BaseModel):
+    """Base of all sections: unknown keys, NaN, infinities and wrong types are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class BeamSection(Section):
+    """Cantilever of Euler-Bernoulli elements; points 1..elements from the clamp outward."""
+
+    kind: Literal["beam"]
+    length_m: Positive
+    width_m: Positive
+    height_m: Positive
+    youngs_modulus_pa: Positive
+    density_kg_m3: Positive
+    elements: Annotated[int, Field(ge=1, le=200)]
+    stiffness_damping_s: NotNegative = 0.0
+
+    @property
+    def points(self) -> range:
+        """Numbers of the measurement points."""
+        return range(1, self.elements + 1)
+
+
+class ChainSection(Section):
+    """Lumped masses in a row; point i = mass i."""
+
+    kind: Literal["chain"]
+    masses_kg: Annotated[list[Positive], Field(min_length=1, max_length=200)]
+    springs_n_m: list[NotNegative] = []
+    dampers_ns_m: list[NotNegative] | None = None
+    ground_springs_n_m: list[NotNegative] | None = None
+    ground_dampers_ns_m: list[NotNegative] | None = None
+
+    @property
+    def points(self) -> range:
+        """Numbers of the measurement points."""
+        return range(1, len(self.masses_kg) + 1)
+
+    @model_validator(mode="after")
+    def _lengths_fit(self) -> ChainSection:
+        n = len(self.masses_kg)
+        for key, count in (
+            ("springs_n_m", n - 1),
+            ("dampers_ns_m", n - 1),
+            ("ground_springs_n_m", n),
+            ("ground_dampers_ns_m", n),
+        ):
+            value = getattr(self, key)
+            if value is not None and len(value) != count:
+                raise ValueError(f"{key} needs {count} values for {n} masses, got {len(value)}")
+        return self
+
+
+class ElementSection(Section):
+    """Common keys of local elements: between `point` and `other_point`, the ground when that is left out."""
+
+    name: Name | None = None
+    point: Point
+    other_point: Point | None = None
+
+
+class JenkinsSection(ElementSection):
+    """Elastic Coulomb element."""
+
+    kind: Literal["jenkins"]
+    tangential_stiffness_n_m: Positive
+    slip_force_n: Positive
+
+
+class CubicSpringSection(ElementSection):
+    """g = k3 w³."""
+
+    kind: Literal["cubic_spring"]
+    stiffness_n_m3: float
+
+
+class QuinticSpringSection(ElementSection):
+    """g = k5 w⁵."""
+
+    kind: Literal["quintic_spring"]
+    stiffness_n_m5: float
+
+
+class QuadraticSpringSection(ElementSection):
+    """g = k2 w²."""
+
+    kind: Literal["quadratic_spring"]
+    stiffness_n_m2: float
+
+
+class UnilateralStopSection(ElementSection):
+    """g = k max(w - gap, 0)."""
+
+    kind: Literal["unilateral_stop"]
+    stiffness_n_m: Positive
+    gap_m: float
+
+
+class TwoSidedGapSection(ElementSection):
+    """Stops on both sides at distance gap."""
+
+    kind: Literal["two_sided_gap"]
+    stiffness_n_m: Positive
+    gap_m: NotNegative
+
+
+class QuadraticDragSection(ElementSection):
+    """g = c2 v |v|."""
+
+    kind: Literal["quadratic_drag"]
+    drag_ns2_m2: float
+
+
+class LinearSpringSection(ElementSection):
+    """g = k w."""
+
+    kind: Literal["linear_spring"]
+    stiffness_n_m: float
+
+
+class LinearDamperSection(ElementSection):
+    """g = c v."""
+
+    kind: Literal["linear_damper"]
+    damping_ns_m: float
+
+
+class TanhFrictionSection(ElementSection):
+    """g = μN tanh(v / v0)."""
+
+    kind: Literal["tanh_friction"]
+    slip_force_n: Positive
+    reference_velocity_m_s: Positive
+
+
+AnyElement = Annotated[
+    JenkinsSection
+    | CubicSpringSection
+    | QuinticSpringSection
+    | QuadraticSpringSection
+    | UnilateralStopSection
+    | TwoSidedGapSection
+    | QuadraticDragSection
+    | LinearSpringSection
+    | LinearDamperSection
+    | TanhFrictionSection,
+    Field(discriminator="kind"),
+]
+
+
+class ShakerSection(Section):
+    """Electrodynamic shaker, its table joined to `point` by a rigid stinger; driven by a voltage."""
+
+    kind: Literal["electrodynamic_shaker"]
+    point: Point
+    table_mass_kg: Positive
+    table_stiffness_n_m: NotNegative
+    table_damping_ns_m: NotNegative
+    coil_mass_kg: Positive
+    coil_stiffness_n_m: Positive
+    coil_damping_ns_m: NotNegative
+    force_factor_n_a: Positive
+    inductance_h: Positive
+    resistance_ohm: Positive
+
+
+class ForceSection(Section):
+    """Ideal force at `point`, `newton_per_volt` times the drive voltage."""
+
+    kind: Literal["force"]
+    point: Point
+    newton_per_volt: Positive = 1.0
+
+
+class SensorSection(Section):
+    """One channel. Noise is a one-sided power spectral density in units²/Hz."""
+
+    quantity: Literal["force", "displacement", "velocity", "acceleration", "voltage", "current"]
+    point: Point | Literal["drive"] | None = None
+    channel: Name | None = None
+    gain: float = 1.0
+    noise_psd: NotNegative = 0.0
+    noise_correlation_time_s: NotNegative = 0.0
+    range: Positive | None = None
+    bits: Annotated[int, Field(ge=2, le=32)] | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SensorSection:
+        if self.quantity in ("displacement", "velocity", "acceleration") and self.point is None:
+            raise ValueError(f"point is missing; a {self.quantity} sensor needs a point number or drive")
+        if self.quantity in ("voltage", "current") and self.point is not None:
+            raise ValueError(f"a {self.quantity} sensor belongs to no point; remove point")
+        if self.quantity == "force" and self.point not in (None, "drive"):
+            raise ValueError("force is measured at the drive point; write point: drive")
+        if self.bits is not None and self.range is None:
+            raise ValueError("bits needs range, the converter's full scale")
+        if self.gain == 0.0:
+            raise ValueError("gain must not be zero, got 0")
+        return self
+
+
+class LimitSection(Section):
+    """Amplitudes beyond which the drive ramps to zero and stays there until reset; left out = no limit."""
+
+    voltage_v: Positive | None = None
+    force_n: Positive | None = None
+    acceleration_m_s2: Positive | None = None
+    displacement_m: Positive | None = None
+    ramp_s: NotNegative = 0.1
+
+
+class WatchdogSection(Section):
+    """Drive to zero after `blocks` blocks without a command; 0 turns the watchdog off."""
+
+    blocks: Annotated[int, Field(ge=0)] = 50
+    ramp_s: NotNegative = 0.5
+
+
+class TestSection(Section):
+    """Defaults of a test on this rig: target mode (from 1), levels in volts of drive amplitude."""
+
+    __test__ = False
+    mode: Annotated[int, Field(ge=1)] = 1
+    levels: Annotated[str, Field(pattern=r"^[-+0-9.eE:, ]+$")] = "0.05:1.5:10"
+    ramp_s: NotNegative = 0.5
+    window_periods: Annotated[int, Field(ge=1)] = 200
+    lock_timeout_s: Positive = 60.0
+
+
+class ExtractionSection(Section):
+    """Harmonics of the extraction and how many linear modes Φ has (no more than response points)."""
+
+    harmonics: Annotated[int, Field(ge=1, le=50)] = 7
+    linear_modes: Annotated[int, Field(ge=1)] = 2
+    quantity: Literal["displacement", "acceleration"] = "displacement"
+
+
+def _plain_setting(value: Any) -> Any:
+    """One setting of the loop: a finite number, a word, or true or false; the loop itself checks the rest."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"must be a finite number, got {value}")
+    if not isinstance(value, bool | int | float | str):
+        raise ValueError(f"must be a number, a word, or true or false, got {value!r}")
+    return value
+
+
+class Rig(Section):
+    """A rig file. See the beam's file for the meaning of every key."""
+
+    name: Name
+    description: str = ""
+    assumptions: list[str] = []
+    seed: Annotated[int, Field(ge=0)] = 0
+    sample_rate_hz: Positive = 10_000.0
+    block_samples: Annotated[int, Field(ge=1, le=5000)] = 200
+    substeps: Annotated[int, Field(ge=1, le=64)] = 1
+    structure: Annotated[BeamSection | ChainSection, Field(discriminator="kind")]
+    local_elements: list[AnyElement] = []
+    exciter: Annotated[ShakerSection | ForceSection, Field(discriminator="kind")]
+    sensors: Annotated[list[SensorSection], Field(min_length=1)]
+    limits: LimitSection = LimitSection()
+    watchdog: WatchdogSection = WatchdogSection()
+    test: TestSection = TestSection()
+    extraction: ExtractionSection = ExtractionSection()
+    pll: dict[str, Annotated[Any, AfterValidator(_plain_setting)]] = {}
+
+    @property
+    def drive_point(self) -> int:
+        """Point number of the exciter."""
+        return self.exciter.point
+
+    def sensor_point(self, sensor: SensorSection) -> int:
+        """Point of a sensor, 0 for voltage and current."""
+        if sensor.quantity in ("voltage", "current"):
+            return 0
+        return sensor.point if isinstance(sensor.point, int) else self.drive_point
+
+    def sensor_channel(self, sensor: SensorSection) -> str:
+        """Channel name: as given, or f, x, v, a with the point, u for voltage, i for current."""
+        if sensor.channel is not None:
+            return sensor.channel
+        letter = {"force": "f", "displacement": "x", "velocity": "v", "acceleration": "a"}.get(
+            sensor.quantity
+        )
+        if letter is None:
+            return {"voltage": "u", "current": "i"}[sensor.quantity]
+        return f"{letter}{self.sensor_point(sensor)}"
+
+    def response_points(self, quantity: Quantity) -> tuple[int, ...]:
+        """Points of the sensors of one quantity, in the order of the file."""
+        return tuple(self.sensor_point(s) for s in self.sensors if Quantity[s.quantity.upper()] == quantity)
+
+
+def _points_used(rig: Rig) -> Iterator[tuple[KeyPath, int]]:
+    yield ("exciter", "point"), rig.exciter.point
+    for index, element in enumerate(rig.local_elements):
+        yield ("local_elements", index, "point"), element.point
+        if element.other_point is not None:
+            yield ("local_elements", index, "other_point"), element.other_point
+    for index, sensor in enumerate(rig.sensors):
+        if isinstance(sensor.point, int):
+            yield ("sensors", index, "point"), sensor.point
+
+
+def _check_references(rig: Rig, document: RigDocument) -> None:
+    """What one section says about another: points exist, channels are unique, a current needs a shaker."""
+    points = rig.structure.points
+    for path, point in _points_used(rig):
+        if point not in points:
+            raise BenchError(
+                f"{document.place(path)}: {_dotted(path)} is {point}, but the structure has points "
+                f"1 to {points[-1]}."
+            )
+    for index, element in enumerate(rig.local_elements):
+        if element.other_point == element.point:
+            path = ("local_elements", index, "other_point")
+            raise BenchError(f"{document.place(path)}: {_dotted(path)} must differ from point.")
+    seen: dict[str, int] = {}
+    for index, sensor in enumerate(rig.sensors):
+        channel = rig.sensor_channel(sensor)
+        path = ("sensors", index)
+        if channel in seen:
+            raise BenchError(
+                f"{document.place(path)}: channel {channel} exists already (sensors.{seen[channel]}); "
+                "remove one or give it another channel name."
+            )
+        seen[channel] = index
+        if sensor.quantity == "current" and not isinstance(rig.exciter, ShakerSection):
+            raise BenchError(f"{document.place(path)}: a current sensor needs an electrodynamic_shaker.")
+    if not any(sensor.quantity == "force" for sensor in rig.sensors):
+        raise BenchError(f"{document.place(('sensors',))}: sensors needs a force sensor at the drive point.")
+    responses = len(rig.response_points(Quantity[rig.extraction.quantity.upper()]))
+    if responses == 0:
+        raise BenchError(
+            f"{document.place(('extraction', 'quantity'))}: extraction.quantity is {rig.extraction.quantity}, "
+            "but there is no such sensor."
+        )
+    if rig.extraction.linear_modes > responses or rig.test.mode > rig.extraction.linear_modes:
+        raise BenchError(
+            f"{document.place(('extraction', 'linear_modes'))}: extraction.linear_modes must be between test.mode "
+            f"({rig.test.mode}) and the number of {rig.extraction.quantity} sensors ({responses}), got "
+            f"{rig.extraction.linear_modes}."
+        )
+
+
+def _dotted(path: Sequence[str | int]) -> str:
+    return ".".join(str(part) for part in path)
+
+
+def _plain_path(location: Sequence[str | int], values: Any) -> KeyPath:
+    """pydantic's location without the tags of unions."""
+    path: list[str | int] = []
+    node = values
+    rest = list(location)
+    while rest:
+        part = rest.pop(0)
+        if isinstance(node, dict) and part in node:
+            node = node[part]
+        elif isinstance(node, list) and isinstance(part, int) and part < len(node):
+            node = node[part]
+        elif isinstance(node, dict) and node.get("kind") == part and rest:
+            continue
+        elif rest or not isinstance(node, dict | list):
+            continue
+        path.append(part)
+    return tuple(path)
+
+
+_SENTENCES = {
+    "greater_than": "must be positive",
+    "finite_number": "must be a finite number",
+    "float_type": "must be a number in the unit that its name says",
+    "float_parsing": "must be a number in the unit that its name says",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "string_type": "must be a text",
+    "list_type": "must be a list",
+    "dict_type": "must be a mapping of keys to values",
+    "model_type": "must be a mapping of keys to values",
+    "model_attributes_type": "must be a mapping of keys to values",
+}
+
+
+def _suggestion(key: str, known: Sequence[str]) -> str:
+    close = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+    return f"did you mean {close[0]}?" if close else f"known keys are {', '.join(known)}."
+
+
+def _known_keys(values: Any, path: KeyPath) -> list[str]:
+    """Keys of the section that contains the last part of `path`."""
+    section: Any = Rig
+    node = values
+    for part in path[:-1]:
+        node = node[part]
+        if isinstance(part, int):
+            section = _variant(section, node)
+            continue
+        annotation = section.model_fields[part].annotation
+        section = _variant(annotation, node)
+    return list(section.model_fields) if hasattr(section, "model_fields") else []
+
+
+def _variant(annotation: Any, node: Any) -> Any:
+    """The section class that `node` is an instance of, or the annotation of a list's entries."""
+    arguments = getattr(annotation, "__args__", ())
+    metadata = getattr(annotation, "__metadata__", None)
+    if metadata is not None:
+        return _variant(annotation.__origin__, node)
+    if isinstance(node, list):
+        return arguments[0] if arguments else annotation
+    for candidate in arguments:
+        field = candidate.model_fields.get("kind") if hasattr(candidate, "model_fields") else None
+        if field is not None and isinstance(node, dict) and node.get("kind") in field.annotation.__args__:
+            return candidate
+    return annotation
+
+
+def _sentence(error: ErrorDetails, document: RigDocument) -> str:
+    path = _plain_path(error["loc"], document.values)
+    kind = error["type"]
+    name = _dotted(path) or "the rig"
+    given = error["input"]
+    shown = "null" if given is None else repr(given) if isinstance(given, str) else f"{given}"
+    if len(shown) > 60:
+        shown = shown[:57] + "..."
+    context = error.get("ctx", {})
+    if kind == "extra_forbidden":
+        known = _known_keys(document.values, path)
+        return f"{document.place(path)}: unknown key {name}; {_suggestion(str(path[-1]), known)}"
+    if kind == "missing":
+        return f"{document.place(path)}: {name} is missing; add it."
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        # The location of a discriminated union is the section; the key at fault is its `kind`.
+        expected = context.get("expected_tags") or "one of the known kinds"
+        tag = given.get("kind") if isinstance(given, dict) else None
+        end = f"got {tag!r}" if tag is not None else "it is missing"
+        return f"{document.place((*path, 'kind'))}: {name}.kind must be one of {expected}; {end}."
+    if kind == "value_error":
+        return f"{document.place(path)}: {name} {context.get('error', error['msg'])}."
+    if kind == "greater_than" and context.get("gt") not in (0, 0.0):
+        sentence = f"must be greater than {context['gt']}"
+    elif kind == "greater_than_equal":
+        bound = context["ge"]
+        sentence = "must not be negative" if bound == 0 else f"must be at least {bound:g}"
+    elif kind == "less_than_equal":
+        sentence = f"must be at most {context['le']:g}"
+    elif kind == "literal_error":
+        sentence = f"must be {context['expected']}"
+    elif kind == "string_pattern_mismatch":
+        sentence = f"does not have the form {context['pattern']}"
+    elif kind in ("too_short", "too_long"):
+        sentence = "has too few entries" if kind == "too_short" else "has too many entries"
+        shown = f"{context.get('actual_length')}"
+    else:
+        sentence = _SENTENCES.get(kind, error["msg"].replace("Input should", "should"))
+    return f"{document.place(path)}: {name} {sentence}, got {shown}."
+
+
+def validate_rig(document: RigDocument) -> Rig:
+    """Rig from a parsed file.
+
+    Raises:
+        BenchError: the first thing that is wrong, with file and line, and how many more there are.
+    """
+    try:
+        rig = Rig.model_validate(document.values)
+    except ValidationError as failure:
+        errors = failure.errors(include_url=False)
+        sentence = _sentence(errors[0], document)
+        more = len(errors) - 1
+        raise BenchError(sentence + (f" ({more} more like this)" if more else "")) from failure
+    _check_references(rig, document)
+    return rig
+
+
+def _rig_folders() -> list[Path]:
+    folders = [Path(part) for part in os.environ.get(RIG_PATH_VARIABLE, "").split(os.pathsep) if part]
+    # The shipped rigs are data of the bench package; it is located, never imported.
+    spec = importlib.util.find_spec("nmt_bench")
+    if spec is not None and spec.submodule_search_locations:
+        folders += [Path(location) / "rigs" for location in spec.submodule_search_locations]
+    return folders
+
+
+def rig_names() -> list[str]:
+    """Names of the rigs that can be loaded without a path."""
+    return sorted({path.stem for folder in _rig_folders() for path in folder.glob("*.yaml")})
+
+
+def find_rig(path_or_name: str | Path) -> Path:
+    """File of a rig given by path, or by name: NMT_RIG_PATH first, then the shipped rigs.
+
+    Raises:
+        BenchError: there is no such rig.
+    """
+    path = Path(path_or_name)
+    if path.is_file():
+        return path
+    if re.fullmatch(r"[A-Za-z0-9_-]+", str(path_or_name)):
+        for folder in _rig_folders():
+            candidate = folder / f"{path_or_name}.yaml"
+            if candidate.is_file():
+                return candidate
+    known = ", ".join(rig_names()) or "none"
+    raise BenchError(f"there is no rig {path_or_name}; give the path of a rig file or one of: {known}.")
+
+
+def load_rig(path_or_name: str | Path, overrides: Sequence[str] = ()) -> Rig:
+    """Load and validate a rig.
+
+    Args:
+        path_or_name: path of a YAML file, or the name of a shipped rig.
+        overrides: `a.b.c=value`, validated like the file itself.
+
+    Raises:
+        BenchError: no such rig, or anything wrong in it or in an override, with the line.
+    """
+    return validate_rig(apply_overrides(read_document(find_rig(path_or_name)), overrides))

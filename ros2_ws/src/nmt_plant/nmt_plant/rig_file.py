@@ -1,0 +1,197 @@
+"""YAML rig files with the line of every key, and `a.b.c=value` overrides.
+
+Numbers follow YAML 1.2 (1e-4 is a number). Duplicate keys are refused. Whatever is wrong is said in one sentence that
+names the file and the line.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from nmt_core.errors import BenchError
+
+KeyPath = tuple[str | int, ...]
+_MOST_NODES = 20_000
+_DEEPEST = 40
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader with YAML 1.2 floats and without dates."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    letter: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(("float", "timestamp"))]
+    for letter, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(
+        r"^[-+]?(?:(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+|\.(?:inf|Inf|INF))$"
+        r"|^\.(?:nan|NaN|NAN)$"
+    ),
+    list("-+0123456789."),
+)
+
+
+@dataclass(frozen=True)
+class RigDocument:
+    """Parsed rig file.
+
+    Attributes:
+        name: file name, as it appears in error messages.
+        values: plain mapping.
+        places: key path -> "line N" or the override that set it.
+    """
+
+    name: str
+    values: dict[str, Any]
+    places: dict[KeyPath, str]
+
+    def place(self, path: KeyPath) -> str:
+        """File and line of a key, or of the nearest enclosing one, for an error message."""
+        for length in range(len(path), -1, -1):
+            found = self.places.get(path[:length])
+            if found is not None:
+                return f"{self.name} {found}"
+        return self.name
+
+
+def parse_document(text: str, name: str) -> RigDocument:
+    """Parse the text of a rig file.
+
+    Raises:
+        BenchError: not YAML, not a mapping, duplicate keys, or far too large.
+    """
+    loader = _Loader(text)
+    try:
+        node = loader.get_single_node()
+        if node is None:
+            raise BenchError(f"{name} is empty; a rig file needs at least name, structure and exciter.")
+        places: dict[KeyPath, str] = {}
+        budget = [_MOST_NODES]
+        values = _construct(loader, node, (), places, name, budget)
+    except yaml.YAMLError as error:
+        raise BenchError(_syntax_message(error, name)) from error
+    finally:
+        loader.dispose()
+    if not isinstance(values, dict):
+        raise BenchError(f"{name} line 1: a rig file must be a mapping of keys to values.")
+    return RigDocument(name, values, places)
+
+
+def read_document(path: Path) -> RigDocument:
+    """Read and parse a rig file.
+
+    Raises:
+        BenchError: the file cannot be read, or as :func:`parse_document`.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise BenchError(f"{path} is not a text file in UTF-8; give a YAML rig file.") from error
+    except OSError as error:
+        raise BenchError(f"cannot read the rig file {path}: {error.strerror}.") from error
+    return parse_document(text, path.name)
+
+
+def _syntax_message(error: yaml.YAMLError, name: str) -> str:
+    mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+    problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "it is not valid YAML"
+    place = f"{name} line {mark.line + 1}" if mark is not None else name
+    return f"{place}: {problem}; mend the YAML syntax there."
+
+
+def _construct(
+    loader: _Loader, node: yaml.Node, path: KeyPath, places: dict[KeyPath, str], name: str, budget: list[int]
+) -> Any:
+    line = f"line {node.start_mark.line + 1}"
+    budget[0] -= 1
+    if budget[0] < 0 or len(path) > _DEEPEST:
+        raise BenchError(
+            f"{name} {line}: the file is nested too deeply or repeats itself; write it out plainly."
+        )
+    places.setdefault(path, line)
+    if isinstance(node, yaml.MappingNode):
+        result: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            key_line = f"line {key_node.start_mark.line + 1}"
+            key = loader.construct_object(key_node) if isinstance(key_node, yaml.ScalarNode) else None
+            if not isinstance(key, str):
+                raise BenchError(f"{name} {key_line}: every key must be a plain word.")
+            if key in result:
+                where = ".".join(map(str, (*path, key)))
+                first = places[(*path, key)]
+                raise BenchError(f"{name} {key_line}: {where} is given twice (first on {first}); remove one.")
+            places[(*path, key)] = key_line
+            result[key] = _construct(loader, value_node, (*path, key), places, name, budget)
+        return result
+    if isinstance(node, yaml.SequenceNode):
+        return [
+            _construct(loader, item, (*path, index), places, name, budget)
+            for index, item in enumerate(node.value)
+        ]
+    try:
+        return loader.construct_object(node)
+    except ValueError as error:
+        raise BenchError(f"{name} {line}: cannot read this value: {error}.") from error
+
+
+def apply_overrides(document: RigDocument, overrides: Sequence[str]) -> RigDocument:
+    """Set values by `a.b.c=value`; list entries by index or by their `name` or `channel`.
+
+    Raises:
+        BenchError: an override that is not of that form or leads nowhere.
+    """
+    values = _copied(document.values)
+    places = dict(document.places)
+    for override in overrides:
+        key, separator, text = override.partition("=")
+        parts = key.strip().split(".")
+        if not separator or not all(parts):
+            raise BenchError(f"--set {override}: write it as key.key=value, for example exciter.point=4.")
+        try:
+            value = parse_document(f"value: {text}", f"--set {override}").values.get("value")
+        except BenchError as error:
+            raise BenchError(f"--set {override}: the value is not valid YAML.") from error
+        target: Any = values
+        path: KeyPath = ()
+        for depth, part in enumerate(parts):
+            step: str | int = part
+            if isinstance(target, list):
+                step = _list_index(target, part, override, ".".join(parts[:depth]))
+            elif not isinstance(target, dict):
+                raise BenchError(f"--set {override}: {'.'.join(parts[:depth])} has no keys inside.")
+            path = (*path, step)
+            if depth == len(parts) - 1:
+                target[step] = value
+                for known in [known for known in places if known[: len(path)] == path]:
+                    del places[known]
+                places[path] = f"(--set {override})"
+            else:
+                if isinstance(target, dict) and part not in target:
+                    target[part] = {}
+                target = target[step]
+    return RigDocument(document.name, values, places)
+
+
+def _list_index(entries: list[Any], part: str, override: str, where: str) -> int:
+    if part.isdigit() and int(part) < len(entries):
+        return int(part)
+    for index, entry in enumerate(entries):
+        if isinstance(entry, dict) and part in (entry.get("name"), entry.get("channel")):
+            return index
+    raise BenchError(f"--set {override}: {where} has {len(entries)} entries and none is called {part}.")
+
+
+def _copied(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _copied(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_copied(item) for item in value]
+    return value

@@ -16,6 +16,7 @@ from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.task import Future
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from nmt_core.errors import BenchError
@@ -33,6 +34,7 @@ STATE_QOS = QoSProfile(
 )
 
 
+_SPIN_LIMIT = 1.0  # s
 HEARTBEAT_PERIOD = 0.25  # s of wall time
 READY = "ready"
 COMMON_PARAMETERS = (
@@ -186,6 +188,17 @@ def _descriptor(item: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
+def spin_for_ever(executor: Any, context: Any) -> None:
+    """Spin until the context is shut down.
+
+    ``EventsExecutor.spin()`` without a time limit burns a core, serves nothing and does not see signals; with a limit
+    it waits as it should.
+    """
+    never = Future()
+    while context.ok():
+        executor.spin_until_future_complete(never, timeout_sec=_SPIN_LIMIT)
+
+
 def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -> int:
     """Run one node until it is told to end: the shared ``main`` of all executables.
 
@@ -205,7 +218,7 @@ def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -
         gc.collect()
         gc.freeze()
         with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-            executor.spin()
+            spin_for_ever(executor, node.context)
         return 0
     except BenchError as error:
         sys.stderr.write(f"{error}\n")

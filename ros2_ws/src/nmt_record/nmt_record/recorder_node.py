@@ -135,7 +135,7 @@ class RecorderNode(BenchNode):
         self._state_publisher = self.create_publisher(String, "bag", STATE_QOS)
         for topic in topics:
             self.writer.add_topic(topic.name, topic.message_type, topic.service)
-            self.create_subscription(
+            self.bench_subscription(
                 types[topic.message_type],
                 # What stands in the global place stays there whatever the node's namespace is.
                 "/diagnostics" if topic.name == "diagnostics" else topic.name,

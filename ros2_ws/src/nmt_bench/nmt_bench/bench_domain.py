@@ -1,0 +1,63 @@
+"""Private ROS domains: one number for one bench at a time on this host."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Iterable
+
+from nmt_core.errors import BenchError
+
+# Domain ids up to 101 keep clear of the system's ephemeral ports.
+_DOMAINS = range(1, 101)
+_FIRST_PORT = 28_700
+
+
+class BenchDomain:
+    """Holds a domain id until closed; the operating system releases it if the process dies.
+
+    A loopback port stands for each id, so two benches, whoever started them, never share one.
+
+    Args:
+        domain_id: a particular id; None = any free one.
+
+    Raises:
+        BenchError: no id is free, or the one asked for is taken.
+    """
+
+    def __init__(self, domain_id: int | None = None) -> None:
+        offset = os.getpid() % len(_DOMAINS)
+        candidates: Iterable[int] = (
+            [domain_id] if domain_id is not None else [_DOMAINS[(offset + k) % len(_DOMAINS)] for k in range(len(_DOMAINS))]
+        )
+        for candidate in candidates:
+            holder = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            try:
+                holder.bind(("127.0.0.1", _FIRST_PORT + candidate))
+            except OSError:
+                holder.close()
+                continue
+            self._holder = holder
+            self.id = candidate
+            return
+        which = "No ROS domain is free" if domain_id is None else f"ROS domain {domain_id} is in use by another bench"
+        raise BenchError(f"{which}; stop benches that still run, or choose another with --domain.")
+
+    def close(self) -> None:
+        """Release the id."""
+        self._holder.close()
+
+
+def bench_environment(domain_id: int) -> dict[str, str]:
+    """Environment variables for the nodes of a bench.
+
+    Discovery stays on this host, because a shaker must not obey a stranger on the network; UDP on the loopback
+    device instead of shared memory leaves nothing in /dev/shm when a node is killed and costs no speed.
+    """
+    return {
+        "ROS_DOMAIN_ID": str(domain_id),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+        "OPENBLAS_NUM_THREADS": "1",
+        "OMP_NUM_THREADS": "1",
+    }

@@ -1,0 +1,450 @@
+"""Launch-free harness: the bench's nodes on a private domain, started, driven and cleaned up from Python.
+
+>>> from nmt_bench.harness import Bench
+>>> with Bench("beam", levels=[0.1, 0.5], window_periods=20) as bench:      # doctest: +SKIP
+...     result = bench.run()
+...     result.points[0].damping_ratio
+
+Nodes live in this process (fast, one thread) or each in a process of its own (as on a lab PC). Leaving the ``with``
+block ends them whatever happened; no process, no shared memory and, without ``out``, no file stays behind.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import json
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from rclpy.action import ActionClient
+from rclpy.context import Context
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from nmt_bench.bench_domain import BenchDomain, bench_environment
+from nmt_bench.node_plan import NODES, NodePlan, TestPlan, plan_nodes
+from nmt_bench.node_processes import NodeProcesses
+from nmt_core.base_node import STATE_QOS
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+from nmt_extract.conversions import modal_point_from_message
+from nmt_extract.modal_point import ModalPoint
+from nmt_msgs.action import RunLevels
+from nmt_bench.rig_snapshot import rig_text
+from nmt_plant.rig import Rig, load_rig
+from nmt_sequencer.level_plan import parse_levels
+from nmt_sequencer.run_machine import ResultCode
+
+START_TIMEOUT = 60.0
+_POLL = 0.02
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run stands; fields as in the action's feedback."""
+
+    level_index: int
+    level_count: int
+    level: float
+    state: int
+    frequency_hz: float
+    phase_error: float
+    fraction_done: float
+    sample: int
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """How a run ended.
+
+    Attributes:
+        code: result code.
+        message: one sentence.
+        points: modal points in the order of the levels.
+        bag: folder of the bag, None if nothing was recorded.
+        bag_state: ``closed``, ``failed``, ``open`` (the recorder did not answer) or ``lost`` (it died).
+        wall_time: s from the start of the first level to the end of the run.
+        bench_time: s of bench time.
+        lost_node: name of the node that died, empty if none did.
+    """
+
+    code: ResultCode
+    message: str
+    points: tuple[ModalPoint, ...]
+    bag: Path | None
+    bag_state: str
+    wall_time: float
+    bench_time: float
+    lost_node: str = ""
+
+    @property
+    def real_time_factor(self) -> float:
+        """Bench time over wall time."""
+        return self.bench_time / self.wall_time if self.wall_time > 0 else 0.0
+
+
+class Bench:
+    """The nodes of one test.
+
+    Args:
+        rig: name of a rig that comes with the bench, path of a rig file, or a loaded rig.
+        levels: drive amplitudes in V, the notation of ``--levels``, or None for the rig's own.
+        out: folder that gets ``bag``, ``rig.yaml``, ``run.json`` and the nodes' logs; None = a temporary one.
+        processes: each node its own process.
+        overrides: ``key=value`` texts applied to the rig file.
+        exciter: drive point; None = the rig's own.
+        seed: seed of all noise; None = the rig's own.
+        pacing: ``lockstep`` or ``realtime``.
+        latency_blocks: blocks of buffering between command and excitation.
+        window_periods, ramp, timeout: None = the rig's own; periods, s, s.
+        stop_on_lost_lock: end at the first level that does not lock.
+        run_id: name of the run; None = from the clock.
+        linear: linear description for loop and extraction; None = from the rig's model.
+        domain_id: ROS domain; None = any that no other bench uses.
+        node_values: further parameters by node name.
+
+    Raises:
+        BenchError: the rig, the levels or a setting is refused; nothing has been started then.
+    """
+
+    def __init__(
+        self,
+        rig: str | Path | Rig,
+        levels: Sequence[float] | str | None = None,
+        *,
+        out: Path | str | None = None,
+        processes: bool = False,
+        overrides: Sequence[str] = (),
+        exciter: int | None = None,
+        seed: int | None = None,
+        pacing: str = "lockstep",
+        latency_blocks: int = 0,
+        window_periods: int | None = None,
+        ramp: float | None = None,
+        timeout: float | None = None,
+        stop_on_lost_lock: bool = False,
+        run_id: str | None = None,
+        linear: LinearDescription | None = None,
+        domain_id: int | None = None,
+        node_values: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        changes = list(overrides)
+        if exciter is not None:
+            changes.append(f"exciter.point={exciter}")
+        if seed is not None:
+            changes.append(f"seed={seed}")
+        if isinstance(rig, Rig):
+            if changes:
+                raise BenchError("Overrides need a rig by name or path; this one is loaded already.")
+            self.rig, text = rig, rig_text(rig)
+        else:
+            self.rig = load_rig(str(rig), changes)
+            text = rig_text(self.rig, rig, changes)
+        plan = self.rig.test.levels if levels is None else levels
+        self.test = TestPlan(
+            rig=self.rig,
+            rig_yaml=text,
+            levels=tuple(parse_levels(plan) if isinstance(plan, str) else plan),
+            run_id=run_id or time.strftime(f"{self.rig.name}-%Y%m%d-%H%M%S"),
+            pacing=pacing,
+            latency_blocks=latency_blocks,
+            window_periods=window_periods,
+            ramp=ramp,
+            timeout=timeout,
+            stop_on_lost_lock=stop_on_lost_lock,
+            linear=linear,
+            node_values=node_values or {},
+        )
+        self.use_processes = processes
+        self._out = Path(out) if out is not None else None
+        self._domain_id = domain_id
+        self._cleanup = contextlib.ExitStack()
+        self.nodes: dict[str, Any] = {}
+        self.processes: NodeProcesses | None = None
+        self._goal_handle: Any = None
+        self._ran = False
+        # Refuses what can be refused before anything is created.
+        self._dry = plan_nodes(self.test, Path("bag"), Path("rig.yaml"))
+
+    # -- life ----------------------------------------------------------------------------------------------------
+
+    def __enter__(self) -> Bench:
+        try:
+            self._start()
+        except BaseException:
+            self._cleanup.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if self._goal_handle is not None and kind is not None:
+                with contextlib.suppress(Exception):
+                    self.stop()
+        finally:
+            self._cleanup.close()
+
+    def _start(self) -> None:
+        if self._out is None:
+            self.out = Path(tempfile.mkdtemp(prefix="nmt-"))
+            self._cleanup.callback(shutil.rmtree, self.out, ignore_errors=True)
+        else:
+            self.out = self._out
+            self.out.mkdir(parents=True, exist_ok=True)
+        domain = BenchDomain(self._domain_id)
+        self._cleanup.callback(domain.close)
+        self.domain_id = domain.id
+        environment = bench_environment(domain.id)
+        self._cleanup.callback(_restore_environment, {name: os.environ.get(name) for name in environment})
+        os.environ.update(environment)
+
+        rig_file = self.out / "rig.yaml"
+        rig_file.write_text(self.test.rig_yaml, encoding="utf-8")
+        self.plan: NodePlan = plan_nodes(self.test, self.out / "bag", rig_file.resolve())
+        (self.out / "run.json").write_text(json.dumps(self.plan.run, indent=2) + "\n", encoding="utf-8")
+
+        self.context = Context()
+        rclpy.init(
+            args=[], context=self.context, domain_id=domain.id, signal_handler_options=SignalHandlerOptions.NO
+        )
+        self._cleanup.callback(self._shut_context)
+        self.executor = EventsExecutor(context=self.context)
+        self._cleanup.callback(self._shut_executor)
+        if self.use_processes:
+            self.processes = NodeProcesses(self.plan, self.out, environment)
+            self._cleanup.callback(self.processes.end)
+            self.processes.start()
+        else:
+            for name, (_, _, where) in NODES.items():
+                module, _, attribute = where.partition(":")
+                kind = getattr(importlib.import_module(module), attribute)
+                node = kind(values=self.plan.values[name], context=self.context)
+                self._add(name, node)
+        self.client = _RunClient(self.context)
+        self._add("client", self.client)
+
+    def _add(self, name: str, node: Node) -> None:
+        self.nodes[name] = node
+        self.executor.add_node(node)
+        self._cleanup.callback(self._remove, node)
+
+    def _remove(self, node: Node) -> None:
+        self.executor.remove_node(node)
+        shut_down = getattr(node, "shut_down", None)
+        if shut_down is not None:
+            shut_down()
+        node.destroy_node()
+
+    def _shut_executor(self) -> None:
+        self.executor.shutdown()
+
+    def _shut_context(self) -> None:
+        rclpy.try_shutdown(context=self.context)
+
+    # -- use -----------------------------------------------------------------------------------------------------
+
+    def run(self, on_progress: Callable[[Progress], None] | None = None) -> RunResult:
+        """Work through the levels.
+
+        Args:
+            on_progress: called about ten times a second.
+
+        Returns:
+            How it ended; a lost lock or a dead node is a result, not an exception.
+
+        Raises:
+            BenchError: the nodes did not come up, or this bench has run already.
+        """
+        if self._ran:
+            raise BenchError("A bench runs once; make a new one for another run.")
+        self._ran = True
+        self._spin_until(lambda: self.client.server_is_ready(), START_TIMEOUT, "the sequencer's action server")
+        handle = self._await(self.client.send_goal(self.plan.goal, on_progress), START_TIMEOUT, "the goal's answer")
+        if not handle.accepted:
+            raise BenchError("The sequencer refused the plan; its log says why.")
+        self._goal_handle = handle
+        began = time.monotonic()
+        try:
+            message, lost = self._await_result(handle.get_result_async())
+        finally:
+            self._goal_handle = None
+        wall_time = time.monotonic() - (self.client.first_feedback or began)
+        bag_state = self._await_bag(lost)
+        if message is None:
+            result = RunResult(
+                ResultCode.NODE_LOST,
+                f"Node {lost} has died{self._last_words(lost)}; the drive was taken to zero.",
+                tuple(self.client.points()),
+                self.out / "bag",
+                bag_state,
+                wall_time,
+                self.client.bench_time(self.rig.sample_rate_hz),
+                lost,
+            )
+        else:
+            text = message.message
+            if lost:
+                text = f"Node {lost} has died{self._last_words(lost)}; the run was ended and the drive is at zero."
+            result = RunResult(
+                ResultCode.NODE_LOST if lost else ResultCode(message.result_code),
+                text,
+                tuple(modal_point_from_message(point) for point in message.points),
+                self.out / "bag",
+                bag_state,
+                wall_time,
+                self.client.bench_time(self.rig.sample_rate_hz),
+                lost,
+            )
+        return result
+
+    def stop(self) -> bool:
+        """End the run early by a ramp to zero; False if nothing was running."""
+        return self._call("stop")
+
+    def pause(self) -> bool:
+        """Hold the present level; False if no run can be paused."""
+        return self._call("pause")
+
+    def resume(self) -> bool:
+        """Go on after a pause; False if nothing is paused."""
+        return self._call("resume")
+
+    def cancel(self) -> None:
+        """Cancel the goal without waiting; :meth:`run` returns when the drive is at zero."""
+        if self._goal_handle is not None:
+            self._goal_handle.cancel_goal_async()
+
+    def spin(self, seconds: float) -> None:
+        """Let in-process nodes work for a while of wall time."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=min(_POLL, max(0.0, end - time.monotonic())))
+
+    # -- waiting -------------------------------------------------------------------------------------------------
+
+    def _call(self, service: str) -> bool:
+        client = self.client.create_client(Trigger, service)
+        try:
+            self._spin_until(client.service_is_ready, 5.0, f"the service '{service}'")
+            answer = self._await(client.call_async(Trigger.Request()), 5.0, f"the service '{service}'")
+            return bool(answer.success)
+        finally:
+            self.client.destroy_client(client)
+
+    def _spin_until(self, done: Callable[[], bool], timeout: float, what: str) -> None:
+        end = time.monotonic() + timeout
+        while not done():
+            if time.monotonic() > end:
+                raise BenchError(f"Waited {timeout:g} s in vain for {what}; the logs in {self.out / 'log'} may say why.")
+            self._check_start()
+            self.executor.spin_once(timeout_sec=_POLL)
+
+    def _await(self, future: Any, timeout: float, what: str) -> Any:
+        self._spin_until(future.done, timeout, what)
+        return future.result()
+
+    def _check_start(self) -> None:
+        dead = self.processes.first_dead() if self.processes else ""
+        if dead:
+            raise BenchError(f"Node {dead} ended at once{self._last_words(dead)}.")
+
+    def _await_result(self, future: Any) -> tuple[Any, str]:
+        """The action's result (None if the sequencer died) and the name of a node that died."""
+        lost, lost_at = "", 0.0
+        while not future.done():
+            if self.use_processes:
+                self.executor.spin_once(timeout_sec=_POLL)
+            else:
+                self.executor.spin_until_future_complete(future, timeout_sec=0.2)
+            if self.processes is None:
+                continue
+            dead = self.processes.first_dead()
+            if dead and not lost:
+                lost, lost_at = dead, time.monotonic()
+                if dead != "sequencer" and self._goal_handle is not None:
+                    self._goal_handle.cancel_goal_async()
+            if lost and time.monotonic() - lost_at > (2.0 if lost == "sequencer" else 15.0):
+                return None, lost
+        return future.result().result, lost
+
+    def _await_bag(self, lost: str) -> str:
+        if lost == "recorder":
+            return "lost"
+        end = time.monotonic() + 10.0
+        while self.client.bag_state not in ("closed", "failed") and time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=_POLL)
+        return self.client.bag_state
+
+    def _last_words(self, name: str) -> str:
+        words = self.processes.last_words(name) if self.processes and name else ""
+        return f" ({words})" if words else ""
+
+
+class _RunClient(Node):
+    """Action client and listener of the harness."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__("bench_client", context=context, enable_rosout=False, start_parameter_services=False)
+        self._client = ActionClient(self, RunLevels, "run_levels")
+        self.bag_state = "open"
+        self.first_feedback: float | None = None
+        self.newest_sample = 0
+        self._points: dict[int, ModalPoint] = {}
+        self.create_subscription(String, "bag", self._on_bag, STATE_QOS)
+
+    def server_is_ready(self) -> bool:
+        return bool(self._client.server_is_ready())
+
+    def send_goal(self, goal: Mapping[str, Any], on_progress: Callable[[Progress], None] | None) -> Any:
+        def on_feedback(message: Any) -> None:
+            feedback = message.feedback
+            self.first_feedback = self.first_feedback or time.monotonic()
+            self.newest_sample = feedback.sample
+            if on_progress is not None:
+                on_progress(
+                    Progress(
+                        feedback.level_index,
+                        feedback.level_count,
+                        feedback.level,
+                        feedback.state,
+                        feedback.frequency_hz,
+                        feedback.phase_error,
+                        feedback.fraction_done,
+                        feedback.sample,
+                    )
+                )
+
+        request = RunLevels.Goal(**goal)
+        return self._client.send_goal_async(request, feedback_callback=on_feedback)
+
+    def _on_bag(self, message: String) -> None:
+        with contextlib.suppress(ValueError, TypeError, KeyError):
+            self.bag_state = json.loads(message.data)["state"]
+
+    def points(self) -> list[ModalPoint]:
+        return [self._points[index] for index in sorted(self._points)]
+
+    def bench_time(self, sample_rate: float) -> float:
+        return self.newest_sample / sample_rate
+
+
+def _restore_environment(values: Mapping[str, str | None]) -> None:
+    for name, value in values.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value

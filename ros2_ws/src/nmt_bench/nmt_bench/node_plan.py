@@ -1,0 +1,259 @@
+"""From a rig and a test to the parameters of every node; free of ROS, so that it can be looked at and tested."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+from nmt_extract.settings import ExtractionSettings
+from nmt_plant.linear_description import linear_description
+from nmt_plant.rig import Rig
+from nmt_pll.settings import settings_from
+from nmt_sequencer.level_plan import check_levels
+
+PACINGS = ("lockstep", "realtime")
+
+# Where each node's class and executable are found.
+NODES: dict[str, tuple[str, str, str]] = {
+    "plant": ("nmt_plant", "plant", "nmt_plant.plant_node:PlantNode"),
+    "pll": ("nmt_pll", "pll", "nmt_pll.pll_node:PllNode"),
+    "sequencer": ("nmt_sequencer", "sequencer", "nmt_sequencer.sequencer_node:SequencerNode"),
+    "extract": ("nmt_extract", "extract", "nmt_extract.extract_node:ExtractNode"),
+    "recorder": ("nmt_record", "recorder", "nmt_record.recorder_node:RecorderNode"),
+}
+
+
+@dataclass(frozen=True)
+class TestPlan:
+    """One test of a rig.
+
+    Attributes:
+        rig: the rig with all overrides applied.
+        rig_yaml: its text, kept in the bag.
+        levels: drive amplitudes, V, in order.
+        run_id: name of the run.
+        pacing: ``lockstep`` or ``realtime``.
+        latency_blocks: blocks of buffering between command and excitation.
+        window_periods, ramp, timeout: None = the rig's own.
+        stop_on_lost_lock: end the test at the first level that does not lock.
+        linear: linear description; None = from the rig's model.
+        node_values: further parameters by node name.
+    """
+
+    __test__ = False
+
+    rig: Rig
+    rig_yaml: str
+    levels: tuple[float, ...]
+    run_id: str
+    pacing: str = "lockstep"
+    latency_blocks: int = 0
+    window_periods: int | None = None
+    ramp: float | None = None
+    timeout: float | None = None
+    stop_on_lost_lock: bool = False
+    linear: LinearDescription | None = None
+    node_values: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_levels(self.levels, "The test")
+        if self.pacing not in PACINGS:
+            raise BenchError(f"Pacing '{self.pacing}' is not known; use {' or '.join(PACINGS)}.")
+        if self.latency_blocks < 0:
+            raise BenchError(f"latency_blocks must not be negative, got {self.latency_blocks}.")
+        if self.window_periods is not None and self.window_periods < 3:
+            raise BenchError(f"A window needs at least 3 periods, got {self.window_periods}.")
+        for name in ("ramp", "timeout"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < 1e6:
+                raise BenchError(f"The {name} must be between 0 and 1e6 s, got {value}.")
+
+    @property
+    def goal(self) -> dict[str, Any]:
+        """Fields of the ``run_levels`` goal."""
+        test = self.rig.test
+        return {
+            "run_id": self.run_id,
+            "control": 1,
+            "levels": [float(level) for level in self.levels],
+            "ramp": float(test.ramp_s if self.ramp is None else self.ramp),
+            "window_periods": int(test.window_periods if self.window_periods is None else self.window_periods),
+            "timeout": float(test.lock_timeout_s if self.timeout is None else self.timeout),
+            "stop_on_lost_lock": self.stop_on_lost_lock,
+        }
+
+
+@dataclass(frozen=True)
+class NodePlan:
+    """Parameters of every node of a test, and the run's self-description.
+
+    Attributes:
+        values: parameters by node name.
+        run: content of ``run.json``.
+        goal: fields of the action goal.
+    """
+
+    values: dict[str, dict[str, Any]]
+    run: dict[str, Any]
+    goal: dict[str, Any]
+
+    def write_parameters(self, path: Path) -> None:
+        """Write a parameter file that ``ros2 run … --ros-args --params-file`` takes for any of the nodes."""
+        content = {name: {"ros__parameters": values} for name, values in self.values.items()}
+        path.write_text(yaml.safe_dump(content, sort_keys=True, allow_unicode=True), encoding="utf-8")
+
+
+def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
+    """Parameters for all nodes.
+
+    Args:
+        test: the test.
+        bag: folder of the bag to be recorded.
+        rig_file: where the rig's text has been written for the plant node.
+
+    Raises:
+        BenchError: the rig has no response sensor at the drive point, or a setting is refused.
+    """
+    rig = test.rig
+    linear = test.linear or linear_description(rig)
+    response = _response_topic(rig)
+    topics = _sample_topics(rig)
+    extraction = ExtractionSettings(
+        harmonics=rig.extraction.harmonics, topics=tuple(topic for topic in topics if topic != "voltage")
+    )
+    pll = _loop_values(test, linear, response)
+    timing = {"sample_rate": float(rig.sample_rate_hz), "block_samples": int(rig.block_samples)}
+    values: dict[str, dict[str, Any]] = {
+        "plant": {
+            "rig_file": str(rig_file),
+            "pacing": test.pacing,
+            "latency_blocks": test.latency_blocks,
+            "watched_nodes": ["pll", "sequencer"],
+        },
+        "pll": {
+            **timing,
+            "linear_json": linear.to_json(),
+            "response_topic": response,
+            "latency_blocks": test.latency_blocks,
+            "watched_nodes": ["plant", "sequencer"],
+            **pll,
+        },
+        "sequencer": {
+            **timing,
+            "pacing": test.pacing,
+            "latency_blocks": test.latency_blocks,
+            "watched_nodes": ["plant", "pll", "extract", "recorder"],
+        },
+        "extract": {
+            "rig": rig.name,
+            "linear_json": linear.to_json(),
+            "harmonics": extraction.harmonics,
+            "topics": list(extraction.topics),
+        },
+        "recorder": {"output": str(bag)},
+    }
+    for name, extra in test.node_values.items():
+        if name not in values:
+            raise BenchError(f"Node '{name}' is not part of the bench; there are {', '.join(values)}.")
+        values[name].update(extra)
+    for name, peers in expected_peers(topics, response).items():
+        values[name]["expected_peers"] = peers
+    goal = test.goal
+    run = {
+        "run_id": test.run_id,
+        "rig": rig.name,
+        "seed": rig.seed,
+        "plan": {**{key: value for key, value in goal.items() if key != "run_id"}, "pacing": test.pacing},
+        "exciter_point": rig.drive_point,
+        "linear": json.loads(linear.to_json()),
+        "extraction": extraction.to_mapping(),
+        "parameters": {name: dict(items) for name, items in values.items()},
+        "versions": versions(),
+        "started": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+    }
+    values["recorder"]["run_json"] = json.dumps(run)
+    values["recorder"]["rig_yaml"] = test.rig_yaml
+    return NodePlan(values, run, goal)
+
+
+def expected_peers(topics: Sequence[str], response: str) -> dict[str, list[str]]:
+    """For every node the ``topic:count`` list of connections it waits for before it calls itself ready.
+
+    Args:
+        topics: sample topics of the rig.
+        response: topic of the response that the loop controls.
+    """
+    subscribers: dict[str, list[str]] = {
+        topic: ["recorder", *(["extract"] if topic != "voltage" else [])] for topic in topics
+    }
+    subscribers["force"].append("pll")
+    subscribers[response].append("pll")
+    subscribers.update(
+        drive=["plant", "recorder"],
+        frequency=["sequencer", "extract", "recorder"],
+        level=["pll", "extract", "recorder"],
+        lock=["sequencer", "extract", "recorder"],
+        modal_point=["sequencer", "recorder"],
+        run_state=["plant", "recorder"],
+    )
+    publisher = dict.fromkeys(topics, "plant")
+    publisher.update(
+        drive="pll", frequency="pll", lock="pll", level="sequencer", run_state="sequencer", modal_point="extract"
+    )
+    peers: dict[str, list[str]] = {name: [] for name in NODES}
+    for topic, names in subscribers.items():
+        peers[publisher[topic]].append(f"{topic}:{len(names)}")
+        for name in names:
+            peers[name].append(f"{topic}:1")
+    return peers
+
+
+def _sample_topics(rig: Rig) -> list[str]:
+    topics = [quantity.topic for quantity in (Quantity.FORCE, Quantity.DISPLACEMENT, Quantity.ACCELERATION)]
+    present = {sensor.quantity for sensor in rig.sensors}
+    return [topic for topic in topics if topic in present] + (["voltage"] if "voltage" in present else [])
+
+
+def _response_topic(rig: Rig) -> str:
+    for quantity in (Quantity[rig.extraction.quantity.upper()], Quantity.DISPLACEMENT, Quantity.ACCELERATION):
+        if rig.drive_point in rig.response_points(quantity):
+            return quantity.topic
+    raise BenchError(
+        f"Rig {rig.name} has no displacement or acceleration sensor at its drive point {rig.drive_point}; "
+        "phase resonance needs one: add {quantity: acceleration, point: drive} to its sensors."
+    )
+
+
+def _loop_values(test: TestPlan, linear: LinearDescription, response: str) -> dict[str, Any]:
+    """The rig's loop settings; amplitude floors default to a fraction of the linear estimate at the lowest level."""
+    values = dict(test.rig.pll)
+    lowest = min(test.levels)
+    if "force_floor" not in values and linear.force_per_volt > 0:
+        values["force_floor"] = 0.02 * lowest * linear.force_per_volt
+    if "response_floor" not in values and linear.displacement_per_volt > 0:
+        scale = linear.frequencies_rad_s[linear.target_mode] ** 2 if response == "acceleration" else 1.0
+        values["response_floor"] = 0.02 * lowest * linear.displacement_per_volt * scale
+    settings = settings_from({**values, "latency_blocks": test.latency_blocks})
+    return {name: type(getattr(settings, name))(value) for name, value in values.items()}
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a run's result depends on."""
+    found = {"python": platform.python_version()}
+    for name in ("numpy", "scipy", "numba", "rosbags", "nmt_bench", "ros-jazzy-rclpy"):
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found

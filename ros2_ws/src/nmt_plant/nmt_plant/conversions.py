@@ -1,0 +1,42 @@
+"""Drive messages to device commands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nmt_core.errors import BenchError
+
+from .device import DriveCommand, Waveform
+
+
+def command_from_message(message: Any) -> DriveCommand:
+    """Read ``nmt_msgs/Drive``.
+
+    Raises:
+        BenchError: unknown waveform, or a value the command refuses.
+    """
+    try:
+        waveform = Waveform(message.waveform)
+    except ValueError:
+        raise BenchError(f"drive command: waveform {message.waveform} is unknown; use OFF, SINE, RANDOM or SWEEP.") from None
+    harmonics: tuple[tuple[int, complex], ...] = ()
+    if message.harmonics:
+        if not len(message.harmonics) == len(message.harmonics_real) == len(message.harmonics_imag):
+            raise BenchError("drive command: harmonics, harmonics_real and harmonics_imag must have equal lengths.")
+        harmonics = tuple(
+            (int(order), complex(real, imag))
+            for order, real, imag in zip(message.harmonics, message.harmonics_real, message.harmonics_imag, strict=True)
+        )
+    return DriveCommand(
+        waveform=waveform,
+        frequency_hz=message.frequency_hz,
+        amplitude=message.amplitude,
+        ramp=message.ramp,
+        apply_at_sample=message.apply_at_sample,
+        based_on_sample=message.based_on_sample,
+        harmonics=harmonics,
+        band_low_hz=message.band_low_hz,
+        band_high_hz=message.band_high_hz,
+        rate_hz_s=message.rate_hz_s,
+        frequency_end_hz=message.frequency_end_hz,
+    )

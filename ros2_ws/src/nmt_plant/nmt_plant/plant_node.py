@@ -1,0 +1,257 @@
+"""The plant node: one device behind the bench's topics, paced in lockstep or in real time."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import Any
+
+from rclpy.exceptions import ROSInterruptException
+from std_srvs.srv import Trigger
+
+from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
+from nmt_core.blocks import SampleBlock
+from nmt_core.conversions import fill_block
+from nmt_core.errors import BenchError
+from nmt_core.parameters import Parameter
+from nmt_msgs.msg import Drive, RunState, SampleBlock as SampleBlockMessage
+
+from .conversions import command_from_message
+from .device import Device, DeviceFault, DeviceState
+from .lockstep import LockstepGate
+from .rig import load_rig
+from .simulated_rig import SimulatedRig
+
+PARAMETERS = (
+    Parameter("rig_file", "", "", "Rig file to simulate: a path, or the name of a rig that comes with the bench."),
+    Parameter(
+        "pacing",
+        "lockstep",
+        "",
+        "lockstep: every block waits for the drive computed from the one before; realtime: paced by the steady clock.",
+        choices=("lockstep", "realtime"),
+    ),
+    Parameter("latency_blocks", 0, "blocks", "Blocks of buffering between command and excitation.", low=0, high=100),
+    Parameter(
+        "command_timeout",
+        2.0,
+        "s",
+        "Wall time in lockstep without a command after which blocks go on without it, so that the watchdog can act.",
+        low=0.1,
+    ),
+)
+
+_GUARD_PERIOD = 0.05
+_LATE_LIMIT = 5.0  # s a real-time plant may fall behind before it gives up
+
+
+class PlantNode(BenchNode):
+    """Reads blocks from a device, publishes them, and hands drive commands to it.
+
+    Args:
+        values: parameter values for launch-free use; see ``PARAMETERS``.
+        device: the device; None = the simulated rig of ``rig_file``.
+        **kwargs: forwarded to :class:`rclpy.node.Node`.
+
+    Raises:
+        BenchError: no rig file, or one that is not usable.
+    """
+
+    def __init__(self, values: dict[str, Any] | None = None, device: Device | None = None, **kwargs: Any) -> None:
+        super().__init__("plant", PARAMETERS, values, **kwargs)
+        self._frame = "rig"
+        if device is None:
+            if not self.values["rig_file"]:
+                raise BenchError("The plant node needs the parameter 'rig_file': a path or the name of a rig.")
+            rig = load_rig(str(self.values["rig_file"]))
+            self._frame = rig.name
+            device = SimulatedRig(rig)
+        self.device = device
+        device.configure()
+        device.start()
+        self._lockstep = self.values["pacing"] == "lockstep"
+        self._period = device.block_samples / device.sample_rate
+        self._gate = LockstepGate(device.block_samples, int(self.values["latency_blocks"]))
+        self._running = False
+        self._run_phase = RunState.UNKNOWN
+        self._failed = ""
+        self._last_command = time.monotonic()
+        self._next_due = 0.0
+        self._commands = self._refused = self._overruns = 0
+        self._worst_lateness = self._busy = self._started = 0.0
+        self._jitter: list[float] = []
+
+        self._publishers_by_quantity: dict[int, tuple[Any, Any]] = {}
+        for block in self._probe():
+            publisher = self.bench_publisher(SampleBlockMessage, block.quantity.topic, SAMPLES_QOS)
+            self._publishers_by_quantity[int(block.quantity)] = (publisher, SampleBlockMessage())
+        self.bench_subscription(Drive, "drive", self._on_drive, SAMPLES_QOS)
+        self.bench_subscription(RunState, "run_state", self._on_run_state, STATE_QOS)
+        self.create_service(Trigger, "reset", self._reset)
+        self._guard_timer = self.create_timer(_GUARD_PERIOD, self._guard)
+        if not self._lockstep:
+            self._tick_timer = self.create_timer(self._period / 4.0, self._tick)
+
+    def _probe(self) -> list[SampleBlock]:
+        """One block for the list of quantities; the device starts again from sample 0."""
+        blocks = self.device.read()
+        self.device.stop()
+        self.device.configure()
+        self.device.start()
+        return blocks
+
+    # -- lockstep ------------------------------------------------------------------------------------------------
+
+    def _on_run_state(self, message: RunState) -> None:
+        self._run_phase = message.phase
+        if self._lockstep and message.phase in (RunState.RUNNING, RunState.PAUSED, RunState.STOPPING, RunState.DONE):
+            self._gate.horizon = max(self._gate.horizon, message.horizon_sample)
+            if not self._running and message.phase == RunState.RUNNING:
+                self._begin()
+        elif not self._lockstep and message.phase == RunState.RUNNING and not self._running:
+            self._begin()
+        self._advance()
+
+    def _begin(self) -> None:
+        self._running = True
+        self._last_command = time.monotonic()
+        self._started = time.monotonic()
+        self._next_due = self._started + self._period
+
+    def _on_drive(self, message: Drive) -> None:
+        self._last_command = time.monotonic()
+        self._commands += 1
+        try:
+            self.device.write(command_from_message(message))
+        except BenchError as error:
+            self._refused += 1
+            self.get_logger().error(f"Drive command refused: {error}", throttle_duration_sec=1.0)
+        self._gate.answered = max(self._gate.answered, message.based_on_sample)
+        self._advance()
+
+    def _advance(self) -> None:
+        """Produce the blocks that are due in lockstep: one for every answer."""
+        if not (self._lockstep and self._running):
+            return
+        while not self._failed and self._gate.may_produce(self.device.next_sample):
+            self._produce()
+
+    def _produce(self) -> None:
+        began = time.perf_counter()
+        try:
+            blocks = self.device.read()
+        except DeviceFault as error:
+            self._fail(f"The device failed: {error}")
+            return
+        for block in blocks:
+            publisher, message = self._publishers_by_quantity[int(block.quantity)]
+            try:
+                publisher.publish(fill_block(message, block, self._frame))
+            except ROSInterruptException:
+                return
+        self._busy += time.perf_counter() - began
+
+    # -- real time -----------------------------------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        """Produce the blocks whose last sample has come to pass on the steady clock."""
+        if not self._running or self._failed:
+            return
+        now = time.monotonic()
+        if now - self._next_due > _LATE_LIMIT:
+            self._fail(f"The plant fell {now - self._next_due:.1f} s behind real time.")
+            return
+        while now >= self._next_due:
+            lateness = now - self._next_due
+            self._worst_lateness = max(self._worst_lateness, lateness)
+            self._jitter.append(lateness)
+            if lateness > self._period:
+                self._overruns += 1
+            self._produce()
+            self._next_due += self._period
+            now = time.monotonic()
+        if len(self._jitter) > 100_000:
+            del self._jitter[:50_000]
+
+    # -- safety --------------------------------------------------------------------------------------------------
+
+    def _guard(self) -> None:
+        """Quiet the drive when the nodes that command it have gone; in lockstep blocks go on until it is at zero."""
+        if self._failed or not self._running:
+            return
+        silent = self.silent_node()
+        starved = self._lockstep and self._gate.starved(self.device.next_sample)
+        overdue = time.monotonic() - self._last_command > float(self.values["command_timeout"])
+        if silent:
+            self._quiet_down(f"node {silent} has fallen silent")
+        elif starved and overdue and self._run_phase != RunState.PAUSED and not self.device.is_quiet:
+            self._quiet_down("no drive command arrives")
+        elif self._run_phase == RunState.DONE and not self.device.is_quiet and self._gate.starved(self.device.next_sample):
+            self._quiet_down("the run is over")
+
+    def _quiet_down(self, reason: str) -> None:
+        """Emergency ramp to zero; in lockstep produced right away, since nobody else moves bench time on."""
+        if self.device.is_quiet or self.device.state is not DeviceState.RUNNING:
+            return
+        if not self.device.tripped:
+            self.get_logger().error(f"Drive goes to zero: {reason}.")
+            self.device.quiet(reason)
+        if self._lockstep:
+            blocks = 0
+            while not self.device.is_quiet and not self._failed and blocks * self._period < 60.0:
+                self._produce()
+                blocks += 1
+
+    def _fail(self, reason: str) -> None:
+        self._failed = reason
+        self.get_logger().error(reason)
+        self.device.close()
+
+    def _reset(self, _: Any, response: Any) -> Any:
+        if self._failed:
+            response.success, response.message = False, self._failed
+        elif not self.device.is_quiet:
+            response.success, response.message = False, "the drive is not at zero yet"
+        else:
+            self.device.reset()
+            response.success, response.message = True, "limits are armed again"
+        return response
+
+    def update_counters(self) -> None:
+        """Counters for the heartbeat; in real time also jitter and margin."""
+        elapsed = time.monotonic() - self._started if self._started else 0.0
+        bench_time = self.device.next_sample / self.device.sample_rate if not self._failed else 0.0
+        self.counters.update(
+            next_sample=self.device.next_sample,
+            commands=self._commands,
+            refused=self._refused,
+            tripped=self._failed or self.device.tripped,
+            drive_at_zero=int(self.device.is_quiet),
+            real_time_factor=round(bench_time / elapsed, 2) if elapsed > 0 else 0.0,
+        )
+        if not self._lockstep and self._jitter:
+            ordered = sorted(self._jitter[-10_000:])
+            self.counters.update(
+                overruns=self._overruns,
+                jitter_p50_ms=round(1e3 * ordered[len(ordered) // 2], 3),
+                jitter_p99_ms=round(1e3 * ordered[int(0.99 * (len(ordered) - 1))], 3),
+                jitter_max_ms=round(1e3 * self._worst_lateness, 3),
+                real_time_margin=round(1.0 - self._busy / max(bench_time, self._period), 4),
+            )
+
+    def shut_down(self) -> None:
+        """Take the drive to zero along its ramp and release the device."""
+        if self.device.state is DeviceState.RUNNING:
+            with contextlib.suppress(Exception):
+                if not self.device.is_quiet:
+                    self.device.quiet("the plant node ends")
+                    for _ in range(int(10.0 / self._period)):
+                        if self.device.is_quiet:
+                            break
+                        self.device.read()
+        self.device.close()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of ``ros2 run nmt_plant plant``."""
+    return spin_node(PlantNode, args)

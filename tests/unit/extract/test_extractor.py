@@ -68,7 +68,14 @@ def test_a_level_that_never_locks_is_reported_once():
 
 
 def test_every_level_that_does_not_lock_is_reported():
-    schedule = [(ACQUIRING, 0), (LOCK_LOST, 0), (LOCK_LOST, 0), (ACQUIRING, 1), (ACQUIRING, 1), (LOCK_LOST, 1)]
+    schedule = [
+        (ACQUIRING, 0),
+        (LOCK_LOST, 0),
+        (LOCK_LOST, 0),
+        (ACQUIRING, 1),
+        (ACQUIRING, 1),
+        (LOCK_LOST, 1),
+    ]
     points, _ = run(schedule)
     assert [(point.level_index, point.level, point.status) for point in points] == [
         (0, 0.1, Status.NOT_LOCKED),

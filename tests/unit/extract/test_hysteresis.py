@@ -64,7 +64,9 @@ def test_elastic_coulomb_joint():
     friction = np.empty(samples)
     for _ in range(2):  # the first period is the transient
         for k in range(samples):
-            slider = min(max(slider, displacement[k] - limit / stiffness), displacement[k] + limit / stiffness)
+            slider = min(
+                max(slider, displacement[k] - limit / stiffness), displacement[k] + limit / stiffness
+            )
             friction[k] = stiffness * (displacement[k] - slider)
     harmonics = 200
     spectrum = np.fft.rfft(friction)[: harmonics + 1] * 2.0 / samples
@@ -102,8 +104,20 @@ def test_rigid_motion_is_refused():
     [
         {"excited_point": 1},
         {"excited_point": 1, "middle_point": 1, "free_point": 3, "excited_mass_kg": 1.0, "free_mass_kg": 1.0},
-        {"excited_point": 1, "middle_point": 2, "free_point": 3, "excited_mass_kg": -1.0, "free_mass_kg": 1.0},
-        {"excited_point": 1, "middle_point": 2, "free_point": 3, "excited_mass_kg": 1.0, "free_mass_kg": math.nan},
+        {
+            "excited_point": 1,
+            "middle_point": 2,
+            "free_point": 3,
+            "excited_mass_kg": -1.0,
+            "free_mass_kg": 1.0,
+        },
+        {
+            "excited_point": 1,
+            "middle_point": 2,
+            "free_point": 3,
+            "excited_mass_kg": 1.0,
+            "free_mass_kg": math.nan,
+        },
     ],
 )
 def test_malformed_layouts_are_refused(values):

@@ -40,7 +40,10 @@ def test_one_degree_of_freedom_at_resonance_gives_its_damping_exactly():
     force = 0.8
     response = force / (1j * damper * OMEGA)
     linear = linear_description(
-        np.array([[1.0 / math.sqrt(mass)]] * 1), points=(2,), frequencies_rad_s=(OMEGA,), damping_ratios=(zeta,)
+        np.array([[1.0 / math.sqrt(mass)]] * 1),
+        points=(2,),
+        frequencies_rad_s=(OMEGA,),
+        damping_ratios=(zeta,),
     )
     point = extract(pure(force, [response] * 4), LOCK, linear)
     assert point.status is Status.OK
@@ -142,7 +145,8 @@ def test_nothing_depends_on_the_time_origin(shift):
     """The oscillator's phase at the first sample is arbitrary; so are the complex arrays' common rotations."""
     still = extract(Stream(RICH_FORCE, RICH_SHAPE, samples=TOTAL), LOCK)
     moved = Stream(RICH_FORCE, RICH_SHAPE, samples=TOTAL, start_cycles=shift)
-    # The same motion seen from an oscillator that is ahead: harmonic n of the record turns by n times the shift.
+    # The same motion seen from an oscillator that is ahead: harmonic n of the record turns by n times the
+    # shift.
     point = extract(moved, LOCK)
     for name in FIELDS:
         assert getattr(point, name) == pytest.approx(getattr(still, name), rel=1e-9), name

@@ -50,7 +50,7 @@ finite_or_nan = st.floats(allow_nan=True, allow_infinity=False)
 
 
 @given(
-    st.fixed_dictionaries({name: finite_or_nan for name in MEASURED}),
+    st.fixed_dictionaries(dict.fromkeys(MEASURED, finite_or_nan)),
     st.lists(st.complex_numbers(allow_nan=False, allow_infinity=False), min_size=1, max_size=6),
     st.sampled_from(Status),
     st.text(max_size=20),
@@ -69,7 +69,9 @@ def test_json_reads_back_to_the_same_bits(tmp_path_factory, measured, harmonics,
 
 
 def test_json_says_why_and_from_what(points, tmp_path):
-    write_json(points, tmp_path / "modal.json", {"run_id": "r1", "nothing": math.nan, "list": (1, np.float64(2.0))})
+    write_json(
+        points, tmp_path / "modal.json", {"run_id": "r1", "nothing": math.nan, "list": (1, np.float64(2.0))}
+    )
     document = json.loads((tmp_path / "modal.json").read_text(), parse_constant=pytest.fail)
     assert document["inputs"] == {"run_id": "r1", "nothing": None, "list": [1, 2.0]}
     assert document["points"][1]["reason"] == "Samples 1 to 2 are missing."
@@ -107,7 +109,12 @@ def test_files_that_are_something_else_are_refused(tmp_path):
         read_csv(path)
     with pytest.raises(BenchError, match="cannot be written"):
         write_csv([], tmp_path / "missing" / "modal.csv")
-    for text in ("", "a,b\n1,2\n", ",".join(COLUMNS) + "\n1,2\n", ",".join(COLUMNS) + "\n" + "x," * 18 + "x\n"):
+    for text in (
+        "",
+        "a,b\n1,2\n",
+        ",".join(COLUMNS) + "\n1,2\n",
+        ",".join(COLUMNS) + "\n" + "x," * 18 + "x\n",
+    ):
         path.write_text(text)
         with pytest.raises(BenchError):
             read_csv(path)

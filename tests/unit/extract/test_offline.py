@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from unit.extract.synthetic import FREQUENCY, RATE, SETTINGS, Stream, in_phase_case, linear_description, lock_event
+from unit.extract.synthetic import (
+    FREQUENCY,
+    RATE,
+    SETTINGS,
+    Stream,
+    in_phase_case,
+    linear_description,
+    lock_event,
+)
 
 from nmt_core.errors import BenchError
 from nmt_extract.extractor import Extractor
@@ -86,7 +94,9 @@ def stream():
 def make_bag(tmp_path, stream):
     def make(run=RUN, lock=LOCK, states=None, leave_out=(), close=True, drop=()):
         messages = Messages()
-        writer = BagWriter(tmp_path / "bag", run_json=json.dumps(run) if run else "", rig_yaml="", chunk_messages=4)
+        writer = BagWriter(
+            tmp_path / "bag", run_json=json.dumps(run) if run else "", rig_yaml="", chunk_messages=4
+        )
         for topic, kind in TOPICS.items():
             writer.add_topic(topic, kind)
 
@@ -105,7 +115,9 @@ def make_bag(tmp_path, stream):
             state = (states or {}).get(last, LOCKED)
             write(
                 "frequency",
-                messages.make(TOPICS["frequency"], last_sample=last, state=state, response_unit="m", reason="too noisy"),
+                messages.make(
+                    TOPICS["frequency"], last_sample=last, state=state, response_unit="m", reason="too noisy"
+                ),
             )
         if close:
             writer.close()
@@ -144,7 +156,9 @@ def test_given_modes_and_settings_take_precedence(make_bag):
     path = make_bag(run=None)
     with pytest.raises(BenchError, match="does not say which linear modes"):
         extract_bag(path)
-    result = extract_bag(path, linear_description(), ExtractionSettings(harmonics=4, topics=("force", "displacement")))
+    result = extract_bag(
+        path, linear_description(), ExtractionSettings(harmonics=4, topics=("force", "displacement"))
+    )
     assert result.points[0].harmonics == 4
 
 
@@ -189,7 +203,8 @@ def test_bags_that_lack_topics(make_bag, leave_out, sentence):
 
 
 @pytest.mark.parametrize(
-    "change", [{"linear": "none"}, {"linear": {"source": "model"}}, {"extraction": []}, {"extraction": {"h": 1}}]
+    "change",
+    [{"linear": "none"}, {"linear": {"source": "model"}}, {"extraction": []}, {"extraction": {"h": 1}}],
 )
 def test_malformed_run_records(make_bag, change):
     path = make_bag(run={**RUN, **change})

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from unit.extract.synthetic import signal
 
 from nmt_core.errors import BenchError
 from nmt_extract.sine_fit import fit_frequency
-from unit.extract.synthetic import signal
 
 RATE = 10_000.0
 

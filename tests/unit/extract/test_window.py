@@ -64,7 +64,9 @@ def test_a_window_is_the_samples_it_names(stream):
     assert window.end_cycles - window.cycles[0] == pytest.approx(FREQUENCY * SAMPLES / RATE, abs=1e-11)
 
 
-@given(st.integers(0, 1000), st.integers(1, 2000), st.sampled_from([1, 7, 50, 200, 999]), st.integers(0, 4000))
+@given(
+    st.integers(0, 1000), st.integers(1, 2000), st.sampled_from([1, 7, 50, 200, 999]), st.integers(0, 4000)
+)
 @settings(max_examples=30, deadline=None)
 def test_any_cut_and_any_moment_of_the_lock_event(first, samples, size, when):
     stream = Stream([0.1, 1j], [[0, 1.0]] * 4, samples=4000, block=4000)
@@ -103,7 +105,9 @@ def drop(index):
 
 
 def alter(index, **changes):
-    return lambda blocks: [replace(block, **changes) if i == index else block for i, block in enumerate(blocks)]
+    return lambda blocks: [
+        replace(block, **changes) if i == index else block for i, block in enumerate(blocks)
+    ]
 
 
 def with_nan(blocks):
@@ -159,7 +163,9 @@ def test_too_few_periods_and_too_many_samples(stream):
 
 
 def altered_phase(blocks, **changes):
-    return [replace(b, oscillator=replace(b.oscillator, **changes)) if i == 5 else b for i, b in enumerate(blocks)]
+    return [
+        replace(b, oscillator=replace(b.oscillator, **changes)) if i == 5 else b for i, b in enumerate(blocks)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -188,7 +194,12 @@ def test_a_swept_block_is_followed():
     time = np.arange(1001) / RATE
     cycles = start * time + 0.5 * rate * time**2
     force = [
-        replace(b, oscillator=OscillatorPhase(cycles[b.first_sample] % 1.0, start + rate * time[b.first_sample], rate))
+        replace(
+            b,
+            oscillator=OscillatorPhase(
+                cycles[b.first_sample] % 1.0, start + rate * time[b.first_sample], rate
+            ),
+        )
         for b in stream.blocks("force")
     ]
     assembler = WindowAssembler(TOPICS, require_loop_state=False)
@@ -201,7 +212,7 @@ def test_a_swept_block_is_followed():
 
 def states(changes=()):
     """A LOCKED state for each block, but for the given ones."""
-    table = {last: LOCKED for last in range(199, 4000, 200)}
+    table = dict.fromkeys(range(199, 4000, 200), LOCKED)
     table.update(changes)
     return sorted(table.items())
 

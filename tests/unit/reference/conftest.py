@@ -37,7 +37,7 @@ def published_backbone() -> np.ndarray:
 @pytest.fixture(scope="session")
 def finite_differences():
     def check(system, z: np.ndarray, step: float = 1e-6) -> float:
-        """Largest difference between the analytic Jacobian and central differences, relative to its largest entry."""
+        """Largest difference of the Jacobian to central differences, relative to its largest entry."""
         _, jacobian = system(z)
         numeric = np.empty_like(jacobian)
         for k in range(z.size):

@@ -134,7 +134,9 @@ def test_stops_against_closed_forms() -> None:
 
 def test_preloaded_stop_in_full_contact_is_a_spring_with_an_offset() -> None:
     basis = FourierBasis.up_to(3)
-    force = LocalForces.gather([UnilateralStop(D, 5.0, -3.0)], basis).forces(pure_cosine(basis, 2.0), OMEGA)[0]
+    force = LocalForces.gather([UnilateralStop(D, 5.0, -3.0)], basis).forces(pure_cosine(basis, 2.0), OMEGA)[
+        0
+    ]
     assert harmonic(basis, force, 0) == pytest.approx(15.0, rel=1e-13)
     assert harmonic(basis, force, 1) == pytest.approx(10.0, rel=1e-13)
 

@@ -27,7 +27,9 @@ def test_branch_passes_both_folds() -> None:
     assert branch.complete
     assert branch.folds == 2
     assert not branch.single_valued
-    np.testing.assert_allclose(branch.points[:, 0] ** 3 - branch.points[:, 0], branch.points[:, 1], atol=1e-10)
+    np.testing.assert_allclose(
+        branch.points[:, 0] ** 3 - branch.points[:, 0], branch.points[:, 1], atol=1e-10
+    )
     roots = sorted(float(point[0]) for point in branch.passages(0.0))
     np.testing.assert_allclose(roots, [-1.0, 0.0, 1.0], atol=1e-4)
 

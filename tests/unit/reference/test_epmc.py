@@ -21,7 +21,7 @@ def test_linear_limit_of_the_sticking_beam(beam, joint) -> None:
     result = epmc_backbone(beam, joint, np.geomspace(1e-7, 1e-5, 4))
     stiffness = beam.stiffness + 8000.0 * np.outer(joint[0].direction, joint[0].direction)
     squares, _ = eigh(stiffness, beam.mass)
-    # Damping acts on K without k_t, so the mode is slightly complex: solve that small eigenproblem independently.
+    # Damping acts on K without k_t, so the mode is slightly complex: solve that eigenproblem independently.
     omega = np.sqrt(squares[0])
     for _ in range(20):
         p, _ = np.linalg.eig(np.linalg.solve(beam.mass, stiffness + 1j * omega * beam.damping))
@@ -96,9 +96,7 @@ def test_given_backbone_of_the_beam(beam, joint, published_backbone) -> None:
 def test_harmonics_converge_and_even_ones_stay_out(beam, joint) -> None:
     q = np.geomspace(1e-5, 0.02, 30)
     results = {h: epmc_backbone(beam, joint, q, FourierBasis.up_to(h)) for h in (1, 3, 5, 7, 20)}
-    errors = [
-        np.abs(results[h].damping_ratio / results[20].damping_ratio - 1.0).max() for h in (1, 3, 5, 7)
-    ]
+    errors = [np.abs(results[h].damping_ratio / results[20].damping_ratio - 1.0).max() for h in (1, 3, 5, 7)]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 3e-3
     odd = epmc_backbone(beam, joint, q, FourierBasis.up_to(7, odd_only=True))

@@ -9,6 +9,7 @@ exciter and these sensors would measure: distance to it is the error of the test
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -255,7 +256,8 @@ def write_reference_csv(reference: Reference, path: str | Path) -> Path:
         partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
         os.replace(partial, target)
     except OSError as failure:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink()
         raise BenchError(
             f"cannot write {target}: {failure.strerror}; choose another output folder."
         ) from failure

@@ -83,8 +83,8 @@ def floquet_stability(
     input_columns = np.zeros((total, local.coordinates))
     input_columns[:states] = first_order.input_map @ rows.T
 
-    monodromy = np.eye(total)
-    for left, right in itertools.pairwise(angles):
+    generators = np.empty((angles.size - 1, total, total))
+    for piece, (left, right) in enumerate(itertools.pairwise(angles)):
         middle = 0.5 * (left + right)
         matrix = np.zeros((total, total))
         matrix[:states, :states] = first_order.matrix
@@ -103,7 +103,10 @@ def floquet_stability(
                 stiffness[coordinate] += tangents[0]
                 damping[coordinate] += tangents[1]
         matrix -= input_columns @ (stiffness[:, None] * displacement_rows + damping[:, None] * velocity_rows)
-        monodromy = expm(matrix * ((right - left) / omega)) @ monodromy
+        generators[piece] = matrix * ((right - left) / omega)
+    monodromy = np.eye(total)
+    for transition, right in zip(expm(generators), angles[1:], strict=True):
+        monodromy = transition @ monodromy
         for index, element in enumerate(friction):
             if any(abs(right - end) < 1e-11 for end in element.slip_ends):
                 monodromy[states + index] = displacement_rows[element.coordinate] @ monodromy

@@ -29,11 +29,14 @@ def store() -> DefinitionStore:
 def make_block(store: DefinitionStore) -> Callable[..., bytes]:
     types = store.typestore.types
 
-    def make(first_sample: int, samples: int = 20, channels: int = 2, frame: str = "beam", unit: str = "m") -> bytes:
+    def make(
+        first_sample: int, samples: int = 20, channels: int = 2, frame: str = "beam", unit: str = "m"
+    ) -> bytes:
         seconds, rest = divmod(first_sample, 10_000)
         message = types[SAMPLE_BLOCK](
             header=types["std_msgs/msg/Header"](
-                stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest * 100_000), frame_id=frame
+                stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest * 100_000),
+                frame_id=frame,
             ),
             first_sample=first_sample,
             sample_rate=10_000.0,
@@ -54,9 +57,16 @@ def make_block(store: DefinitionStore) -> Callable[..., bytes]:
 
 @pytest.fixture
 def make_bag(tmp_path: Path, make_block: Callable[..., bytes]) -> Callable[..., Path]:
-    def make(name: str = "bag", blocks: int = 40, per_chunk: int = 5, close: bool = True, **options: Any) -> Path:
+    def make(
+        name: str = "bag", blocks: int = 40, per_chunk: int = 5, close: bool = True, **options: Any
+    ) -> Path:
         writer = BagWriter(
-            tmp_path / name, run_json=RUN_JSON, rig_yaml=RIG_YAML, chunk_messages=per_chunk, flush_interval=60.0, **options
+            tmp_path / name,
+            run_json=RUN_JSON,
+            rig_yaml=RIG_YAML,
+            chunk_messages=per_chunk,
+            flush_interval=60.0,
+            **options,
         )
         writer.add_topic("displacement", SAMPLE_BLOCK)
         for index in range(blocks):

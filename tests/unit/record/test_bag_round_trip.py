@@ -49,7 +49,11 @@ def arbitrary(store, message_type, rng):
 
 def plain(message):
     if hasattr(message, "__msgtype__"):
-        return {name: plain(getattr(message, name)) for name in message.__dataclass_fields__ if name != "__msgtype__"}
+        return {
+            name: plain(getattr(message, name))
+            for name in message.__dataclass_fields__
+            if name != "__msgtype__"
+        }
     if isinstance(message, np.ndarray):
         return message.tolist()
     return [plain(item) for item in message] if isinstance(message, list) else message
@@ -99,7 +103,11 @@ def test_rosbags_reads_the_folder(every_type, store):
             QosDurability.VOLATILE,
         )
         (qos,) = topics["/run_state"].ext.offered_qos_profiles
-        assert (qos.history, qos.depth, qos.durability) == (QosHistory.KEEP_LAST, 1, QosDurability.TRANSIENT_LOCAL)
+        assert (qos.history, qos.depth, qos.durability) == (
+            QosHistory.KEEP_LAST,
+            1,
+            QosDurability.TRANSIENT_LOCAL,
+        )
 
 
 def test_mcap_reads_the_file_with_its_commented_definitions(every_type):
@@ -127,11 +135,15 @@ def test_metadata_is_what_rosbag2_writes(make_bag):
     assert information["message_count"] == 5
     assert information["custom_data"]["rig.yaml"] == "name: beam\n"
     assert json.loads(information["custom_data"]["run.json"])["run_id"] == "run-7"
-    counts = {t["topic_metadata"]["name"]: t["message_count"] for t in information["topics_with_message_count"]}
+    counts = {
+        t["topic_metadata"]["name"]: t["message_count"] for t in information["topics_with_message_count"]
+    }
     assert counts == {"/run_record": 2, "/displacement": 3}
 
 
-@pytest.mark.parametrize("message_type", sorted({t.message_type for t in BENCH_TOPICS if "nmt_msgs" in t.message_type}))
+@pytest.mark.parametrize(
+    "message_type", sorted({t.message_type for t in BENCH_TOPICS if "nmt_msgs" in t.message_type})
+)
 def test_type_hash_is_that_of_the_build(message_type, store):
     described = SHARE / f"{message_type.rpartition('/')[2]}.json"
     if not described.is_file():
@@ -195,7 +207,12 @@ def test_blocks_are_those_written(make_bag):
     assert [block.first_sample for block in blocks] == list(range(0, 600, 20))
     block = blocks[7]
     assert block.quantity is Quantity.DISPLACEMENT
-    assert (block.unit, block.channels, block.points, block.sample_rate) == ("m", ("x1", "x2"), (1, 2), 10_000.0)
+    assert (block.unit, block.channels, block.points, block.sample_rate) == (
+        "m",
+        ("x1", "x2"),
+        (1, 2),
+        10_000.0,
+    )
     assert block.data.flags.aligned
     np.testing.assert_array_equal(block.data.ravel(), np.random.default_rng(140).standard_normal(40))
     cut = [block.first_sample for block in bag.blocks("displacement", first_sample=119, stop_sample=161)]

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import shutil
@@ -22,12 +23,24 @@ from nmt_record.bag_writer import open_unbuffered
 from nmt_record.bench_topics import SAMPLE_BLOCK
 
 SETTINGS = settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=60,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
 
+def opened(path):
+    """The bag, or the sentence that refuses it."""
+    try:
+        return Bag.open(path)
+    except BenchError as error:
+        return str(error)
+
+
 def first_samples(bag):
-    return [block.first_sample for block in bag.blocks("displacement")] if "displacement" in bag.topics else []
+    return (
+        [block.first_sample for block in bag.blocks("displacement")] if "displacement" in bag.topics else []
+    )
 
 
 def run_python(code, *arguments):
@@ -89,12 +102,11 @@ def test_cut_at_any_byte(make_bag, tmp_path, data):
     cut = tmp_path / "cut"
     cut.mkdir()
     (cut / "cut_0.mcap").write_bytes(whole[:size])
-    try:
-        bag = Bag.open(cut)
-    except BenchError as error:
+    bag = opened(cut)
+    if isinstance(bag, str):
         # Nothing but the start of the file: no chunk is whole.
         assert size < 8_000
-        assert "\n" not in str(error)
+        assert "\n" not in bag
         return
     samples = first_samples(bag)
     assert samples == list(range(0, 20 * len(samples), 20))
@@ -126,11 +138,13 @@ def test_damaged_at_any_byte(make_bag, tmp_path, data):
     position = data.draw(st.integers(0, len(content) - 1))
     content[position] ^= data.draw(st.integers(1, 255))
     file.write_bytes(content)
+    bag = opened(path)
+    if isinstance(bag, str):
+        assert bag.endswith(".")
+        return
     try:
-        bag = Bag.open(path)
         samples = first_samples(bag)
-    except BenchError as error:
-        assert str(error)
+    except BenchError:
         return
     assert samples == list(range(0, 20 * len(samples), 20))
 
@@ -157,12 +171,19 @@ class FullDisk:
 def test_full_disk_keeps_the_whole_chunks(make_block, tmp_path, room):
     path = tmp_path / "full"
     shutil.rmtree(path, ignore_errors=True)
+    refusal = None
     try:
         writer = BagWriter(
-            path, run_json='{"run_id": "r"}', chunk_messages=4, open_file=lambda p: FullDisk(p, room), flush_interval=60.0
+            path,
+            run_json='{"run_id": "r"}',
+            chunk_messages=4,
+            open_file=lambda p: FullDisk(p, room),
+            flush_interval=60.0,
         )
     except BenchError as error:
-        assert "cannot be created: No space left on device" in str(error)
+        refusal = str(error)
+    if refusal is not None:
+        assert "cannot be created: No space left on device" in refusal
         assert not path.exists()
         return
     writer.add_topic("displacement", SAMPLE_BLOCK)
@@ -196,9 +217,10 @@ def test_full_disk_leaves_a_regular_file(make_block, tmp_path):
     """With room for the shortest end, readers of others open what a full disk left."""
     writer = BagWriter(tmp_path / "bag", chunk_messages=4, open_file=lambda p: FullDisk(p, 20_000))
     writer.add_topic("displacement", SAMPLE_BLOCK)
-    with pytest.raises(BenchError):
-        for index in range(400):
+    for index in range(400):
+        with contextlib.suppress(BenchError):
             writer.write("displacement", make_block(20 * index))
+    assert writer.state == "failed"
     with Reader(tmp_path / "bag") as reader:
         read = [raw for c, _, raw in reader.messages() if c.topic == "/displacement"]
     assert len(read) == writer.counts["displacement"] > 0

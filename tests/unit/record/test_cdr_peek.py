@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -79,10 +81,8 @@ def test_run_state_agrees_with_full_decoding(store, run_id, phase, sample, reaso
 def test_any_bytes_raise_nothing_but_value_errors(raw):
     for peek in (peek_block, peek_run_state, peek_stamp):
         for prefix in (b"", b"\0\1\0\0"):
-            try:
-                peek(prefix + raw)
-            except ValueError as error:
-                assert str(error)
+            with contextlib.suppress(ValueError):
+                assert peek(prefix + raw) is not None
 
 
 def test_big_endian_is_refused():

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
@@ -35,15 +35,16 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("run_file", "", "", "File with the same, instead of run_json."),
     Parameter("rig_yaml", "", "", "The rig file as used, its text."),
     Parameter("rig_file", "", "", "File with the same, instead of rig_yaml."),
-    Parameter("chunk_messages", 500, "", "Messages after which a chunk is written.", low=1, high=100_000),
-    Parameter("flush_interval", 0.5, "s", "Wall time after which a chunk is written.", low=0.01, high=10.0),
-    Parameter("settle_time", 0.25, "s", "Silence before the bag of a done run closes.", low=0.0, high=10.0),
-    Parameter("patience", 2.0, "s", "Silence after which missing blocks are given up.", low=0.1, high=600.0),
+    Parameter("chunk_messages", 500, "", "Messages after which a chunk is written.", low=1),
+    Parameter("flush_interval", 0.5, "s", "Wall time after which a chunk is written.", low=0.01),
+    Parameter("settle_time", 0.25, "s", "Silence before the bag of a done run closes.", low=0.0),
+    Parameter("patience", 2.0, "s", "Silence after which missing blocks are given up.", low=0.1),
 )
 
 _QOS = {
     Service.SAMPLES: SAMPLES_QOS,
-    Service.STATE: STATE_QOS,
+    # Deeper than the publisher's: every state is to be recorded, not only the newest.
+    Service.STATE: QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL),
     Service.DEFAULT: QoSProfile(depth=100),
 }
 # A source in real time goes on after the run; its blocks do not keep the bag open for ever.
@@ -97,6 +98,26 @@ class RecorderNode(BenchNode):
             reason = str(error)
         self._publish_state(reason)
 
+    def update_counters(self) -> None:
+        """Messages written, gaps and their samples, malformed messages and those after the end of the bag."""
+        self.counters = {
+            "state": self.writer.state,
+            "messages": self.writer.messages,
+            "gaps": self.gaps.gaps,
+            "missing_samples": self.gaps.missing_samples,
+            "malformed_messages": self._malformed,
+            "late_messages": self._late,
+        }
+
+    def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
+        """Publish the counters; a gap makes a warning of it, a bag that could not be written an error."""
+        self.update_counters()
+        if self.writer.failure:
+            level, message = DiagnosticStatus.ERROR, self.writer.failure
+        elif self.gaps.gaps:
+            level = DiagnosticStatus.WARN
+        super().publish_diagnostics(level, message)
+
     def shut_down(self) -> None:
         """Close the bag before the node is destroyed."""
         self.close("the recorder was told to end")
@@ -120,7 +141,6 @@ class RecorderNode(BenchNode):
         self._late = 0
         self._seen_running = False
         self._end_sample: int | None = None
-        self._end_reason = ""
         self._end_time = 0.0
         self._last_time = time.monotonic()
         run_json = _text(values, "run_json", "run_file")
@@ -144,7 +164,6 @@ class RecorderNode(BenchNode):
                 raw=True,
             )
         self.create_timer(min(0.1, values["flush_interval"] / 2.0), self._watch)
-        self.create_timer(1.0, self._report)
         self._publish_state("")
 
     def _callback(self, topic: BenchTopic) -> Any:
@@ -216,24 +235,7 @@ class RecorderNode(BenchNode):
     def _failed(self, error: BenchError) -> None:
         self.get_logger().error(str(error))
         self._publish_state(str(error))
-        self._report()
-
-    def _report(self) -> None:
-        writer = self.writer
-        self.counters = {
-            "state": writer.state,
-            "messages": writer.messages,
-            "gaps": self.gaps.gaps,
-            "missing_samples": self.gaps.missing_samples,
-            "malformed_messages": self._malformed,
-            "late_messages": self._late,
-        }
-        if writer.failure:
-            self.publish_diagnostics(DiagnosticStatus.ERROR, writer.failure)
-        elif self.gaps.gaps:
-            self.publish_diagnostics(DiagnosticStatus.WARN, "samples are missing")
-        else:
-            self.publish_diagnostics()
+        self.publish_diagnostics()
 
     def _publish_state(self, reason: str) -> None:
         if not self.context.ok():

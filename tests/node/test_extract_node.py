@@ -134,7 +134,7 @@ def lock_message(lock):
 
 
 def recording():
-    """Topic and message of a run: level 0 locks, level 1 loses its lock in the window, level 2 never locks."""
+    """Topic and message of a run: level 0 locks, level 1 loses its lock in the window, level 2 never."""
     force, shape = in_phase_case()
     stream = Stream([0, force, 0.1 * force], [[0, x, 0, 0.01 * x] for x in shape], samples=10_000, noise=0.01)
     levels = {0: 0, 19: 1, 38: 2}

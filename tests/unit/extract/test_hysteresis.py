@@ -1,4 +1,4 @@
-"""The chain's motion is built backwards from a prescribed joint motion, so every energy is known in closed form."""
+"""The chain's motion is built backwards from a prescribed joint motion: every energy has a closed form."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LAYOUT = HysteresisLayout(1, 2, 3, M1, M3)
 
 
 def chain(relative: np.ndarray, joint_force: np.ndarray, leaf_damper: float = 0.0):
-    """Accelerations of the masses and the excitation force for given harmonics of x₃ − x₂ and of the joint force."""
+    """Accelerations, excitation force and stretch for given harmonics of x₃ − x₂ and of the joint force."""
     derivative = 1j * OMEGA * np.arange(relative.shape[0])
     square = np.where(derivative == 0.0, 1.0, derivative**2)
     x3 = -joint_force / (M3 * square)
@@ -43,7 +43,7 @@ def test_linear_joint_with_damper():
 
 
 def test_single_degree_of_freedom_limit_gives_its_damping_ratio():
-    """A heavy base that hardly moves: the joint and m₃ are an oscillator at resonance, δ_hyst = d/(2 m₃ ω₀)."""
+    """The leaf spring is not strained: joint and m₃ are an oscillator at resonance, δ_hyst = d/(2 m₃ ω₀)."""
     omega = math.sqrt(JOINT / M3)
     damper = 2.0 * 0.01 * M3 * omega
     relative = np.array([0.0, 1e-6])

@@ -142,7 +142,7 @@ FIELDS = (
 @given(shift=st.floats(-10.0, 10.0))
 @settings(max_examples=20, deadline=None)
 def test_nothing_depends_on_the_time_origin(shift):
-    """The oscillator's phase at the first sample is arbitrary; so are the complex arrays' common rotations."""
+    """The oscillator's phase at the first sample is arbitrary, and so is the time origin of a record."""
     still = extract(Stream(RICH_FORCE, RICH_SHAPE, samples=TOTAL), LOCK)
     moved = Stream(RICH_FORCE, RICH_SHAPE, samples=TOTAL, start_cycles=shift)
     # The same motion seen from an oscillator that is ahead: harmonic n of the record turns by n times the

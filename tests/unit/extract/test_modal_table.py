@@ -38,7 +38,7 @@ def test_csv_keeps_every_bit_and_every_row(points, tmp_path):
     write_csv(points, tmp_path / "modal.csv")
     with (tmp_path / "modal.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [float(row["damping_ratio"]) for row in rows][0] == points[0].damping_ratio
+    assert float(rows[0]["damping_ratio"]) == points[0].damping_ratio
     assert rows[1]["level"] == "0.2"
     assert rows[1]["damping_ratio"] == "nan"
     columns = read_csv(tmp_path / "modal.csv")

@@ -74,7 +74,7 @@ def test_stated_uncertainty_equals_the_scatter_of_repetitions(monte_carlo):
 
 @pytest.mark.parametrize("name", NOISY)
 def test_coverage_of_one_and_two_standard_uncertainties(monte_carlo, name):
-    """Student's t with nine degrees of freedom covers 65.7 and 92.3 %; binomial scatter of 200 trials is 3.4 %."""
+    """Student's t with nine degrees of freedom covers 65.7 and 92.3 %; 200 trials scatter by 3.4 %."""
     clean, points, _ = monte_carlo
     error = np.array([abs(getattr(point, name) - getattr(clean, name)) for point in points])
     stated = np.array([getattr(point, f"{name}_std") for point in points])

@@ -82,8 +82,8 @@ class Extractor:
 
     @property
     def ready(self) -> bool:
-        """Whether :meth:`take` might return points."""
-        return bool(self._not_locked or self._assembler.waiting)
+        """Whether :meth:`take` would return points."""
+        return bool(self._not_locked) or self._assembler.ready
 
     def take(self) -> list[ModalPoint]:
         """Points that have become ready since the last call."""

@@ -205,9 +205,9 @@ class WindowAssembler:
         return ready
 
     @property
-    def waiting(self) -> bool:
-        """Whether a window is awaited or ready."""
-        return bool(self._pending or self._ready)
+    def ready(self) -> bool:
+        """Whether :meth:`take` would return something."""
+        return bool(self._ready)
 
     def finish(self) -> None:
         """The streams have ended: give up what is not complete."""
@@ -311,11 +311,15 @@ class WindowAssembler:
         for part in parts:
             if part.sample_rate != rate:
                 raise _SpoiledError(
-                    f"'{part.topic}' was sampled at {part.sample_rate:g} Hz, '{parts[0].topic}' at "
-                    f"{rate:g} Hz."
+                    f"'{part.topic}' was sampled at {part.sample_rate:g} Hz, "
+                    f"'{parts[0].topic}' at {rate:g} Hz."
                 )
         channels = tuple(channel for part in parts for channel in part.channels)
-        data = np.concatenate([part.data for part in parts])
+        data = np.empty((len(channels), lock.window_samples))
+        row = 0
+        for part in parts:
+            part.copy_data(data[row : row + len(part.channels)])
+            row += len(part.channels)
         # All topics carry the same oscillator.
         cycles, end_cycles = next((part for part in parts if part.topic == "force"), parts[0]).phase()
         return Window(lock, rate, channels, data, cycles, end_cycles)
@@ -360,77 +364,91 @@ class _TopicPart:
         self._lock = lock
         head = blocks[0]
         self.sample_rate = head.sample_rate
+        self._check_head(head)
         for block in blocks:
             self._check(block, head)
         self.channels = tuple(
             Channel(name, head.quantity, point)
             for name, point in zip(head.channels, head.points, strict=True)
         )
-        self.data = np.empty((len(head.channels), lock.window_samples))
-        for block in blocks:
-            inside, target = self._overlap(block)
-            self.data[:, target] = block.data[:, inside]
-        broken = ~np.isfinite(self.data)
-        if broken.any():
-            sample = int(np.argmax(broken.any(axis=0)))
-            channel = head.channels[int(np.argmax(broken[:, sample]))]
-            raise _SpoiledError(
-                f"Channel '{channel}' of '{topic}' has no valid value at sample "
-                f"{lock.window_first_sample + sample}."
-            )
+
+    @staticmethod
+    def _where(topic: str, block: SampleBlock) -> str:
+        return f"in the block of '{topic}' at sample {block.first_sample}"
+
+    def _check_head(self, head: SampleBlock) -> None:
+        where = self._where(self.topic, head)
+        if len(head.points) != len(head.channels):
+            raise _SpoiledError(f"The points do not match the channels {where}.")
+        if not head.sample_rate > 0.0:
+            raise _SpoiledError(f"The sampling rate is {head.sample_rate:g} Hz {where}.")
+        if head.quantity is Quantity.UNKNOWN or head.quantity.topic != self.topic:
+            raise _SpoiledError(f"The quantity is {head.quantity.name.lower()} {where}.")
+        if head.unit != head.quantity.unit:
+            raise _SpoiledError(f"The unit is '{head.unit}' instead of {head.quantity.unit} {where}.")
 
     def _check(self, block: SampleBlock, head: SampleBlock) -> None:
-        where = f"in the block of '{self.topic}' at sample {block.first_sample}"
         if block.channels != head.channels or block.points != head.points:
-            raise _SpoiledError(f"The channels change within the window {where}.")
-        if len(block.points) != len(block.channels):
-            raise _SpoiledError(f"The points do not match the channels {where}.")
-        if block.sample_rate != head.sample_rate or not block.sample_rate > 0.0:
+            raise _SpoiledError(f"The channels change within the window {self._where(self.topic, block)}.")
+        if block.sample_rate != head.sample_rate:
+            where = self._where(self.topic, block)
             raise _SpoiledError(
                 f"The sampling rate is {block.sample_rate:g} Hz {where}, {head.sample_rate:g} Hz before."
             )
-        if block.quantity is Quantity.UNKNOWN or block.quantity.topic != self.topic:
-            raise _SpoiledError(f"The quantity is {block.quantity.name.lower()} {where}.")
-        if block.unit != block.quantity.unit:
-            raise _SpoiledError(f"The unit is '{block.unit}' instead of {block.quantity.unit} {where}.")
-        for flag, text in _FLAG_NAMES if block.flags else ():
-            if block.flags & flag:
-                raise _SpoiledError(
-                    f"Within the window {text} ('{self.topic}', block at sample {block.first_sample})."
-                )
+        if block.quantity is not head.quantity or block.unit != head.unit:
+            self._check_head(block)
+        if block.flags:
+            for flag, text in _FLAG_NAMES:
+                if block.flags & flag:
+                    where = f"'{self.topic}', block at sample {block.first_sample}"
+                    raise _SpoiledError(f"Within the window {text} ({where}).")
 
-    def _overlap(self, block: SampleBlock) -> tuple[slice, slice]:
-        first, end = self._lock.window_first_sample, self._lock.window_end
-        start = max(block.first_sample, first)
-        stop = min(block.end_sample, end)
-        return slice(start - block.first_sample, stop - block.first_sample), slice(
-            start - first, stop - first
-        )
+    def copy_data(self, target: FloatArray) -> None:
+        """Copy the samples of the window, shape ``(channels, samples)``; every value must be finite."""
+        first, size = self._lock.window_first_sample, self._lock.window_samples
+        for block in self._blocks:
+            start = block.first_sample - first
+            stop = start + block.samples
+            if start >= 0 and stop <= size:
+                target[:, start:stop] = block.data
+            else:
+                inside = slice(max(0, -start), block.samples - max(0, stop - size))
+                target[:, max(0, start) : min(size, stop)] = block.data[:, inside]
+        finite = np.isfinite(target)
+        if not finite.all():
+            sample = int(np.argmin(finite.all(axis=0)))
+            channel = self._blocks[0].channels[int(np.argmin(finite[:, sample]))]
+            raise _SpoiledError(
+                f"Channel '{channel}' of '{self.topic}' has no valid value at sample {first + sample}."
+            )
 
     def phase(self) -> tuple[FloatArray | None, float]:
         """Unwrapped excitation phase at each sample of the window and at the sample after it, cycles."""
-        if any(math.isnan(block.oscillator.cycles) for block in self._blocks):
+        oscillators = [block.oscillator for block in self._blocks]
+        start = np.array([oscillator.cycles for oscillator in oscillators])
+        if np.isnan(start).any():
             return None, math.nan
-        cycles = np.empty(self._lock.window_samples)
-        turns = 0.0
-        expected = math.nan
-        for block in self._blocks:
-            oscillator = block.oscillator
-            if not oscillator.frequency_hz > 0.0:
-                raise _SpoiledError(
-                    f"There is no periodic excitation within the window (sample {block.first_sample})."
-                )
-            if not math.isnan(expected):
-                turns = float(round(expected - oscillator.cycles))
-                if abs(expected - oscillator.cycles - turns) > _PHASE_JUMP_CYCLES:
-                    raise _SpoiledError(
-                        f"The excitation's phase jumps within the window at sample {block.first_sample}."
-                    )
-            inside, target = self._overlap(block)
-            time = np.arange(inside.start, inside.stop + 1) / block.sample_rate
-            phase = oscillator.cycles + time * (oscillator.frequency_hz + 0.5 * oscillator.rate_hz_s * time)
-            cycles[target] = turns + phase[:-1]
-            expected = float(turns + phase[-1])
-        if not np.all(np.diff(cycles) > 0.0):
+        frequency = np.array([oscillator.frequency_hz for oscillator in oscillators])
+        rate = np.array([oscillator.rate_hz_s for oscillator in oscillators])
+        first = np.array([block.first_sample for block in self._blocks])
+        samples = np.array([block.samples for block in self._blocks])
+        if not (frequency > 0.0).all():
+            silent = int(first[np.argmin(frequency > 0.0)])
+            raise _SpoiledError(f"There is no periodic excitation within the window (sample {silent}).")
+        length = samples / self.sample_rate
+        advance = length * (frequency + 0.5 * rate * length)
+        turns = np.concatenate(([0.0], np.cumsum(np.round((start + advance)[:-1] - start[1:]))))
+        jump = np.abs((start + advance + turns)[:-1] - (start + turns)[1:]) > _PHASE_JUMP_CYCLES
+        if jump.any():
+            where = int(first[1 + np.argmax(jump)])
+            raise _SpoiledError(f"The excitation's phase jumps within the window at sample {where}.")
+        # One sample more than the window: the phase at its end.
+        index = np.arange(self._lock.window_samples + 1)
+        block = np.repeat(np.arange(samples.shape[0]), samples)
+        offset = self._lock.window_first_sample - int(first[0])
+        block = np.append(block, block[-1])[offset : offset + index.shape[0]]
+        time = (index + self._lock.window_first_sample - first[block]) / self.sample_rate
+        cycles = (start + turns)[block] + time * (frequency[block] + 0.5 * rate[block] * time)
+        if not (np.diff(cycles) > 0.0).all():
             raise _SpoiledError("The excitation's phase runs backwards within the window.")
-        return cycles, expected
+        return np.ascontiguousarray(cycles[:-1]), float(cycles[-1])

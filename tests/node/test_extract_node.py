@@ -1,3 +1,4 @@
+# ruff: noqa: E402 - imports follow the check that ROS is there
 from __future__ import annotations
 
 import json

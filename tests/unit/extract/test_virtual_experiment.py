@@ -1,0 +1,75 @@
+"""The chain on the virtual beam: time integration, shaker, sensors, extraction, against harmonic balance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from nmt_extract.extractor import Extractor
+from nmt_extract.lock_event import LockEvent
+from nmt_extract.modal_point import Status
+from nmt_extract.settings import ExtractionSettings
+from nmt_plant.device import DriveCommand, Waveform
+from nmt_plant.linear_description import linear_description
+from nmt_plant.reference import single_point_reference
+from nmt_plant.rig import load_rig
+from nmt_plant.simulated_rig import SimulatedRig
+
+VOLTS = 1.0
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """Point extracted at the phase-resonant frequency of harmonic balance, and what that gives."""
+    rig = load_rig("beam")
+    reference = single_point_reference(rig, None, [VOLTS], harmonics=20).mode
+    frequency = float(reference.omega_rad_s[0]) / (2.0 * math.pi)
+    settings = ExtractionSettings(harmonics=20, topics=("force", "displacement", "acceleration"))
+    extractor = Extractor(linear_description(rig), settings, require_loop_state=False)
+    first = 120_000
+    samples = round(50 * rig.sample_rate_hz / frequency)
+    extractor.add_lock(LockEvent(0, VOLTS, "V", first, frequency, 0.0, first, samples, 50))
+    device = SimulatedRig(rig)
+    device.configure()
+    device.start()
+    device.write(DriveCommand(waveform=Waveform.SINE, frequency_hz=frequency, amplitude=VOLTS, ramp=0.5))
+    points = []
+    while not points:
+        for block in device.read():
+            extractor.add_block(block.quantity.topic, block)
+        device.write(DriveCommand(waveform=Waveform.SINE, frequency_hz=frequency, amplitude=VOLTS, ramp=0.5))
+        points = extractor.take()
+    device.stop()
+    device.close()
+    return points[0], reference
+
+
+def test_extraction_agrees_with_harmonic_balance(pair):
+    point, reference = pair
+    assert point.status is Status.OK
+    assert point.omega_rad_s == pytest.approx(float(reference.omega_rad_s[0]), rel=1e-9)
+    assert abs(point.phase_error) < 2e-4
+    for name, tolerance in (
+        ("damping_ratio", 5e-4),
+        ("modal_amplitude", 2e-4),
+        ("force_n", 2e-4),
+        ("pbmif", 1e-4),
+        ("gamma_force", 1e-4),
+        ("gamma_acceleration", 1e-3),
+    ):
+        assert getattr(point, name) == pytest.approx(float(getattr(reference, name)[0]), rel=tolerance), name
+
+
+def test_participation_agrees_with_harmonic_balance(pair):
+    point, reference = pair
+    expected = reference.participation[0]
+    turned = expected * np.exp(-1j * np.angle(expected[0]))
+    np.testing.assert_allclose(point.participation, turned, atol=1e-3)
+
+
+def test_steady_state_has_small_stated_uncertainties(pair):
+    point, _ = pair
+    assert point.damping_ratio_std < 1e-3 * point.damping_ratio
+    assert point.frequency_hz_std < 1e-9

@@ -1,9 +1,10 @@
 """Device contract: what a simulated rig or a data acquisition system must do for the plant node.
 
-Call order: configure, start, then in turn read and write, stop, close. `read` returns the next block of every quantity
-and blocks until it is complete; `write` hands over a drive command that takes effect at the first block that starts at
-or after its `apply_at_sample`. `quiet` starts the emergency ramp: the drive goes to zero along a half-cosine and stays
-there until `reset`; reading goes on meanwhile. `close` is allowed in every state, and twice.
+Call order: configure, start, then in turn read and write, stop, close. `read` returns the next block of every
+quantity and blocks until it is complete; `write` hands over a drive command that takes effect at the first
+block that starts at or after its `apply_at_sample`. `quiet` starts the emergency ramp: the drive goes to zero
+along a half-cosine and stays there until `reset`; reading goes on meanwhile. `close` is allowed in every
+state, and twice.
 
 Raises: DeviceStateError for a call out of order, BenchError for a command or configuration the user can mend,
 DeviceFault where the device itself fails (the node then quiets and closes it).
@@ -37,7 +38,8 @@ class DriveCommand:
         waveform: OFF, SINE, RANDOM or SWEEP.
         frequency_hz: Hz, positive for SINE and SWEEP.
         amplitude: V peak (SINE, SWEEP), V rms (RANDOM).
-        ramp: s, half-cosine from the present amplitude; 0 = at once. Repeating an amplitude does not restart its ramp.
+        ramp: s, half-cosine from the present amplitude; 0 = at once. The same amplitude again does not
+            restart it.
         apply_at_sample: first block that starts at or after this sample; 0 = next block.
         based_on_sample: last sample the command was computed from.
         harmonics: (harmonic number >= 2, complex amplitude in V) of additional terms Re A_n exp(i n θ).
@@ -154,7 +156,7 @@ class Device(ABC):
         self._device_state = DeviceState.RUNNING
 
     def read(self) -> list[SampleBlock]:
-        """The next block, one SampleBlock for each quantity, all with the same first sample and oscillator phase.
+        """The next block: one SampleBlock for each quantity, all with one first sample and oscillator phase.
 
         Raises:
             DeviceFault: the device failed.
@@ -172,7 +174,7 @@ class Device(ABC):
         self._write(command)
 
     def quiet(self, reason: str, ramp: float | None = None) -> None:
-        """Emergency ramp: drive to zero along a half-cosine (s; the device's own when None), latched until reset."""
+        """Emergency ramp: drive to zero within `ramp` s (the device's own when None), latched until reset."""
         self._require("quiet", DeviceState.RUNNING)
         self._quiet(reason, ramp)
 

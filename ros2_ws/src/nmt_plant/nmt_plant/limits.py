@@ -30,13 +30,15 @@ class LimitGuard:
             limit = self.limits.get(block.quantity)
             if limit is None:
                 continue
-            within = np.abs(block.data) <= limit
-            if not within.all():
+            # Comparisons with NaN are false, so a NaN does not count as within.
+            if not (block.data.max() <= limit and block.data.min() >= -limit):
+                within = np.abs(block.data) <= limit
                 violating = np.argwhere(~within)
                 row, sample = violating[np.argmin(violating[:, 1])]
                 self.reason = (
                     f"{block.quantity.name.lower()} limit: {block.channels[row]} reached "
-                    f"{block.data[row, sample]:.4g} {block.unit} at sample {block.first_sample + int(sample)}, "
+                    f"{block.data[row, sample]:.4g} {block.unit} at sample "
+                    f"{block.first_sample + int(sample)}, "
                     f"limit {limit:g} {block.unit}"
                 )
                 return True

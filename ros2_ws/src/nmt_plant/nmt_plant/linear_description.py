@@ -16,9 +16,9 @@ def linear_description(rig: Rig) -> LinearDescription:
     """Linear modes of the sticking structure at the response points, and the plant with its exciter.
 
     The plant's frequency and damping ratio are those of the damped mode of structure and exciter whose shape
-    resembles the target mode most (largest MAC over all points). Force and displacement per volt are taken at phase
-    resonance of the structure, i.e. at the target mode's linear frequency, with all friction sticking: the
-    smallest levels of a test scale by them.
+    resembles the target mode most (largest MAC over all points). Force and displacement per volt are taken
+    at phase resonance of the structure, i.e. at the target mode's linear frequency, with all friction
+    sticking: the smallest levels of a test scale by them.
 
     Raises:
         ValueError: the plant has no oscillating mode.

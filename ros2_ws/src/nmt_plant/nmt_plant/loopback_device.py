@@ -1,7 +1,7 @@
 """Loopback device: output wired to input, as on a bench without a structure.
 
-The force channel records `newton_per_volt` times the drive voltage, delayed by `delay_samples`; the acceleration
-channel records the same in m/s². For checking cabling, sequencing and phase without a rig.
+The force channel records `newton_per_volt` times the drive voltage, delayed by `delay_samples`; the
+acceleration channel records the same in m/s². For checking cabling, sequencing and phase without a rig.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
 
 from .device import Device, DriveCommand, Waveform
 from .limits import LimitGuard
-from .oscillator import Oscillator
+from .oscillator import Oscillator, check_command
 from .watchdog import DriveWatchdog
 
 
@@ -130,7 +130,7 @@ class LoopbackDevice(Device):
 
     def _write(self, command: DriveCommand) -> None:
         if command.waveform != Waveform.OFF:
-            Oscillator(self._sample_rate).apply(command)
+            check_command(command, self._sample_rate)
         self._watchdog.command()
         self._pending.append(command)
 

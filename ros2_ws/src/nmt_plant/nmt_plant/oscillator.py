@@ -1,7 +1,7 @@
 """Phase-continuous oscillator of the drive, with half-cosine amplitude ramps.
 
-The phase never jumps: a new frequency bends it at a block boundary. The drive is u = Re Σ A_n exp(i n θ) for SINE and
-SWEEP, band-limited Gaussian noise for RANDOM.
+The phase never jumps: a new frequency bends it at a block boundary. The drive is u = Re Σ A_n exp(i n θ) for
+SINE and SWEEP, band-limited Gaussian noise for RANDOM.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Envelope:
         return float(self.values(1)[0])
 
     def aim(self, target: float, length: int) -> None:
-        """Go to `target` within `length` samples from the present value; does nothing if already on the way there."""
+        """Go to `target` within `length` samples from the present value, unless already on the way there."""
         if target != self.target:
             self._start, self._elapsed, self._length, self.target = self.value, 0, length, target
 
@@ -54,6 +54,26 @@ class Envelope:
         """Zero at once."""
         self.target = 0.0
         self._start, self._elapsed, self._length = 0.0, 0, 0
+
+
+def check_command(command: DriveCommand, sample_rate: float) -> None:
+    """Refuse what an oscillator at this sample rate (Hz) cannot follow.
+
+    Raises:
+        BenchError: a frequency, harmonic or band beyond half the sample rate.
+    """
+    nyquist = 0.5 * sample_rate
+    if command.waveform == Waveform.RANDOM:
+        highest = command.band_high_hz
+    elif command.waveform == Waveform.OFF:
+        return
+    else:
+        orders = [1, *(order for order, _ in command.harmonics)]
+        highest = max(command.frequency_hz, command.frequency_end_hz) * max(orders)
+    if highest >= nyquist:
+        raise BenchError(
+            f"the drive reaches {highest:g} Hz; it must stay below half the sample rate, {nyquist:g} Hz."
+        )
 
 
 class BandNoise:
@@ -90,7 +110,8 @@ class OscillatorBlock:
     """Output over one block.
 
     Attributes:
-        voltage: (samples + 1,) V at the block's samples and at the first of the next block, for a first-order hold.
+        voltage: (samples + 1,) V at the block's samples and at the first of the next block, for a
+            first-order hold.
         phase: phase at the first sample.
     """
 
@@ -99,7 +120,7 @@ class OscillatorBlock:
 
 
 class Oscillator:
-    """Drive oscillator; commands take effect when they are applied, i.e. at a block boundary.
+    """Drive oscillator; a command takes effect when it is applied, i.e. at a block boundary.
 
     Args:
         sample_rate: Hz.
@@ -138,19 +159,12 @@ class Oscillator:
         Raises:
             BenchError: a frequency, harmonic or band beyond half the sample rate.
         """
+        check_command(command, self.sample_rate)
         length = round(command.ramp * self.sample_rate)
-        nyquist = 0.5 * self.sample_rate
         if command.waveform == Waveform.OFF:
             self.ramp_to_zero(command.ramp)
             return
         random = command.waveform == Waveform.RANDOM
-        if not random:
-            orders = [1, *(order for order, _ in command.harmonics)]
-            highest = max(command.frequency_hz, command.frequency_end_hz) * max(orders)
-            if highest >= nyquist:
-                raise BenchError(
-                    f"the drive reaches {highest:g} Hz; it must stay below half the sample rate, {nyquist:g} Hz."
-                )
         if random:
             band = (command.band_low_hz, command.band_high_hz)
             if self._noise is None or band != self._band:

@@ -204,7 +204,7 @@ class ForceSection(Section):
 
 
 class SensorSection(Section):
-    """One channel. Noise is a one-sided power spectral density in units²/Hz."""
+    """One channel. Noise: density S in units²/Hz, variance S / correlation time (see sensors.py)."""
 
     quantity: Literal["force", "displacement", "velocity", "acceleration", "voltage", "current"]
     point: Point | Literal["drive"] | None = None
@@ -363,14 +363,14 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
     responses = len(rig.response_points(Quantity[rig.extraction.quantity.upper()]))
     if responses == 0:
         raise BenchError(
-            f"{document.place(('extraction', 'quantity'))}: extraction.quantity is {rig.extraction.quantity}, "
-            "but there is no such sensor."
+            f"{document.place(('extraction', 'quantity'))}: extraction.quantity is "
+            f"{rig.extraction.quantity}, but there is no such sensor."
         )
     if rig.extraction.linear_modes > responses or rig.test.mode > rig.extraction.linear_modes:
+        place = document.place(("extraction", "linear_modes"))
         raise BenchError(
-            f"{document.place(('extraction', 'linear_modes'))}: extraction.linear_modes must be between test.mode "
-            f"({rig.test.mode}) and the number of {rig.extraction.quantity} sensors ({responses}), got "
-            f"{rig.extraction.linear_modes}."
+            f"{place}: extraction.linear_modes must be between test.mode ({rig.test.mode}) and the number of "
+            f"{rig.extraction.quantity} sensors ({responses}), got {rig.extraction.linear_modes}."
         )
 
 
@@ -385,12 +385,9 @@ def _plain_path(location: Sequence[str | int], values: Any) -> KeyPath:
     rest = list(location)
     while rest:
         part = rest.pop(0)
-        if isinstance(node, dict) and part in node:
+        known = isinstance(node, dict) and part in node
+        if known or (isinstance(node, list) and isinstance(part, int) and part < len(node)):
             node = node[part]
-        elif isinstance(node, list) and isinstance(part, int) and part < len(node):
-            node = node[part]
-        elif isinstance(node, dict) and node.get("kind") == part and rest:
-            continue
         elif rest or not isinstance(node, dict | list):
             continue
         path.append(part)

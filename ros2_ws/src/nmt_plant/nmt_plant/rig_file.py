@@ -1,7 +1,7 @@
 """YAML rig files with the line of every key, and `a.b.c=value` overrides.
 
-Numbers follow YAML 1.2 (1e-4 is a number). Duplicate keys are refused. Whatever is wrong is said in one sentence that
-names the file and the line.
+Numbers follow YAML 1.2 (1e-4 is a number). Duplicate keys are refused. Whatever is wrong is said in one
+sentence that names the file and the line.
 """
 
 from __future__ import annotations
@@ -68,7 +68,10 @@ def parse_document(text: str, name: str) -> RigDocument:
     Raises:
         BenchError: not YAML, not a mapping, duplicate keys, or far too large.
     """
-    loader = _Loader(text)
+    try:
+        loader = _Loader(text)
+    except yaml.YAMLError as error:
+        raise BenchError(f"{name} is not a YAML text file: {str(error).splitlines()[0]}.") from error
     try:
         node = loader.get_single_node()
         if node is None:

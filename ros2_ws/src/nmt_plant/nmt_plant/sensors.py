@@ -1,9 +1,10 @@
 """Sensors: gain, noise and converter of each channel.
 
-Noise convention: `noise_psd` S is a density in units²/Hz such that the noise has the variance S / t_c, where t_c is the
-time over which a value is held (the correlation time; one sampling interval when it is 0). This is the two-sided
-density; the one-sided one is 2 S. With it, force amplitudes of 0.1 N have the SNR of the paper's noise table
-(14 dB at 2e-9 and t_c = 0.01 ms). No anti-aliasing: values held for less than a sampling interval are independent.
+Noise convention: `noise_psd` S is a density in units²/Hz such that the noise has the variance S / t_c, where
+t_c is the time over which a value is held (the correlation time; one sampling interval when it is 0). This is the
+two-sided density; the one-sided one is 2 S. With it a force amplitude of 0.1 N has the SNR of the paper's
+noise table (14 dB at 2e-9 and t_c = 0.01 ms). There is no anti-aliasing: values held for less than a sampling
+interval are independent.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Sensor:
 
 
 class SensorChannel:
-    """A sensor at work: its noise depends on seed, channel name and sample index only, not on the block length."""
+    """A sensor at work; its noise depends on seed, channel name and sample index, not on the block length."""
 
     def __init__(self, sensor: Sensor, sample_rate: float, seed: int) -> None:
         self.sensor = sensor
@@ -52,6 +53,7 @@ class SensorChannel:
         held = sensor.noise_correlation_time or interval
         self.noise_deviation = float(np.sqrt(sensor.noise_psd / held))
         self._samples_per_value = max(held / interval, 1.0)
+        self.plain = sensor.gain == 1.0 and self.noise_deviation == 0.0 and sensor.adc_range is None
         self._sample = 0
         self._drawn = 0
         self._last = 0.0
@@ -76,6 +78,8 @@ class SensorChannel:
         Returns:
             (samples,) recorded values, and whether the converter was driven to its end.
         """
+        if self.plain:
+            return true_values, False
         samples = true_values.shape[0]
         values = self.sensor.gain * true_values
         if self.noise_deviation > 0.0 and samples > 0:

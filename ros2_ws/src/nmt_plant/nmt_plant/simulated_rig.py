@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from .model.assembly import (
     velocity_output,
 )
 from .model.time_integration import IntegrationError, TimeIntegrator
-from .oscillator import Oscillator, OscillatorBlock
+from .oscillator import Oscillator, OscillatorBlock, check_command
 from .rig import Rig
 from .rig_model import build_system, input_per_volt
 from .sensors import Sensor, SensorChannel
@@ -71,6 +72,20 @@ def sensor_output(system: ElectromechanicalSystem, sensor: Sensor, volts_to_inpu
     return by_point[sensor.quantity](system, sensor.point)
 
 
+_Group = tuple[Quantity, tuple[str, ...], tuple[int, ...], list[int]]
+
+
+def _by_quantity(sensors: Sequence[Sensor]) -> list[_Group]:
+    """Quantity, channels, points and rows of each block that the sensors make up."""
+    groups: list[_Group] = []
+    for quantity in Quantity:
+        rows = [row for row, sensor in enumerate(sensors) if sensor.quantity == quantity]
+        if rows:
+            channels = tuple(sensors[row].channel for row in rows)
+            groups.append((quantity, channels, tuple(sensors[row].point for row in rows), rows))
+    return groups
+
+
 class SimulatedRig(Device):
     """A rig file brought to life; every `read` integrates one block.
 
@@ -84,6 +99,7 @@ class SimulatedRig(Device):
         self.rig = rig
         self._block_samples = block_samples or rig.block_samples
         self.sensors = rig_sensors(rig)
+        self._groups = _by_quantity(self.sensors)
         self._integrator: TimeIntegrator | None = None
         self._next_sample = 0
         self._prepare()
@@ -160,7 +176,7 @@ class SimulatedRig(Device):
     def tick(self) -> list[SampleBlock]:
         """One block, in the order of TICK_ORDER; `read` calls it.
 
-        A violation seen in this block acts on the drive from the next block on.
+        Commands that are due act on this block's drive; a violation seen in it acts from the next one on.
         """
         self._take_commands()
         drive = self._oscillator.block(self._block_samples)
@@ -186,6 +202,8 @@ class SimulatedRig(Device):
             raise DeviceFault(str(error)) from error
 
     def _compute(self, true_values: FloatArray) -> tuple[FloatArray, bool]:
+        if all(channel.plain for channel in self._channels):
+            return true_values, False
         recorded = np.empty_like(true_values)
         overload = False
         for row, channel in enumerate(self._channels):
@@ -194,23 +212,13 @@ class SimulatedRig(Device):
         return recorded, overload
 
     def _blocks(self, recorded: FloatArray, phase: OscillatorPhase) -> list[SampleBlock]:
-        blocks = []
-        for quantity in Quantity:
-            rows = [row for row, sensor in enumerate(self.sensors) if sensor.quantity == quantity]
-            if rows:
-                blocks.append(
-                    SampleBlock(
-                        first_sample=self._next_sample,
-                        sample_rate=self.sample_rate,
-                        quantity=quantity,
-                        unit=quantity.unit,
-                        channels=tuple(self.sensors[row].channel for row in rows),
-                        points=tuple(self.sensors[row].point for row in rows),
-                        data=recorded[rows],
-                        oscillator=phase,
-                    )
-                )
-        return blocks
+        return [
+            SampleBlock(
+                self._next_sample, self.sample_rate, quantity, quantity.unit, channels, points,
+                recorded[rows], phase
+            )
+            for quantity, channels, points, rows in self._groups
+        ]  # fmt: skip
 
     def _safety(self, blocks: Sequence[SampleBlock]) -> None:
         if self._reason:
@@ -234,20 +242,7 @@ class SimulatedRig(Device):
         self._next_sample += self._block_samples
         if not flags:
             return list(blocks)
-        return [
-            SampleBlock(
-                block.first_sample,
-                block.sample_rate,
-                block.quantity,
-                block.unit,
-                block.channels,
-                block.points,
-                block.data,
-                block.oscillator,
-                flags,
-            )
-            for block in blocks
-        ]
+        return [replace(block, flags=flags) for block in blocks]
 
     def _trip(self, reason: str, flag: BlockFlag, ramp: float) -> None:
         self._reason = reason
@@ -257,12 +252,12 @@ class SimulatedRig(Device):
     def _write(self, command: DriveCommand) -> None:
         # A command the oscillator cannot follow is refused here, where its sender can be told.
         if command.waveform != Waveform.OFF:
-            Oscillator(self.sample_rate).apply(command)
+            check_command(command, self.sample_rate)
             limit = self.rig.limits.voltage_v
             if limit is not None and command.amplitude > limit:
                 raise BenchError(
-                    f"drive amplitude {command.amplitude:g} V is beyond the rig's voltage limit of {limit:g} V; "
-                    "lower the level."
+                    f"drive amplitude {command.amplitude:g} V is beyond the rig's voltage limit "
+                    f"of {limit:g} V; lower the level."
                 )
         self._watchdog.command()
         self._pending.append(command)

@@ -3,8 +3,9 @@
 State s = [q with inertia (m), their velocities (m), coil current if any]; ṡ = A s + B_u u + B_g g, where g
 are the forces of the ports, i.e. the distinct directions of the local elements. Over a step the input is a
 straight line between samples; a port force is the cubic through its values and slopes at both ends (Hermite),
-so a smooth local force is integrated to fourth order and the linear part without error. Where the eigenvectors
-of A allow it, the state is kept in real modal form: pairs of states that a 2 x 2 block propagates.
+so a smooth local force is integrated to fourth order and the linear part without error. Where the
+eigenvectors of A allow it, the state is kept in real modal form: pairs of states that a 2 x 2 block
+propagates.
 """
 
 from __future__ import annotations

@@ -141,7 +141,8 @@ class TimeIntegrator:
         """Integrate over one block.
 
         Args:
-            inputs: (n + 1,) input at the n samples of the block and at the first of the next, straight between.
+            inputs: (n + 1,) input at the n samples of the block and at the first of the next, straight
+                between.
 
         Returns:
             (outputs, n) outputs at the n samples; the state moves on to the next block's first sample.
@@ -164,8 +165,8 @@ class TimeIntegrator:
         good = integrate(
             p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input,
             p.port_feedthrough, p.compliance, self._kinds, self._parameters, self._space.element_port,
-            self._affine, self._levels, self.substeps, inputs, self._state, *self._memory, self._c, self._d_ports, self._d_input, self._history,
-            self._force_history, result,
+            self._affine, self._levels, self.substeps, inputs, self._state, *self._memory, self._c,
+            self._d_ports, self._d_input, self._history, self._force_history, result,
         )  # fmt: skip
         self.samples += n
         if not good:

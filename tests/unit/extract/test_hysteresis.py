@@ -6,9 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from unit.extract.synthetic import Stream, extract, lock_event
 
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
+from nmt_extract.settings import ExtractionSettings
 
 OMEGA = 2.0 * math.pi * 370.0
 M1, M2, M3 = 3.0, 1.2, 2.1
@@ -127,3 +130,20 @@ def test_malformed_layouts_are_refused(values):
 
 def test_layout_survives_json_values():
     assert HysteresisLayout.from_mapping(LAYOUT.to_mapping()) == LAYOUT
+
+
+def test_a_modal_point_carries_it_if_the_rig_declares_it():
+    relative = np.array([0.0, 2e-6, 0.0, 1e-7])
+    accelerations, force, _ = chain(relative, (JOINT + 4e5j) * relative)
+    rows = np.array([*accelerations, accelerations[2]])
+    stream = Stream(
+        force, rows, samples=4000, frequencies=(370.0,), quantity=Quantity.ACCELERATION, noise=1e-4
+    )
+    layout = HysteresisLayout(2, 4, 5, M1, M3)
+    topics = ("force", "acceleration")
+    lock = lock_event(0, 3000, 111, frequency_hz=370.0)
+    point = extract(stream, lock, settings=ExtractionSettings(topics=topics, hysteresis=layout))
+    expected = hysteresis_loop(LAYOUT, OMEGA, accelerations, force).damping_ratio
+    assert point.hysteresis_damping == pytest.approx(expected, rel=1e-2)
+    assert 0.0 < point.hysteresis_damping_std < 0.01 * expected
+    assert math.isnan(extract(stream, lock, settings=ExtractionSettings(topics=topics)).hysteresis_damping)

@@ -56,15 +56,18 @@ def test_fold_between_points_is_seen_even_if_the_tangents_miss_it() -> None:
 
 
 def test_corrector_does_not_jump_to_a_neighbouring_branch() -> None:
-    # Two circles of radius 1, centres (0, 0) and (2.05, 0): they nearly touch at y = 1.
-    def circles(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    # Branches y = h(x) + k π with a steep rise of h: a long step lands in the reach of another k.
+    def stairs(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         y, x = z
-        a, b = y**2 + x**2 - 1.0, (y - 2.05) ** 2 + x**2 - 1.0
-        return np.array([a * b]), np.array([[2 * y * b + 2 * (y - 2.05) * a, 2 * x * b + 2 * x * a]])
+        rise = np.tanh(20.0 * (x - 0.5))
+        phase = y - 4.0 * rise
+        return np.array([np.sin(phase)]), np.cos(phase) * np.array([[1.0, -80.0 * (1.0 - rise**2)]])
 
-    start = np.array([np.cos(-1.3), np.sin(-1.3)])
-    branch = follow_branch(circles, start, 0.99, StepControl(first_step=0.05, largest_step=0.2))
-    np.testing.assert_allclose(np.hypot(branch.points[:, 0], branch.points[:, 1]), 1.0, atol=1e-8)
+    control = StepControl(first_step=0.3, largest_step=1.0, largest_turn=4.0)
+    branch = follow_branch(stairs, solve_at_parameter(stairs, np.array([-4.0, 0.0])), 1.0, control)
+    np.testing.assert_allclose(
+        branch.points[:, 0], 4.0 * np.tanh(20.0 * (branch.points[:, 1] - 0.5)), atol=1e-6
+    )
 
 
 def test_no_solution_is_said() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +56,9 @@ def make_block(store: DefinitionStore) -> Callable[..., bytes]:
 
 
 @pytest.fixture
-def make_bag(tmp_path: Path, make_block: Callable[..., bytes]) -> Callable[..., Path]:
+def make_bag(tmp_path: Path, make_block: Callable[..., bytes]) -> Iterator[Callable[..., Path]]:
+    left_open = []
+
     def make(
         name: str = "bag", blocks: int = 40, per_chunk: int = 5, close: bool = True, **options: Any
     ) -> Path:
@@ -73,6 +75,10 @@ def make_bag(tmp_path: Path, make_block: Callable[..., bytes]) -> Callable[..., 
             writer.write("displacement", make_block(20 * index), 1_000 * index + 10, 2_000_000 * index)
         if close:
             writer.close()
+        else:
+            left_open.append(writer)
         return writer.path
 
-    return make
+    yield make
+    for writer in left_open:
+        writer.close()

@@ -171,4 +171,6 @@ def test_custom_data_speaks_where_the_start_record_is_missing(make_bag, tmp_path
     path = make_bag(blocks=2, records=False)
     information = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert "run.json" in information["custom_data"]
-    assert Bag.open(path).run_start["run_id"] == "run-7"
+    bag = Bag.open(path)
+    assert bag.run_start["run_id"] == "run-7"
+    assert "it has no stop record" in bag.loss

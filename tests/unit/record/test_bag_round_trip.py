@@ -217,6 +217,8 @@ def test_blocks_are_those_written(make_bag):
     np.testing.assert_array_equal(block.data.ravel(), np.random.default_rng(140).standard_normal(40))
     cut = [block.first_sample for block in bag.blocks("displacement", first_sample=119, stop_sample=161)]
     assert cut == [100, 120, 140, 160]
+    edge = [block.first_sample for block in bag.blocks("displacement", first_sample=120, stop_sample=160)]
+    assert edge == [120, 140]
 
 
 def test_topics_are_checked(make_bag):

@@ -133,7 +133,7 @@ class Bag:
             BenchError: the bag or a message is damaged.
         """
         for topic, received, _, raw in self.raw_messages(topics):
-            yield topic, received, self._deserialise(topic, raw)
+            yield topic, received, self.deserialise(topic, raw)
 
     def blocks(
         self, topic: str, first_sample: int | None = None, stop_sample: int | None = None
@@ -163,7 +163,7 @@ class Bag:
                         continue
                     if stop_sample is not None and extent.first_sample >= stop_sample:
                         continue
-                yield block_from_message(self._deserialise(topic, raw))
+                yield block_from_message(self.deserialise(topic, raw))
             except (ValueError, AttributeError) as error:
                 raise BenchError(
                     f"A block of topic '{topic}' in the bag {self.path} cannot be used: {error}."
@@ -211,7 +211,7 @@ class Bag:
             raise
         return destination
 
-    def _deserialise(self, topic: str, raw: bytes) -> Any:
+    def deserialise(self, topic: str, raw: bytes) -> Any:
         if self._typestore is None:
             definitions = {channel.message_type: channel.definition for channel, _ in self._source.channels()}
             self._typestore = typestore_of(definitions, str(self.path))

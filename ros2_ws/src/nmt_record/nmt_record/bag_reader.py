@@ -212,6 +212,11 @@ class Bag:
         return destination
 
     def deserialise(self, topic: str, raw: bytes) -> Any:
+        """The message in the bytes that :meth:`raw_messages` gives for a topic.
+
+        Raises:
+            BenchError: the bytes do not fit the definition in the bag, or that is malformed.
+        """
         if self._typestore is None:
             definitions = {channel.message_type: channel.definition for channel, _ in self._source.channels()}
             self._typestore = typestore_of(definitions, str(self.path))

@@ -47,7 +47,7 @@ def write_bag(
     lost_level: int | None = None,
     stop: bool = True,
 ) -> Path:
-    """Write the bag; the level ``lost_level`` never locks. Without ``stop`` the bag is left as a killed recorder would."""
+    """Write the bag; level ``lost_level`` never locks; without ``stop`` it stays open."""
     types = local_definitions().typestore.types
     run = {
         "run_id": "made-up",

@@ -1,4 +1,4 @@
-"""A made-up run with all that a report can show: smooth softening backbone with a damping peak, one failed level."""
+"""A made-up run with all that a report can show: softening backbone, damping peak, failed level."""
 
 from __future__ import annotations
 
@@ -142,7 +142,8 @@ def synthetic_run(
             "name": "beam",
             "description": "Cantilever beam with a friction joint, virtual experiment of Scheel et al. 2018",
             "assumptions": [
-                "The cross-section is not in the paper; 11.56978 mm × 5.27668 mm reproduces its three frequencies.",
+                "The cross-section is not in the paper; 11.56978 mm × 5.27668 mm reproduces its three "
+                "frequencies.",
                 "Damping is proportional to the beam's stiffness alone, β = 1e-4 s.",
                 "The phase-locked loop's block diagram is missing in the paper; an adaptive filter is used.",
             ],

@@ -70,7 +70,7 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     """
     parser = _Parser(
         prog=PROGRAM,
-        description="A test bench for nonlinear modal testing: phase-resonant tests on simulated rigs and on hardware.",
+        description="A test bench for nonlinear modal testing, on simulated rigs and on hardware.",
         epilog=_LAUNCHER_COMMANDS,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -103,9 +103,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = parser.parse_args(words)
         if arguments.command is None:
             parser.error("a command is missing")
-        status = _load(arguments.command, COMMANDS[arguments.command][0]).run(arguments)
-        sys.stdout.flush()
-        return int(status)
+        return run_parsed(arguments)
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else EXIT_DONE if stop.code is None else EXIT_USER
     except BenchError as error:
@@ -115,7 +113,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         _complain(command, "Stopped on request (Ctrl-C).")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output has gone (``| head``): nobody is left to tell. Python would complain at exit.
+        # The reader of our output has gone (``| head``): nobody is left to tell. Python would complain at
+        # exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_UNEXPECTED
     except Exception as error:
@@ -125,6 +124,20 @@ def main(argv: Sequence[str] | None = None) -> int:
             command, f"This should not have happened ({kind}: {_first_line(error)}); details are in {log}."
         )
         return EXIT_UNEXPECTED
+
+
+def run_parsed(arguments: argparse.Namespace) -> int:
+    """Run the command of parsed arguments.
+
+    Returns:
+        Its exit code.
+
+    Raises:
+        BenchError: a mistake that the user can mend.
+    """
+    status = int(_load(arguments.command, COMMANDS[arguments.command][0]).run(arguments))
+    sys.stdout.flush()
+    return status
 
 
 def write_error_log(words: Sequence[str]) -> Path:

@@ -20,9 +20,10 @@ def add_parser(subparsers: Subparsers) -> None:
         "demo",
         help="the paper's virtual experiment, from the first node to the report",
         description=(
-            "Runs the virtual experiment of the reference paper (Scheel et al. 2018): a cantilever beam with a friction "
-            "joint on a Brüel & Kjær 4808 shaker, held at phase resonance while the level is stepped up. Every node is its own "
-            "process; everything is recorded to a bag. Ends with a table of modal properties and a report."
+            "Runs the virtual experiment of the reference paper (Scheel et al. 2018): a cantilever beam "
+            "with a friction joint on a Brüel & Kjær 4808 shaker, held at phase resonance while the level "
+            "is stepped up. Every node is its own process; everything is recorded to a bag. Ends with a "
+            "table of modal properties and a report."
         ),
         epilog="The same test with your own settings: ./nmt run beam --out DIR",
     )
@@ -44,9 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: as ``./nmt run``.
     """
-    from nmt_bench import run_command
-    from nmt_bench.cli import build_parser
+    from nmt_bench.cli import build_parser, run_parsed
 
     folder = arguments.out if arguments.out is not None else free_folder(DEFAULT_FOLDER)
     words = ["run", "beam", "--out", str(folder)] + (["--force"] if arguments.force else [])
-    return run_command.run(build_parser("run").parse_args(words))
+    return run_parsed(build_parser("run").parse_args(words))

@@ -14,6 +14,8 @@ from nmt_core.errors import BenchError
 if TYPE_CHECKING:
     from nmt_core.linear_description import LinearDescription
     from nmt_extract.modal_point import ModalPoint
+    from nmt_extract.settings import ExtractionSettings
+    from nmt_record.bag_reader import Bag
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -24,9 +26,9 @@ def add_parser(subparsers: Subparsers) -> None:
         "extract",
         help="modal properties from a recorded bag; equal to the live ones",
         description=(
-            "Extracts modal frequency, damping, amplitude and shape from every locked window of a recorded bag, with "
-            "the code of the live node: the results are the same, bit for bit. Opens bags of killed recorders too and "
-            "says what they lost."
+            "Extracts modal frequency, damping, amplitude and shape from every locked window of a recorded "
+            "bag, with the code of the live node: the results are the same, bit for bit. Opens bags of "
+            "killed recorders too and says what they lost."
         ),
     )
     parser.add_argument(
@@ -77,7 +79,9 @@ def run(arguments: argparse.Namespace) -> int:
     settings = _settings(bag.run_start, arguments.harmonics)
     result = extract_opened_bag(bag, linear, settings)
     if not result.points:
-        raise BenchError(f"The bag {arguments.bag} gave no modal point; its run may have ended before the first lock.")
+        raise BenchError(
+            f"The bag {arguments.bag} gave no modal point; its run may have ended before the first lock."
+        )
     with OutputFolder(arguments.out, arguments.force) as folder:
         write_results(result.points, folder, result.inputs)
         if not arguments.no_report:
@@ -99,11 +103,11 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def recorded_points(bag: object) -> list[ModalPoint]:
+def recorded_points(bag: Bag) -> list[ModalPoint]:
     """The modal points that the live node published, as recorded."""
     from nmt_extract.conversions import modal_point_from_message
 
-    return [modal_point_from_message(message) for _, _, message in bag.messages(["modal_point"])]  # type: ignore[attr-defined]
+    return [modal_point_from_message(message) for _, _, message in bag.messages(["modal_point"])]
 
 
 def _comparison(points: Sequence[ModalPoint], recorded: Sequence[ModalPoint]) -> str:
@@ -111,14 +115,16 @@ def _comparison(points: Sequence[ModalPoint], recorded: Sequence[ModalPoint]) ->
         return "The bag holds no live results to compare with."
     by_level = {point.level_index: point for point in recorded}
     shared = [point for point in points if point.level_index in by_level]
-    different = [point.level_index + 1 for point in shared if not point.identical(by_level[point.level_index])]
+    different = [
+        point.level_index + 1 for point in shared if not point.identical(by_level[point.level_index])
+    ]
     if different:
         levels = ", ".join(map(str, different))
-        return f"Level {levels} differs from the live result; its settings or its blocks were others at the time."
+        return f"Level {levels} differs from the live result: settings or blocks were others at the time."
     return f"Equal to the live results bit for bit ({len(shared)} of {len(points)} levels compared)."
 
 
-def _settings(run: dict[str, object] | None, harmonics: int | None) -> object:
+def _settings(run: dict[str, object] | None, harmonics: int | None) -> ExtractionSettings | None:
     if harmonics is None:
         return None
     from nmt_extract.settings import ExtractionSettings

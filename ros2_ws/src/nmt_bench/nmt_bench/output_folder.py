@@ -52,9 +52,10 @@ def add_output_options(parser: argparse.ArgumentParser, contents: str, required:
 class OutputFolder:
     """Context manager around the results of one command.
 
-    Without ``live`` the command writes to a hidden folder beside ``path``, whose contents are moved in place when the
-    block ends well and removed when it does not: what is in ``path`` is always whole. With ``live`` the command
-    writes in place, for recordings that must survive a killed process; an empty folder is removed again.
+    Without ``live`` the command writes to a hidden folder beside ``path``, whose contents are moved in place
+    when the block ends well and removed when it does not: what is in ``path`` is always whole. With ``live``
+    the command writes in place, for recordings that must survive a killed process; an empty folder is removed
+    again.
 
     Args:
         path: the folder of the results.
@@ -62,7 +63,8 @@ class OutputFolder:
         live: write in place.
 
     Raises:
-        BenchError: on entry, if the folder cannot be made, is not a folder, or is not empty and ``force`` is not set.
+        BenchError: on entry, if the folder cannot be made, is not a folder, or is not empty and ``force`` is
+        not set.
     """
 
     def __init__(self, path: Path | str, force: bool = False, live: bool = False) -> None:
@@ -86,7 +88,8 @@ class OutputFolder:
                 self._work.chmod(0o777 & ~_umask())
         except OSError as error:
             raise BenchError(
-                f"The results folder {self.path} cannot be written ({_reason(error)}); choose another with --out."
+                f"The results folder {self.path} cannot be written ({_reason(error)}); choose another with "
+                "--out."
             ) from error
         return self._work
 
@@ -124,7 +127,8 @@ def check_output(path: Path, force: bool) -> None:
         raise BenchError(f"The results folder {path} is a file; choose another with --out.")
     if path.is_dir() and not force and any(path.iterdir()):
         raise BenchError(
-            f"The results folder {path} is not empty; choose another with --out, or add --force to replace its results."
+            f"The results folder {path} is not empty; choose another with --out, or add --force to replace "
+            "its results."
         )
 
 

@@ -10,7 +10,7 @@ _NARROW_SPACE = "\u202f"
 
 
 def engineering_exponent(values: Iterable[float]) -> int:
-    """The exponent (a multiple of 3) that brings the largest finite magnitude into [1, 1000); 0 if there is none."""
+    """Exponent, a multiple of 3, that brings the largest finite magnitude into [1, 1000); 0 if none."""
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     return 3 * math.floor(math.log10(largest) / 3.0) if largest > 0.0 else 0
 
@@ -34,7 +34,7 @@ def uncertain(value: float, std: float, fallback_decimals: int = 4, most_decimal
         value: the value in the unit to print.
         std: its standard uncertainty in the same unit; NaN or 0 = not known.
         fallback_decimals: decimal places without an uncertainty.
-        most_decimals: limit; a smaller uncertainty is printed as ``< 1`` in the last place.
+        most_decimals: limit; a smaller uncertainty is printed with a power of ten.
 
     Returns:
         The text; an em dash for a value that is not finite.
@@ -45,7 +45,8 @@ def uncertain(value: float, std: float, fallback_decimals: int = 4, most_decimal
     if decimals is None:
         return plain(value, fallback_decimals)
     if decimals > most_decimals and std < 0.5 * 10.0**-most_decimals:
-        return f"{plain(value, most_decimals)} ± <{10.0**-most_decimals:.{most_decimals}f}"
+        exponent = math.floor(math.log10(std))
+        return f"{plain(value, most_decimals)} ± {std / 10.0**exponent:.0f}·{power_of_ten(exponent)}"
     decimals = min(decimals, most_decimals)
     return f"{plain(value, decimals)} ± {std:.{decimals}f}"
 
@@ -58,7 +59,7 @@ def concise(value: float, std: float, fallback_decimals: int = 4, most_decimals:
     value_text, _, std_text = uncertain(value, std, fallback_decimals, most_decimals).partition(" ± ")
     if not std_text:
         return value_text
-    if std_text.startswith("<"):
+    if "·" in std_text:
         return f"{value_text}(<1)"
     whole, _, fraction = std_text.partition(".")
     digits = fraction.lstrip("0") if whole == "0" else std_text

@@ -21,9 +21,9 @@ def add_parser(subparsers: Subparsers) -> None:
         "reference",
         help="computed backbone of a rig's model (EPMC, harmonic balance)",
         description=(
-            "Computes modal frequency and damping over modal amplitude of a rig's model by the extended periodic motion "
-            "concept (EPMC) with harmonic balance: what a perfect test of the mode would give. Give the file to "
-            "'./nmt extract --reference' to compare a test with it."
+            "Computes modal frequency and damping over modal amplitude of a rig's model by the extended "
+            "periodic motion concept (EPMC) with harmonic balance: what a perfect test of the mode would "
+            "give. Give the file to './nmt extract --reference' to compare a test with it."
         ),
     )
     parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
@@ -42,8 +42,8 @@ def add_parser(subparsers: Subparsers) -> None:
         "--amplitudes",
         metavar="q1:q2:n",
         help=(
-            "modal amplitudes in m√kg: n values from q1 to q2 in geometric steps (default: 100 values that cover the "
-            "rig's levels generously)"
+            "modal amplitudes in m√kg: n values from q1 to q2 in geometric steps (default: 100 values that "
+            "cover the rig's levels generously)"
         ),
     )
 
@@ -84,8 +84,8 @@ def _summary(reference: Reference) -> list[str]:
     lines = [
         f"{q.size} points with {reference.harmonics} harmonics, q from {significant(q[0], 3)} to "
         f"{significant(q[-1], 3)} m√kg",
-        f"modal frequency {omega.min() / (2 * pi):.4f} to {omega.max() / (2 * pi):.4f} Hz, modal damping ratio "
-        f"{100 * damping.min():.3f} to {100 * damping.max():.3f} %, highest at q = "
+        f"modal frequency {omega.min() / (2 * pi):.4f} to {omega.max() / (2 * pi):.4f} Hz, modal damping "
+        f"ratio {100 * damping.min():.3f} to {100 * damping.max():.3f} %, highest at q = "
         f"{significant(float(q[damping.argmax()]), 3)} m√kg",
     ]
     if not reference.single_valued:
@@ -104,6 +104,7 @@ def _amplitudes(text: str) -> list[float]:
         good = False
     if not good:
         raise BenchError(
-            f"--amplitudes must be q1:q2:n with 0 < q1 < q2 (m√kg) and n ≥ 2 as in 1e-5:1e-2:100, got '{text}'."
+            "--amplitudes must be q1:q2:n with 0 < q1 < q2 (m√kg) and n ≥ 2 as in 1e-5:1e-2:100, got "
+            f"'{text}'."
         )
     return [float(value) for value in np.geomspace(low, high, count)]

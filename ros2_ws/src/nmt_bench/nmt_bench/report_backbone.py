@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter
 
 from nmt_bench.quantity_format import significant, uncertain
 from nmt_bench.report_columns import unit_text
@@ -43,9 +43,9 @@ def frequency_figure(data: RunReportData) -> ReportFigure:
             color=MUTED,
             fontsize=8,
         )
-        ratio = main.secondary_yaxis(1.19, functions=(lambda y: y / linear, lambda y: y * linear))
+        ratio = main.secondary_yaxis(1.19, functions=_scaled(linear))
         _quiet_axis(ratio, rf"$\tilde\omega\,/\,\omega_{{{data.linear.target_mode + 1}}}$")
-    hertz = main.secondary_yaxis(1.0, functions=(lambda y: y / (2 * math.pi), lambda y: y * 2 * math.pi))
+    hertz = main.secondary_yaxis(1.0, functions=_scaled(2.0 * math.pi))
     _quiet_axis(hertz, r"$\tilde f$ / Hz")
     _reference_line(main, data, "omega_rad_s", 1.0, q)
     tips = _points(main, points, q, q_std, omega, omega_std, "omega_rad_s", "rad/s", data.reference is None)
@@ -124,8 +124,9 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
     for axes in panels[1]:
         axes.set_xlabel(_Q_LABEL)
     caption = (
-        "1 is a perfectly appropriated mode. PBMIF: active over apparent power; γ<sub>F</sub>, γ<sub>A</sub>: "
-        "fundamental content of force and drive-point acceleration; MAC: correlation with the linear mode."
+        "1 is a perfectly appropriated mode. PBMIF: active over apparent power; γ<sub>F</sub>, "
+        "γ<sub>A</sub>: fundamental content of force and drive-point acceleration; MAC: correlation with "
+        "the linear mode."
     )
     label = (
         "Power-based mode indicator, fundamental contents and modal assurance criterion over modal amplitude"
@@ -197,7 +198,8 @@ def amplitude_figure(data: RunReportData) -> ReportFigure:
     for axes in (upper, lower):
         axes.set_xscale("log")
         axes.set_yscale("log")
-    _decade_ticks(lower)
+        _decade_ticks(axes.yaxis, *axes.get_ylim())
+    _decade_ticks(lower.xaxis, *lower.get_xlim())
     caption = "Modal amplitude and fundamental of the excitation force at each level."
     label = "Modal amplitude and force over level"
     return ReportFigure(
@@ -327,15 +329,21 @@ def _log_q(axes: Axes, q: Any) -> None:
     good = q[np.isfinite(q) & (q > 0)]
     if good.size:
         axes.set_xlim(good.min() / 1.6, good.max() * 1.6)
-    _decade_ticks(axes)
+    _decade_ticks(axes.xaxis, *axes.get_xlim())
 
 
-def _decade_ticks(axes: Axes) -> None:
-    axes.xaxis.set_major_locator(LogLocator(10.0))
-    axes.xaxis.set_minor_locator(LogLocator(10.0, subs=tuple(range(2, 10))))
-    low, high = axes.get_xlim()
-    if math.log10(high / low) >= 1.5:
-        axes.xaxis.set_minor_formatter(NullFormatter())
+def _decade_ticks(axis: Any, low: float, high: float) -> None:
+    """Ticks of a logarithmic axis: decades, and 2 and 5 between them where the range is short."""
+    short = math.log10(high / low) < 1.9
+    axis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0) if short else (1.0,), numticks=20))
+    axis.set_minor_locator(LogLocator(10.0, subs=tuple(range(2, 10)), numticks=40))
+    axis.set_major_formatter(LogFormatterSciNotation(10.0, labelOnlyBase=False))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _scaled(unit: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    """Functions of a secondary axis in multiples of ``unit``."""
+    return lambda values: values / unit, lambda values: values * unit
 
 
 def _quiet_axis(axis: Any, label: str) -> None:

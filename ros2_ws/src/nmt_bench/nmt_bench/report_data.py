@@ -135,7 +135,7 @@ class ReferenceCurve:
     damping_ratio: FloatArray
 
     def at(self, modal_amplitude: float) -> tuple[float, float]:
-        """Modal frequency (rad/s) and damping ratio at a modal amplitude, interpolated over log q; NaN outside."""
+        """Modal frequency (rad/s) and damping ratio at a modal amplitude; NaN outside the curve."""
         q = self.modal_amplitude
         if not (math.isfinite(modal_amplitude) and q[0] <= modal_amplitude <= q[-1]):
             return math.nan, math.nan
@@ -217,7 +217,8 @@ def read_reference(path: Path, label: str = "EPMC reference") -> ReferenceCurve:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise BenchError(
-            f"The reference {path} cannot be read as text; give the reference.csv that './nmt reference' writes."
+            f"The reference {path} cannot be read as text; give the reference.csv that './nmt reference' "
+            "writes."
         ) from error
     rows: list[list[float]] = []
     columns = [0, 1, 2]

@@ -31,7 +31,9 @@ EXCERPT_PERIODS = 3.0
 
 
 def report_data_from_bag(
-    path: Path | str | Bag, points: Sequence[ModalPoint] | None = None, reference: ReferenceCurve | None = None
+    path: Path | str | Bag,
+    points: Sequence[ModalPoint] | None = None,
+    reference: ReferenceCurve | None = None,
 ) -> RunReportData:
     """Read what a report shows.
 

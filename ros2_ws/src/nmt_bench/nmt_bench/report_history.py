@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,7 +35,7 @@ _STATE_NAMES = {
 
 
 def history_figure(data: RunReportData) -> ReportFigure | None:
-    """Frequency, phase error and loop state over the run, with lock events and windows; None if not recorded."""
+    """Frequency, phase error and loop state over the run with locks and windows; None if not recorded."""
     history = data.history
     if history is None or history.sample.size == 0:
         return None
@@ -67,7 +67,8 @@ def history_figure(data: RunReportData) -> ReportFigure | None:
     degrees = np.degrees(history.phase_error)
     phase.axhline(0.0, color=MUTED, linewidth=0.8)
     phase.plot(*thinned(time, degrees), color=ORANGE, linewidth=1.0)
-    # Transients after a level step reach tens of degrees; a mixed scale keeps the locked stretches visible too.
+    # Transients after a level step reach tens of degrees; a mixed scale keeps the locked stretches visible
+    # too.
     phase.set_yscale("symlog", linthresh=1.0, linscale=1.0)
     largest = float(np.nanmax(np.abs(degrees))) if np.any(np.isfinite(degrees)) else 1.0
     limit = max(3.0, 1.3 * largest)
@@ -79,9 +80,9 @@ def history_figure(data: RunReportData) -> ReportFigure | None:
     phase.set_xlabel("bench time / s")
     phase.set_xlim(0.0, data.end_sample / data.sample_rate or float(time[-1]))
     caption = (
-        "Top: state of the loop. Green lines: confirmed locks; blue bands: the windows that were extracted; numbers: "
-        "levels. Phase error: deviation of the force from velocity phase at the drive point, linear within ±1°, "
-        "logarithmic beyond."
+        "Top: state of the loop. Green lines: confirmed locks; blue bands: the windows that were "
+        "extracted; numbers: levels. Phase error: deviation of the force from velocity phase at the drive "
+        "point, linear within ±1°, logarithmic beyond."
     )
     label = "Loop state, excitation frequency and phase error over bench time"
     return ReportFigure(
@@ -116,7 +117,7 @@ def envelope_figure(data: RunReportData) -> ReportFigure | None:
     _level_numbers(panels[0], data, above=True)
     panels[-1].set_xlabel("bench time / s")
     panels[-1].set_xlim(0.0, data.end_sample / data.sample_rate or None)
-    caption = "Smallest and largest values of the signals over the run; blue bands: the windows that were extracted."
+    caption = "Smallest and largest values of the signals over the run; blue bands: the extracted windows."
     label = "Envelopes of drive voltage, force and response over bench time"
     return ReportFigure(
         "envelope", "Signals over the whole run", caption, svg_text(figure, "envelope", label), wide=True
@@ -151,7 +152,10 @@ def excerpt_figure(data: RunReportData) -> ReportFigure | None:
         else ""
     )
     symbol = chosen[0].response_symbol
-    caption = f"Force (blue, left axis, N) and response {_html_symbol(symbol)} at the drive point (orange, right axis) at the start of each window.{some}"
+    caption = (
+        f"Force (blue, left axis, N) and response {_html_symbol(symbol)} at the drive point (orange, right "
+        f"axis) at the start of each window.{some}"
+    )
     label = "Force and drive-point response over a few periods at every level"
     return ReportFigure(
         "signals", "Force and response in time", caption, svg_text(figure, "signals", label), wide=True
@@ -174,7 +178,8 @@ def thinned(x: Any, y: Any, stretches: int = 1200) -> tuple[Any, Any]:
         stretches: number of stretches.
 
     Returns:
-        x and y with at most ``2 · stretches`` entries, in the order of x; unchanged if there are no more than that.
+        x and y with at most ``2 · stretches`` entries, in the order of x; unchanged if there are no more
+        than that.
     """
     count = len(x)
     if count <= 2 * stretches:
@@ -213,7 +218,7 @@ def _excerpt(axes: Axes, excerpt: Excerpt, first_column: bool, last_column: bool
         side.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
         side.tick_params(axis="y", labelcolor=colour, labelsize=7.5)
         side.ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
-        side.yaxis.get_offset_text().set_size(7.5)
+        side.yaxis.get_offset_text().set_fontsize(7.5)
         side.spines[spine].set_visible(True)
     other.grid(False)
     if last_column:
@@ -268,7 +273,7 @@ def _windows(axes: Axes, data: RunReportData) -> None:
         )
 
 
-def _level_starts(panels: Sequence[Axes], data: RunReportData) -> None:
+def _level_starts(panels: Iterable[Axes], data: RunReportData) -> None:
     for step in _steps(data):
         for axes in panels:
             axes.axvline(step.sample / data.sample_rate, color=MUTED, linewidth=0.6, linestyle=(0, (1, 2)))

@@ -53,9 +53,12 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>\n{_template('report.css')}</style>\n</head>\n<body>\n<main>\n"
         f"{_header(data, links)}{body}"
-        "<footer>Symbols: ω̃, f̃ modal frequency; δ̃ modal damping ratio; <i>q</i> modal amplitude; φ̃ mass-normalised shape; "
-        "Γ modal participation. Convention: x(t) = Re Σ ψ<sub>n</sub> e<sup>inωt</sup>. ± standard uncertainty from sub-windows. SI units.</footer>\n"
-        "</main>\n<dialog><p><button>Close</button>Wheel: zoom. Drag: move. Double click: whole figure.</p><div></div></dialog>\n"
+        "<footer>Symbols: ω̃, f̃ modal frequency; δ̃ modal damping ratio; <i>q</i> modal amplitude; φ̃ "
+        "mass-normalised shape; "
+        "Γ modal participation. Convention: x(t) = Re Σ ψ<sub>n</sub> e<sup>inωt</sup>. ± standard "
+        "uncertainty from sub-windows. SI units.</footer>\n"
+        "</main>\n<dialog><p><button>Close</button>Wheel: zoom. Drag: move. Double click: whole figure.</p>"
+        "<div></div></dialog>\n"
         f"<script>\n{_template('report.js')}</script>\n</body>\n</html>\n"
     )
 
@@ -83,7 +86,7 @@ def verdict(data: RunReportData) -> tuple[str, str]:
 
 
 def worst_deviation(data: RunReportData) -> tuple[float, float]:
-    """Largest relative deviation of ω̃ and of δ̃ from the reference over all levels; NaN without a reference."""
+    """Largest relative deviation of ω̃ and of δ̃ from the reference; NaN without a reference."""
     if data.reference is None:
         return math.nan, math.nan
     worst = [math.nan, math.nan]
@@ -101,7 +104,8 @@ def _header(data: RunReportData, links: str) -> str:
     description = data.rig.get("description", "")
     subtitle = f'<p class="subtitle">{escape(str(description))}</p>' if description else ""
     notices = "".join(
-        f'<p class="notice">Level {point.level_index + 1} ({significant(point.level)} {unit_text(point.level_unit)}): '
+        f'<p class="notice">Level {point.level_index + 1} '
+        f"({significant(point.level)} {unit_text(point.level_unit)}): "
         f"{status_text(point.status)}{': ' + escape(point.reason) if point.reason else ''}</p>"
         for point in data.failed_points
     )
@@ -112,7 +116,8 @@ def _header(data: RunReportData, links: str) -> str:
         notices = f'<p class="notice">End of the run: {escape(reason)}</p>' + notices
     return (
         f'<header>\n<p class="kicker">Nonlinear modal test</p>\n<h1>{escape(run_name(data))}</h1>\n{subtitle}'
-        f'<p class="verdict {kind}">{escape(text)}</p>\n{notices}{_cards(data)}{_facts(data)}<nav>{links}</nav>\n</header>\n'
+        f'<p class="verdict {kind}">{escape(text)}</p>\n'
+        f"{notices}{_cards(data)}{_facts(data)}<nav>{links}</nav>\n</header>\n"
     )
 
 
@@ -166,7 +171,8 @@ def _facts(data: RunReportData) -> str:
         ("Exciter", f"at point {linear.drive_point}" if linear is not None else None),
         (
             "Target mode",
-            f"{linear.target_mode + 1} (linear: {linear.frequency_hz:.3f} Hz, {100 * linear.damping_ratios[linear.target_mode]:.2f} %, "
+            f"{linear.target_mode + 1} (linear: {linear.frequency_hz:.3f} Hz, "
+            f"{100 * linear.damping_ratios[linear.target_mode]:.2f} %, "
             f"from {'the model' if linear.source == 'model' else 'a linear test'})"
             if linear is not None
             else None,
@@ -196,7 +202,9 @@ def _modal_table(data: RunReportData) -> str:
     }
     unit = unit_text(data.points[0].level_unit)
     head = f'<th>Level<span class="unit">{escape(unit)}</span></th>' + "".join(
-        f'<th>{c.symbol}<span class="unit">{escape(" ".join(filter(None, (power_of_ten(exponents[c.name]), c.unit)))) or "1"}</span></th>'
+        f"<th>{c.symbol}<span "
+        f'class="unit">{" ".join(filter(None, (power_of_ten(exponents[c.name]), c.unit))) or 1}'
+        "</span></th>"
         for c in columns
     )
     if data.reference is not None:
@@ -208,7 +216,8 @@ def _modal_table(data: RunReportData) -> str:
             width = len(columns) + (2 if data.reference is not None else 0)
             reason = f": {escape(point.reason)}" if point.reason else ""
             rows.append(
-                f'<tr class="failed">{cells[0]}<td class="reason" colspan="{width}">{status_text(point.status)}{reason}</td></tr>'
+                f'<tr class="failed">{cells[0]}<td class="reason" colspan="{width}">'
+                f"{status_text(point.status)}{reason}</td></tr>"
             )
             continue
         for column in columns:
@@ -231,7 +240,7 @@ def _modal_table(data: RunReportData) -> str:
     if data.reference is not None:
         label = escape(data.reference.label)
         note = f'<p class="note">Δω̃, Δδ̃: deviation from {label} at the same modal amplitude.</p>'
-    return f'<div class="scroll"><table class="modal"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>{note}'
+    return _table(head, rows) + note
 
 
 def _level_table(data: RunReportData) -> str:
@@ -264,9 +273,10 @@ def _level_table(data: RunReportData) -> str:
     head = (
         '<th class="text">Level</th><th>Target</th><th>Start<span class="unit">s</span></th>'
         '<th>Time to lock<span class="unit">s</span></th><th>Window<span class="unit">periods</span></th>'
-        '<th>Window<span class="unit">s</span></th><th>Whole level<span class="unit">s</span></th><th class="text">Result</th>'
+        '<th>Window<span class="unit">s</span></th><th>Whole level<span class="unit">s</span></th><th '
+        'class="text">Result</th>'
     )
-    return f'<h3 style="margin-top:26px">Bench time of each level</h3><div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+    return '<h3 class="after">Bench time of each level</h3>' + _table(head, rows)
 
 
 def _assumptions(data: RunReportData) -> str:
@@ -284,11 +294,12 @@ def _files(data: RunReportData) -> str:
     if not data.files:
         return ""
     rows = "".join(
-        f'<tr><td class="text">{escape(entry.name)}</td><td>{file_size(entry.size)}</td><td class="text mono">{escape(entry.sha256)}</td></tr>'
+        f'<tr><td class="text">{escape(entry.name)}</td><td>{file_size(entry.size)}</td>'
+        f'<td class="text mono">{escape(entry.sha256)}</td></tr>'
         for entry in data.files
     )
     head = '<th class="text">File</th><th>Size</th><th class="text">SHA-256</th>'
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+    return _table(head, [rows])
 
 
 def _settings(data: RunReportData) -> str:
@@ -306,11 +317,17 @@ def _settings(data: RunReportData) -> str:
 
 def _figures(figures: Sequence[ReportFigure]) -> str:
     items = "".join(
-        f'<figure id="{figure.name}"{" class=wide" if figure.wide else ""}><h3>{escape(figure.title)}</h3>{figure.svg}'
+        f'<figure id="{figure.name}"{" class=wide" if figure.wide else ""}>'
+        f"<h3>{escape(figure.title)}</h3>{figure.svg}"
         f"<figcaption>{figure.caption}</figcaption></figure>\n"
         for figure in figures
     )
     return f'<div class="figures">{items}</div>' if items else ""
+
+
+def _table(head: str, rows: Sequence[str]) -> str:
+    body = "".join(rows)
+    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _end_of_run(data: RunReportData) -> tuple[str, str]:

@@ -64,7 +64,10 @@ def shape_figure(data: RunReportData) -> ReportFigure | None:
     phase.set_xlabel("measurement point")
     phase.xaxis.set_major_locator(MaxNLocator(integer=True))
     level_bar(figure, points, (0.88, 0.12, 0.022, 0.84))
-    caption = "Mass-normalised fundamental shape φ̃₁ at the measurement points, one line a level; phase relative to the largest component."
+    caption = (
+        "Mass-normalised fundamental shape φ̃₁ at the measurement points, one line a level; phase relative "
+        "to the largest component."
+    )
     label = "Magnitude and phase of the modal shape at the measurement points"
     return ReportFigure("shapes", "Shape φ̃₁", caption, svg_text(figure, "shapes", label))
 
@@ -91,7 +94,7 @@ def harmonics_figure(data: RunReportData) -> ReportFigure | None:
 
 
 def drive_point_harmonics(point: ModalPoint, data: RunReportData) -> Any:
-    """Displacement harmonics ψ_n (m) at the drive point, or at the point that moves most where it has no sensor."""
+    """Displacement harmonics ψ_n (m) at the drive point, else at the point that moves most."""
     shapes = np.asarray(point.shape_harmonics)
     numbers = list(point.points)
     drive = data.linear.drive_point if data.linear is not None else -1
@@ -112,7 +115,7 @@ def level_bar(figure: Figure, points: list[ModalPoint], place: tuple[float, floa
     )
     bar.ax.minorticks_off()
     bar.ax.tick_params(length=0, labelsize=8)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
 
 
 def _bars(axes: Axes, harmonics: list[Any], title: str) -> None:

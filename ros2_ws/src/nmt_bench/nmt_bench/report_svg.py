@@ -21,7 +21,7 @@ ORANGE = "#c4570c"
 RED = "#b3261e"
 GREEN = "#2e7d4f"
 
-_STYLE: dict[str, Any] = {
+_STYLE: Any = {
     "svg.fonttype": "path",
     "font.family": "DejaVu Sans",
     "mathtext.fontset": "dejavusans",
@@ -97,7 +97,8 @@ def svg_text(figure: Figure, name: str, label: str, tips: Mapping[str, str] | No
         opening = f'<g id="{name}-{gid}">'
         text = text.replace(opening, f"{opening}<title>{escape(tip)}</title>", 1)
     width, height = figure.get_size_inches() * 72.0
-    head = f'<svg class="plot" role="img" aria-label="{escape(label, quote=True)}" viewBox="0 0 {width:g} {height:g}"'
+    name = escape(label, quote=True)
+    head = f'<svg class="plot" role="img" aria-label="{name}" viewBox="0 0 {width:g} {height:g}"'
     return re.sub(r"<svg\b[^>]*", head, text, count=1).strip()
 
 

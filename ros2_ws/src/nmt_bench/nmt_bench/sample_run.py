@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nmt_core.blocks import Quantity, SampleBlock
+from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
     from nmt_plant.rig import Rig
@@ -34,9 +35,9 @@ class SampleRun:
         blocks: number of blocks.
         messages: number of messages in the bag.
         bench_seconds: bench time, s.
-        plant_seconds: wall time in the plant (read and write), s.
-        loop_seconds: wall time in the phase-locked loop, s.
-        write_seconds: wall time for serialising and writing, s.
+        plant_seconds: process time in the plant (read and write), s.
+        loop_seconds: process time in the phase-locked loop, s.
+        write_seconds: process time for serialising and writing, s.
         locked: levels that locked.
     """
 
@@ -106,9 +107,11 @@ def record_sample_run(
 
     spent = dict.fromkeys(("plant", "loop", "write"), 0.0)
     device.start()
-    clock = time.perf_counter
-    begin = clock()
+    clock = time.process_time
     start(0, 0)
+    window_seconds = 2.0 * window_periods / linear.frequency_hz
+    level_seconds = rig.test.ramp_s + rig.test.lock_timeout_s + window_seconds + 10.0
+    longest = len(levels) * level_seconds * device.sample_rate
     index, window_end, locked, sample, blocks = 0, None, 0, 0, 0
     try:
         while index < len(levels):
@@ -130,6 +133,10 @@ def record_sample_run(
             spent["plant"] += clock() - begin
             sample = force.end_sample
             blocks += 1
+            if sample > longest:
+                raise BenchError(
+                    "The sample run does not come to an end; its loop neither locks nor gives up."
+                )
             if output.lock is not None:
                 window_end = output.lock.first_sample + output.lock.samples
                 locked += 1

@@ -39,6 +39,16 @@ _STATES = {
     LoopState.LOCKED: ("locked", "green"),
     LoopState.LOCK_LOST: ("lock lost", "red"),
 }
+_FEEDBACK = (
+    "level_index",
+    "level_count",
+    "level",
+    "state",
+    "frequency_hz",
+    "phase_error",
+    "fraction_done",
+    "sample",
+)
 _PLAIN_WIDTH = 160
 
 
@@ -58,8 +68,8 @@ def modal_table(
     Args:
         points: in the order of the test; those without a result show what became of the level.
         reference: computed backbone; adds the deviation at the same modal amplitude.
-        width: columns of the terminal. Where ``value ± uncertainty`` does not fit, ``value(uncertainty of the last
-            digits)`` is written; then the least important properties are left out.
+        width: columns of the terminal. Where ``value ± uncertainty`` does not fit, ``value(uncertainty of its
+            last digits)`` is written; then the least important properties are left out.
     """
     console = Console(width=10_000)
     for write, left_out in _LAYOUTS:
@@ -150,8 +160,8 @@ def print_modal_table(
 class RunProgress:
     """Progress of a run from the feedback of the action ``run_levels``.
 
-    On a terminal one line is kept up to date below a line for each level that is over; elsewhere only plain lines are
-    written, one for each change of level or state.
+    On a terminal one line is kept up to date below a line for each level that is over; elsewhere only plain
+    lines are written, one for each change of level or state.
 
     Args:
         sample_rate: Hz.
@@ -198,13 +208,16 @@ class RunProgress:
         """Print a line above the progress display."""
         self._progress.console.print(Text(sentence)) if self._live else self._console.print(Text(sentence))
 
-    def update(self, feedback: Mapping[str, Any]) -> None:
+    def update(self, feedback: object) -> None:
         """Show a feedback.
 
         Args:
-            feedback: fields of the action's feedback by name: ``level_index``, ``level_count``, ``level``, ``state``,
-                ``frequency_hz``, ``phase_error`` (rad), ``fraction_done``, ``sample``; missing ones are left out.
+            feedback: the action's feedback, or anything with its fields as attributes or keys: level_index,
+                level_count, level, state, frequency_hz, phase_error (rad), fraction_done, sample; others
+                are ignored, missing ones left out.
         """
+        if not isinstance(feedback, Mapping):
+            feedback = {name: getattr(feedback, name) for name in _FEEDBACK if hasattr(feedback, name)}
         index = int(feedback.get("level_index", 0))
         count = int(feedback.get("level_count", 0)) or self._levels
         state = _state(feedback.get("state", 0))
@@ -213,9 +226,8 @@ class RunProgress:
         name = f"level {index + 1}/{count}  {significant(level)} {self._unit}"
         detail = self._detail(feedback)
         if self._live:
-            self._progress.update(
-                self._task, description=name, completed=fraction, state=state, detail=detail
-            )
+            brief = self._detail(feedback, brief=True)
+            self._progress.update(self._task, description=name, completed=fraction, state=state, detail=brief)
         if self._seen != (index, state):
             settled = state in (LoopState.LOCKED, LoopState.LOCK_LOST)
             # On a terminal the bar shows the rest; what a level came to stays as a line.

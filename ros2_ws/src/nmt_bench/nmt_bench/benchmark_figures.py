@@ -1,0 +1,176 @@
+"""The figures of ``./nmt benchmark``: what is measured, and the limit or peer beside it."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nmt_bench.sample_run import record_sample_run
+from nmt_core.errors import BenchError
+
+LIMIT_KERNEL = 200.0
+LIMIT_PROCESSES = 40.0
+LIMIT_ONE_PROCESS = 80.0
+LIMIT_EXTRACTION = 0.7
+_LEVELS = (0.2, 0.5, 1.0)
+_BEST_OF = 3
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured figure.
+
+    Attributes:
+        name: what was measured.
+        value: in ``unit``; None = could not be measured, ``note`` says why.
+        unit: of ``value`` and ``beside``.
+        beside: the limit or what the peer reached; None = neither.
+        note: what ``beside`` is.
+        met: whether a limit is met; None where ``beside`` is not a limit.
+    """
+
+    name: str
+    value: float | None
+    unit: str
+    beside: float | None
+    note: str
+    met: bool | None = None
+
+
+def plant_figures(seconds: float) -> list[Figure]:
+    """Time integration of the beam beside its limit and beside scipy's solve_ivp."""
+    from nmt_plant.benchmark import run_benchmark
+    from nmt_plant.rig import load_rig
+
+    rig = load_rig("beam")
+    run_benchmark(rig, 0.2, 0.01)  # compiles or loads the kernel
+    result = run_benchmark(rig, seconds)
+    kernel = result.kernel
+    return [
+        Figure(
+            "plant: time integration",
+            kernel,
+            "× real time",
+            LIMIT_KERNEL,
+            "limit, at least",
+            kernel >= LIMIT_KERNEL,
+        ),
+        Figure(
+            "plant: time integration", kernel, "× real time", result.peer, "scipy solve_ivp, same equations"
+        ),
+        Figure(
+            "plant: whole device", result.device, "× real time", None, "with oscillator, sensors and safety"
+        ),
+    ]
+
+
+def bag_figures(seconds: float) -> list[Figure]:
+    """Work per block without ROS; reading and extracting a bag beside a bare rosbags read."""
+    from nmt_extract.offline import extract_opened_bag
+    from nmt_plant.rig import load_rig
+    from nmt_record.bag_reader import Bag
+
+    rig = load_rig("beam")
+    with tempfile.TemporaryDirectory(prefix="nmt-benchmark-") as folder:
+        record_sample_run(Path(folder) / "warm-up", rig, [0.3], 5)
+        sample = record_sample_run(Path(folder) / "bag", rig, _LEVELS, _window_periods(seconds))
+        bag = Bag.open(sample.bag)
+        result = extract_opened_bag(bag)  # compiles or loads the kernels
+        topics = [*result.settings.topics, "lock", "frequency"]
+        messages = sum(bag.topics.get(topic, ("", 0))[1] for topic in topics)
+        bare = messages / _best(lambda: _read_bare(sample.bag, topics))
+        ours = messages / _best(lambda: sum(1 for _ in bag.messages(topics)))
+        extraction = messages / _best(lambda: extract_opened_bag(bag))
+    block = 1e6 * rig.block_samples / rig.sample_rate_hz
+    budget = block / LIMIT_ONE_PROCESS
+    per_block = 1e6 / sample.blocks
+    whole = (sample.plant_seconds + sample.loop_seconds + sample.write_seconds) * per_block
+    share = f"block of {block / 1000:.0f} ms at {LIMIT_ONE_PROCESS:.0f} × real time"
+    return [
+        Figure("plant: process time a block", sample.plant_seconds * per_block, "µs", budget, share),
+        Figure("loop: process time a block", sample.loop_seconds * per_block, "µs", budget, share),
+        Figure(
+            "bag: serialise and write a block's messages",
+            sample.write_seconds * per_block,
+            "µs",
+            budget,
+            share,
+        ),
+        Figure(
+            "all three, without ROS",
+            block / whole,
+            "× real time",
+            None,
+            "upper bound of the bench on one core",
+        ),
+        Figure("bag: read", ours, "messages/s", bare, "bare rosbags read, same messages"),
+        Figure("bag: extraction", extraction, "messages/s", bare, "bare rosbags read, same messages"),
+        Figure(
+            "bag: extraction over bare read",
+            extraction / bare,
+            "×",
+            LIMIT_EXTRACTION,
+            "limit, at least",
+            extraction / bare >= LIMIT_EXTRACTION,
+        ),
+        Figure(
+            "extraction: process time a message",
+            1e6 / extraction,
+            "µs",
+            None,
+            "read, order analysis, modal properties",
+        ),
+    ]
+
+
+def bench_figures(seconds: float) -> list[Figure]:
+    """The whole bench with its bag written: all nodes in one process, and one process a node."""
+    figures = []
+    for name, processes, limit in (
+        ("bench: all nodes in one process", False, LIMIT_ONE_PROCESS),
+        ("bench: one process a node", True, LIMIT_PROCESSES),
+    ):
+        try:
+            from nmt_bench.harness import Bench
+        except ImportError:
+            figures.append(Figure(name, None, "× real time", limit, "not measured: ROS 2 is not there"))
+            continue
+        try:
+            with Bench(
+                "beam", levels=list(_LEVELS), processes=processes, window_periods=_window_periods(seconds)
+            ) as bench:
+                result = bench.run()
+        except BenchError as error:
+            figures.append(Figure(name, None, "× real time", limit, f"not measured: {error}"))
+            continue
+        factor = result.real_time_factor
+        figures.append(Figure(name, factor, "× real time", limit, "limit, at least", factor >= limit))
+    return figures
+
+
+def _window_periods(seconds: float) -> int:
+    """Window that makes a run over all levels last about ``seconds`` (20 Hz, 1.5 s to lock)."""
+    return max(5, round(20.0 * (seconds / len(_LEVELS) - 1.5)))
+
+
+def _read_bare(path: Path, topics: list[str]) -> None:
+    """Deserialise messages as the rosbags documentation shows it."""
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([path]) as reader:
+        chosen = [connection for connection in reader.connections if connection.topic.lstrip("/") in topics]
+        for connection, _, raw in reader.messages(chosen):
+            reader.deserialize(raw, connection.msgtype)
+
+
+def _best(action: Any) -> float:
+    """Shortest of a few process times of an action, s; wall times would depend on other programs."""
+    times = []
+    for _ in range(_BEST_OF):
+        begin = time.process_time()
+        action()
+        times.append(time.process_time() - begin)
+    return min(times)

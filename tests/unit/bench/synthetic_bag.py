@@ -47,7 +47,7 @@ def write_bag(
     lost_level: int | None = None,
     stop: bool = True,
 ) -> Path:
-    """Write the bag; level ``lost_level`` never locks; without ``stop`` it stays open."""
+    """Write the bag; level ``lost_level`` never locks; without ``stop`` it is cut off."""
     types = local_definitions().typestore.types
     run = {
         "run_id": "made-up",
@@ -152,10 +152,11 @@ def write_bag(
                         window_periods=window_periods,
                     ),
                 )
-    if stop:
-        writer.close("done", "every level was worked through")
-    else:
-        writer.flush()
+    writer.close("done", "every level was worked through")
+    if not stop:
+        (path / "metadata.yaml").unlink()
+        file = path / f"{path.name}_0.mcap"
+        file.write_bytes(file.read_bytes()[: file.stat().st_size * 9 // 10])
     return path
 
 

@@ -51,9 +51,7 @@ class SampleRun:
     locked: int
 
 
-def record_sample_run(
-    bag: Path, rig: Rig, levels: Sequence[float], window_periods: int, closed: bool = True
-) -> SampleRun:
+def record_sample_run(bag: Path, rig: Rig, levels: Sequence[float], window_periods: int) -> SampleRun:
     """Step through the levels: ramp, lock, one window each; record everything.
 
     Args:
@@ -61,7 +59,6 @@ def record_sample_run(
         rig: a simulated rig with displacement sensors.
         levels: drive amplitudes, V.
         window_periods: whole periods of each window.
-        closed: close the bag at the end; without it the bag is as a killed recorder leaves it.
 
     Raises:
         BenchError: the rig or its levels are not acceptable, or the bag cannot be written.
@@ -145,14 +142,10 @@ def record_sample_run(
                 index, window_end = index + 1, None
                 if index < len(levels):
                     start(index, sample)
-        if closed:
-            writer.close("done", "every level was worked through")
-        else:
-            writer.flush()
+        writer.close("done", "every level was worked through")
     finally:
         device.close()
-        if closed:
-            writer.close_quietly()
+        writer.close_quietly()
     return SampleRun(
         bag=bag,
         blocks=blocks,

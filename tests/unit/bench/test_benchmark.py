@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nmt_bench import benchmark_figures, cli
+from nmt_bench.benchmark_figures import Figure
+from nmt_bench.sample_run import record_sample_run
+from nmt_extract.modal_point import Status
+from nmt_extract.offline import extract_bag
+from nmt_plant.reference import single_point_reference
+from nmt_plant.rig import load_rig
+
+
+def test_sample_run_measures_what_harmonic_balance_predicts(tmp_path: Path) -> None:
+    """Time integration, loop, bag and extraction in a row against the harmonic balance of the same drive."""
+    rig = load_rig("beam")
+    levels = [0.2, 1.0]
+    sample = record_sample_run(tmp_path / "bag", rig, levels, 30)
+    assert sample.locked == 2
+    points = extract_bag(sample.bag).points
+    assert [point.status for point in points] == [Status.OK, Status.OK]
+    expected = single_point_reference(rig, None, levels).mode
+    np.testing.assert_allclose([p.omega_rad_s for p in points], expected.omega_rad_s, rtol=5e-4)
+    np.testing.assert_allclose([p.damping_ratio for p in points], expected.damping_ratio, rtol=5e-3)
+
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = [
+        Figure("fast enough", 300.0, "× real time", 200.0, "limit, at least", True),
+        Figure("too slow", 100.0, "× real time", 200.0, "limit, at least", False),
+        Figure("beside a peer", 5.0, "µs", 7.0, "peer"),
+        Figure("not there", None, "µs", 1.0, "not measured: no ROS"),
+    ]
+    monkeypatch.setattr(benchmark_figures, "plant_figures", lambda seconds: made)
+
+
+@pytest.mark.usefixtures("figures")
+def test_figures_stand_beside_their_limits(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    words = ["benchmark", "--part", "plant", "--json", str(tmp_path / "b.json")]
+    assert cli.main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    row = next(line for line in lines if "too slow" in line)
+    assert "100 × real time" in row
+    assert "200 × real time" in row
+    assert "missed" in row
+    assert any("not measured: no ROS" in line for line in lines)
+    content = json.loads((tmp_path / "b.json").read_text())
+    assert [figure["met"] for figure in content["figures"]] == [True, False, None, None]
+    assert cli.main([*words, "--check"]) == 1
+
+
+@pytest.mark.parametrize("words", [("--seconds", "0"), ("--json", "/no/such/folder/b.json")])
+def test_wrong_options(capsys: pytest.CaptureFixture[str], words: tuple[str, str]) -> None:
+    assert cli.main(["benchmark", *words]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -92,11 +92,14 @@ def stream():
 
 @pytest.fixture
 def make_bag(tmp_path, stream):
+    writers = []
+
     def make(run=RUN, lock=LOCK, states=None, leave_out=(), close=True, drop=()):
         messages = Messages()
         writer = BagWriter(
             tmp_path / "bag", run_json=json.dumps(run) if run else "", rig_yaml="", chunk_messages=4
         )
+        writers.append(writer)
         for topic, kind in TOPICS.items():
             writer.add_topic(topic, kind)
 
@@ -125,7 +128,9 @@ def make_bag(tmp_path, stream):
             writer.flush()
         return tmp_path / "bag"
 
-    return make
+    yield make
+    for writer in writers:
+        writer.close_quietly()
 
 
 def expected_point(stream):

@@ -12,19 +12,22 @@ block ends them whatever happened; no process, no shared memory and, without ``o
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import json
+import math
 import os
 import shutil
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
@@ -42,6 +45,7 @@ from nmt_core.linear_description import LinearDescription
 from nmt_extract.conversions import modal_point_from_message
 from nmt_extract.modal_point import ModalPoint
 from nmt_msgs.action import RunLevels
+from nmt_msgs.msg import RunState
 from nmt_bench.rig_snapshot import rig_text
 from nmt_plant.rig import Rig, load_rig
 from nmt_sequencer.level_plan import parse_levels
@@ -78,6 +82,8 @@ class RunResult:
         wall_time: s from the start of the first level to the end of the run.
         bench_time: s of bench time.
         lost_node: name of the node that died, empty if none did.
+        interrupted: True after Ctrl-C.
+        remarks: sentences on gaps, late blocks and real-time margin.
     """
 
     code: ResultCode
@@ -88,6 +94,8 @@ class RunResult:
     wall_time: float
     bench_time: float
     lost_node: str = ""
+    interrupted: bool = False
+    remarks: tuple[str, ...] = ()
 
     @property
     def real_time_factor(self) -> float:
@@ -236,6 +244,10 @@ class Bench:
                 self._add(name, node)
         self.client = _RunClient(self.context)
         self._add("client", self.client)
+        # What exists now lives as long as the bench; the collector need not look at it again and again.
+        gc.collect()
+        gc.freeze()
+        self._cleanup.callback(gc.unfreeze)
 
     def _add(self, name: str, node: Node) -> None:
         self.nodes[name] = node
@@ -279,37 +291,32 @@ class Bench:
         self._goal_handle = handle
         began = time.monotonic()
         try:
-            message, lost = self._await_result(handle.get_result_async())
+            message, lost, interrupted = self._await_result(handle.get_result_async())
         finally:
             self._goal_handle = None
-        wall_time = time.monotonic() - (self.client.first_feedback or began)
+        wall_time = (self.client.last_progress or time.monotonic()) - (self.client.started or began)
         bag_state = self._await_bag(lost)
+        points: tuple[ModalPoint, ...] = ()
         if message is None:
-            result = RunResult(
-                ResultCode.NODE_LOST,
-                f"Node {lost} has died{self._last_words(lost)}; the drive was taken to zero.",
-                tuple(self.client.points()),
-                self.out / "bag",
-                bag_state,
-                wall_time,
-                self.client.bench_time(self.rig.sample_rate_hz),
-                lost,
-            )
+            code, text = ResultCode.NODE_LOST, f"Node {lost} has died{self._last_words(lost)}; the drive was taken to zero."
         else:
-            text = message.message
+            code, text = ResultCode(message.result_code), message.message
+            points = tuple(modal_point_from_message(point) for point in message.points)
             if lost:
+                code = ResultCode.NODE_LOST
                 text = f"Node {lost} has died{self._last_words(lost)}; the run was ended and the drive is at zero."
-            result = RunResult(
-                ResultCode.NODE_LOST if lost else ResultCode(message.result_code),
-                text,
-                tuple(modal_point_from_message(point) for point in message.points),
-                self.out / "bag",
-                bag_state,
-                wall_time,
-                self.client.bench_time(self.rig.sample_rate_hz),
-                lost,
-            )
-        return result
+        return RunResult(
+            code=code,
+            message=text,
+            points=points,
+            bag=self.out / "bag",
+            bag_state=bag_state,
+            wall_time=wall_time,
+            bench_time=self.client.newest_sample / self.rig.sample_rate_hz,
+            lost_node=lost,
+            interrupted=interrupted,
+            remarks=tuple(self.client.remarks(self.test.pacing)),
+        )
 
     def stop(self) -> bool:
         """End the run early by a ramp to zero; False if nothing was running."""
@@ -362,24 +369,28 @@ class Bench:
         if dead:
             raise BenchError(f"Node {dead} ended at once{self._last_words(dead)}.")
 
-    def _await_result(self, future: Any) -> tuple[Any, str]:
-        """The action's result (None if the sequencer died) and the name of a node that died."""
-        lost, lost_at = "", 0.0
+    def _await_result(self, future: Any) -> tuple[Any, str, bool]:
+        """The action's result (None if the sequencer died), the name of a node that died, and whether Ctrl-C came."""
+        lost, deadline, interrupted = "", math.inf, False
         while not future.done():
-            if self.use_processes:
-                self.executor.spin_once(timeout_sec=_POLL)
-            else:
-                self.executor.spin_until_future_complete(future, timeout_sec=0.2)
-            if self.processes is None:
-                continue
-            dead = self.processes.first_dead()
+            try:
+                if self.use_processes:
+                    self.executor.spin_once(timeout_sec=_POLL)
+                else:
+                    self.executor.spin_until_future_complete(future, timeout_sec=0.2)
+            except KeyboardInterrupt:
+                if interrupted:
+                    raise
+                interrupted = True
+                self.cancel()
+            dead = self.processes.first_dead() if self.processes else ""
             if dead and not lost:
-                lost, lost_at = dead, time.monotonic()
-                if dead != "sequencer" and self._goal_handle is not None:
-                    self._goal_handle.cancel_goal_async()
-            if lost and time.monotonic() - lost_at > (2.0 if lost == "sequencer" else 15.0):
-                return None, lost
-        return future.result().result, lost
+                lost = dead
+                deadline = time.monotonic() + (2.0 if lost == "sequencer" else 15.0)
+                self.cancel()
+            if time.monotonic() > deadline:
+                return None, lost, interrupted
+        return future.result().result, lost, interrupted
 
     def _await_bag(self, lost: str) -> str:
         if lost == "recorder":
@@ -401,45 +412,59 @@ class _RunClient(Node):
         super().__init__("bench_client", context=context, enable_rosout=False, start_parameter_services=False)
         self._client = ActionClient(self, RunLevels, "run_levels")
         self.bag_state = "open"
-        self.first_feedback: float | None = None
+        self.started: float | None = None
+        self.last_progress: float | None = None
         self.newest_sample = 0
-        self._points: dict[int, ModalPoint] = {}
+        self._counters: dict[str, dict[str, str]] = {}
         self.create_subscription(String, "bag", self._on_bag, STATE_QOS)
+        self.create_subscription(RunState, "run_state", self._on_state, STATE_QOS)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
 
     def server_is_ready(self) -> bool:
         return bool(self._client.server_is_ready())
 
     def send_goal(self, goal: Mapping[str, Any], on_progress: Callable[[Progress], None] | None) -> Any:
         def on_feedback(message: Any) -> None:
-            feedback = message.feedback
-            self.first_feedback = self.first_feedback or time.monotonic()
-            self.newest_sample = feedback.sample
             if on_progress is not None:
-                on_progress(
-                    Progress(
-                        feedback.level_index,
-                        feedback.level_count,
-                        feedback.level,
-                        feedback.state,
-                        feedback.frequency_hz,
-                        feedback.phase_error,
-                        feedback.fraction_done,
-                        feedback.sample,
-                    )
-                )
+                feedback = message.feedback
+                on_progress(Progress(*(getattr(feedback, item.name) for item in fields(Progress))))
 
-        request = RunLevels.Goal(**goal)
-        return self._client.send_goal_async(request, feedback_callback=on_feedback)
+        return self._client.send_goal_async(RunLevels.Goal(**goal), feedback_callback=on_feedback)
 
     def _on_bag(self, message: String) -> None:
         with contextlib.suppress(ValueError, TypeError, KeyError):
             self.bag_state = json.loads(message.data)["state"]
 
-    def points(self) -> list[ModalPoint]:
-        return [self._points[index] for index in sorted(self._points)]
+    def _on_state(self, message: RunState) -> None:
+        now = time.monotonic()
+        if message.phase == RunState.RUNNING:
+            self.started = self.started or now
+        if message.sample > self.newest_sample:
+            self.newest_sample = message.sample
+            self.last_progress = now
 
-    def bench_time(self, sample_rate: float) -> float:
-        return self.newest_sample / sample_rate
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self._counters[status.name] = {item.key: item.value for item in status.values}
+
+    def remarks(self, pacing: str) -> list[str]:
+        """Sentences on what the nodes counted."""
+        plant, recorder = self._counters.get("plant", {}), self._counters.get("recorder", {})
+        lines = []
+        if recorder:
+            lines.append(
+                f"Recorded {recorder.get('messages', '?')} messages; gaps {recorder.get('gaps', '?')}, missing samples "
+                f"{recorder.get('missing_samples', '?')}."
+            )
+        if pacing == "realtime" and "jitter_p50_ms" in plant:
+            lines.append(
+                f"Real time: blocks late by {plant['jitter_p50_ms']} ms (median), {plant['jitter_p99_ms']} ms (99 %), "
+                f"{plant['jitter_max_ms']} ms (worst); {plant['overruns']} by more than a block; margin "
+                f"{100 * float(plant['real_time_margin']):.1f} % of the block time is left."
+            )
+        if plant.get("tripped"):
+            lines.append(f"Plant: {plant['tripped']}.")
+        return lines
 
 
 def _restore_environment(values: Mapping[str, str | None]) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
@@ -101,8 +101,8 @@ class BenchNode(Node):
             default = values.pop(item.name, item.default)
             try:
                 given[item.name] = self.declare_parameter(item.name, default, _descriptor(item)).value
-            except InvalidParameterTypeException as error:
-                raise BenchError(f"Parameter '{item.name}' of {self.get_name()} has the wrong type: {error}") from error
+            except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+                raise BenchError(f"Parameter '{item.name}' of {self.get_name()} is refused: {error}") from error
         given.update(values)
         return check_values(table, given, self.get_name())
 

@@ -6,7 +6,6 @@ import json
 from typing import Any
 
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
-from nmt_core.conversions import block_from_message
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import Parameter
@@ -62,12 +61,14 @@ class ExtractNode(BenchNode):
                 "The extract node needs the parameter 'linear_json'; make a parameter file with './nmt "
                 "params RIG'."
             )
-        self.extractor = Extractor(LinearDescription.from_json(text), self._settings(), block_from_message)
+        self.extractor = Extractor(LinearDescription.from_json(text), self._settings())
         compile_kernels()
         self._publisher = self.bench_publisher(ModalPointMessage, "modal_point", SAMPLES_QOS)
-        for topic, callback in MessageFeed(self.extractor).callbacks.items():
-            kind = _STATE_TYPES.get(topic, SampleBlock)
-            self.bench_subscription(kind, topic, self._publishing(callback), SAMPLES_QOS)
+        self._feed = MessageFeed(self.extractor)
+        for callbacks, raw in ((self._feed.raw, True), (self._feed.decoded, False)):
+            for topic, callback in callbacks.items():
+                kind = _STATE_TYPES.get(topic, SampleBlock)
+                self.bench_subscription(kind, topic, self._publishing(callback), SAMPLES_QOS, raw=raw)
 
     def _settings(self) -> ExtractionSettings:
         names = ("harmonics", "topics", "sub_windows", "minimum_periods")
@@ -102,7 +103,7 @@ class ExtractNode(BenchNode):
 
     def update_counters(self) -> None:
         """Counters for the heartbeat."""
-        self.counters.update(self.extractor.counters)
+        self.counters.update(self.extractor.counters, malformed=self._feed.malformed)
 
 
 def main(args: list[str] | None = None) -> int:

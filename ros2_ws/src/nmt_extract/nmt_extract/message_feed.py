@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from nmt_core.wire import BlockReader, read_status
 from nmt_extract.conversions import level_unit, lock_event_from_message
 from nmt_extract.extractor import Extractor
 
@@ -16,41 +17,45 @@ class MessageFeed:
     """One callback for each topic.
 
     Args:
-        extractor: what the messages go to; made with ``decode=nmt_core.conversions.block_from_message``.
+        extractor: what the messages go to.
 
     Attributes:
-        callbacks: function of one message, by topic name.
+        raw: function of one serialised message, by topic name: samples and loop states, the bulk of the traffic.
+        decoded: function of one deserialised message, by topic name.
+        malformed: serialised messages that could not be read.
     """
 
     def __init__(self, extractor: Extractor) -> None:
         self._extractor = extractor
-        self.callbacks: dict[str, Callable[[Any], None]] = {
-            "frequency": self._on_frequency,
-            "lock": self._on_lock,
-            "level": self._on_level,
-        }
+        self.malformed = 0
+        self.raw: dict[str, Callable[[bytes], None]] = {"frequency": self._on_frequency}
+        self.decoded: dict[str, Callable[[Any], None]] = {"lock": self._on_lock, "level": self._on_level}
         for topic in extractor.settings.topics:
-            self.callbacks[topic] = self._block_callback(topic)
+            self.raw[topic] = self._block_callback(topic)
 
-    def _block_callback(self, topic: str) -> Callable[[Any], None]:
+    def _block_callback(self, topic: str) -> Callable[[bytes], None]:
         add_record = self._extractor.add_record
+        read = BlockReader().read
 
-        def on_block(message: Any) -> None:
-            # Decoding waits until a window needs the block.
-            channels = len(message.channels)
-            add_record(
-                topic, int(message.first_sample), len(message.data) // channels if channels else 0, message
-            )
+        def on_block(raw: bytes) -> None:
+            try:
+                block = read(raw)
+            except ValueError:
+                # The window it belongs to will be found to have a gap.
+                self.malformed += 1
+                return
+            add_record(topic, block.first_sample, block.data.shape[1], block)
 
         return on_block
 
-    def _on_frequency(self, message: Any) -> None:
+    def _on_frequency(self, raw: bytes) -> None:
+        try:
+            status = read_status(raw)
+        except ValueError:
+            self.malformed += 1
+            return
         self._extractor.add_state(
-            int(message.last_sample),
-            int(message.state),
-            int(message.level_index),
-            message.reason,
-            message.response_unit,
+            status.last_sample, status.state, status.level_index, status.reason, status.response_unit
         )
 
     def _on_lock(self, message: Any) -> None:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nmt_core.conversions import block_from_message
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.extractor import Extractor
@@ -83,18 +82,20 @@ def extract_opened_bag(
     if settings is None:
         settings = _settings_of(run, bag)
     _require(bag, settings)
-    extractor = Extractor(
-        linear, settings, block_from_message, require_loop_state=_count(bag, "frequency") > 0
-    )
-    callbacks = MessageFeed(extractor).callbacks
+    extractor = Extractor(linear, settings, require_loop_state=_count(bag, "frequency") > 0)
+    feed = MessageFeed(extractor)
+    raw_callbacks, callbacks = feed.raw, feed.decoded
     points: list[ModalPoint] = []
     wanted = [topic for topic in (*settings.topics, *STATE_TOPICS) if topic in bag.topics]
-    for topic, _, message in bag.messages(wanted):
-        callbacks[topic](message)
+    for topic, _, _, raw in bag.raw_messages(wanted):
+        if topic in raw_callbacks:
+            raw_callbacks[topic](raw)
+        else:
+            callbacks[topic](bag.deserialise(topic, raw))
         if extractor.ready:
             points += extractor.take()
     points += extractor.finish()
-    return ExtractionResult(points, run, bag.loss, extractor.counters, linear, settings)
+    return ExtractionResult(points, run, bag.loss, {**extractor.counters, "malformed": feed.malformed}, linear, settings)
 
 
 def _linear_of(run: dict[str, Any], bag: Any) -> LinearDescription:

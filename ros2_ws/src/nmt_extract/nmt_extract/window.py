@@ -96,6 +96,12 @@ class _Record(NamedTuple):
     payload: Any
 
 
+# One topic may lag behind another by the time a lost datagram takes to be sent again; at a hundred times real time
+# that is many seconds of bench time.
+HISTORY_SAMPLES = 600_000
+PATIENCE_SAMPLES = 1_200_000
+
+
 class WindowAssembler:
     """Keeps the newest blocks of every stream and cuts windows out of them.
 
@@ -118,8 +124,8 @@ class WindowAssembler:
         *,
         require_loop_state: bool = True,
         minimum_periods: int = 3,
-        history_samples: int = 50_000,
-        patience_samples: int = 50_000,
+        history_samples: int = HISTORY_SAMPLES,
+        patience_samples: int = PATIENCE_SAMPLES,
         maximum_samples: int = 4_000_000,
     ) -> None:
         self._topics = tuple(topics)

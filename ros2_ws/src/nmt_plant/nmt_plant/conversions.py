@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from nmt_core.errors import BenchError
+from nmt_core.wire import read_drive
 
 from .device import DriveCommand, Waveform
 
@@ -40,3 +41,35 @@ def command_from_message(message: Any) -> DriveCommand:
         rate_hz_s=message.rate_hz_s,
         frequency_end_hz=message.frequency_end_hz,
     )
+
+
+def command_from_bytes(raw: bytes) -> tuple[DriveCommand | None, int]:
+    """Read a serialised ``nmt_msgs/Drive``.
+
+    Returns:
+        The command, None if it has harmonics and needs the full deserialisation; and the last sample it is based on.
+
+    Raises:
+        BenchError: unknown waveform, or a value the command refuses.
+        ValueError: not a whole message.
+    """
+    drive = read_drive(raw)
+    if drive is None:
+        return None, -1
+    try:
+        waveform = Waveform(drive.waveform)
+    except ValueError:
+        raise BenchError(f"drive command: waveform {drive.waveform} is unknown; use OFF, SINE, RANDOM or SWEEP.") from None
+    command = DriveCommand(
+        waveform=waveform,
+        frequency_hz=drive.frequency_hz,
+        amplitude=drive.amplitude,
+        ramp=drive.ramp,
+        apply_at_sample=drive.apply_at_sample,
+        based_on_sample=drive.based_on_sample,
+        band_low_hz=drive.band_low_hz,
+        band_high_hz=drive.band_high_hz,
+        rate_hz_s=drive.rate_hz_s,
+        frequency_end_hz=drive.frequency_end_hz,
+    )
+    return command, drive.based_on_sample

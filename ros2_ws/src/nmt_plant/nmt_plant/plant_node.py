@@ -6,17 +6,17 @@ import contextlib
 import time
 from typing import Any
 
-from rclpy.exceptions import ROSInterruptException
+from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.blocks import SampleBlock
-from nmt_core.conversions import fill_block
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
+from nmt_core.wire import BlockWriter
 from nmt_msgs.msg import Drive, RunState, SampleBlock as SampleBlockMessage
 
-from .conversions import command_from_message
+from .conversions import command_from_bytes, command_from_message
 from .device import Device, DeviceFault, DeviceState
 from .lockstep import LockstepGate
 from .rig import load_rig
@@ -81,11 +81,11 @@ class PlantNode(BenchNode):
         self._worst_lateness = self._busy = self._started = 0.0
         self._jitter: list[float] = []
 
-        self._publishers_by_quantity: dict[int, tuple[Any, Any]] = {}
+        self._publishers_by_quantity: dict[int, tuple[Any, BlockWriter]] = {}
         for block in self._probe():
             publisher = self.bench_publisher(SampleBlockMessage, block.quantity.topic, SAMPLES_QOS)
-            self._publishers_by_quantity[int(block.quantity)] = (publisher, SampleBlockMessage())
-        self.bench_subscription(Drive, "drive", self._on_drive, SAMPLES_QOS)
+            self._publishers_by_quantity[int(block.quantity)] = (publisher, BlockWriter(self._frame))
+        self.bench_subscription(Drive, "drive", self._on_drive, SAMPLES_QOS, raw=True)
         self.bench_subscription(RunState, "run_state", self._on_run_state, STATE_QOS)
         self.create_service(Trigger, "reset", self._reset)
         self._guard_timer = self.create_timer(_GUARD_PERIOD, self._guard)
@@ -118,15 +118,18 @@ class PlantNode(BenchNode):
         self._started = time.monotonic()
         self._next_due = self._started + self._period
 
-    def _on_drive(self, message: Drive) -> None:
+    def _on_drive(self, raw: bytes) -> None:
         self._last_command = time.monotonic()
         self._commands += 1
         try:
-            self.device.write(command_from_message(message))
-        except BenchError as error:
+            command, based_on = command_from_bytes(raw)
+            self._gate.answered = max(self._gate.answered, based_on)
+            if command is None:
+                command = command_from_message(deserialize_message(raw, Drive))
+            self.device.write(command)
+        except (BenchError, ValueError) as error:
             self._refused += 1
             self.get_logger().error(f"Drive command refused: {error}", throttle_duration_sec=1.0)
-        self._gate.answered = max(self._gate.answered, message.based_on_sample)
         self._advance()
 
     def _advance(self) -> None:
@@ -144,11 +147,8 @@ class PlantNode(BenchNode):
             self._fail(f"The device failed: {error}")
             return
         for block in blocks:
-            publisher, message = self._publishers_by_quantity[int(block.quantity)]
-            try:
-                publisher.publish(fill_block(message, block, self._frame))
-            except ROSInterruptException:
-                return
+            publisher, writer = self._publishers_by_quantity[int(block.quantity)]
+            publisher.publish(writer.write(block))
         self._busy += time.perf_counter() - began
 
     # -- real time -----------------------------------------------------------------------------------------------

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numba import njit
 
 from nmt_core.blocks import FloatArray
 
@@ -52,6 +52,37 @@ class DwellStatistics:
     amplitude_drift_std: float
 
 
+@njit(cache=True)
+def _trend(values: FloatArray, place: FloatArray, norm: float) -> tuple[float, float, float]:
+    """Mean, scatter about the straight line, and change along it over the dwell; order of ``values`` as ``place``."""
+    length = values.size
+    mean = 0.0
+    slope = 0.0
+    for k in range(length):
+        mean += values[k]
+        slope += values[k] * place[k]
+    mean /= length
+    slope *= norm
+    square = 0.0
+    for k in range(length):
+        square += (values[k] - mean - slope * place[k]) ** 2
+    return mean, np.sqrt(square / (length - 2)), slope
+
+
+@njit(cache=True)
+def _statistics(ring: FloatArray, start: int, place: FloatArray, result: FloatArray) -> None:
+    """Rows of ``result``: mean, scatter, slope of each of the three rows of ``ring``, oldest value at ``start``."""
+    length = ring.shape[1]
+    norm = 0.0
+    for k in range(length):
+        norm += place[k] ** 2
+    ordered = np.empty(length)
+    for row in range(3):
+        for k in range(length):
+            ordered[k] = ring[row, (start + k) % length]
+        result[row, 0], result[row, 1], result[row, 2] = _trend(ordered, place, 1.0 / norm)
+
+
 class Dwell:
     """Sliding record of the loop over the dwell time.
 
@@ -66,48 +97,44 @@ class Dwell:
     def __init__(self, length: int, correlation_blocks: float) -> None:
         self.length = max(4, length)
         self._inflation = max(1.0, correlation_blocks)
-        self._values: deque[tuple[float, float, float]] = deque(maxlen=self.length)
-        place = np.linspace(-0.5, 0.5, self.length)
-        self._trend = place / (place @ place)
-        self._place = place
+        self._ring = np.zeros((3, self.length))
+        self._place = np.linspace(-0.5, 0.5, self.length)
+        self._slope_share = float(1.0 / np.sqrt(self._place @ self._place))
+        self._result = np.zeros((3, 3))
+        self._next = 0
+        self._count = 0
+        _statistics(self._ring, 0, self._place, self._result)  # compile now, not in the first dwell
 
     def clear(self) -> None:
         """Forget everything."""
-        self._values.clear()
+        self._next = self._count = 0
 
     @property
     def full(self) -> bool:
         """True once the dwell time has passed."""
-        return len(self._values) == self.length
+        return self._count >= self.length
 
     def add(self, phase_error: float, frequency: float, amplitude: float) -> None:
         """Add one block's values: rad, any frequency unit, any amplitude unit."""
-        self._values.append((phase_error, frequency, amplitude))
+        ring, k = self._ring, self._next
+        ring[0, k], ring[1, k], ring[2, k] = phase_error, frequency, amplitude
+        self._next = (k + 1) % self.length
+        self._count += 1
 
     def statistics(self) -> DwellStatistics:
         """Statistics of a full dwell."""
-        values = np.array(self._values).T
-        mean, scatter, _, _ = self._fit(values[0])
-        f_mean, _, f_slope, f_slope_std = self._fit(values[1])
-        a_mean, _, a_slope, a_slope_std = self._fit(values[2])
+        _statistics(self._ring, self._next, self._place, self._result)
+        (mean, scatter, _), (f_mean, f_scatter, f_slope), (a_mean, a_scatter, a_slope) = self._result.tolist()
+        slope_share = math.sqrt(self._inflation) * self._slope_share
         return DwellStatistics(
             mean=mean,
             mean_std=scatter * math.sqrt(self._inflation / self.length),
             scatter=scatter,
             frequency_drift=f_slope / f_mean,
-            frequency_drift_std=f_slope_std / f_mean,
+            frequency_drift_std=f_scatter * slope_share / f_mean,
             amplitude_drift=a_slope / a_mean,
-            amplitude_drift_std=a_slope_std / a_mean,
+            amplitude_drift_std=a_scatter * slope_share / a_mean,
         )
-
-    def _fit(self, values: FloatArray) -> tuple[float, float, float, float]:
-        """Mean, scatter about the trend, change over the dwell and its standard uncertainty."""
-        mean = float(values.mean())
-        slope = float(self._trend @ values)
-        residual = values - mean - slope * self._place
-        scatter = math.sqrt(float(residual @ residual) / (self.length - 2))
-        slope_std = scatter * math.sqrt(self._inflation) * float(np.sqrt(self._trend @ self._trend))
-        return mean, scatter, slope, slope_std
 
 
 @dataclass(frozen=True, slots=True)

@@ -210,8 +210,11 @@ class PhaseLockedLoop:
         lead = _VELOCITY_LEAD.get(response.quantity)
         if lead is None:
             raise ValueError(f"the response is {response.quantity.name.lower()}, not a motion")
-        data = np.stack((force.data[self._row(force)], response.data[self._row(response)]))
-        fundamental = self.filter.process(data, phase.cycles, phase.frequency_hz, phase.rate_hz_s)[:, 1]
+        data = np.empty((2, force.samples))
+        data[0] = force.data[self._row(force)]
+        data[1] = response.data[self._row(response)]
+        coefficients = self.filter.process(data, phase.cycles, phase.frequency_hz, phase.rate_hz_s)
+        fundamental = complex(coefficients[0, 1]), complex(coefficients[1, 1])
         force_amplitude, response_amplitude = abs(fundamental[0]), abs(fundamental[1])
         if not (math.isfinite(force_amplitude) and math.isfinite(response_amplitude)):
             self.filter.reset()

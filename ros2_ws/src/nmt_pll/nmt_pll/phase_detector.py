@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import cmath
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -79,6 +81,8 @@ class AdaptiveFourierFilter:
         Returns:
             The coefficients after the last sample, shape ``(channels, H + 1)``; do not keep, they change in place.
         """
+        if data.shape[0] != self.coefficients.shape[0]:
+            raise ValueError(f"expected {self.coefficients.shape[0]} channels, got {data.shape[0]}")
         step = frequency_hz / self.sample_rate
         bend = 0.5 * rate_hz_s / self.sample_rate**2
         _track(self.coefficients, data, cycles, step, bend, self._gain)
@@ -101,6 +105,4 @@ def phase_error(force: complex, response: complex, velocity_lead: float) -> floa
     Returns:
         ε = arg(velocity) − arg(force) in (−π, π]; the loop raises the frequency when it is positive.
     """
-    velocity_phase = np.angle(response) + velocity_lead
-    difference = velocity_phase - np.angle(force)
-    return float(np.angle(np.exp(1j * difference)))
+    return cmath.phase(response * force.conjugate() * cmath.rect(1.0, velocity_lead))

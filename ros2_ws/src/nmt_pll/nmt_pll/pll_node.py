@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Callable
+from dataclasses import fields, replace
 from typing import Any
 
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
 from nmt_core.blocks import Quantity, SampleBlock
-from nmt_core.conversions import block_from_message, set_stamp
+from nmt_core.conversions import set_stamp
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import Parameter
+from nmt_core.wire import BlockReader, LoopStatus, PlainDrive, write_drive, write_status
 from nmt_msgs.msg import Drive, Frequency, Level, LockEvent, SampleBlock as SampleBlockMessage
 from nmt_pll.lock import LoopState
-from nmt_pll.loop import Loop, LoopOutput, PhaseLockedLoop
+from nmt_pll.loop import LockWindow, Loop, LoopOutput, PhaseLockedLoop
 from nmt_pll.settings import (
     CONTROL_FORCE,
     CONTROL_RESPONSE,
@@ -75,11 +77,10 @@ class PllNode(BenchNode):
         self._drive = self.bench_publisher(Drive, "drive", SAMPLES_QOS)
         self._frequency = self.bench_publisher(Frequency, "frequency", SAMPLES_QOS)
         self._lock = self.bench_publisher(LockEvent, "lock", SAMPLES_QOS)
-        self._drive_message = Drive()
-        self._frequency_message = Frequency()
+        self._status: LoopStatus | None = None
         self.bench_subscription(Level, "level", self._on_level, SAMPLES_QOS)
         for topic in ("force", self._response_topic):
-            self.bench_subscription(SampleBlockMessage, topic, self._on_block, SAMPLES_QOS)
+            self.bench_subscription(SampleBlockMessage, topic, self._reading(BlockReader()), SAMPLES_QOS, raw=True)
         self.create_timer(0.25, self._guard)
 
     def _guard(self) -> None:
@@ -116,19 +117,24 @@ class PllNode(BenchNode):
         if self._next_sample is not None and level.apply_at_sample < self._next_sample:
             self._late_levels += 1
         self._sequence = max(self._sequence, level.sequence)
-        if self._next_sample is not None:
+        if self._status is not None:
             # The sequencer holds the horizon until it sees its level acknowledged; blocks may have to wait for that.
-            self._frequency_message.level_sequence = self._sequence
-            self._frequency_message.reason = ""
-            self._frequency.publish(self._frequency_message)
+            self._status = replace(self._status, level_sequence=self._sequence, reason="")
+            self._frequency.publish(write_status(self._status, self.sample_rate))
 
-    def _on_block(self, message: SampleBlockMessage) -> None:
-        try:
-            block = block_from_message(message)
-        except ValueError as error:
-            self._refused += 1
-            self.get_logger().error(f"Sample block refused: {error}", throttle_duration_sec=1.0)
-            return
+    def _reading(self, reader: BlockReader) -> Callable[[bytes], None]:
+        def on_bytes(raw: bytes) -> None:
+            try:
+                block = reader.read(raw)
+            except ValueError as error:
+                self._refused += 1
+                self.get_logger().error(f"Sample block refused: {error}", throttle_duration_sec=1.0)
+                return
+            self._on_block(block)
+
+        return on_bytes
+
+    def _on_block(self, block: SampleBlock) -> None:
         kind = "force" if block.quantity == Quantity.FORCE else "response"
         self._waiting[kind] = block
         if len(self._waiting) < 2:
@@ -163,40 +169,37 @@ class PllNode(BenchNode):
         self._publish(output, response.unit)
 
     def _publish(self, output: LoopOutput, unit: str) -> None:
-        end = output.last_sample + 1
-        drive = self._drive_message
-        set_stamp(drive.stamp, output.last_sample, self.sample_rate)
-        drive.apply_at_sample = end + self._delay
-        drive.based_on_sample = output.last_sample
-        drive.waveform = Drive.SINE if output.amplitude > 0.0 else Drive.OFF
-        drive.frequency_hz = output.frequency_hz
-        drive.amplitude = output.amplitude
-        drive.ramp = output.ramp
-        self._drive.publish(drive)
-
-        state = self._frequency_message
-        state.stamp = drive.stamp
-        state.last_sample = output.last_sample
-        state.level_index = output.level.index if output.level else 0
-        state.level_sequence = self._sequence
-        state.state = int(output.state)
-        state.frequency_hz = output.frequency_hz if output.amplitude > 0.0 else 0.0
-        state.phase_error = output.phase_error
-        state.force_amplitude = output.force_amplitude
-        state.response_amplitude = output.response_amplitude
-        state.response_unit = unit
-        state.drive_amplitude = output.amplitude
-        state.flags = output.flags
-        state.reason = output.transition.reason if output.transition else ""
+        running = output.amplitude > 0.0
+        drive = PlainDrive(
+            apply_at_sample=output.last_sample + 1 + self._delay,
+            based_on_sample=output.last_sample,
+            waveform=Drive.SINE if running else Drive.OFF,
+            frequency_hz=output.frequency_hz,
+            amplitude=output.amplitude,
+            ramp=output.ramp,
+        )
+        self._drive.publish(write_drive(drive, self.sample_rate))
         if output.transition and output.transition.state == LoopState.LOCK_LOST:
             self._lost_locks += 1
         if output.lock is not None:
-            self._publish_lock(output)
-        self._frequency.publish(state)
+            self._publish_lock(output.lock)
+        self._status = LoopStatus(
+            last_sample=output.last_sample,
+            level_index=output.level.index if output.level else 0,
+            level_sequence=self._sequence,
+            state=int(output.state),
+            frequency_hz=output.frequency_hz if running else 0.0,
+            phase_error=output.phase_error,
+            force_amplitude=output.force_amplitude,
+            response_amplitude=output.response_amplitude,
+            response_unit=unit,
+            drive_amplitude=output.amplitude,
+            flags=output.flags,
+            reason=output.transition.reason if output.transition else "",
+        )
+        self._frequency.publish(write_status(self._status, self.sample_rate))
 
-    def _publish_lock(self, output: LoopOutput) -> None:
-        lock = output.lock
-        assert lock is not None
+    def _publish_lock(self, lock: LockWindow) -> None:
         message = LockEvent()
         set_stamp(message.stamp, lock.sample, self.sample_rate)
         message.level_index = lock.level.index

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Protocol
 
 from nmt_core.errors import BenchError
 from nmt_sequencer.level_plan import check_levels
@@ -115,18 +116,32 @@ class Pacing:
         return blocks * self.block_samples
 
 
-@dataclass(frozen=True, slots=True)
-class LoopReport:
-    """What the machine reads of ``nmt_msgs/Frequency``."""
+class LoopReport(Protocol):
+    """What the machine reads of the loop's state after a block; :class:`nmt_core.wire.LoopStatus` has it."""
 
-    last_sample: int
-    level_index: int
-    level_sequence: int
-    state: int
-    frequency_hz: float
-    phase_error: float
-    flags: int = 0
-    reason: str = ""
+    @property
+    def last_sample(self) -> int:
+        """Last sample it is based on."""
+
+    @property
+    def level_index(self) -> int:
+        """Level worked on."""
+
+    @property
+    def level_sequence(self) -> int:
+        """Newest level order received."""
+
+    @property
+    def state(self) -> int:
+        """Loop state."""
+
+    @property
+    def flags(self) -> int:
+        """Flags of the block."""
+
+    @property
+    def reason(self) -> str:
+        """Why the state changed, empty if it did not."""
 
 
 @dataclass(frozen=True, slots=True)

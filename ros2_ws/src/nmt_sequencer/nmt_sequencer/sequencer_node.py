@@ -13,9 +13,10 @@ from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.conversions import set_stamp
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
+from nmt_core.wire import read_status
 from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import Frequency, Level, LockEvent, ModalPoint, RunState
-from nmt_sequencer.run_machine import LoopReport, Pacing, ResultCode, RunMachine, RunPhase, RunPlan
+from nmt_sequencer.run_machine import Pacing, ResultCode, RunMachine, RunPhase, RunPlan
 
 PARAMETERS = (
     Parameter("sample_rate", 10000.0, "Hz", "Sample rate of the rig.", low=1.0),
@@ -71,7 +72,7 @@ class SequencerNode(BenchNode):
 
         self._level = self.bench_publisher(Level, "level", SAMPLES_QOS)
         self._state = self.bench_publisher(RunState, "run_state", STATE_QOS)
-        self.bench_subscription(Frequency, "frequency", self._on_frequency, SAMPLES_QOS)
+        self.bench_subscription(Frequency, "frequency", self._on_frequency, SAMPLES_QOS, raw=True)
         self.bench_subscription(LockEvent, "lock", self._on_lock, SAMPLES_QOS)
         self.bench_subscription(ModalPoint, "modal_point", self._on_point, SAMPLES_QOS)
         self._server = ActionServer(
@@ -177,21 +178,15 @@ class SequencerNode(BenchNode):
 
     # -- what comes in -------------------------------------------------------------------------------------------
 
-    def _on_frequency(self, message: Frequency) -> None:
-        if message.last_sample > self.machine.newest:
+    def _on_frequency(self, raw: bytes) -> None:
+        try:
+            status = read_status(raw)
+        except ValueError as error:
+            self.get_logger().error(f"Loop state refused: {error}", throttle_duration_sec=1.0)
+            return
+        if status.last_sample > self.machine.newest:
             self._newest_wall = time.monotonic()
-        self.machine.on_report(
-            LoopReport(
-                last_sample=message.last_sample,
-                level_index=message.level_index,
-                level_sequence=message.level_sequence,
-                state=message.state,
-                frequency_hz=message.frequency_hz,
-                phase_error=message.phase_error,
-                flags=message.flags,
-                reason=message.reason,
-            )
-        )
+        self.machine.on_report(status)
         self._publish_all()
 
     def _on_lock(self, message: LockEvent) -> None:

@@ -1,0 +1,246 @@
+"""``./nmt run``: one test of a rig from the first node to the report."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nmt_bench.output_folder import OutputFolder, add_output_options, check_output
+from nmt_core.errors import BenchError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from nmt_bench.harness import Bench, RunResult
+    from nmt_bench.report_data import ReferenceCurve
+
+    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "run",
+        help="one test of a rig: step the level, lock, record, extract, report",
+        description=(
+            "Tests a rig: the phase-locked loop holds phase resonance at the drive point, the level is stepped, and every "
+            "locked window gives a modal point. Everything is recorded to a bag. Ctrl-C ramps the drive to zero, closes "
+            "the bag and reports what was measured."
+        ),
+    )
+    parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
+    add_output_options(parser, "bag/, modal.csv, modal.json, report.html, rig.yaml, run.json")
+    parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
+    parser.add_argument(
+        "--levels",
+        metavar="PLAN",
+        help="drive amplitudes in V: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or a list a,b,c "
+        "(default: the rig's)",
+    )
+    parser.add_argument(
+        "--direction",
+        choices=("up", "down", "both", "given"),
+        default="given",
+        help="order of the levels: up, down, up and down again, or as given (default)",
+    )
+    parser.add_argument("--periods", metavar="N", type=int, help="whole periods a window (default: the rig's)")
+    parser.add_argument("--ramp", metavar="S", type=float, help="half-cosine between levels, s (default: the rig's)")
+    parser.add_argument(
+        "--timeout", metavar="S", type=float, help="bench time a level may take to lock, s (default: the rig's)"
+    )
+    parser.add_argument(
+        "--stop-on-lost-lock", action="store_true", help="end the test at the first level that does not lock"
+    )
+    parser.add_argument(
+        "--pll", choices=("adaptive",), default="adaptive", help="phase-locked loop (default: adaptive)"
+    )
+    parser.add_argument(
+        "--pacing",
+        choices=("lockstep", "realtime"),
+        default="lockstep",
+        help="lockstep: simulated, as fast as the machine goes; realtime: by the clock (default: lockstep)",
+    )
+    parser.add_argument(
+        "--latency-blocks", metavar="N", type=int, default=0, help="blocks of converter buffering (default: 0)"
+    )
+    parser.add_argument("--seed", metavar="N", type=int, help="seed of all noise (default: the rig's)")
+    parser.add_argument(
+        "--set",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="change a value of the rig file, for example local_elements.0.slip_force_n=2; may be repeated",
+    )
+    parser.add_argument(
+        "--one-process", action="store_true", help="all nodes in one process instead of one process each"
+    )
+    parser.add_argument(
+        "--reference",
+        metavar="FILE",
+        help="reference.csv to compare with; 'none' for no comparison (default: computed from the rig's model)",
+    )
+    parser.add_argument("--domain", metavar="N", type=int, help="ROS domain, 1 to 100 (default: a free one)")
+    parser.add_argument("--quiet", action="store_true", help="no progress display")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the test, write the results, print the table.
+
+    Returns:
+        0 if the plan was worked through, 130 after Ctrl-C, 1 if the run ended early for another reason.
+
+    Raises:
+        BenchError: the rig, a level or an option is refused, or the nodes do not start.
+    """
+    check_output(arguments.out, arguments.force)
+
+    from nmt_bench.harness import Bench
+    from nmt_bench.terminal import make_console
+
+    bench = Bench(
+        arguments.rig,
+        levels=_levels(arguments),
+        out=arguments.out,
+        processes=not arguments.one_process,
+        overrides=arguments.set,
+        exciter=arguments.exciter,
+        seed=arguments.seed,
+        pacing=arguments.pacing,
+        latency_blocks=arguments.latency_blocks,
+        window_periods=arguments.periods,
+        ramp=arguments.ramp,
+        timeout=arguments.timeout,
+        stop_on_lost_lock=arguments.stop_on_lost_lock,
+        domain_id=arguments.domain,
+    )
+    console = make_console()
+    with _terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
+        result = _measure(bench, console, arguments.quiet)
+        reference = _reference(arguments.reference, bench, result)
+        _write_results(result, bench, folder, reference)
+    _summarise(result, bench, reference, console, folder)
+    sys.stdout.flush()
+    return _exit_code(result)
+
+
+def _levels(arguments: argparse.Namespace) -> list[float] | str | None:
+    if arguments.direction == "given":
+        return arguments.levels  # type: ignore[no-any-return]
+    from nmt_plant.rig import load_rig
+    from nmt_sequencer.level_plan import directed, parse_levels
+
+    plan = arguments.levels or load_rig(arguments.rig, arguments.set).test.levels
+    return directed(parse_levels(plan), arguments.direction)
+
+
+def _measure(bench: Bench, console: Any, quiet: bool) -> RunResult:
+    from nmt_bench.terminal import RunProgress
+
+    began = time.monotonic()
+    with bench:
+        if quiet:
+            return bench.run()
+        console.print(
+            f"{bench.rig.name}, drive point {bench.rig.drive_point}, {len(bench.test.levels)} levels from "
+            f"{min(bench.test.levels):g} to {max(bench.test.levels):g} V, run {bench.test.run_id}; nodes started in "
+            f"{time.monotonic() - began:.1f} s",
+            markup=False,
+        )
+        with RunProgress(bench.rig.sample_rate_hz, len(bench.test.levels), console=console) as progress:
+            return bench.run(progress.update)
+
+
+def _reference(choice: str | None, bench: Bench, result: RunResult) -> ReferenceCurve | None:
+    """The backbone to compare with: a file, or EPMC of the rig's model, solved at the measured amplitudes too."""
+    if choice == "none":
+        return None
+    import numpy as np
+
+    from nmt_bench.report_data import ReferenceCurve, read_reference
+
+    if choice is not None:
+        return read_reference(Path(choice))
+    from nmt_plant.reference import compute_reference
+
+    measured = [point.modal_amplitude for point in result.points if np.isfinite(point.modal_amplitude)]
+    if not measured:
+        return None
+    grid = np.geomspace(0.5 * min(measured), 2.0 * max(measured), 150)
+    try:
+        computed = compute_reference(bench.rig, 15, np.unique(np.concatenate([grid, measured])))
+    except (BenchError, ArithmeticError, ValueError):
+        return None  # the measurement stands without its comparison
+    return ReferenceCurve(
+        "EPMC (harmonic balance)", computed.modal_amplitude, computed.omega_rad_s, computed.damping_ratio
+    )
+
+
+def _write_results(result: RunResult, bench: Bench, folder: Path, reference: ReferenceCurve | None) -> None:
+    from nmt_bench.report import list_files, report_data_from_bag, write_report
+    from nmt_extract.modal_table import write_results
+
+    inputs = {
+        "run_id": bench.test.run_id,
+        "rig": bench.rig.name,
+        "linear": bench.plan.run["linear"],
+        "extraction": bench.plan.run["extraction"],
+        "result": result.code.name,
+        "message": result.message,
+    }
+    if result.points:
+        write_results(result.points, folder, inputs)
+    if result.bag is not None and result.bag.exists():
+        data = report_data_from_bag(result.bag, list(result.points) or None, reference)
+        data.files = list_files(folder)
+        write_report(data, folder / "report.html")
+
+
+def _summarise(
+    result: RunResult, bench: Bench, reference: ReferenceCurve | None, console: Any, folder: Path
+) -> None:
+    from nmt_bench.terminal import print_modal_table
+    from nmt_sequencer.run_machine import ResultCode
+
+    if result.points:
+        print_modal_table(result.points, reference, console)
+    style = None if result.code == ResultCode.SUCCEEDED else "yellow"
+    console.print(result.message, style=style, markup=False)
+    if result.bench_time > 0:
+        levels = max(1, len(result.points))
+        console.print(
+            f"Bench time {result.bench_time:.1f} s ({result.bench_time / levels:.1f} s a level) in {result.wall_time:.1f} s: "
+            f"{result.real_time_factor:.1f} × real time; bag {result.bag_state}.",
+            markup=False,
+        )
+    for line in result.remarks:
+        console.print(line, markup=False)
+    console.print(f"Report: {(folder / 'report.html').resolve()}", markup=False, soft_wrap=True)
+
+
+def _exit_code(result: RunResult) -> int:
+    from nmt_sequencer.run_machine import ResultCode
+
+    if result.interrupted:
+        return EXIT_INTERRUPTED
+    return EXIT_DONE if result.code == ResultCode.SUCCEEDED and result.bag_state == "closed" else EXIT_FAILED
+
+
+@contextmanager
+def _terminate_as_interrupt() -> Iterator[None]:
+    """Let SIGTERM end a run as Ctrl-C does: by a ramp to zero."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)

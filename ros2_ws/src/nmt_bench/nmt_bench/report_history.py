@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -309,5 +310,6 @@ def _steps(data: RunReportData) -> list[LevelStart]:
 
 
 def _html_symbol(symbol: str) -> str:
+    """HTML of an axis symbol such as ``$x_{2}$`` or ``$\\ddot x_{2}$``."""
     bare = symbol.replace("$", "").replace("\\ddot x", "ẍ")
-    return f"<i>{bare}</i>"
+    return "<i>" + re.sub(r"_\{?(\w+)\}?", r"<sub>\1</sub>", bare) + "</i>"

@@ -37,7 +37,4 @@
     });
   });
   dialog.querySelector("button").addEventListener("click", function () { dialog.close(); });
-  window.addEventListener("beforeprint", function () {
-    document.querySelectorAll("details").forEach(function (item) { if (item.dataset.print === "open") { item.open = true; } });
-  });
 })();

@@ -99,10 +99,13 @@ def report_data_from_bag(
 class _Signal:
     """One channel on its way through the bag: envelope over stretches of blocks, samples of the excerpts."""
 
-    def __init__(self, symbol: str, point: int, blocks: int, spans: Sequence[tuple[int, int]]) -> None:
+    def __init__(
+        self, symbol: str, point: int, blocks: int, shortest: float, spans: Sequence[tuple[int, int]]
+    ) -> None:
         self._symbol = symbol
         self._point = point
         self._blocks_per_stretch = max(1, math.ceil(blocks / STRETCHES))
+        self._shortest = shortest
         self._spans = spans
         self._next_span = 0
         self._gathered: list[Any] = []
@@ -122,7 +125,8 @@ class _Signal:
         if not self._gathered:
             self._first = block.first_sample
         self._gathered.append(data)
-        if len(self._gathered) == self._blocks_per_stretch:
+        long_enough = block.end_sample - self._first >= self._shortest * block.sample_rate
+        if len(self._gathered) >= self._blocks_per_stretch and long_enough:
             self._close_stretch(block.end_sample)
         while self._next_span < len(self._spans) and block.end_sample > self._spans[self._next_span][0]:
             first, stop = self._spans[self._next_span]
@@ -175,9 +179,11 @@ def _signals(
         present.remove("acceleration")
     spans = [(lock.window_first_sample, lock.window_first_sample + _excerpt_samples(lock)) for lock in locks]
     point = linear.drive_point if linear is not None else -1
+    # A stretch shorter than a period would show the signal itself, not its envelope.
+    shortest = 1.5 / linear.frequency_hz if linear is not None else 0.0
     signals: dict[str, _Signal] = {}
     for topic in present:
-        signal = signals[topic] = _Signal(_SYMBOLS[topic], point, bag.topics[topic][1], spans)
+        signal = signals[topic] = _Signal(_SYMBOLS[topic], point, bag.topics[topic][1], shortest, spans)
         for block in bag.blocks(topic):
             signal.add(block)
     response = signals.get("displacement") or signals.get("acceleration")

@@ -65,7 +65,8 @@ def history_figure(data: RunReportData) -> ReportFigure | None:
     _level_starts((frequency, phase), data)
     frequency.set_ylabel("frequency / Hz")
     frequency.ticklabel_format(axis="y", useOffset=False)
-    degrees = np.degrees(history.phase_error)
+    # With the drive off the phase means nothing.
+    degrees = np.degrees(np.where(history.state == LoopState.FIXED, np.nan, history.phase_error))
     phase.axhline(0.0, color=MUTED, linewidth=0.8)
     phase.plot(*thinned(time, degrees), color=ORANGE, linewidth=1.0)
     # Transients after a level step reach tens of degrees; a mixed scale keeps the locked stretches visible

@@ -99,6 +99,9 @@ def worst_deviation(data: RunReportData) -> tuple[float, float]:
     return worst[0], worst[1]
 
 
+_CONTROLS = {1: "voltage", 2: "response", 3: "force"}  # values of nmt_msgs/Level
+
+
 def _header(data: RunReportData, links: str) -> str:
     text, kind = verdict(data)
     description = data.rig.get("description", "")
@@ -177,7 +180,7 @@ def _facts(data: RunReportData) -> str:
             if linear is not None
             else None,
         ),
-        ("Level control", plan.get("control")),
+        ("Level control", _CONTROLS.get(plan.get("control"), plan.get("control"))),
         ("Window", f"{plan['window_periods']} periods" if plan.get("window_periods") else None),
         ("Sampling", f"{significant(data.sample_rate, 6)} Hz"),
         ("Bench time", duration(data.end_sample / data.sample_rate) if data.end_sample else None),

@@ -1,8 +1,8 @@
 """Resolve the requirements into the lock files: ``python requirements/lock.py``.
 
 Needs ``uv`` on the PATH and the network. One file per source of ROS 2 and Python version; where they can, all
-Pythons get the versions of the first one. Each entry pins one version and lists the SHA-256 of every wheel of it
-that can be installed on Linux x86_64 with glibc. Source archives are left out, so pip compiles nothing; the one
+Pythons get the versions of the first one. Each entry pins one version and lists the SHA-256 of its wheels
+for Linux x86_64 with glibc. Source archives are left out, so pip compiles nothing; the one
 exception is a package of a single Python file that was never published as a wheel.
 """
 

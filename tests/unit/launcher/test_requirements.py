@@ -1,0 +1,122 @@
+"""The lock files pin everything and agree with each other; what pip left half-installed is noticed."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+
+import pytest
+
+from .conftest import ROOT
+
+LOCKS = sorted((ROOT / "requirements" / "lock").glob("*.txt"))
+
+
+def direct(name: str) -> dict[str, str]:
+    """The requirements a file asks for, with those it includes: name -> condition."""
+    asked = {}
+    for line in (ROOT / "requirements" / name).read_text().splitlines():
+        if line.startswith("-r "):
+            asked.update(direct(line[3:]))
+        elif line and not line.startswith("#"):
+            found = re.fullmatch(r"([\w.-]+)(?:\[\w+\])?(.*)", line)
+            assert found
+            asked[found[1]] = found[2]
+    return asked
+
+
+def test_every_supported_python_is_locked():
+    assert [p.stem for p in LOCKS] == [
+        "system-3.12",
+        "wheels-3.10",
+        "wheels-3.11",
+        "wheels-3.12",
+        "wheels-3.13",
+    ]
+
+
+@pytest.mark.parametrize("lock", LOCKS, ids=lambda p: p.stem)
+def test_lock_pins_each_entry_with_hashes_and_nothing_else(lock):
+    entry = re.compile(r"[a-z0-9][a-z0-9._-]*==[\w.+!]+(?: \\\n    --hash=sha256:[0-9a-f]{64})+\n")
+    body = lock.read_text().split("\n", 1)[1]
+    assert entry.sub("", body) == ""
+
+
+@pytest.mark.parametrize("lock", LOCKS, ids=lambda p: p.stem)
+def test_lock_holds_what_is_asked_for(lock, launcher):
+    pins = launcher.pins_of(str(lock))
+    for name, condition in direct(lock.stem.split("-")[0] + ".in").items():
+        assert launcher.normalised(name) in pins
+        if condition.startswith("=="):
+            assert pins[launcher.normalised(name)] == condition[2:]
+    assert int(pins["setuptools"].split(".")[0]) < 80
+    assert pins["empy"].startswith("3.")
+
+
+def test_same_versions_on_recent_pythons(launcher):
+    first, *others = (
+        launcher.pins_of(str(ROOT / f"requirements/lock/wheels-3.{m}.txt")) for m in (11, 12, 13)
+    )
+    assert all(other == first for other in others)
+
+
+def test_numpy_beside_a_system_ros_is_the_one_its_messages_were_built_with(launcher):
+    assert launcher.pins_of(str(ROOT / "requirements/lock/system-3.12.txt"))["numpy"].startswith("1.26.")
+
+
+def make_distribution(site, name="pkg", record=None):
+    """A distribution as pip leaves it; returns the folder of its metadata."""
+    metadata = site / f"{name}-1.0.dist-info"
+    metadata.mkdir(parents=True)
+    (site / f"{name}.py").write_text("x = 1\n")
+    (metadata / "INSTALLER").write_text("pip\n")
+    lines = [
+        f"{name}.py,sha256=abc,6",
+        f"__pycache__/{name}.cpython-311.pyc,,",
+        f"{name}-1.0.dist-info/INSTALLER,,4",
+    ]
+    (metadata / "RECORD").write_text("\n".join([*(lines if record is None else record), ""]))
+    return metadata
+
+
+def test_complete_distribution_is_recognised(launcher, tmp_path):
+    assert launcher.is_complete(str(make_distribution(tmp_path)))
+
+
+def test_distribution_with_a_missing_file_is_not_complete(launcher, tmp_path):
+    metadata = make_distribution(tmp_path)
+    (tmp_path / "pkg.py").unlink()
+    assert not launcher.is_complete(str(metadata))
+
+
+def test_distribution_with_a_cut_file_is_not_complete(launcher, tmp_path):
+    metadata = make_distribution(tmp_path)
+    (tmp_path / "pkg.py").write_text("x")
+    assert not launcher.is_complete(str(metadata))
+
+
+def test_distribution_whose_installation_did_not_end_is_not_complete(launcher, tmp_path):
+    assert not launcher.is_complete(str(make_distribution(tmp_path, record=["pkg.py,sha256=abc,6"])))
+    (tmp_path / "pkg-1.0.dist-info" / "RECORD").unlink()
+    assert not launcher.is_complete(str(tmp_path / "pkg-1.0.dist-info"))
+
+
+def test_half_installed_distribution_is_forgotten_before_pip_runs(project):
+    site = project.root / ".venv/lib/python3.11/site-packages"
+    whole, cut = make_distribution(site, "numpy"), make_distribution(site, "yaml")
+    (site / "yaml.py").unlink()
+    state = {"source": "wheels", "python": "3.11"}
+    with project.launcher.only_set_up() as guard:
+        runner = project.launcher.StepRunner("requirements", project.launcher.Progress(1, 1, "x"), guard)
+        project.launcher.make_environment(state, str(project.python), runner)
+        project.launcher.install_requirements(state, runner)
+    assert whole.exists()
+    assert not cut.exists()
+
+
+def test_launcher_uses_the_standard_library_and_old_syntax():
+    tree = ast.parse((ROOT / "nmt").read_text(), feature_version=(3, 7))
+    imported = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+    imported |= {str(n.module) for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+    assert {name.split(".")[0] for name in imported} <= set(sys.stdlib_module_names)

@@ -12,7 +12,7 @@ SOURCES = sorted((ROOT / "ros2_ws" / "src").glob("nmt_*/nmt_*/__init__.py"))
 SCRIPT = """
 import importlib, sys
 BLOCKED = ("rclpy", "nmt_msgs", "std_msgs", "std_srvs", "diagnostic_msgs", "builtin_interfaces",
-           "rcl_interfaces", "action_msgs", "rosidl_runtime_py", "ament_index_python", "unique_identifier_msgs")
+           "rcl_interfaces", "action_msgs", "rosidl_runtime_py", "ament_index_python")
 class Absent:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] in BLOCKED:

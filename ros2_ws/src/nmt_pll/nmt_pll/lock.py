@@ -31,21 +31,27 @@ class Transition:
     reason: str
 
 
+# Scatter of the phase error that a decaying swing may still have at lock, in phase tolerances.
+_SWING = 5.0
+
+
 @dataclass(frozen=True, slots=True)
 class DwellStatistics:
     """Phase error, frequency and amplitude over the dwell.
 
     Attributes:
         mean: mean phase error, rad.
-        mean_std: standard uncertainty of that mean, rad.
+        mean_std: standard uncertainty of that mean due to noise, rad.
         scatter: standard deviation of the phase error about its trend, rad.
+        noise: share of it that is noise and not a transient of the loop, rad.
         frequency_drift, amplitude_drift: relative change over the dwell along a straight-line fit.
-        frequency_drift_std, amplitude_drift_std: their standard uncertainties.
+        frequency_drift_std, amplitude_drift_std: their standard uncertainties due to noise.
     """
 
     mean: float
     mean_std: float
     scatter: float
+    noise: float
     frequency_drift: float
     frequency_drift_std: float
     amplitude_drift: float
@@ -53,8 +59,8 @@ class DwellStatistics:
 
 
 @njit(cache=True)
-def _trend(values: FloatArray, place: FloatArray, norm: float) -> tuple[float, float, float]:
-    """Mean, scatter about the straight line, and change along it over the dwell; order of ``values`` as ``place``."""
+def _trend(values: FloatArray, place: FloatArray, norm: float) -> tuple[float, float, float, float]:
+    """Mean, scatter about the straight line, change along it over the dwell, root mean square second difference."""
     length = values.size
     mean = 0.0
     slope = 0.0
@@ -66,12 +72,15 @@ def _trend(values: FloatArray, place: FloatArray, norm: float) -> tuple[float, f
     square = 0.0
     for k in range(length):
         square += (values[k] - mean - slope * place[k]) ** 2
-    return mean, np.sqrt(square / (length - 2)), slope
+    bend = 0.0
+    for k in range(1, length - 1):
+        bend += (values[k - 1] - 2.0 * values[k] + values[k + 1]) ** 2
+    return mean, np.sqrt(square / (length - 2)), slope, np.sqrt(bend / (length - 2))
 
 
 @njit(cache=True)
 def _statistics(ring: FloatArray, start: int, place: FloatArray, result: FloatArray) -> None:
-    """Rows of ``result``: mean, scatter, slope of each of the three rows of ``ring``, oldest value at ``start``."""
+    """Rows of ``result``: what ``_trend`` gives for each of the three rows of ``ring``, oldest value at ``start``."""
     length = ring.shape[1]
     norm = 0.0
     for k in range(length):
@@ -80,27 +89,31 @@ def _statistics(ring: FloatArray, start: int, place: FloatArray, result: FloatAr
     for row in range(3):
         for k in range(length):
             ordered[k] = ring[row, (start + k) % length]
-        result[row, 0], result[row, 1], result[row, 2] = _trend(ordered, place, 1.0 / norm)
+        result[row, 0], result[row, 1], result[row, 2], result[row, 3] = _trend(ordered, place, 1.0 / norm)
 
 
 class Dwell:
     """Sliding record of the loop over the dwell time.
 
     Neighbouring values are correlated because the adaptive filter smooths them; uncertainties count one independent
-    value per correlation time.
+    value per correlation time. Noise is told from a transient by second differences: a transient of the loop is smooth
+    from block to block, while noise behind a low-pass of cut-off ω_LP is a first-order process whose values one block
+    Δt apart correlate with ρ = exp(−ω_LP Δt), and whose second difference has the variance σ² (6 − 8ρ + 2ρ²).
 
     Args:
         length: number of blocks in the dwell.
-        correlation_blocks: blocks per independent value.
+        correlation_blocks: blocks per independent value, 2 / (ω_LP Δt).
     """
 
     def __init__(self, length: int, correlation_blocks: float) -> None:
         self.length = max(4, length)
         self._inflation = max(1.0, correlation_blocks)
+        neighbour = math.exp(-2.0 / correlation_blocks)
+        self._noise_per_bend = 1.0 / math.sqrt(6.0 - 8.0 * neighbour + 2.0 * neighbour**2)
         self._ring = np.zeros((3, self.length))
         self._place = np.linspace(-0.5, 0.5, self.length)
         self._slope_share = float(1.0 / np.sqrt(self._place @ self._place))
-        self._result = np.zeros((3, 3))
+        self._result = np.zeros((3, 4))
         self._next = 0
         self._count = 0
         _statistics(self._ring, 0, self._place, self._result)  # compile now, not in the first dwell
@@ -124,16 +137,18 @@ class Dwell:
     def statistics(self) -> DwellStatistics:
         """Statistics of a full dwell."""
         _statistics(self._ring, self._next, self._place, self._result)
-        (mean, scatter, _), (f_mean, f_scatter, f_slope), (a_mean, a_scatter, a_slope) = self._result.tolist()
-        slope_share = math.sqrt(self._inflation) * self._slope_share
+        (mean, scatter, _, bend), (f_mean, _, f_slope, f_bend), (a_mean, _, a_slope, a_bend) = self._result.tolist()
+        noise = bend * self._noise_per_bend
+        slope_share = math.sqrt(self._inflation) * self._slope_share * self._noise_per_bend
         return DwellStatistics(
             mean=mean,
-            mean_std=scatter * math.sqrt(self._inflation / self.length),
+            mean_std=noise * math.sqrt(self._inflation / self.length),
             scatter=scatter,
+            noise=noise,
             frequency_drift=f_slope / f_mean,
-            frequency_drift_std=f_scatter * slope_share / f_mean,
+            frequency_drift_std=f_bend * slope_share / f_mean,
             amplitude_drift=a_slope / a_mean,
-            amplitude_drift_std=a_scatter * slope_share / a_mean,
+            amplitude_drift_std=a_bend * slope_share / a_mean,
         )
 
 
@@ -151,11 +166,12 @@ class LockCriteria:
         """True if phase, frequency and amplitude are stationary within tolerance.
 
         Noise must not keep a loop from locking whose means are right, so each drift may exceed its tolerance by two of
-        its own standard uncertainties; ``scatter_limit`` bounds how much noise that excuses.
+        its own standard uncertainties; ``scatter_limit`` bounds how much noise that excuses. A loop that still swings
+        has means that pass through zero by the way: what scatters beyond noise must be small as well.
         """
         s = statistics
         return (
-            s.scatter <= self.scatter_limit
+            s.scatter <= min(self.scatter_limit, _SWING * self.phase_tolerance + 2.0 * s.noise)
             and abs(s.mean) <= self.phase_tolerance + 2.0 * s.mean_std
             and abs(s.frequency_drift) <= self.frequency_tolerance + 2.0 * s.frequency_drift_std
             and abs(s.amplitude_drift) <= self.amplitude_tolerance + 2.0 * s.amplitude_drift_std

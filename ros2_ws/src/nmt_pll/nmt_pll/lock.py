@@ -60,7 +60,7 @@ class DwellStatistics:
 
 @njit(cache=True)
 def _trend(values: FloatArray, place: FloatArray, norm: float) -> tuple[float, float, float, float]:
-    """Mean, scatter about the straight line, change along it over the dwell, root mean square second difference."""
+    """Mean, scatter about the trend, change along it over the dwell, root mean square second difference."""
     length = values.size
     mean = 0.0
     slope = 0.0
@@ -80,7 +80,7 @@ def _trend(values: FloatArray, place: FloatArray, norm: float) -> tuple[float, f
 
 @njit(cache=True)
 def _statistics(ring: FloatArray, start: int, place: FloatArray, result: FloatArray) -> None:
-    """Rows of ``result``: what ``_trend`` gives for each of the three rows of ``ring``, oldest value at ``start``."""
+    """Rows of ``result``: ``_trend`` of each of the three rows of ``ring``, oldest value at ``start``."""
     length = ring.shape[1]
     norm = 0.0
     for k in range(length):
@@ -95,10 +95,11 @@ def _statistics(ring: FloatArray, start: int, place: FloatArray, result: FloatAr
 class Dwell:
     """Sliding record of the loop over the dwell time.
 
-    Neighbouring values are correlated because the adaptive filter smooths them; uncertainties count one independent
-    value per correlation time. Noise is told from a transient by second differences: a transient of the loop is smooth
-    from block to block, while noise behind a low-pass of cut-off ω_LP is a first-order process whose values one block
-    Δt apart correlate with ρ = exp(−ω_LP Δt), and whose second difference has the variance σ² (6 − 8ρ + 2ρ²).
+    Neighbouring values are correlated because the adaptive filter smooths them; uncertainties count one
+    independent value per correlation time. Noise is told from a transient by second differences: a transient of
+    the loop is smooth from block to block, while noise behind a low-pass of cut-off ω_LP is a first-order process
+    whose values one block Δt apart correlate with ρ = exp(−ω_LP Δt), and whose second difference has the variance
+    σ² (6 − 8ρ + 2ρ²).
 
     Args:
         length: number of blocks in the dwell.
@@ -137,7 +138,10 @@ class Dwell:
     def statistics(self) -> DwellStatistics:
         """Statistics of a full dwell."""
         _statistics(self._ring, self._next, self._place, self._result)
-        (mean, scatter, _, bend), (f_mean, _, f_slope, f_bend), (a_mean, _, a_slope, a_bend) = self._result.tolist()
+        phase, frequency, amplitude = self._result.tolist()
+        mean, scatter, _, bend = phase
+        f_mean, _, f_slope, f_bend = frequency
+        a_mean, _, a_slope, a_bend = amplitude
         noise = bend * self._noise_per_bend
         slope_share = math.sqrt(self._inflation) * self._slope_share * self._noise_per_bend
         return DwellStatistics(
@@ -165,9 +169,9 @@ class LockCriteria:
     def locked(self, statistics: DwellStatistics) -> bool:
         """True if phase, frequency and amplitude are stationary within tolerance.
 
-        Noise must not keep a loop from locking whose means are right, so each drift may exceed its tolerance by two of
-        its own standard uncertainties; ``scatter_limit`` bounds how much noise that excuses. A loop that still swings
-        has means that pass through zero by the way: what scatters beyond noise must be small as well.
+        Noise must not keep a loop from locking whose means are right, so each drift may exceed its tolerance by
+        two of its own standard uncertainties; ``scatter_limit`` bounds how much noise that excuses. A loop that
+        still swings has means that pass through zero by the way: what scatters beyond noise must be small as well.
         """
         s = statistics
         return (

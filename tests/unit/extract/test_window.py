@@ -164,7 +164,7 @@ def test_too_few_periods_and_too_many_samples(stream):
 
 def altered_phase(blocks, **changes):
     return [
-        replace(b, oscillator=replace(b.oscillator, **changes)) if i == 5 else b for i, b in enumerate(blocks)
+        replace(b, oscillator=b.oscillator._replace(**changes)) if i == 5 else b for i, b in enumerate(blocks)
     ]
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,8 +62,7 @@ class BlockFlag(IntFlag):
     WATCHDOG = 4
 
 
-@dataclass(frozen=True, slots=True)
-class OscillatorPhase:
+class OscillatorPhase(NamedTuple):
     """Phase of the excitation over a block.
 
     At sample k of the block the phase is ``cycles + f t + rate t² / 2`` with ``t = k / sample_rate``, in cycles.
@@ -94,9 +94,11 @@ class OscillatorPhase:
 UNKNOWN_PHASE = OscillatorPhase(float("nan"), float("nan"))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class SampleBlock:
-    """Simultaneously sampled channels of one quantity.
+    """Simultaneously sampled channels of one quantity; not to be changed once made.
+
+    (Not a frozen dataclass, because making one of those takes longer than reading the block.)
 
     Attributes:
         first_sample: index of the first sample since the start of acquisition.

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -207,8 +208,7 @@ class BlockWriter:
         self._buffer = buffer
 
 
-@dataclass(frozen=True, slots=True)
-class PlainDrive:
+class PlainDrive(NamedTuple):
     """A drive command without harmonics; fields as in ``nmt_msgs/Drive``."""
 
     apply_at_sample: int
@@ -264,8 +264,7 @@ def read_drive(raw: bytes) -> PlainDrive | None:
     return PlainDrive(*values[3:9], *values[12:16])
 
 
-@dataclass(frozen=True, slots=True)
-class LoopStatus:
+class LoopStatus(NamedTuple):
     """State of the loop after a block; fields as in ``nmt_msgs/Frequency``."""
 
     last_sample: int

@@ -30,9 +30,9 @@ class Waveform(IntEnum):
     SWEEP = 4
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class DriveCommand:
-    """What the oscillator shall do; fields as in ``nmt_msgs/Drive``.
+    """What the oscillator shall do; not to be changed once made. Fields as in ``nmt_msgs/Drive``.
 
     Attributes:
         waveform: OFF, SINE, RANDOM or SWEEP.
@@ -63,6 +63,15 @@ class DriveCommand:
     frequency_end_hz: float = 0.0
 
     def __post_init__(self) -> None:
+        if (
+            self.waveform == Waveform.SINE
+            and 0.0 < self.frequency_hz < math.inf
+            and 0.0 <= self.amplitude < math.inf
+            and 0.0 <= self.ramp < math.inf
+            and not self.harmonics
+            and self.band_low_hz == self.band_high_hz == self.rate_hz_s == self.frequency_end_hz == 0.0
+        ):
+            return  # the ordinary case, once a block
         if self.waveform not in tuple(Waveform):
             raise BenchError(
                 f"drive command: waveform {self.waveform} is unknown; use OFF, SINE, RANDOM or SWEEP."

@@ -6,8 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 
-from nmt_core.blocks import Quantity, SampleBlock
+from nmt_core.blocks import FloatArray, Quantity, SampleBlock
+
+
+@njit(cache=True)
+def within_limit(data: FloatArray, limit: float) -> bool:
+    """Whether every magnitude is at most ``limit``; NaN is not."""
+    for row in range(data.shape[0]):
+        for k in range(data.shape[1]):
+            if not abs(data[row, k]) <= limit:
+                return False
+    return True
 
 
 @dataclass

@@ -6,9 +6,11 @@ SINE and SWEEP, band-limited Gaussian noise for RANDOM.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.signal import butter, sosfilt, sosfreqz
 
 from nmt_core.blocks import FloatArray, OscillatorPhase
@@ -16,6 +18,21 @@ from nmt_core.errors import BenchError
 from nmt_core.ramp import half_cosine
 
 from .device import DriveCommand, Waveform
+
+
+@njit(cache=True)
+def _cosine(
+    voltage: FloatArray, cycles: float, step: float, bend: float, start: float, target: float, elapsed: int, length: int
+) -> None:
+    """voltage[k] = envelope(k) cos(2π (cycles + step k + bend k²)), half-cosine envelope of ``length`` samples."""
+    for k in range(voltage.size):
+        amplitude = target
+        if elapsed + k < length:
+            amplitude = start + (target - start) * (0.5 - 0.5 * np.cos(np.pi * (elapsed + k) / length))
+        if amplitude == 0.0:
+            voltage[k] = 0.0
+        else:
+            voltage[k] = amplitude * np.cos(2.0 * np.pi * (cycles + k * (step + bend * k)))
 
 
 class Envelope:
@@ -30,6 +47,8 @@ class Envelope:
     @property
     def value(self) -> float:
         """Value at the present sample."""
+        if self._elapsed >= self._length:
+            return self.target
         return float(self.values(1)[0])
 
     def aim(self, target: float, length: int) -> None:
@@ -45,6 +64,11 @@ class Envelope:
         result: FloatArray = self._start + (self.target - self._start) * weight
         result[self._elapsed + np.arange(count) >= self._length] = self.target
         return result
+
+    def cosine(self, voltage: FloatArray, phase: OscillatorPhase, sample_rate: float) -> None:
+        """Fill ``voltage`` (V) with the value times the cosine of the phase, from the present sample on."""
+        step, bend = phase.frequency_hz / sample_rate, 0.5 * phase.rate_hz_s / sample_rate**2
+        _cosine(voltage, phase.cycles, step, bend, self._start, self.target, self._elapsed, self._length)
 
     def advance(self, samples: int) -> None:
         """Move on by `samples`."""
@@ -68,8 +92,9 @@ def check_command(command: DriveCommand, sample_rate: float) -> None:
     elif command.waveform == Waveform.OFF:
         return
     else:
-        orders = [1, *(order for order, _ in command.harmonics)]
-        highest = max(command.frequency_hz, command.frequency_end_hz) * max(orders)
+        highest = max(command.frequency_hz, command.frequency_end_hz)
+        if command.harmonics:
+            highest *= max(order for order, _ in command.harmonics)
     if highest >= nyquist:
         raise BenchError(
             f"the drive reaches {highest:g} Hz; it must stay below half the sample rate, {nyquist:g} Hz."
@@ -149,7 +174,8 @@ class Oscillator:
     @property
     def is_quiet(self) -> bool:
         """Whether the output is zero and stays zero."""
-        return all(e.target == 0.0 and e.value == 0.0 for e in (self._amplitude, self._harmonic_weight))
+        main, harmonics = self._amplitude, self._harmonic_weight
+        return main.target == 0.0 == harmonics.target and main.value == 0.0 == harmonics.value
 
     def apply(self, command: DriveCommand) -> None:
         """Follow a command from the next block on.
@@ -201,20 +227,20 @@ class Oscillator:
             end = self._frequency_end
             rate = (end - self.frequency_hz) / duration
             self._rate = 0.0
-        amplitude = self._amplitude.values(samples + 1)
         if self._waveform == Waveform.RANDOM and self._noise is not None:
-            voltage = amplitude * self._noise.values(samples)
+            voltage = self._amplitude.values(samples + 1) * self._noise.values(samples)
             phase = OscillatorPhase(self.cycles, 0.0, 0.0)
         else:
             phase = OscillatorPhase(self.cycles, self.frequency_hz, rate)
-            theta = phase.phase(samples + 1, self.sample_rate)
-            voltage = amplitude * np.cos(theta)
+            voltage = np.empty(samples + 1)
+            self._amplitude.cosine(voltage, phase, self.sample_rate)
             if self._harmonics:
+                theta = phase.phase(samples + 1, self.sample_rate)
                 weight = self._harmonic_weight.values(samples + 1)
                 for order, value in self._harmonics:
                     voltage += weight * (value * np.exp(1j * order * theta)).real
             moved = self.cycles + duration * (self.frequency_hz + 0.5 * rate * duration)
-            self.cycles = moved - np.floor(moved)
+            self.cycles = moved - math.floor(moved)
             self.frequency_hz = end
         self._amplitude.advance(samples)
         self._harmonic_weight.advance(samples)

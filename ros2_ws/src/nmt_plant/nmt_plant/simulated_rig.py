@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from nmt_core.blocks import BlockFlag, FloatArray, OscillatorPhase, Quantity, Sa
 from nmt_core.errors import BenchError
 
 from .device import Device, DeviceFault, DriveCommand, Waveform
-from .limits import LimitGuard
+from .limits import LimitGuard, within_limit
 from .model.assembly import (
     ElectromechanicalSystem,
     OutputRow,
@@ -86,6 +87,34 @@ def _by_quantity(sensors: Sequence[Sensor]) -> list[_Group]:
     return groups
 
 
+class _ChannelGroup(NamedTuple):
+    """The channels of one quantity: one block of them is published."""
+
+    quantity: Quantity
+    unit: str
+    channels: tuple[str, ...]
+    points: tuple[int, ...]
+    rows: slice | list[int]
+
+
+def _channel_groups(sensors: Sequence[Sensor]) -> list[_ChannelGroup]:
+    groups = []
+    for quantity in Quantity:
+        rows = [row for row, sensor in enumerate(sensors) if sensor.quantity == quantity]
+        if rows:
+            together = rows == list(range(rows[0], rows[-1] + 1))
+            groups.append(
+                _ChannelGroup(
+                    quantity,
+                    quantity.unit,
+                    tuple(sensors[row].channel for row in rows),
+                    tuple(sensors[row].point for row in rows),
+                    slice(rows[0], rows[-1] + 1) if together else rows,
+                )
+            )
+    return groups
+
+
 class SimulatedRig(Device):
     """A rig file brought to life; every `read` integrates one block.
 
@@ -100,6 +129,8 @@ class SimulatedRig(Device):
         self._block_samples = block_samples or rig.block_samples
         self.sensors = rig_sensors(rig)
         self._groups = _by_quantity(self.sensors)
+        self._sample_rate = float(rig.sample_rate_hz)
+        self._groups = _channel_groups(self.sensors)
         self._integrator: TimeIntegrator | None = None
         self._next_sample = 0
         self._prepare()
@@ -108,6 +139,7 @@ class SimulatedRig(Device):
         rig = self.rig
         self._oscillator = Oscillator(rig.sample_rate_hz, rig.seed)
         self._channels = [SensorChannel(sensor, rig.sample_rate_hz, rig.seed) for sensor in self.sensors]
+        self._plain_sensors = all(channel.plain for channel in self._channels)
         self._watchdog = DriveWatchdog(rig.watchdog.blocks)
         limits = {
             Quantity.VOLTAGE: rig.limits.voltage_v,
@@ -165,6 +197,8 @@ class SimulatedRig(Device):
         self._integrator = TimeIntegrator(system, self.sample_rate, outputs, self.rig.substeps)
         # Compiles the time loop, or loads it: not in the first block.
         self._integrator.advance(np.zeros(2))
+        within_limit(np.zeros((1, 1)), 1.0)
+        self._oscillator.block(1)
 
     def _start(self) -> None:
         self.integrator.reset()
@@ -204,8 +238,10 @@ class SimulatedRig(Device):
     def _compute(self, true_values: FloatArray) -> tuple[FloatArray, bool]:
         if all(channel.plain for channel in self._channels):
             return true_values, False
-        recorded = np.empty_like(true_values)
         overload = False
+        if self._plain_sensors:
+            return true_values, overload
+        recorded = np.empty_like(true_values)
         for row, channel in enumerate(self._channels):
             recorded[row], over = channel.measure(true_values[row])
             overload = overload or over
@@ -214,11 +250,17 @@ class SimulatedRig(Device):
     def _blocks(self, recorded: FloatArray, phase: OscillatorPhase) -> list[SampleBlock]:
         return [
             SampleBlock(
-                self._next_sample, self.sample_rate, quantity, quantity.unit, channels, points,
-                recorded[rows], phase
+                self._next_sample,
+                self._sample_rate,
+                group.quantity,
+                group.unit,
+                group.channels,
+                group.points,
+                recorded[group.rows],
+                phase,
             )
-            for quantity, channels, points, rows in self._groups
-        ]  # fmt: skip
+            for group in self._groups
+        ]
 
     def _safety(self, blocks: Sequence[SampleBlock]) -> None:
         if self._reason:

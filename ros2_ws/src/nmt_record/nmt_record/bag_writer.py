@@ -177,7 +177,8 @@ class BagWriter:
             raise self._fail(error) from error
         self.counts[topic] += 1
         first, last = self._times or (receive_time_ns, receive_time_ns)
-        self._times = (min(first, receive_time_ns), max(last, receive_time_ns))
+        if receive_time_ns < first or receive_time_ns > last or self._times is None:
+            self._times = (min(first, receive_time_ns), max(last, receive_time_ns))
         if not self._pending:
             self._chunk_opened = time.monotonic()
         self._pending += 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from nmt_core.parameters import Parameter
 from nmt_msgs.msg import RunState
 from nmt_record.bag_writer import BagWriter
 from nmt_record.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, Service, parse_topic
-from nmt_record.cdr_peek import peek_block, peek_run_state, peek_stamp
+from nmt_record.cdr_peek import BlockExtent, BlockPeek, peek_run_state, peek_stamp
 from nmt_record.gap_counter import GapCounter
 from nmt_record.message_definitions import local_definitions
 
@@ -168,15 +169,15 @@ class RecorderNode(BenchNode):
 
     def _callback(self, topic: BenchTopic) -> Any:
         if topic.message_type == SAMPLE_BLOCK:
-            return partial(self._on_block, topic.name)
+            return partial(self._on_block, topic.name, BlockPeek().extent)
         if topic.name == "run_state":
             return self._on_run_state
         stamped = local_definitions().fields(topic.message_type)[:1] in (("stamp",), ("header",))
         return partial(self._on_message, topic.name, stamped)
 
-    def _on_block(self, topic: str, raw: bytes) -> None:
+    def _on_block(self, topic: str, extent: Callable[[bytes], BlockExtent], raw: bytes) -> None:
         try:
-            self.gaps.add(topic, peek_block(raw))
+            self.gaps.add(topic, extent(raw))
         except ValueError:
             self._malformed += 1
         self._on_message(topic, True, raw)

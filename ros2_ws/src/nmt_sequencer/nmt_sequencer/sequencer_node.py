@@ -243,7 +243,8 @@ class SequencerNode(BenchNode):
             return
         self._published = key
         message = RunState()
-        sample = machine.end_sample if machine.phase == RunPhase.DONE else max(machine.newest, 0)
+        newest = machine.end_sample - 1 if machine.phase == RunPhase.DONE else machine.newest
+        sample = max(newest, 0)
         set_stamp(message.stamp, sample, machine.pacing.sample_rate)
         plan = machine.plan
         message.run_id = plan.run_id if plan else ""

@@ -39,7 +39,7 @@ from std_srvs.srv import Trigger
 from nmt_bench.bench_domain import BenchDomain, bench_environment
 from nmt_bench.node_plan import NODES, NodePlan, TestPlan, plan_nodes
 from nmt_bench.node_processes import NodeProcesses
-from nmt_core.base_node import STATE_QOS
+from nmt_core.base_node import STATE_QOS, calm_collector
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.conversions import modal_point_from_message
@@ -244,9 +244,9 @@ class Bench:
                 self._add(name, node)
         self.client = _RunClient(self.context)
         self._add("client", self.client)
-        # What exists now lives as long as the bench; the collector need not look at it again and again.
-        gc.collect()
-        gc.freeze()
+        thresholds = gc.get_threshold()
+        calm_collector()
+        self._cleanup.callback(gc.set_threshold, *thresholds)
         self._cleanup.callback(gc.unfreeze)
 
     def _add(self, name: str, node: Node) -> None:
@@ -312,7 +312,7 @@ class Bench:
             bag=self.out / "bag",
             bag_state=bag_state,
             wall_time=wall_time,
-            bench_time=self.client.newest_sample / self.rig.sample_rate_hz,
+            bench_time=(self.client.newest_sample + 1) / self.rig.sample_rate_hz,
             lost_node=lost,
             interrupted=interrupted,
             remarks=tuple(self.client.remarks(self.test.pacing)),
@@ -414,7 +414,7 @@ class _RunClient(Node):
         self.bag_state = "open"
         self.started: float | None = None
         self.last_progress: float | None = None
-        self.newest_sample = 0
+        self.newest_sample = -1
         self._counters: dict[str, dict[str, str]] = {}
         self.create_subscription(String, "bag", self._on_bag, STATE_QOS)
         self.create_subscription(RunState, "run_state", self._on_state, STATE_QOS)

@@ -19,6 +19,7 @@ from nmt_core.linear_description import LinearDescription
 from nmt_extract.settings import ExtractionSettings
 from nmt_plant.linear_description import linear_description
 from nmt_plant.rig import Rig
+from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
 from nmt_pll.settings import settings_from
 from nmt_sequencer.level_plan import check_levels
 
@@ -130,7 +131,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
     response = _response_topic(rig)
     topics = _sample_topics(rig)
     extraction = ExtractionSettings(
-        harmonics=rig.extraction.harmonics, topics=tuple(topic for topic in topics if topic != "voltage")
+        harmonics=rig.extraction.harmonics, topics=_extraction_topics(rig, topics)
     )
     pll = _loop_values(test, linear, response)
     timing = {"sample_rate": float(rig.sample_rate_hz), "block_samples": int(rig.block_samples)}
@@ -167,7 +168,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
         if name not in values:
             raise BenchError(f"Node '{name}' is not part of the bench; there are {', '.join(values)}.")
         values[name].update(extra)
-    for name, peers in expected_peers(topics, response).items():
+    for name, peers in expected_peers(topics, extraction.topics, response).items():
         values[name]["expected_peers"] = peers
     goal = test.goal
     run = {
@@ -187,15 +188,18 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
     return NodePlan(values, run, goal)
 
 
-def expected_peers(topics: Sequence[str], response: str) -> dict[str, list[str]]:
+def expected_peers(
+    topics: Sequence[str], extracted: Sequence[str], response: str
+) -> dict[str, list[str]]:
     """For every node the ``topic:count`` list of connections it waits for before it calls itself ready.
 
     Args:
         topics: sample topics of the rig.
+        extracted: those that the extraction reads.
         response: topic of the response that the loop controls.
     """
     subscribers: dict[str, list[str]] = {
-        topic: ["recorder", *(["extract"] if topic != "voltage" else [])] for topic in topics
+        topic: ["recorder", *(["extract"] if topic in extracted else [])] for topic in topics
     }
     subscribers["force"].append("pll")
     subscribers[response].append("pll")
@@ -225,6 +229,14 @@ def _sample_topics(rig: Rig) -> list[str]:
     return [topic for topic in topics if topic in present] + (["voltage"] if "voltage" in present else [])
 
 
+def _extraction_topics(rig: Rig, topics: Sequence[str]) -> tuple[str, ...]:
+    """Force, the response quantity of the rig, and the other one if only it has a sensor at the drive point."""
+    chosen = ["force", rig.extraction.quantity]
+    if rig.drive_point not in rig.response_points(Quantity[rig.extraction.quantity.upper()]):
+        chosen.append("acceleration" if rig.extraction.quantity == "displacement" else "displacement")
+    return tuple(topic for topic in topics if topic in chosen)
+
+
 def _response_topic(rig: Rig) -> str:
     for quantity in (Quantity[rig.extraction.quantity.upper()], Quantity.DISPLACEMENT, Quantity.ACCELERATION):
         if rig.drive_point in rig.response_points(quantity):
@@ -238,6 +250,7 @@ def _response_topic(rig: Rig) -> str:
 def _loop_values(test: TestPlan, linear: LinearDescription, response: str) -> dict[str, Any]:
     """The rig's loop settings; amplitude floors default to a fraction of the linear estimate at the lowest level."""
     values = dict(test.rig.pll)
+    loop = _paper_values(values)
     lowest = min(test.levels)
     if "force_floor" not in values and linear.force_per_volt > 0:
         values["force_floor"] = 0.02 * lowest * linear.force_per_volt
@@ -245,7 +258,21 @@ def _loop_values(test: TestPlan, linear: LinearDescription, response: str) -> di
         scale = linear.frequencies_rad_s[linear.target_mode] ** 2 if response == "acceleration" else 1.0
         values["response_floor"] = 0.02 * lowest * linear.displacement_per_volt * scale
     settings = settings_from({**values, "latency_blocks": test.latency_blocks})
-    return {name: type(getattr(settings, name))(value) for name, value in values.items()}
+    return {**loop, **{name: type(getattr(settings, name))(value) for name, value in values.items()}}
+
+
+def _paper_values(values: dict[str, Any]) -> dict[str, Any]:
+    """Take the choice of the loop and the settings of the paper's loop out of the rig's settings, checked."""
+    chosen: dict[str, Any] = {}
+    if "loop" in values:
+        chosen["loop"] = str(values.pop("loop"))
+    known = {parameter.name for parameter in paper_parameters()}
+    for name in [name for name in values if name.startswith(PAPER_PREFIX)]:
+        if name not in known:
+            raise BenchError(f"PLL setting '{name}' is not known; known are {', '.join(sorted(known))}.")
+        chosen[name] = float(values.pop(name))
+    paper_settings_from(chosen)
+    return chosen
 
 
 def versions() -> dict[str, str]:

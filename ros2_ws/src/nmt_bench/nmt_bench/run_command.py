@@ -59,7 +59,9 @@ def add_parser(subparsers: Subparsers) -> None:
         "--stop-on-lost-lock", action="store_true", help="end the test at the first level that does not lock"
     )
     parser.add_argument(
-        "--pll", choices=("adaptive",), default="adaptive", help="phase-locked loop (default: adaptive)"
+        "--pll",
+        choices=("adaptive", "paper"),
+        help="phase-locked loop: adaptive filter with guard band, or the paper's (default: the rig's, else adaptive)",
     )
     parser.add_argument(
         "--pacing",
@@ -119,6 +121,7 @@ def run(arguments: argparse.Namespace) -> int:
         timeout=arguments.timeout,
         stop_on_lost_lock=arguments.stop_on_lost_lock,
         domain_id=arguments.domain,
+        node_values={"pll": {"loop": arguments.pll}} if arguments.pll else None,
     )
     console = make_console()
     with _terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:

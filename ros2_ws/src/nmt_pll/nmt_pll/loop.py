@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -37,8 +37,7 @@ class LockWindow:
     periods: int
 
 
-@dataclass(frozen=True, slots=True)
-class LoopOutput:
+class LoopOutput(NamedTuple):
     """Answer of the loop to one block.
 
     Attributes:

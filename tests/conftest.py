@@ -1,7 +1,7 @@
 """What all tests share: the environment of ROS 2, private domains, reference data, and no leftovers.
 
-Nodes that tests start talk on this host only, over UDP as in a bench, write their logs to a temporary folder and check
-the fields of every message they fill.
+Nodes that tests start talk on this host only, over UDP as in a bench, write their logs to a temporary folder and
+check the fields of every message they fill.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -47,14 +48,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fail a session that leaves shared memory of Fast DDS behind; under xdist the controller looks for all."""
+    """Fail a session that leaves shared memory of Fast DDS behind; under xdist the controller looks."""
     if hasattr(session.config, "workerinput"):
         return
     left = dead_segments() - session.config.stash[_SEGMENTS]
     if left:
+        time.sleep(1.0)  # a process that was just ending has removed its segments by now
+        left &= dead_segments()
+    if left:
         names = ", ".join(sorted(left))
         session.config.pluginmanager.get_plugin("terminalreporter").write_line(
-            f"\nShared memory of nodes that died during the session is left in {SHARED_MEMORY}: {names}", red=True
+            f"\nShared memory of nodes that died during the session is left in {SHARED_MEMORY}: {names}",
+            red=True,
         )
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 

@@ -16,6 +16,8 @@ from nmt_core.wire import BlockReader, LoopStatus, PlainDrive, write_drive, writ
 from nmt_msgs.msg import Drive, Frequency, Level, LockEvent, SampleBlock as SampleBlockMessage
 from nmt_pll.lock import LoopState
 from nmt_pll.loop import LockWindow, Loop, LoopOutput, PhaseLockedLoop
+from nmt_pll.paper_loop import PaperLoop
+from nmt_pll.paper_settings import paper_parameters, paper_settings_from
 from nmt_pll.settings import (
     CONTROL_FORCE,
     CONTROL_RESPONSE,
@@ -37,7 +39,15 @@ PARAMETERS = (
         "Topic of the drive-point response whose phase is controlled.",
         choices=("displacement", "velocity", "acceleration"),
     ),
+    Parameter(
+        "loop",
+        "adaptive",
+        "",
+        "adaptive: adaptive filter, closed-form gains, guard band; paper: product detector, low-pass, PI.",
+        choices=("adaptive", "paper"),
+    ),
     *setting_parameters(),
+    *paper_parameters(),
 )
 
 
@@ -63,9 +73,12 @@ class PllNode(BenchNode):
         settings = settings_from({name: value for name, value in self.values.items() if name in names})
         self.sample_rate = float(self.values["sample_rate"])
         self.block_samples = int(self.values["block_samples"])
-        self.loop: Loop = PhaseLockedLoop(
-            LinearDescription.from_json(text), settings, self.sample_rate, self.block_samples
-        )
+        linear = LinearDescription.from_json(text)
+        self.loop: Loop
+        if self.values["loop"] == "paper":
+            self.loop = PaperLoop(linear, paper_settings_from(self.values), self.sample_rate, self.block_samples)
+        else:
+            self.loop = PhaseLockedLoop(linear, settings, self.sample_rate, self.block_samples)
         self._delay = settings.latency_blocks * self.block_samples
         self._response_topic = str(self.values["response_topic"])
         self._waiting: dict[str, SampleBlock] = {}

@@ -1,0 +1,110 @@
+"""Settings of the paper's phase-locked loop, as node parameters and as one frozen object."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+from nmt_core.parameters import Parameter
+
+PAPER_PREFIX = "paper_"
+
+
+@dataclass(frozen=True)
+class PaperSettings:
+    """Published parameters of the paper's loop (appendix) and the rule for waiting; the structure is
+    inferred.
+
+    Attributes:
+        gain: K, rad/s. 2π for the joint of 8 kN/m, 30π for stiffer ones, 20π in the paper's experiment.
+        pole: a of the low-pass 1/(s + a), rad/s.
+        zero: b of the controller K (s + b)/s, rad/s.
+        centre_frequency_hz: ω_m / 2π, where the oscillator starts and is centred, Hz; 0 = linear frequency of
+            the target mode.
+        closing_time: for which the first level's frequency is held after its ramp, s.
+        waiting_time: from the start of a level to its window, s.
+        dwell_periods: last part of the waiting time over which the phase error is averaged, periods.
+        phase_tolerance: largest mean phase error at which lock is reported, rad.
+        scatter_limit: largest standard deviation of the phase error at lock, rad.
+        unlock_tolerance: mean phase error over the dwell that ends a lock, rad.
+        force_floor: smallest force amplitude with a valid phase, N.
+        response_floor: smallest response amplitude with a valid phase, unit of the response.
+        quiet_ramp: half-cosine to zero after a lost lock, s.
+    """
+
+    gain: float = 2.0 * math.pi
+    pole: float = 2.0 * math.pi
+    zero: float = math.pi
+    centre_frequency_hz: float = 0.0
+    closing_time: float = 1.0
+    waiting_time: float = 11.0
+    dwell_periods: float = 20.0
+    phase_tolerance: float = math.radians(1.0)
+    scatter_limit: float = math.radians(10.0)
+    unlock_tolerance: float = math.radians(10.0)
+    force_floor: float = 1.0e-4
+    response_floor: float = 0.0
+    quiet_ramp: float = 0.5
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not math.isfinite(value) or value < 0:
+                raise BenchError(
+                    f"Setting '{item.name}' of the paper's loop must be finite and not negative, got {value}."
+                )
+        for name in (
+            "gain",
+            "pole",
+            "zero",
+            "dwell_periods",
+            "phase_tolerance",
+            "scatter_limit",
+            "unlock_tolerance",
+        ):
+            if getattr(self, name) <= 0:
+                raise BenchError(f"Setting '{name}' of the paper's loop must be positive.")
+
+    def centre_frequency(self, linear: LinearDescription) -> float:
+        """ω_m in rad/s."""
+        return 2.0 * math.pi * self.centre_frequency_hz or linear.frequencies_rad_s[linear.target_mode]
+
+
+_DESCRIPTIONS = {
+    "gain": ("rad/s", "K of the paper's loop."),
+    "pole": ("rad/s", "a of its low-pass 1/(s + a)."),
+    "zero": ("rad/s", "b of its controller K (s + b)/s."),
+    "centre_frequency_hz": ("Hz", "Centre of its oscillator; 0 = linear frequency of the target mode."),
+    "closing_time": ("s", "Hold of the first level's frequency after its ramp, before the loop closes."),
+    "waiting_time": ("s", "From the start of a level to its window."),
+    "dwell_periods": ("periods", "End of the waiting time over which the phase error is averaged."),
+    "phase_tolerance": ("rad", "Largest mean phase error at which it reports lock."),
+    "unlock_tolerance": ("rad", "Mean phase error that ends a lock."),
+}
+
+
+def paper_parameters() -> tuple[Parameter, ...]:
+    """The paper's own settings as node parameters ``paper_<name>``; floors and quiet ramp are shared."""
+    return tuple(
+        Parameter(PAPER_PREFIX + item.name, item.default, *_DESCRIPTIONS[item.name], low=0.0)  # type: ignore[arg-type]
+        for item in fields(PaperSettings)
+        if item.name in _DESCRIPTIONS
+    )
+
+
+def paper_settings_from(values: Mapping[str, Any]) -> PaperSettings:
+    """Settings from a node's parameters; what does not concern the paper's loop is left out.
+
+    Raises:
+        BenchError: a value that :class:`PaperSettings` refuses.
+    """
+    chosen = {}
+    for item in fields(PaperSettings):
+        key = PAPER_PREFIX + item.name if item.name in _DESCRIPTIONS else item.name
+        if key in values:
+            chosen[item.name] = float(values[key])
+    return PaperSettings(**chosen)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
@@ -132,7 +132,7 @@ class PllNode(BenchNode):
         self._sequence = max(self._sequence, level.sequence)
         if self._status is not None:
             # The sequencer holds the horizon until it sees its level acknowledged; blocks may have to wait for that.
-            self._status = replace(self._status, level_sequence=self._sequence, reason="")
+            self._status = self._status._replace(level_sequence=self._sequence, reason="")
             self._frequency.publish(write_status(self._status, self.sample_rate))
 
     def _reading(self, reader: BlockReader) -> Callable[[bytes], None]:

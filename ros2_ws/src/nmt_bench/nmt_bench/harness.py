@@ -47,6 +47,7 @@ from nmt_extract.modal_point import ModalPoint
 from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import RunState
 from nmt_bench.rig_snapshot import rig_text
+from nmt_bench.shared_memory import remove_dead_segments
 from nmt_plant.rig import Rig, load_rig
 from nmt_sequencer.level_plan import parse_levels
 from nmt_sequencer.run_machine import ResultCode
@@ -213,6 +214,8 @@ class Bench:
         else:
             self.out = self._out
             self.out.mkdir(parents=True, exist_ok=True)
+        if self.use_processes:
+            self._cleanup.callback(remove_dead_segments)
         domain = BenchDomain(self._domain_id)
         self._cleanup.callback(domain.close)
         self.domain_id = domain.id
@@ -298,13 +301,12 @@ class Bench:
         bag_state = self._await_bag(lost)
         points: tuple[ModalPoint, ...] = ()
         if message is None:
-            code, text = ResultCode.NODE_LOST, f"Node {lost} has died{self._last_words(lost)}; the drive was taken to zero."
+            code, text = ResultCode.NODE_LOST, self._obituary(lost)
         else:
             code, text = ResultCode(message.result_code), message.message
             points = tuple(modal_point_from_message(point) for point in message.points)
             if lost:
-                code = ResultCode.NODE_LOST
-                text = f"Node {lost} has died{self._last_words(lost)}; the run was ended and the drive is at zero."
+                code, text = ResultCode.NODE_LOST, self._obituary(lost)
         return RunResult(
             code=code,
             message=text,
@@ -392,13 +394,25 @@ class Bench:
                 return None, lost, interrupted
         return future.result().result, lost, interrupted
 
+    def _obituary(self, lost: str) -> str:
+        drive = "the plant's output ended with it" if lost == "plant" else "the drive was taken to zero"
+        return f"Node {lost} has died{self._last_words(lost)}; the run was ended and {drive}."
+
     def _await_bag(self, lost: str) -> str:
         if lost == "recorder":
             return "lost"
-        end = time.monotonic() + 10.0
-        while self.client.bag_state not in ("closed", "failed") and time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=_POLL)
+        if lost == "sequencer" and self.processes is not None:
+            # Nobody tells the recorder that the run is over: wait for the plant's own ramp, then end all nodes.
+            self._spin_while(lambda: not self.client.drive_is_at_zero, 10.0)
+            self.processes.end()
+            return "closed" if (self.out / "bag" / "metadata.yaml").exists() else "open"
+        self._spin_while(lambda: self.client.bag_state not in ("closed", "failed"), 10.0)
         return self.client.bag_state
+
+    def _spin_while(self, condition: Callable[[], bool], timeout: float) -> None:
+        end = time.monotonic() + timeout
+        while condition() and time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=_POLL)
 
     def _last_words(self, name: str) -> str:
         words = self.processes.last_words(name) if self.processes and name else ""
@@ -446,6 +460,10 @@ class _RunClient(Node):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             self._counters[status.name] = {item.key: item.value for item in status.values}
+
+    @property
+    def drive_is_at_zero(self) -> bool:
+        return self._counters.get("plant", {}).get("drive_at_zero") == "1"
 
     def remarks(self, pacing: str) -> list[str]:
         """Sentences on what the nodes counted."""

@@ -90,7 +90,7 @@ class PlantNode(BenchNode):
         self.create_service(Trigger, "reset", self._reset)
         self._guard_timer = self.create_timer(_GUARD_PERIOD, self._guard)
         if not self._lockstep:
-            self._tick_timer = self.create_timer(self._period / 4.0, self._tick)
+            self._tick_timer = self.create_timer(min(1.0e-3, self._period / 8.0), self._tick)
 
     def _probe(self) -> list[SampleBlock]:
         """One block for the list of quantities; the device starts again from sample 0."""

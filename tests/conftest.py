@@ -1,7 +1,7 @@
 """What all tests share: the environment of ROS 2, private domains, reference data, and no leftovers.
 
-Nodes that tests start talk on this host only, over UDP as in a bench, write their logs to a temporary folder and
-check the fields of every message they fill.
+Nodes that tests start talk on this host only, write their logs to a temporary folder and check the fields
+of every message they fill.
 """
 
 from __future__ import annotations
@@ -9,30 +9,25 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from nmt_bench.bench_domain import BenchDomain
+from nmt_bench.shared_memory import remove_dead_segments
 
 TESTS = Path(__file__).resolve().parent
-SHARED_MEMORY = Path("/dev/shm")
 
 # Message classes read this when they are imported, which is before any fixture runs.
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-# A node that a test kills cannot tidy up its shared memory.
-os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 
 _LOG_FOLDER = pytest.StashKey[str]()
-_SEGMENTS = pytest.StashKey[set[str]]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[_LOG_FOLDER] = os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="nmt-test-logs-")
-    config.stash[_SEGMENTS] = dead_segments()
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
@@ -48,39 +43,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fail a session that leaves shared memory of Fast DDS behind; under xdist the controller looks."""
-    if hasattr(session.config, "workerinput"):
-        return
-    left = dead_segments() - session.config.stash[_SEGMENTS]
-    if left:
-        time.sleep(1.0)  # a process that was just ending has removed its segments by now
-        left &= dead_segments()
-    if left:
-        names = ", ".join(sorted(left))
-        session.config.pluginmanager.get_plugin("terminalreporter").write_line(
-            f"\nShared memory of nodes that died during the session is left in {SHARED_MEMORY}: {names}",
-            red=True,
-        )
-        session.exitstatus = pytest.ExitCode.TESTS_FAILED
-
-
-def dead_segments() -> set[str]:
-    """Shared memory of Fast DDS that no living process of this user has mapped or open."""
-    segments = {path.name for path in SHARED_MEMORY.glob("fastrtps_*")} if SHARED_MEMORY.is_dir() else set()
-    return segments - _held_segments() if segments else segments
-
-
-def _held_segments() -> set[str]:
-    held: set[str] = set()
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            lines = (process / "maps").read_text().splitlines()
-            names = [line.rpartition("/")[2] for line in lines if f" {SHARED_MEMORY}/" in line]
-            names += [os.path.basename(os.readlink(link)) for link in (process / "fd").iterdir()]
-        except OSError:
-            continue  # gone meanwhile, or not ours
-        held.update(names)
-    return held
+    """Nodes that tests kill leave shared memory behind; under xdist the controller clears it for all."""
+    if not hasattr(session.config, "workerinput"):
+        remove_dead_segments()
 
 
 @pytest.fixture

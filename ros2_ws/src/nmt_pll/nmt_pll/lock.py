@@ -173,13 +173,24 @@ class LockCriteria:
         two of its own standard uncertainties; ``scatter_limit`` bounds how much noise that excuses. A loop that
         still swings has means that pass through zero by the way: what scatters beyond noise must be small as well.
         """
+        return not self.obstacle(statistics)
+
+    def obstacle(self, statistics: DwellStatistics) -> str:
+        """The criterion that keeps the loop from being locked, empty if it is."""
         s = statistics
-        return (
-            s.scatter <= min(self.scatter_limit, _SWING * self.phase_tolerance + 2.0 * s.noise)
-            and abs(s.mean) <= self.phase_tolerance + 2.0 * s.mean_std
-            and abs(s.frequency_drift) <= self.frequency_tolerance + 2.0 * s.frequency_drift_std
-            and abs(s.amplitude_drift) <= self.amplitude_tolerance + 2.0 * s.amplitude_drift_std
-        )
+        scatter_limit = min(self.scatter_limit, _SWING * self.phase_tolerance + 2.0 * s.noise)
+        if s.scatter > scatter_limit:
+            return (
+                f"phase scatter {math.degrees(s.scatter):.2f} deg exceeds {math.degrees(scatter_limit):.2f} deg "
+                f"({math.degrees(s.noise):.2f} deg are noise)"
+            )
+        if abs(s.mean) > self.phase_tolerance + 2.0 * s.mean_std:
+            return f"mean phase error {math.degrees(s.mean):.2f} deg"
+        if abs(s.frequency_drift) > self.frequency_tolerance + 2.0 * s.frequency_drift_std:
+            return f"the frequency drifts by {100.0 * s.frequency_drift:.3f} % over the dwell"
+        if abs(s.amplitude_drift) > self.amplitude_tolerance + 2.0 * s.amplitude_drift_std:
+            return f"the response drifts by {100.0 * s.amplitude_drift:.2f} % over the dwell"
+        return ""
 
     def lost(self, statistics: DwellStatistics) -> str:
         """Why a lock has to be given up, empty if it holds. Wider than the lock criteria, so that lock does not flicker."""

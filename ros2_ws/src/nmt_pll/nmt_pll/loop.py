@@ -162,14 +162,17 @@ class PhaseLockedLoop:
         end = force.end_sample
         flags = force.flags | response.flags
         present = force.oscillator.frequency_hz
+        self._response_quantity = response.quantity
         error, force_amplitude, response_amplitude = self._measure(force, response)
+        if self.machine.state not in (LoopState.ACQUIRING, LoopState.LOCKED):
+            self._quiet_reason = ""  # the drive is at zero already; the next level is not to suffer for it
         self._start_due_level(force.first_sample, end)
         lock = None
         state = self.machine.state
         if state in (LoopState.ACQUIRING, LoopState.LOCKED):
             valid = not math.isnan(error) and end > self._closed_from
             if valid:
-                self._control(error, force_amplitude, response_amplitude, response.quantity, end)
+                self._control(error, force_amplitude, response_amplitude, end)
             reason = self._reason_to_give_up(flags, end, valid)
             if reason:
                 self._give_up(end, reason)
@@ -272,14 +275,19 @@ class PhaseLockedLoop:
         per_volt = self.linear.displacement_per_volt
         if level.control == CONTROL_FORCE:
             per_volt = self.linear.force_per_volt
-        elif self._response_quantity == Quantity.ACCELERATION:
-            per_volt *= self.controller.output**2
+        else:
+            per_volt *= self._per_displacement()
         return level.amplitude / per_volt if per_volt > 0 else 1.0e-3
 
-    def _control(self, error: float, force: float, response: float, quantity: Quantity, end: int) -> None:
+    def _per_displacement(self) -> float:
+        """Amplitude of the response quantity for a unit displacement at the present frequency."""
+        if self._response_quantity == Quantity.ACCELERATION:
+            return self.controller.output**2
+        return self.controller.output if self._response_quantity == Quantity.VELOCITY else 1.0
+
+    def _control(self, error: float, force: float, response: float, end: int) -> None:
         omega = self.controller.output
-        self._response_quantity = quantity
-        displacement = response / omega**2 if quantity == Quantity.ACCELERATION else response
+        displacement = response / self._per_displacement()
         decay = force * self.linear.drive_point_shape**2 * math.cos(error) / (2.0 * omega * displacement)
         weight = min(1.0, self.cutoff * self.block_duration)
         self.decay += weight * (min(max(decay, 0.0), 0.3 * omega) - self.decay)
@@ -311,10 +319,18 @@ class PhaseLockedLoop:
                 f"({self.controller.integrator / (2 * math.pi):.2f} Hz): this is not the target mode"
             )
         if end > self._deadline and self.machine.state == LoopState.ACQUIRING:
-            return "no lock within the time-out"
+            return f"no lock within the time-out: {self._obstacle(valid)}"
         if self.machine.state == LoopState.LOCKED and not valid:
             return "force or response fell below its amplitude floor"
         return ""
+
+    def _obstacle(self, valid: bool) -> str:
+        """What keeps the loop from locking."""
+        if not valid:
+            return "force or response below its amplitude floor"
+        if not self.dwell.full:
+            return f"not {self.settings.dwell_periods:g} periods since the phase became valid"
+        return self.criteria.obstacle(self.dwell.statistics())
 
     def _judge(self, end: int) -> LockWindow | None:
         statistics = self.dwell.statistics()

@@ -1,0 +1,109 @@
+"""Makes docs/images/bench.svg from the results folder of a run: the nodes, and the backbone they measured.
+
+    ./nmt demo
+    ./nmt shell
+    python docs/make_picture.py out/demo
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
+
+from nmt_extract.modal_table import read_csv
+from nmt_plant.reference import compute_reference
+from nmt_plant.rig import load_rig
+
+Place = tuple[float, float]
+TARGET = Path(__file__).resolve().parent / "images" / "bench.svg"
+INK, LINE, FILL, ACCENT = "#1c2733", "#5b6b7b", "#eef3f8", "#c0392b"
+
+# Node: centre and what it does.
+NODES = {
+    "sequencer": ((1.5, 4.6), "levels, horizon"),
+    "pll": ((5.4, 4.6), "phase resonance"),
+    "plant": ((5.4, 2.5), "the rig"),
+    "extract": ((1.5, 2.5), "modal properties"),
+    "recorder": ((5.4, 0.55), "every topic"),
+}
+
+
+def draw_nodes(axes: Any) -> None:
+    """The nodes as boxes and the topics as arrows."""
+    axes.set(xlim=(-0.1, 8.0), ylim=(-0.15, 5.3))
+    axes.axis("off")
+    for name, ((x, y), role) in NODES.items():
+        box = FancyBboxPatch((x - 1.1, y - 0.4), 2.2, 0.8, boxstyle="round,pad=0.02,rounding_size=0.12")
+        box.set(facecolor=FILL, edgecolor=LINE, linewidth=1.0)
+        axes.add_patch(box)
+        axes.text(x, y + 0.13, name, ha="center", va="center", fontsize=10, weight="bold", color=INK)
+        axes.text(x, y - 0.19, role, ha="center", va="center", fontsize=7.5, color=LINE)
+
+    def arrow(start: Place, end: Place, label: str, place: Place, **text: Any) -> None:
+        style = {"arrowstyle": "-|>", "color": LINE, "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", end, start, arrowprops=style)
+        axes.text(*place, label, fontsize=7.5, color=INK, **text)
+
+    arrow((2.62, 4.75), (4.28, 4.75), "level", (3.45, 4.82), ha="center")
+    arrow((4.28, 4.45), (2.62, 4.45), "frequency, lock", (3.45, 4.2), ha="center")
+    arrow((5.0, 4.18), (5.0, 2.92), "drive", (4.92, 3.5), ha="right")
+    arrow((5.8, 2.92), (5.8, 4.18), "force, response", (5.88, 3.5), ha="left")
+    arrow((4.28, 2.5), (2.62, 2.5), "samples", (3.45, 2.57), ha="center")
+    arrow((1.5, 2.92), (1.5, 4.18), "modal_point", (1.42, 3.5), ha="right")
+    arrow((5.4, 2.08), (5.4, 0.97), "all topics, raw", (5.48, 1.5), ha="left")
+    axes.text(6.65, 0.55, "rosbag2\n(MCAP)", fontsize=8, va="center", color=INK)
+
+
+def draw_backbone(axes: Any, measured: Any, computed: Any, scale: float, std: str, colour: str) -> None:
+    """One modal property over modal amplitude: computed line, measured points."""
+    name = std.removesuffix("_std")
+    line = computed.omega_rad_s / (2.0 * np.pi) if name == "frequency_hz" else scale * computed.damping_ratio
+    axes.plot(1e6 * computed.modal_amplitude, line, color=LINE, linewidth=1.2, label="computed (EPMC)")
+    q, value, error = (np.array(measured[key]) for key in ("modal_amplitude", name, std))
+    style = {"fmt": "o", "markersize": 4.5, "color": colour, "label": "measured (simulated rig)"}
+    axes.errorbar(1e6 * q, scale * value, scale * error, **style)
+    axes.set_xscale("log")
+    axes.tick_params(labelsize=8, colors=INK)
+    axes.grid(alpha=0.25, linewidth=0.5)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Draw the picture."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("results", type=Path, help="results folder of a run")
+    parser.add_argument("--out", type=Path, default=TARGET, help="file (SVG or PNG)")
+    options = parser.parse_args(arguments)
+    measured = read_csv(options.results / "modal.csv")
+    q = np.array(measured["modal_amplitude"])
+    rig = load_rig(options.results / "rig.yaml")
+    computed = compute_reference(rig, 15, np.geomspace(0.7 * np.nanmin(q), 1.5 * np.nanmax(q), 200))
+
+    matplotlib.rcParams.update({"svg.hashsalt": "nmt", "font.family": "DejaVu Sans"})
+    figure = Figure(figsize=(9.6, 3.9), facecolor="white")
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0), hspace=0.16, wspace=0.1)
+    figure.subplots_adjust(left=0.01, right=0.985, top=0.95, bottom=0.13)
+    draw_nodes(figure.add_subplot(grid[:, 0]))
+    top, bottom = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
+    draw_backbone(top, measured, computed, 1.0, "frequency_hz_std", ACCENT)
+    draw_backbone(bottom, measured, computed, 100.0, "damping_ratio_std", ACCENT)
+    top.set_ylabel("modal frequency, Hz", fontsize=8, color=INK)
+    top.tick_params(labelbottom=False)
+    top.legend(fontsize=8, frameon=False, loc="lower left")
+    bottom.set_ylabel("damping ratio, %", fontsize=8, color=INK)
+    bottom.set_xlabel("modal amplitude, 10⁻⁶ m√kg", fontsize=8, color=INK)
+    figure.savefig(options.out, metadata={"Date": None} if options.out.suffix == ".svg" else None, dpi=140)
+    sys.stdout.write(f"{options.out}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

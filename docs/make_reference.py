@@ -1,0 +1,368 @@
+"""Fills the generated tables of docs/reference from the sources, so that they cannot fall behind.
+
+    ./nmt shell
+    python docs/make_reference.py           # write
+    python docs/make_reference.py --check   # exit code 1 if a page is not up to date
+
+A page holds its tables between ``<!-- generated: KIND NAME -->`` and ``<!-- end -->``; everything else is
+written by hand. KIND is ``message`` (a .msg or .action file), ``parameters`` (the table of a node), ``rig`` (a
+section of the rig file) or ``options`` (a command). The tables of parameters stand in the node modules, so they
+need ROS 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import re
+import sys
+import types
+import typing
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+DOCS = Path(__file__).resolve().parent
+MESSAGES = DOCS.parent / "ros2_ws" / "src" / "nmt_msgs"
+REGION = re.compile(r"(<!-- generated: (\w+) ([\w./-]+) -->\n).*?(<!-- end -->)", re.S)
+
+NODE_MODULES = {
+    "plant": "nmt_plant.plant_node",
+    "pll": "nmt_pll.pll_node",
+    "sequencer": "nmt_sequencer.sequencer_node",
+    "extract": "nmt_extract.extract_node",
+    "recorder": "nmt_record.recorder_node",
+}
+
+# What the keys of a rig file mean; units and ranges come from the models.
+RIG_MEANINGS: dict[str, dict[str, str]] = {
+    "Rig": {
+        "name": "name of the rig: a letter, then letters, digits and underscores; goes into `frame_id`, run ids "
+        "and reports",
+        "description": "one line for people",
+        "assumptions": "sentences on what is not known for certain; kept in the bag",
+        "seed": "seed of all noise of the simulation",
+        "sample_rate_hz": "sampling rate of every channel",
+        "block_samples": "samples a message; 10 to 20 ms work well",
+        "substeps": "steps of the time integration per sample",
+        "structure": "the linear structure, by `kind`",
+        "local_elements": "nonlinear or additional elements, each by `kind`",
+        "exciter": "what drives the structure, by `kind`",
+        "sensors": "channels; at least the force and one response",
+        "limits": "amplitudes that end a test",
+        "watchdog": "what happens when drive commands stop",
+        "test": "defaults of `./nmt run`",
+        "extraction": "what the modal properties are computed from",
+        "pll": "settings of the loop by name, see [parameters](parameters.md#pll), and `loop: adaptive` or "
+        "`paper`; empty = derived from the linear modes",
+    },
+    "BeamSection": {
+        "kind": "Euler–Bernoulli cantilever, clamped at the left end",
+        "length_m": "length",
+        "width_m": "width of the cross-section, across the motion",
+        "height_m": "height of the cross-section, along the motion",
+        "youngs_modulus_pa": "Young's modulus",
+        "density_kg_m3": "density",
+        "elements": "finite elements of equal length; point i is the outer end of element i",
+        "stiffness_damping_s": "β of the damping matrix β K of the beam alone",
+    },
+    "ChainSection": {
+        "kind": "masses in a row",
+        "masses_kg": "masses; point i is mass i",
+        "springs_n_m": "springs between neighbours, one fewer than masses",
+        "dampers_ns_m": "dampers between neighbours; left out = none",
+        "ground_springs_n_m": "spring from each mass to the ground; left out = none",
+        "ground_dampers_ns_m": "damper from each mass to the ground; left out = none",
+    },
+    "ElementSection": {
+        "name": "name for `--set` and messages",
+        "point": "point the element acts on",
+        "other_point": "second point; left out = the ground",
+    },
+    "JenkinsSection": {
+        "kind": "elastic Coulomb element: a spring in series with a slider",
+        "tangential_stiffness_n_m": "k_t, stiffness while it sticks",
+        "slip_force_n": "μN, force at which it slips",
+    },
+    "CubicSpringSection": {"kind": "g = k₃ w³", "stiffness_n_m3": "k₃; negative softens"},
+    "QuinticSpringSection": {"kind": "g = k₅ w⁵", "stiffness_n_m5": "k₅"},
+    "QuadraticSpringSection": {"kind": "g = k₂ w²", "stiffness_n_m2": "k₂"},
+    "UnilateralStopSection": {
+        "kind": "g = k max(w − gap, 0)",
+        "stiffness_n_m": "k",
+        "gap_m": "gap; negative = preloaded",
+    },
+    "TwoSidedGapSection": {
+        "kind": "stops on both sides",
+        "stiffness_n_m": "stiffness of the stops",
+        "gap_m": "free play to each side",
+    },
+    "QuadraticDragSection": {"kind": "g = c₂ v |v|", "drag_ns2_m2": "c₂"},
+    "LinearSpringSection": {"kind": "g = k w", "stiffness_n_m": "k"},
+    "LinearDamperSection": {"kind": "g = c v", "damping_ns_m": "c"},
+    "TanhFrictionSection": {
+        "kind": "g = μN tanh(v / v₀)",
+        "slip_force_n": "μN",
+        "reference_velocity_m_s": "v₀",
+    },
+    "ShakerSection": {
+        "kind": "electrodynamic shaker driven by a voltage, its table joined to `point` by a rigid stinger",
+        "point": "drive point",
+        "table_mass_kg": "mass of the table",
+        "table_stiffness_n_m": "suspension of the table",
+        "table_damping_ns_m": "damping of the table",
+        "coil_mass_kg": "mass of the coil",
+        "coil_stiffness_n_m": "between coil and table",
+        "coil_damping_ns_m": "between coil and table",
+        "force_factor_n_a": "force per current, equal to voltage per velocity",
+        "inductance_h": "inductance of the coil",
+        "resistance_ohm": "resistance of the coil",
+    },
+    "ForceSection": {
+        "kind": "ideal force without mass or stiffness",
+        "point": "drive point",
+        "newton_per_volt": "force per drive voltage",
+    },
+    "SensorSection": {
+        "quantity": "what it measures",
+        "point": "point number, or `drive` for the drive point; none for voltage and current",
+        "channel": "channel name; default f, x, v or a with the point number, u, i",
+        "gain": "recorded value per true value",
+        "noise_psd": "two-sided density S of the noise in units²/Hz; its variance is S / correlation time",
+        "noise_correlation_time_s": "time over which a noise value is held; 0 = one sample",
+        "range": "full scale of the converter, in recorded units; left out = unlimited",
+        "bits": "resolution of the converter, step 2 range / 2^bits; needs `range`",
+    },
+    "LimitSection": {
+        "voltage_v": "largest drive voltage; commands beyond it are refused",
+        "force_n": "largest measured force",
+        "acceleration_m_s2": "largest measured acceleration, any point",
+        "displacement_m": "largest measured displacement, any point",
+        "ramp_s": "half-cosine to zero after a violation",
+    },
+    "WatchdogSection": {
+        "blocks": "blocks without a drive command after which the drive goes to zero; 0 = off",
+        "ramp_s": "half-cosine to zero",
+    },
+    "TestSection": {
+        "mode": "target mode, from 1",
+        "levels": "plan of drive amplitudes in V: `a:b:n` or `a,b,c`",
+        "ramp_s": "half-cosine between levels",
+        "window_periods": "whole periods a window; fewer than 3 are rejected by the extraction",
+        "lock_timeout_s": "bench time a level may take to lock, after its ramp",
+    },
+    "ExtractionSection": {
+        "harmonics": "highest harmonic",
+        "linear_modes": "columns of Φ: at least the target mode, at most the response sensors",
+        "quantity": "the responses that Φ is taken at",
+    },
+}
+
+_UNITS = {
+    "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_m2": "N/m²", "_ns2_m2": "N s²/m²", "_ns_m": "N s/m", "_n_m": "N/m",
+    "_kg_m3": "kg/m³", "_m_s2": "m/s²", "_m_s": "m/s", "_n_a": "N/A", "_kg": "kg", "_pa": "Pa", "_hz": "Hz",
+    "_ohm": "Ω", "_h": "H", "_n": "N", "_m": "m", "_s": "s", "_v": "V", "_volt": "N/V",
+}  # fmt: skip
+
+
+def message_table(name: str) -> str:
+    """Fields and constants of a message or action as Markdown tables.
+
+    Args:
+        name: path below nmt_msgs, for example ``msg/Drive.msg``.
+    """
+    parts = (MESSAGES / name).read_text(encoding="utf-8").split("\n---\n")
+    titles = ("Goal", "Result", "Feedback") if name.endswith(".action") else ("",)
+    return "\n\n".join(
+        (f"**{title}**\n\n" if title else "") + _message_part(part)
+        for title, part in zip(titles, parts, strict=True)
+    )
+
+
+def _message_part(text: str) -> str:
+    heading: list[str] = []
+    constants: list[str] = []
+    rows: list[str] = []
+    for line in text.strip().splitlines():
+        code, _, comment = (piece.strip() for piece in line.partition("#"))
+        if not code:
+            if comment and not constants and not rows:
+                heading.append(comment)
+            continue
+        kind, rest = code.split(None, 1)
+        if "=" in rest:
+            label, value = (piece.strip() for piece in rest.split("="))
+            constants.append(f"| `{label}` | {value} | {_cell(comment)} |")
+        else:
+            rows.append(f"| `{rest}` | {kind} | {_cell(comment)} |")
+    blocks = [" ".join(heading)] if heading else []
+    if constants:  # first, as in the file: comments speak of "the constants above"
+        blocks.append("\n".join(["| constant | value | meaning |", "|---|---|---|", *constants]))
+    if rows:
+        blocks.append("\n".join(["| field | type | unit, meaning |", "|---|---|---|", *rows]))
+    return "\n\n".join(blocks)
+
+
+def parameters_table(name: str) -> str:
+    """Parameters of a node, or ``common`` for those that all nodes have. Needs ROS 2."""
+    from nmt_core.parameters import markdown_table
+
+    if name == "common":
+        return markdown_table(importlib.import_module("nmt_core.base_node").COMMON_PARAMETERS)
+    return markdown_table(importlib.import_module(NODE_MODULES[name]).PARAMETERS)
+
+
+def rig_table(name: str) -> str:
+    """Keys of one section of the rig file, by the name of its model."""
+    from nmt_plant import rig
+
+    model = getattr(rig, name)
+    inherited = set(rig.ElementSection.model_fields) if name != "ElementSection" else set()
+    shown = issubclass(model, rig.ElementSection)
+    lines = ["| key | type | unit | range | default | meaning |", "|---|---|---|---|---|---|"]
+    for key, field in model.model_fields.items():
+        if shown and key in inherited:
+            continue
+        kind, bounds = _type_and_range(key, field)
+        value = field.get_default(call_default_factory=True)
+        default = "required" if field.is_required() else _default(value)
+        meaning = RIG_MEANINGS[name][key]
+        lines.append(f"| `{key}` | {kind} | {_unit(key)} | {bounds} | {default} | {_cell(meaning)} |")
+    return "\n".join(lines)
+
+
+def options_table(name: str) -> str:
+    """Arguments and options of a command."""
+    from nmt_bench.cli import build_parser
+
+    parser = build_parser(name)
+    group = next(action for action in parser._actions if action.dest == "command")
+    command = typing.cast(Any, group.choices)[name]
+    lines = ["| argument | meaning |", "|---|---|"]
+    for action in command._actions:
+        if action.dest == "help":
+            continue
+        value = action.metavar or ("{" + ",".join(map(str, action.choices)) + "}" if action.choices else "")
+        words = ", ".join(action.option_strings)
+        shown = f"{words} {value}".strip() if words and action.nargs != 0 else words or value or action.dest
+        need = " **Required.**" if action.required and words else ""
+        lines.append(f"| `{_cell(shown)}` | {_cell((action.help or '').replace('%%', '%'))}{need} |")
+    return "\n".join(lines)
+
+
+KINDS: dict[str, Callable[[str], str]] = {
+    "message": message_table,
+    "parameters": parameters_table,
+    "rig": rig_table,
+    "options": options_table,
+}
+
+
+def render(text: str, skip: frozenset[str] = frozenset()) -> str:
+    """The page with its tables made anew; kinds in ``skip`` stay as they are."""
+
+    def fill(match: re.Match[str]) -> str:
+        start, kind, name, end = match.groups()
+        return match.group(0) if kind in skip else f"{start}{KINDS[kind](name)}\n{end}"
+
+    return REGION.sub(fill, text)
+
+
+def regions(text: str) -> Iterator[tuple[str, str]]:
+    """Kind and name of every generated table of a page."""
+    for match in REGION.finditer(text):
+        yield match.group(2), match.group(3)
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def _unit(key: str) -> str:
+    if key == "newton_per_volt":
+        return "N/V"
+    suffix = max((s for s in _UNITS if key.endswith(s)), key=len, default="")
+    return _UNITS.get(suffix, "")
+
+
+def _default(value: Any) -> str:
+    if value is None:
+        return "none"
+    if value in ("", [], {}):
+        return "empty"
+    return "as in the section" if hasattr(type(value), "model_fields") else f"`{value}`"
+
+
+def _type_and_range(key: str, field: Any) -> tuple[str, str]:
+    kinds: list[str] = []
+    bounds: list[str] = []
+    _describe(field.annotation, kinds, bounds)
+    for item in field.metadata:
+        bounds += _bound(item)
+    if key in ("structure", "exciter", "local_elements"):
+        kinds, bounds = (["list of sections"] if key == "local_elements" else ["section"]), []
+    # A kind is named once however often the annotation repeats it.
+    return " or ".join(dict.fromkeys(kinds)), ", ".join(dict.fromkeys(bounds))
+
+
+_PLAIN = {float: "number", int: "whole number", str: "text", bool: "true or false", dict: "mapping"}
+
+
+def _describe(annotation: Any, kinds: list[str], bounds: list[str]) -> None:
+    origin = typing.get_origin(annotation)
+    if annotation is type(None):
+        return
+    if origin is typing.Annotated:
+        inner, *extras = typing.get_args(annotation)
+        _describe(inner, kinds, bounds)
+        for item in extras:
+            bounds += _bound(item)
+    elif origin is typing.Literal:
+        kinds.extend(f"`{value}`" for value in typing.get_args(annotation))
+    elif origin in (typing.Union, types.UnionType):
+        for inner in typing.get_args(annotation):
+            _describe(inner, kinds, bounds)
+    elif origin is list:
+        inside: list[str] = []
+        _describe(typing.get_args(annotation)[0], inside, bounds)
+        kinds.append("list of " + ("sections" if inside == ["section"] else f"{inside[0]}s"))
+    elif origin is dict:
+        kinds.append("mapping")
+    else:
+        kinds.append(_PLAIN.get(annotation, "section"))
+
+
+def _bound(item: Any) -> list[str]:
+    signs = (("gt", "> "), ("ge", "≥ "), ("lt", "< "), ("le", "≤ "))
+    found = [f"{sign}{getattr(item, name):g}" for name, sign in signs if hasattr(item, name)]
+    for name, words in (("min_length", "{} entries at least"), ("max_length", "{} at most")):
+        if getattr(item, name, None):
+            found.append(words.format(getattr(item, name)))
+    for inner in getattr(item, "metadata", ()):  # pydantic keeps the bounds of Field here
+        found += _bound(inner)
+    return found
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write or check every page; 1 if ``--check`` finds one that is not up to date."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a page is stale")
+    options = parser.parse_args(arguments)
+    without_ros = importlib.util.find_spec("rclpy") is None
+    if without_ros:
+        sys.stderr.write("Without ROS 2 the tables of node parameters stay as they are.\n")
+    stale = []
+    for page in sorted((DOCS / "reference").glob("*.md")):
+        old = page.read_text(encoding="utf-8")
+        new = render(old, frozenset({"parameters"} if without_ros else ()))
+        if new != old:
+            stale.append(page.name)
+            if not options.check:
+                page.write_text(new, encoding="utf-8")
+    sys.stdout.write(f"{'Stale' if options.check else 'Written'}: {', '.join(stale) or 'none'}\n")
+    return 1 if options.check and stale else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -15,12 +15,15 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter, ParameterValue, check_values
+
+RCLError = rclpy_implementation.RCLError
 
 # Reliable with KEEP_LAST loses under load at any depth; samples and commands must not be lost.
 SAMPLES_QOS = QoSProfile(
@@ -235,9 +238,14 @@ def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -
         return 2
     except KeyboardInterrupt:
         return 0
+    except RCLError:
+        if rclpy.ok():
+            raise
+        return 0  # a callback was about to publish when the signal came
     finally:
         if node is not None:
-            with contextlib.suppress(KeyboardInterrupt):
+            with contextlib.suppress(KeyboardInterrupt, RCLError):
                 node.shut_down()
+            with contextlib.suppress(KeyboardInterrupt, RCLError):
                 node.destroy_node()
         rclpy.try_shutdown()

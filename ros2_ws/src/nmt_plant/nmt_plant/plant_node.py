@@ -201,6 +201,7 @@ class PlantNode(BenchNode):
             while not self.device.is_quiet and not self._failed and blocks * self._period < 60.0:
                 self._produce()
                 blocks += 1
+            self._produce()  # one block that shows the drive at zero
 
     def _fail(self, reason: str) -> None:
         self._failed = reason

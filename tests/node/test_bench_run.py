@@ -1,0 +1,214 @@
+"""Whole runs: all nodes, a bag, modal points; how a run ends when something goes wrong."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nmt_bench.harness import Bench, Progress, RunResult
+from nmt_core.errors import BenchError
+from nmt_extract.modal_point import Status
+from nmt_extract.modal_table import write_csv
+from nmt_extract.offline import extract_bag
+from nmt_plant.reference import single_point_reference
+from nmt_plant.rig import load_rig
+from nmt_record.bag_reader import Bag
+from nmt_sequencer.run_machine import ResultCode
+
+SAMPLES = ("force", "displacement", "acceleration", "voltage")
+LOCKED = 3
+
+
+def samples_digest(bag: Path) -> str:
+    """SHA-256 over all samples and excitation phases, in order of topic and time (not over padding bytes)."""
+    digest = hashlib.sha256()
+    opened = Bag.open(bag)
+    for topic in SAMPLES:
+        for block in opened.blocks(topic):
+            digest.update(f"{topic} {block.first_sample} {block.channels} {block.oscillator!r} {block.flags}".encode())
+            digest.update(block.data.tobytes())
+    return digest.hexdigest()
+
+
+def run_once(out: Path, **options: object) -> RunResult:
+    with Bench("beam", [0.2, 0.7], out=out, window_periods=20, **options) as bench:  # type: ignore[arg-type]
+        return bench.run()
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+    return run_once(tmp_path_factory.mktemp("run") / "out")
+
+
+def test_levels_lock_and_agree_with_the_single_point_reference(finished: RunResult) -> None:
+    assert finished.code == ResultCode.SUCCEEDED
+    assert finished.bag_state == "closed"
+    reference = single_point_reference(load_rig("beam"), 2, [0.2, 0.7], harmonics=15)
+    for index, point in enumerate(finished.points):
+        assert point.status == Status.OK
+        assert point.omega_rad_s == pytest.approx(reference.mode.omega_rad_s[index], rel=2e-4)
+        assert point.damping_ratio == pytest.approx(reference.mode.damping_ratio[index], rel=5e-3)
+
+
+def test_extraction_from_the_bag_equals_the_live_result_bit_for_bit(finished: RunResult) -> None:
+    assert finished.bag is not None
+    offline = extract_bag(finished.bag)
+    assert offline.loss is None
+    assert len(offline.points) == len(finished.points) == 2
+    assert all(a.identical(b) for a, b in zip(offline.points, finished.points, strict=True))
+
+
+def test_no_sample_is_missing_from_the_bag(finished: RunResult) -> None:
+    assert finished.bag is not None
+    bag = Bag.open(finished.bag)
+    assert bag.run_stop is not None
+    assert bag.run_stop["exit"]["state"] == "done"
+    for topic in SAMPLES:
+        following = 0
+        for block in bag.blocks(topic):
+            assert block.first_sample == following
+            following = block.end_sample
+        assert following == round(finished.bench_time * 10_000)
+
+
+def test_processes_and_seeds_do_not_change_a_bit(finished: RunResult, tmp_path: Path) -> None:
+    again = run_once(tmp_path / "processes", processes=True)
+    assert finished.bag is not None
+    assert again.bag is not None
+    assert samples_digest(again.bag) == samples_digest(finished.bag)
+    write_csv(finished.points, tmp_path / "a.csv")
+    write_csv(again.points, tmp_path / "b.csv")
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+
+
+def test_noise_follows_the_seed(tmp_path: Path) -> None:
+    noise = ["sensors.0.noise_psd=2e-9", "sensors.0.noise_correlation_time_s=1e-5"]
+    digests = []
+    for name, seed in (("a", 7), ("b", 7), ("c", 8)):
+        with Bench("beam", [0.7], out=tmp_path / name, window_periods=10, overrides=noise, seed=seed) as bench:
+            digests.append(samples_digest(bench.run().bag or Path()))
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_nothing_is_left_without_an_output_folder() -> None:
+    threads = threading.active_count()
+    with Bench("beam", [0.7], window_periods=5) as bench:
+        folder = bench.out
+        assert bench.run().code == ResultCode.SUCCEEDED
+        assert folder.exists()
+    assert not folder.exists()
+    assert threading.active_count() == threads
+    with pytest.raises(BenchError, match="runs once"):
+        bench.run()
+
+
+def test_a_level_that_does_not_lock_is_marked_and_the_run_goes_on(tmp_path: Path) -> None:
+    hopeless = {"pll": {"scatter_limit": 1e-12}}
+    with Bench("beam", [0.2, 0.7], window_periods=5, timeout=1.0, node_values=hopeless) as bench:
+        result = bench.run()
+    assert result.code == ResultCode.SUCCEEDED
+    assert [point.status for point in result.points] == [Status.NOT_LOCKED, Status.NOT_LOCKED]
+    assert "time-out" in result.points[0].reason
+    assert "0 of 2 levels locked" in result.message
+
+
+def test_a_lost_lock_can_end_the_run() -> None:
+    hopeless = {"pll": {"scatter_limit": 1e-12}}
+    with Bench(
+        "beam", [0.2, 0.7], window_periods=5, timeout=1.0, stop_on_lost_lock=True, node_values=hopeless
+    ) as bench:
+        result = bench.run()
+    assert result.code == ResultCode.LOCK_LOST
+    assert "time-out" in result.message
+
+
+def test_a_tripped_limit_ends_the_run_with_the_drive_at_zero(tmp_path: Path) -> None:
+    with Bench("beam", [0.2, 1.0], out=tmp_path / "out", window_periods=5, overrides=["limits.force_n=0.5"]) as bench:
+        result = bench.run()
+    assert result.code == ResultCode.LIMIT
+    assert "limit" in result.message
+    last = list(Bag.open(tmp_path / "out" / "bag").blocks("voltage"))[-1]
+    assert not last.data.any()
+
+
+def test_cancelling_ramps_to_zero_and_closes_the_bag(tmp_path: Path) -> None:
+    with Bench("beam", [0.2] * 20, out=tmp_path / "out", window_periods=50) as bench:
+
+        def cancel_when_locked(progress: Progress) -> None:
+            if progress.state == LOCKED:
+                bench.cancel()
+
+        result = bench.run(cancel_when_locked)
+    assert result.code == ResultCode.CANCELED
+    bag = Bag.open(tmp_path / "out" / "bag")
+    assert bag.loss is None
+    blocks = list(bag.blocks("voltage"))
+    assert not blocks[-1].data.any()
+    voltage = np.concatenate([block.data[0] for block in blocks])
+    assert np.max(np.abs(np.diff(voltage))) < 0.2 * 2 * np.pi * 25 / 10_000  # a ramp, not a step
+
+
+def test_wrong_plans_are_refused_before_anything_starts(tmp_path: Path) -> None:
+    for levels, sentence in (([], "1 to 1000 levels"), ([0.1, -1.0], "positive"), ("1:2", "not a plan")):
+        with pytest.raises(BenchError, match=sentence):
+            Bench("beam", levels, out=tmp_path / "out")
+    with pytest.raises(BenchError, match="lockstep or realtime"):
+        Bench("beam", [0.1], pacing="fast")
+    with pytest.raises(BenchError, match="at least 3 periods"):
+        Bench("beam", [0.1], window_periods=1)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("victim", ["recorder", "pll", "plant", "sequencer", "extract"])
+def test_a_killed_node_ends_the_run(victim: str, tmp_path: Path) -> None:
+    with Bench("beam", [0.3, 0.5, 0.8, 1.0], out=tmp_path / "out", processes=True) as bench:
+        assert bench.processes is not None
+        pids = bench.processes.pids
+        killed: list[int] = []
+
+        def kill_when_locked(progress: Progress) -> None:
+            if progress.state == LOCKED and not killed:
+                killed.append(progress.sample)
+                os.kill(pids[victim], signal.SIGKILL)
+
+        result = bench.run(kill_when_locked)
+    assert killed
+    assert result.code == ResultCode.NODE_LOST
+    assert result.lost_node == victim
+    assert f"Node {victim} has died (killed by SIGKILL)" in result.message
+    for pid in pids.values():
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+    bag = Bag.open(tmp_path / "out" / "bag")
+    blocks = list(bag.blocks("voltage"))
+    assert blocks[-1].end_sample > killed[0] - 10_000
+    if victim == "recorder":
+        assert bag.loss is not None
+    else:
+        assert bag.loss is None
+    if victim not in ("recorder", "plant"):
+        assert not blocks[-1].data.any()
+
+
+def test_real_time_keeps_the_clock() -> None:
+    with Bench("beam", [0.7], window_periods=20, pacing="realtime") as bench:
+        result = bench.run()
+    assert result.code == ResultCode.SUCCEEDED
+    assert result.points[0].status == Status.OK
+    assert 0.8 < result.real_time_factor < 1.2
+    assert any("Real time" in line for line in result.remarks)
+
+
+def test_blocks_of_latency_do_not_bias_the_result(finished: RunResult) -> None:
+    with Bench("beam", [0.2, 0.7], window_periods=20, latency_blocks=2) as bench:
+        result = bench.run()
+    assert result.code == ResultCode.SUCCEEDED
+    for late, prompt in zip(result.points, finished.points, strict=True):
+        assert late.omega_rad_s == pytest.approx(prompt.omega_rad_s, rel=2e-4)
+        assert late.damping_ratio == pytest.approx(prompt.damping_ratio, rel=5e-3)

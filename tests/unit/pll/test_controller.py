@@ -132,3 +132,26 @@ def test_amplitude_stops_at_the_limit():
 @pytest.mark.parametrize(("target", "measured"), [(1.0, 0.0), (0.0, 1.0), (1.0, -1.0)])
 def test_amplitude_holds_without_a_measurement_or_a_target(target, measured):
     assert AmplitudeController(3.0).update(0.7, target, measured, STEP) == 0.7
+
+
+@pytest.mark.parametrize("plant_decay", [0.8, 7.0, 300.0])
+@given(decay=st.floats(0.0, 60.0))
+def test_a_held_force_settles(plant_decay, decay):
+    """Integral law on the voltage, force by (s + δ_s)/(s + δ_p) δ_p/δ_s behind the adaptive filter."""
+    plant = replace(PLANT, plant_decay=plant_decay, mass_ratio=0.0)
+    schedule = GainSchedule(plant, LoopSettings(), CUTOFF, 0.03)
+    bandwidth = schedule.force_bandwidth(decay)
+    assert 0.0 < bandwidth <= schedule.amplitude_bandwidth
+    present = max(decay, plant.structure_decay)
+    total = plant_decay + present - plant.structure_decay
+    step = 2e-3
+    voltage = state = filtered = 0.0
+    history = [0.0] * 16  # dead time
+    for _ in range(round(8.0 / bandwidth / step)):
+        state += step * total * (voltage - state)
+        force = state + (voltage - state) * total / present
+        filtered += step * CUTOFF * (force - filtered)
+        history.append(filtered)
+        voltage += step * bandwidth * (1.0 - history[-16])
+    assert max(history) < 1.6
+    assert filtered == pytest.approx(1.0, abs=0.02)

@@ -145,6 +145,14 @@ def test_each_tolerance_counts(phase, frequency, amplitude, obstacle):
     assert CRITERIA.locked(s) is (not obstacle)
 
 
+def test_a_controlled_amplitude_must_have_reached_its_target():
+    s = filled(QUIET).statistics()
+    assert CRITERIA.locked(s, 3.9e-3)
+    assert CRITERIA.locked(s, -3.9e-3)
+    assert CRITERIA.obstacle(s, -4.1e-3) == "the controlled amplitude is -0.41 % off its target"
+    assert not CRITERIA.locked(s, 4.1e-3)
+
+
 def test_noise_does_not_keep_a_steady_loop_from_locking():
     rng = np.random.default_rng(6)
     locked = [

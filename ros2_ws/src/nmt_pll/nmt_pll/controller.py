@@ -34,13 +34,35 @@ class GainSchedule:
         """Gains at a present decay of the structure (rad/s); never below the linear one."""
         if self.settings.proportional > 0:
             return ControllerGains(self.settings.proportional, self.settings.integral)
-        decay = max(structure_decay, self.plant.structure_decay)
-        total = self.plant.plant_decay + (decay - self.plant.structure_decay) * (1.0 + self.plant.mass_ratio)
+        decay, total = self._present(structure_decay)
         if (total + self.cutoff) / 3.0 <= self.bandwidth_limit:
             present = LoopPlant(decay, total, self.plant.mass_ratio)
             return closed_form_gains(present, self.cutoff, self.settings.imaginary_part)
         integral = self.bandwidth_limit * decay / (1.0 + self.plant.mass_ratio)
         return ControllerGains(integral / min(self.cutoff, total), integral)
+
+
+    @property
+    def amplitude_bandwidth(self) -> float:
+        """Bandwidth of the amplitude controller, rad/s: slow beside the phase loop."""
+        return 0.3 * self.bandwidth_limit
+
+    def force_bandwidth(self, structure_decay: float) -> float:
+        """Bandwidth of the amplitude controller that holds the force, rad/s, at a present decay of the structure.
+
+        At resonance the force follows the voltage with the gain (s + δ_s)/(s + δ_p): a step of the voltage first
+        moves the force δ_p/δ_s times as far as in the end. The loop stays slow if its bandwidth times that ratio
+        does, or if its gain stays below one beyond δ_s.
+        """
+        decay, total = self._present(structure_decay)
+        limit = self.amplitude_bandwidth
+        return min(limit, decay * max(0.5, limit / total))
+
+    def _present(self, structure_decay: float) -> tuple[float, float]:
+        """Decay of the structure, never below the linear one, and of the plant, rad/s."""
+        decay = max(structure_decay, self.plant.structure_decay)
+        total = self.plant.plant_decay + (decay - self.plant.structure_decay) * (1.0 + self.plant.mass_ratio)
+        return decay, total
 
 
 class FrequencyController:

@@ -166,16 +166,19 @@ class LockCriteria:
     scatter_limit: float
     unlock_tolerance: float
 
-    def locked(self, statistics: DwellStatistics) -> bool:
+    def locked(self, statistics: DwellStatistics, deviation: float = 0.0) -> bool:
         """True if phase, frequency and amplitude are stationary within tolerance.
+
+        A controlled amplitude must also be within twice the amplitude tolerance of its target; ``deviation`` is the
+        logarithm of their ratio.
 
         Noise must not keep a loop from locking whose means are right, so each drift may exceed its tolerance by
         two of its own standard uncertainties; ``scatter_limit`` bounds how much noise that excuses. A loop that
         still swings has means that pass through zero by the way: what scatters beyond noise must be small as well.
         """
-        return not self.obstacle(statistics)
+        return not self.obstacle(statistics, deviation)
 
-    def obstacle(self, statistics: DwellStatistics) -> str:
+    def obstacle(self, statistics: DwellStatistics, deviation: float = 0.0) -> str:
         """The criterion that keeps the loop from being locked, empty if it is."""
         s = statistics
         scatter_limit = min(self.scatter_limit, _SWING * self.phase_tolerance + 2.0 * s.noise)
@@ -190,6 +193,8 @@ class LockCriteria:
             return f"the frequency drifts by {100.0 * s.frequency_drift:.3f} % over the dwell"
         if abs(s.amplitude_drift) > self.amplitude_tolerance + 2.0 * s.amplitude_drift_std:
             return f"the response drifts by {100.0 * s.amplitude_drift:.2f} % over the dwell"
+        if abs(deviation) > 2.0 * self.amplitude_tolerance:
+            return f"the controlled amplitude is {100.0 * math.expm1(deviation):.2f} % off its target"
         return ""
 
     def lost(self, statistics: DwellStatistics) -> str:

@@ -107,7 +107,7 @@ class PhaseLockedLoop:
             2.0 * math.pi * settings.start_frequency_hz or mode, settings.guard_low * mode, settings.guard_high * mode
         )
         self.start_frequency = self.controller.output
-        self.amplitude_controller = AmplitudeController(0.3 * self.schedule.bandwidth_limit)
+        self.amplitude_controller = AmplitudeController(self.schedule.amplitude_bandwidth)
         self.criteria = LockCriteria(
             settings.phase_tolerance,
             settings.frequency_tolerance,
@@ -133,6 +133,7 @@ class PhaseLockedLoop:
         self._bound_since: int | None = None
         self._good_frequency = self.start_frequency
         self._quiet_reason = ""
+        self._deviation = 0.0
         self.newest_sequence = 0
 
     def set_level(self, level: LevelCommand) -> None:
@@ -264,6 +265,7 @@ class PhaseLockedLoop:
         self._bound_since = None
         self._amplitude = self._start_voltage(level, was_quiet)
         self.dwell.clear()
+        self._deviation = 0.0
         self.machine.acquire(end, f"level {level.index} starts")
 
     def _start_voltage(self, level: LevelCommand, was_quiet: bool) -> float:
@@ -295,10 +297,16 @@ class PhaseLockedLoop:
         level = self._level
         if level is not None and level.control != CONTROL_VOLTAGE and end > self._closed_from:
             measured = force if level.control == CONTROL_FORCE else response
+            if level.control == CONTROL_FORCE:
+                self.amplitude_controller.bandwidth = self.schedule.force_bandwidth(self.decay)
+            else:
+                self.amplitude_controller.bandwidth = self.schedule.amplitude_bandwidth
             self._amplitude = self.amplitude_controller.update(
                 self._amplitude, level.amplitude, measured, self.block_duration
             )
             self._ramp = self.block_duration
+            deviation = math.log(max(measured, 1e-300) / level.amplitude)
+            self._deviation += 2.0 / self.dwell.length * (deviation - self._deviation)
         if self.controller.at_bound:
             self._bound_since = self._bound_since or end
         else:
@@ -330,7 +338,7 @@ class PhaseLockedLoop:
             return "force or response below its amplitude floor"
         if not self.dwell.full:
             return f"not {self.settings.dwell_periods:g} periods since the phase became valid"
-        return self.criteria.obstacle(self.dwell.statistics())
+        return self.criteria.obstacle(self.dwell.statistics(), self._deviation)
 
     def _judge(self, end: int) -> LockWindow | None:
         statistics = self.dwell.statistics()
@@ -339,7 +347,7 @@ class PhaseLockedLoop:
             if reason:
                 self._give_up(end, reason)
             return None
-        if not self.criteria.locked(statistics):
+        if not self.criteria.locked(statistics, self._deviation):
             return None
         self.machine.lock(
             end, f"phase error {math.degrees(statistics.mean):.3f} deg over {self.settings.dwell_periods:g} periods"

@@ -105,18 +105,18 @@ def test_changed_lock_file_touches_the_requirements_only(project):
 def test_kernels_are_cached_once_their_module_exists(project):
     project.launcher.set_up(None)
     project.calls()
-    project.write("ros2_ws/src/nmt_plant/nmt_plant/warm_up.py", "")
+    project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
     project.launcher.set_up(None)
     asked = project.calls()
-    assert asked[0] == "nmt_plant.warm_up"
+    assert asked[0] == "nmt_bench.warm_up"
     assert "OPENBLAS_NUM_THREADS=1" in asked
     project.launcher.set_up(None)
     assert project.calls() == []
 
 
 def test_failing_kernels_do_not_stop_the_bench(project, capsys):
-    project.write("ros2_ws/src/nmt_plant/nmt_plant/warm_up.py", "")
-    project.write("fail-at-nmt_plant.warm_up", "")
+    project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
+    project.write("fail-at-nmt_bench.warm_up", "")
     project.launcher.set_up(None)
     assert "could not be compiled beforehand" in capsys.readouterr().err
 

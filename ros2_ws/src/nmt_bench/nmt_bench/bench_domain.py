@@ -22,14 +22,16 @@ class BenchDomain:
         domain_id: a particular id; None = any free one.
 
     Raises:
-        BenchError: no id is free, or the one asked for is taken.
+        BenchError: no id is free, or the one asked for is taken or out of range.
     """
 
     def __init__(self, domain_id: int | None = None) -> None:
-        offset = os.getpid() % len(_DOMAINS)
-        candidates: Iterable[int] = (
-            [domain_id] if domain_id is not None else [_DOMAINS[(offset + k) % len(_DOMAINS)] for k in range(len(_DOMAINS))]
-        )
+        if domain_id is not None and domain_id not in _DOMAINS:
+            raise BenchError(f"A ROS domain must be from {_DOMAINS[0]} to {_DOMAINS[-1]}, got {domain_id}.")
+        count, offset = len(_DOMAINS), os.getpid()
+        candidates: Iterable[int] = [_DOMAINS[(offset + k) % count] for k in range(count)]
+        if domain_id is not None:
+            candidates = [domain_id]
         for candidate in candidates:
             holder = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
             try:

@@ -39,6 +39,8 @@ from std_srvs.srv import Trigger
 from nmt_bench.bench_domain import BenchDomain, bench_environment
 from nmt_bench.node_plan import NODES, NodePlan, TestPlan, plan_nodes
 from nmt_bench.node_processes import NodeProcesses
+from nmt_bench.rig_snapshot import rig_text
+from nmt_bench.shared_memory import remove_dead_segments
 from nmt_core.base_node import STATE_QOS, calm_collector
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
@@ -46,8 +48,6 @@ from nmt_extract.conversions import modal_point_from_message
 from nmt_extract.modal_point import ModalPoint
 from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import RunState
-from nmt_bench.rig_snapshot import rig_text
-from nmt_bench.shared_memory import remove_dead_segments
 from nmt_plant.rig import Rig, load_rig
 from nmt_sequencer.level_plan import parse_levels
 from nmt_sequencer.run_machine import ResultCode
@@ -358,7 +358,8 @@ class Bench:
         end = time.monotonic() + timeout
         while not done():
             if time.monotonic() > end:
-                raise BenchError(f"Waited {timeout:g} s in vain for {what}; the logs in {self.out / 'log'} may say why.")
+                logs = self.out / "log"
+                raise BenchError(f"Waited {timeout:g} s in vain for {what}; the logs in {logs} may say why.")
             self._check_start()
             self.executor.spin_once(timeout_sec=_POLL)
 
@@ -419,7 +420,7 @@ class Bench:
         return f" ({words})" if words else ""
 
 
-class _RunClient(Node):
+class _RunClient(Node):  # type: ignore[misc]
     """Action client and listener of the harness."""
 
     def __init__(self, context: Context) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from nmt_core.blocks import Quantity
+from nmt_core.blocks import SAMPLE_TOPICS, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.settings import ExtractionSettings
@@ -224,9 +224,8 @@ def expected_peers(
 
 
 def _sample_topics(rig: Rig) -> list[str]:
-    topics = [quantity.topic for quantity in (Quantity.FORCE, Quantity.DISPLACEMENT, Quantity.ACCELERATION)]
-    present = {sensor.quantity for sensor in rig.sensors}
-    return [topic for topic in topics if topic in present] + (["voltage"] if "voltage" in present else [])
+    present = {str(sensor.quantity) for sensor in rig.sensors}
+    return [topic for topic in SAMPLE_TOPICS if topic in present]
 
 
 def _chunk_messages(rig: Rig, sample_topics: int) -> int:

@@ -30,9 +30,9 @@ def add_parser(subparsers: Subparsers) -> None:
         "run",
         help="one test of a rig: step the level, lock, record, extract, report",
         description=(
-            "Tests a rig: the phase-locked loop holds phase resonance at the drive point, the level is stepped, and every "
-            "locked window gives a modal point. Everything is recorded to a bag. Ctrl-C ramps the drive to zero, closes "
-            "the bag and reports what was measured."
+            "Tests a rig: the phase-locked loop holds phase resonance at the drive point, the level is stepped, "
+            "and every locked window gives a modal point. Everything is recorded to a bag. Ctrl-C ramps the drive "
+            "to zero, closes the bag and reports what was measured."
         ),
     )
     parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
@@ -218,8 +218,8 @@ def _summarise(
     if result.bench_time > 0:
         levels = max(1, len(result.points))
         console.print(
-            f"Bench time {result.bench_time:.1f} s ({result.bench_time / levels:.1f} s a level) in {result.wall_time:.1f} s: "
-            f"{result.real_time_factor:.1f} × real time; bag {result.bag_state}.",
+            f"Bench time {result.bench_time:.1f} s ({result.bench_time / levels:.1f} s a level) in "
+            f"{result.wall_time:.1f} s: {result.real_time_factor:.1f} × real time; bag {result.bag_state}.",
             markup=False,
         )
     for line in result.remarks:

@@ -17,8 +17,8 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.task import Future
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter, ParameterValue, check_values
@@ -54,7 +54,7 @@ COMMON_PARAMETERS = (
 )
 
 
-class BenchNode(Node):
+class BenchNode(Node):  # type: ignore[misc]
     """A node whose parameters come from a table and whose counters go to ``/diagnostics``.
 
     A heartbeat on ``/diagnostics`` says ``ready`` once every expected peer is connected in both directions; the
@@ -84,7 +84,10 @@ class BenchNode(Node):
         self.counters: dict[str, int | float | str] = {}
         self._expected = _parse_peers(self.values["expected_peers"], self.get_name())
         self._endpoints: dict[str, list[Any]] = {}
-        self.watched_nodes = [name for name in self.values["watched_nodes"] if name]
+        watched: Any = self.values["watched_nodes"]
+        self.watched_nodes: list[str] = [name for name in watched if name]
+        silence: Any = self.values["silence_timeout"]
+        self._silence_timeout = float(silence)
         self._heard: dict[str, tuple[float, str]] = {}
         if self.watched_nodes:
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
@@ -143,7 +146,7 @@ class BenchNode(Node):
 
     def silent_node(self) -> str:
         """A watched node that was heard once and has fallen silent; empty if none."""
-        limit = time.monotonic() - float(self.values["silence_timeout"])
+        limit = time.monotonic() - self._silence_timeout
         return next((n for n in self.watched_nodes if n in self._heard and self._heard[n][0] < limit), "")
 
     def _beat(self) -> None:
@@ -185,7 +188,8 @@ def _descriptor(item: Parameter) -> ParameterDescriptor:
         descriptor.additional_constraints = "one of " + ", ".join(item.choices)
     if item.low is not None and item.high is not None:
         if isinstance(item.default, float):
-            descriptor.floating_point_range = [FloatingPointRange(from_value=float(item.low), to_value=float(item.high))]
+            bounds = FloatingPointRange(from_value=float(item.low), to_value=float(item.high))
+            descriptor.floating_point_range = [bounds]
         elif isinstance(item.default, int) and not isinstance(item.default, bool):
             descriptor.integer_range = [IntegerRange(from_value=int(item.low), to_value=int(item.high), step=1)]
     return descriptor

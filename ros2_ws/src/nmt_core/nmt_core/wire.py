@@ -318,4 +318,4 @@ def read_status(raw: bytes) -> LoopStatus:
         reason, _ = _read_string(raw, _aligned(position + _STATUS_TAIL.size, 4))
     except (struct.error, UnicodeDecodeError) as error:
         raise ValueError(f"the message is not a whole Frequency: {error}") from error
-    return LoopStatus(*head[3:11], unit, drive_amplitude, flags, reason)
+    return LoopStatus._make((*head[3:11], unit, drive_amplitude, flags, reason))

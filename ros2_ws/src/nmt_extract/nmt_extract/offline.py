@@ -95,7 +95,8 @@ def extract_opened_bag(
         if extractor.ready:
             points += extractor.take()
     points += extractor.finish()
-    return ExtractionResult(points, run, bag.loss, {**extractor.counters, "malformed": feed.malformed}, linear, settings)
+    counters = {**extractor.counters, "malformed": feed.malformed}
+    return ExtractionResult(points, run, bag.loss, counters, linear, settings)
 
 
 def _linear_of(run: dict[str, Any], bag: Any) -> LinearDescription:

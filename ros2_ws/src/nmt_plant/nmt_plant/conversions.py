@@ -19,7 +19,7 @@ def command_from_message(message: Any) -> DriveCommand:
     try:
         waveform = Waveform(message.waveform)
     except ValueError:
-        raise BenchError(f"drive command: waveform {message.waveform} is unknown; use OFF, SINE, RANDOM or SWEEP.") from None
+        raise _unknown_waveform(message.waveform) from None
     harmonics: tuple[tuple[int, complex], ...] = ()
     if message.harmonics:
         if not len(message.harmonics) == len(message.harmonics_real) == len(message.harmonics_imag):
@@ -59,7 +59,7 @@ def command_from_bytes(raw: bytes) -> tuple[DriveCommand | None, int]:
     try:
         waveform = Waveform(drive.waveform)
     except ValueError:
-        raise BenchError(f"drive command: waveform {drive.waveform} is unknown; use OFF, SINE, RANDOM or SWEEP.") from None
+        raise _unknown_waveform(drive.waveform) from None
     command = DriveCommand(
         waveform=waveform,
         frequency_hz=drive.frequency_hz,
@@ -73,3 +73,7 @@ def command_from_bytes(raw: bytes) -> tuple[DriveCommand | None, int]:
         frequency_end_hz=drive.frequency_end_hz,
     )
     return command, drive.based_on_sample
+
+
+def _unknown_waveform(value: int) -> BenchError:
+    return BenchError(f"drive command: waveform {value} is unknown; use OFF, SINE, RANDOM or SWEEP.")

@@ -14,7 +14,8 @@ from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
 from nmt_core.wire import BlockWriter
-from nmt_msgs.msg import Drive, RunState, SampleBlock as SampleBlockMessage
+from nmt_msgs.msg import Drive, RunState
+from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 
 from .conversions import command_from_bytes, command_from_message
 from .device import Device, DeviceFault, DeviceState
@@ -180,13 +181,13 @@ class PlantNode(BenchNode):
         if self._failed or not self._running:
             return
         silent = self.silent_node()
-        starved = self._lockstep and self._gate.starved(self.device.next_sample)
+        starved = self._gate.starved(self.device.next_sample)
         overdue = time.monotonic() - self._last_command > float(self.values["command_timeout"])
         if silent:
             self._quiet_down(f"node {silent} has fallen silent")
-        elif starved and overdue and self._run_phase != RunState.PAUSED and not self.device.is_quiet:
+        elif self._lockstep and starved and overdue and self._run_phase != RunState.PAUSED and not self.device.is_quiet:
             self._quiet_down("no drive command arrives")
-        elif self._run_phase == RunState.DONE and not self.device.is_quiet and self._gate.starved(self.device.next_sample):
+        elif self._run_phase == RunState.DONE and starved and not self.device.is_quiet:
             self._quiet_down("the run is over")
 
     def _quiet_down(self, reason: str) -> None:

@@ -493,7 +493,8 @@ def validate_rig(document: RigDocument) -> Rig:
     try:
         rig = Rig.model_validate(document.values)
     except ValidationError as failure:
-        errors = failure.errors(include_url=False)
+        # A misspelt key is also a missing one: name what is there and wrong first.
+        errors = sorted(failure.errors(include_url=False), key=lambda error: error["type"] != "extra_forbidden")
         sentence = _sentence(errors[0], document)
         more = len(errors) - 1
         raise BenchError(sentence + (f" ({more} more like this)" if more else "")) from failure

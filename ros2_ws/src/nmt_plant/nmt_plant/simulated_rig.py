@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -76,17 +76,6 @@ def sensor_output(system: ElectromechanicalSystem, sensor: Sensor, volts_to_inpu
 _Group = tuple[Quantity, tuple[str, ...], tuple[int, ...], list[int]]
 
 
-def _by_quantity(sensors: Sequence[Sensor]) -> list[_Group]:
-    """Quantity, channels, points and rows of each block that the sensors make up."""
-    groups: list[_Group] = []
-    for quantity in Quantity:
-        rows = [row for row, sensor in enumerate(sensors) if sensor.quantity == quantity]
-        if rows:
-            channels = tuple(sensors[row].channel for row in rows)
-            groups.append((quantity, channels, tuple(sensors[row].point for row in rows), rows))
-    return groups
-
-
 class _ChannelGroup(NamedTuple):
     """The channels of one quantity: one block of them is published."""
 
@@ -128,7 +117,6 @@ class SimulatedRig(Device):
         self.rig = rig
         self._block_samples = block_samples or rig.block_samples
         self.sensors = rig_sensors(rig)
-        self._groups = _by_quantity(self.sensors)
         self._sample_rate = float(rig.sample_rate_hz)
         self._groups = _channel_groups(self.sensors)
         self._integrator: TimeIntegrator | None = None

@@ -366,7 +366,8 @@ class RunMachine:
             record.reason = self._loss_reasons.get(record.index, "lock was lost")
             record.ended = report.last_sample
             if plan.stop_on_lost_lock:
-                self._quiet(effective, ResultCode.LOCK_LOST, f"Level {record.index} did not hold lock: {record.reason}.")
+                why = f"Level {record.index} did not hold lock: {record.reason}."
+                self._quiet(effective, ResultCode.LOCK_LOST, why)
                 return
         elif record.window_end is not None and report.last_sample + 1 >= record.window_end:
             record.complete = True

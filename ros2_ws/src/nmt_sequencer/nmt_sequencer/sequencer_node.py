@@ -22,7 +22,11 @@ PARAMETERS = (
     Parameter("sample_rate", 10000.0, "Hz", "Sample rate of the rig.", low=1.0),
     Parameter("block_samples", 200, "samples", "Samples a block.", low=2, high=100000),
     Parameter(
-        "pacing", "lockstep", "", "lockstep for simulated rigs, realtime for hardware.", choices=("lockstep", "realtime")
+        "pacing",
+        "lockstep",
+        "",
+        "lockstep for simulated rigs, realtime for hardware.",
+        choices=("lockstep", "realtime"),
     ),
     Parameter("tick_blocks", 5, "blocks", "Blocks between two decisions.", low=1, high=1000),
     Parameter("latency_blocks", 0, "blocks", "Buffering between command and excitation.", low=0, high=100),
@@ -294,7 +298,8 @@ class SequencerNode(BenchNode):
                 limit = _QUIET_TIMEOUT + (0.0 if machine.pacing.lockstep else machine.pacing.quiet_ramp + 1.0)
                 if now - self._stopping_since > limit and now - self._newest_wall > _QUIET_TIMEOUT / 2:
                     code, reason = machine.stop_request or (machine.code, machine.reason)
-                    machine.abandon(code, f"{reason} The loop no longer answers; the plant's watchdog quiets the drive.")
+                    why = f"{reason} The loop no longer answers; the plant's watchdog quiets the drive."
+                    machine.abandon(code, why)
             machine.work()
             self._publish_all()
         elif self._goal is not None and self._pending is None and machine.phase == RunPhase.DONE:

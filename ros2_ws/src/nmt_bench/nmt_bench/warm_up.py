@@ -1,0 +1,26 @@
+"""Compiles the numerical kernels into their cache, so that no first run has to wait: ``python -m nmt_bench.warm_up``."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from nmt_bench.sample_run import record_sample_run
+from nmt_extract.offline import extract_bag
+from nmt_plant.reference import compute_reference, single_point_reference
+from nmt_plant.rig import load_rig
+
+
+def warm_up() -> None:
+    """Use every kernel once: plant, loop, extraction, harmonic balance."""
+    rig = load_rig("beam")
+    with tempfile.TemporaryDirectory(prefix="nmt-warm-up-") as folder:
+        bag = Path(folder) / "bag"
+        record_sample_run(bag, rig, [0.6], 6)
+        extract_bag(bag)
+    compute_reference(rig, harmonics=3, points=5)
+    single_point_reference(rig, levels=[0.1, 0.6], harmonics=3)
+
+
+if __name__ == "__main__":
+    warm_up()

@@ -34,7 +34,8 @@ def parse_levels(text: str) -> list[float]:
         if len(parts) not in (3, 4) or (len(parts) == 4 and parts[3] not in SPACINGS):
             raise BenchError(f"{where} are not a plan: {_SYNTAX}.")
         first, last = (_number(part, where) for part in parts[:2])
-        if not parts[2].isdigit() or not 1 <= int(parts[2]) <= MAX_LEVELS:
+        # Longer numbers are too large anyway, and some digits ('²') are no decimal ones.
+        if not parts[2].isdecimal() or len(parts[2]) > 9 or not 1 <= int(parts[2]) <= MAX_LEVELS:
             raise BenchError(f"{where}: the number of levels must be a whole number from 1 to {MAX_LEVELS}.")
         return spaced_levels(first, last, int(parts[2]), parts[3] if len(parts) == 4 else "geometric")
     levels = [_number(part, where) for part in text.split(",")]

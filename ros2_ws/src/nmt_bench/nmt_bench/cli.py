@@ -39,6 +39,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "nmt_bench.reference_command",
         "computed backbone of a rig's model (EPMC, harmonic balance)",
     ),
+    "study": ("nmt_bench.study_command", "the paper's studies, all cases, compared with references"),
     "benchmark": ("nmt_bench.benchmark_command", "speed of this machine beside limits and peers"),
 }
 """Module and one line of help of each command; ``test``, ``doctor`` and ``setup`` belong to the launcher."""

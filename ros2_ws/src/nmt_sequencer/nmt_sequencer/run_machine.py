@@ -294,18 +294,23 @@ class RunMachine:
             if self.phase == RunPhase.PAUSED and report.flags & FLAG_LIMIT:
                 self.phase = RunPhase.RUNNING
             if self.active and report.last_sample + 1 >= self._next_tick:
-                if self.phase == RunPhase.PAUSED:
-                    self._ticks.clear()
+                if self.phase == RunPhase.PAUSED and not self.pacing.lockstep:
+                    self._ticks.clear()  # bench time goes on; what is old is not decided later
                 self._ticks.append(report)
                 self._next_tick = ((report.last_sample + 1) // self.pacing.tick + 1) * self.pacing.tick
         self.work()
 
     def on_lock(self, level_index: int, sample: int, window_end: int) -> None:
-        """Take in a lock event: its sample and the sample after its window."""
+        """Take in a lock event: its sample and the sample after its window.
+
+        Events that cannot be of the present level (another index, a sample before its start, an empty window) are
+        not taken.
+        """
+        record = self.records[-1] if self.records else None
+        if record is None or record.index != level_index or not record.started <= sample < window_end:
+            return
         self._lock_events.add(level_index)
-        for record in self.records:
-            if record.index == level_index:
-                record.locked_at, record.window_end = sample, window_end
+        record.locked_at, record.window_end = sample, window_end
         self.work()
 
     def take_orders(self) -> list[LevelOrder]:
@@ -322,7 +327,7 @@ class RunMachine:
             if self.phase == RunPhase.PAUSED:
                 return
             report = self._ticks[0]
-            if report.state == LOOP_LOCKED and report.level_index not in self._lock_events:
+            if report.state == LOOP_LOCKED and self._begun(report) and report.level_index not in self._lock_events:
                 return  # the lock event is on its way; decide with it, not without
             self._ticks.popleft()
             end = report.last_sample + 1
@@ -331,6 +336,18 @@ class RunMachine:
             self._decide(report, self._effective_from(end))
         if self.active:
             self._advance_horizon()
+
+    def _begun(self, report: LoopReport) -> bool:
+        """Whether the report is about the present level: the loop has its order and has reached its sample.
+
+        The index alone does not tell: a level of the run before may have had the same.
+        """
+        record = self.records[-1]
+        return (
+            report.level_index == record.index
+            and report.level_sequence >= self._sequence
+            and report.last_sample >= record.started
+        )
 
     def _effective_from(self, end: int) -> int:
         if self.pacing.lockstep:
@@ -360,8 +377,8 @@ class RunMachine:
             record.ended = report.last_sample
             self._quiet(effective, code, reason)
             return
-        if report.level_index != record.index or report.last_sample < record.started:
-            return  # the loop has not begun this level yet
+        if not self._begun(report):
+            return
         if report.state == LOOP_LOST:
             record.reason = self._loss_reasons.get(record.index, "lock was lost")
             record.ended = report.last_sample

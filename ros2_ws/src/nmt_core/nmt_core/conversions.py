@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.wire import bench_stamp
 
 
 def block_from_message(message: Any) -> SampleBlock:
@@ -66,6 +67,4 @@ def float_array(values: Any) -> array[float]:
 
 def set_stamp(stamp: Any, sample: int, sample_rate: float) -> None:
     """Set a ``builtin_interfaces/Time`` to the bench time of a sample, exact to the nanosecond."""
-    seconds = int(sample / sample_rate)
-    stamp.sec = seconds
-    stamp.nanosec = min(999_999_999, round((sample - seconds * sample_rate) / sample_rate * 1e9))
+    stamp.sec, stamp.nanosec = bench_stamp(sample, sample_rate)

@@ -24,14 +24,19 @@ _INDEX = struct.Struct("<Qd")
 _TAIL = struct.Struct("<dddB")
 
 
+_MAX_SECONDS = 2**31 - 1
+
+
 def _aligned(position: int, size: int) -> int:
     """Next position with the alignment of ``size``, counted from the end of the encapsulation header."""
     return _BASE + -(-(position - _BASE) // size) * size
 
 
 def bench_stamp(sample: int, sample_rate: float) -> tuple[int, int]:
-    """Bench time of a sample as seconds and nanoseconds."""
+    """Bench time of a sample as seconds and nanoseconds, at most what a ROS time can hold."""
     seconds = int(sample / sample_rate)
+    if seconds > _MAX_SECONDS:
+        return _MAX_SECONDS, 999_999_999
     return seconds, min(999_999_999, round((sample - seconds * sample_rate) / sample_rate * 1e9))
 
 

@@ -8,6 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from nmt_core.wire import bench_stamp
 from nmt_extract.harmonics import ComplexArray
 from nmt_extract.lock_event import LockEvent
 
@@ -161,10 +162,8 @@ def bench_time_ns(sample: int, sample_rate: float) -> int:
     """Bench time of a sample, ns, as ``set_stamp`` of nmt_core writes it; 0 without a sampling rate."""
     if not sample_rate > 0.0:
         return 0
-    seconds = int(sample / sample_rate)
-    return seconds * 1_000_000_000 + min(
-        999_999_999, round((sample - seconds * sample_rate) / sample_rate * 1e9)
-    )
+    seconds, nanoseconds = bench_stamp(sample, sample_rate)
+    return seconds * 1_000_000_000 + nanoseconds
 
 
 def rejected_point(lock: LockEvent, sample_rate: float, reason: str) -> ModalPoint:

@@ -41,8 +41,7 @@ class LimitGuard:
             limit = self.limits.get(block.quantity)
             if limit is None:
                 continue
-            # Comparisons with NaN are false, so a NaN does not count as within.
-            if not (block.data.max() <= limit and block.data.min() >= -limit):
+            if not within_limit(block.data, limit):
                 within = np.abs(block.data) <= limit
                 violating = np.argwhere(~within)
                 row, sample = violating[np.argmin(violating[:, 1])]

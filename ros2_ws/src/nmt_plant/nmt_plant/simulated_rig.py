@@ -224,11 +224,9 @@ class SimulatedRig(Device):
             raise DeviceFault(str(error)) from error
 
     def _compute(self, true_values: FloatArray) -> tuple[FloatArray, bool]:
-        if all(channel.plain for channel in self._channels):
+        if self._plain_sensors:
             return true_values, False
         overload = False
-        if self._plain_sensors:
-            return true_values, overload
         recorded = np.empty_like(true_values)
         for row, channel in enumerate(self._channels):
             recorded[row], over = channel.measure(true_values[row])

@@ -40,6 +40,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "computed backbone of a rig's model (EPMC, harmonic balance)",
     ),
     "study": ("nmt_bench.study_command", "the paper's studies, all cases, compared with references"),
+    "params": ("nmt_bench.params_command", "parameter file of a rig for starting the nodes with 'ros2 run'"),
     "benchmark": ("nmt_bench.benchmark_command", "speed of this machine beside limits and peers"),
 }
 """Module and one line of help of each command; ``test``, ``doctor`` and ``setup`` belong to the launcher."""

@@ -1,8 +1,8 @@
 """Makes docs/images/bench.svg from the results folder of a run: the nodes, and the backbone they measured.
 
-    ./nmt demo
-    ./nmt shell
-    python docs/make_picture.py out/demo
+./nmt demo
+./nmt shell
+python docs/make_picture.py out/demo
 """
 
 from __future__ import annotations

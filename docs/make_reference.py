@@ -5,9 +5,9 @@
     python docs/make_reference.py --check   # exit code 1 if a page is not up to date
 
 A page holds its tables between ``<!-- generated: KIND NAME -->`` and ``<!-- end -->``; everything else is
-written by hand. KIND is ``message`` (a .msg or .action file), ``parameters`` (the table of a node), ``rig`` (a
-section of the rig file) or ``options`` (a command). The tables of parameters stand in the node modules, so they
-need ROS 2.
+written by hand. KIND is ``message`` (a .msg or .action file), ``parameters`` (the table of a node), ``rig``
+(a section of the rig file) or ``options`` (a command). The tables of parameters stand in the node modules,
+so they need ROS 2.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ NODE_MODULES = {
 # What the keys of a rig file mean; units and ranges come from the models.
 RIG_MEANINGS: dict[str, dict[str, str]] = {
     "Rig": {
-        "name": "name of the rig: a letter, then letters, digits and underscores; goes into `frame_id`, run ids "
-        "and reports",
+        "name": "name of the rig: a letter, then letters, digits and underscores; goes into `frame_id`, "
+        "run ids and reports",
         "description": "one line for people",
         "assumptions": "sentences on what is not known for certain; kept in the bag",
         "seed": "seed of all noise of the simulation",

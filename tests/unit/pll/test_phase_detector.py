@@ -66,6 +66,13 @@ def test_a_step_decays_with_the_cutoff(cutoff):
     assert decay == pytest.approx(-cutoff, rel=0.6 * order)
 
 
+def test_a_step_of_the_mean_decays_with_the_cutoff():
+    cutoff = 2.0
+    history, _ = run(AdaptiveFourierFilter(1, 3, cutoff, RATE), [[1.0]], 100)
+    time = (np.arange(100) + 1) * BLOCK / RATE
+    np.testing.assert_allclose(1.0 - history[:, 0, 0].real, np.exp(-cutoff * time), atol=0.02)
+
+
 def test_harmonics_do_not_ripple_the_fundamental():
     channel = [[0.5, 1.0 + 0j, 0.4j, 0.3 + 0j, 0.0, -0.2j]]
     tracked, _ = run(AdaptiveFourierFilter(1, 5, CUTOFF, RATE), channel, 100)

@@ -83,7 +83,8 @@ def test_spacing_is_even_and_ends_are_exact(first, last, count, spacing):
     assert len(levels) == count
     assert (levels[0], levels[-1]) == (first, last)
     steps = np.diff(np.log(levels) if spacing == "geometric" else levels)
-    np.testing.assert_allclose(steps, steps.mean(), rtol=1e-5, atol=1e-9 * max(abs(steps).max(), 1e-3))
+    rounding = 1e-13 if spacing == "geometric" else 1e-15 * max(first, last)
+    np.testing.assert_allclose(steps, steps.mean(), rtol=1e-9, atol=2.0 * rounding)
 
 
 def test_an_unknown_spacing_is_refused():

@@ -198,7 +198,7 @@ class LockCriteria:
         return ""
 
     def lost(self, statistics: DwellStatistics) -> str:
-        """Why a lock has to be given up, empty if it holds. Wider than the lock criteria, so that lock does not flicker."""
+        """Why a lock has to be given up, empty if it holds; wider than the lock criteria lest lock flicker."""
         if abs(statistics.mean) > self.unlock_tolerance:
             return (
                 f"mean phase error {math.degrees(statistics.mean):.2f} deg exceeds "

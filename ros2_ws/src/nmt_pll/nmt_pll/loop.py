@@ -147,7 +147,9 @@ class PhaseLockedLoop:
         if not (math.isfinite(level.ramp) and level.ramp >= 0):
             raise BenchError(f"Level {level.index}: the ramp must be finite and >= 0 s, got {level.ramp}.")
         if level.control not in (CONTROL_VOLTAGE, CONTROL_RESPONSE, CONTROL_FORCE):
-            raise BenchError(f"Level {level.index}: control {level.control} is not known; use voltage, response or force.")
+            raise BenchError(
+                f"Level {level.index}: control {level.control} is not known; use voltage, response or force."
+            )
         self._levels.append(level)
         self._levels.sort(key=lambda item: (item.apply_at_sample, item.sequence))
         self.newest_sequence = max(self.newest_sequence, level.sequence)

@@ -19,7 +19,8 @@ class LoopSettings:
         cutoff: ω_LP of the adaptive filter, rad/s; 0 = 0.15 of the target mode's frequency.
         harmonics: harmonics the filter tracks besides the mean.
         imaginary_part: λ_I of the closed-form gains; 0 is the conservative choice.
-        proportional, integral: fixed gains k_p (1/s) and k_i (1/s²); 0 = closed form, scheduled with the measured damping.
+        proportional, integral: fixed gains k_p (1/s) and k_i (1/s²); 0 = closed form, scheduled with the measured
+            damping.
         delay_margin: largest closed-loop bandwidth times dead time, rad.
         start_frequency_hz: first frequency, Hz; 0 = linear frequency of the target mode.
         guard_low, guard_high: frequency band around the target mode, as factors of its linear frequency.

@@ -123,6 +123,7 @@ class Bench:
         linear: linear description for loop and extraction; None = from the rig's model.
         domain_id: ROS domain; None = any that no other bench uses.
         node_values: further parameters by node name.
+        control: what the levels are: ``voltage`` (V), ``response`` (m or m/s²) or ``force`` (N).
 
     Raises:
         BenchError: the rig, the levels or a setting is refused; nothing has been started then.
@@ -148,6 +149,7 @@ class Bench:
         linear: LinearDescription | None = None,
         domain_id: int | None = None,
         node_values: Mapping[str, Mapping[str, Any]] | None = None,
+        control: str = "voltage",
     ) -> None:
         changes = list(overrides)
         if exciter is not None:
@@ -161,6 +163,10 @@ class Bench:
         else:
             self.rig = load_rig(str(rig), changes)
             text = rig_text(self.rig, rig, changes)
+        if levels is None and control != "voltage":
+            raise BenchError(
+                f"Levels of {control} are needed: those of rig {self.rig.name} are voltages; give --levels."
+            )
         plan = self.rig.test.levels if levels is None else levels
         self.test = TestPlan(
             rig=self.rig,
@@ -175,6 +181,7 @@ class Bench:
             stop_on_lost_lock=stop_on_lost_lock,
             linear=linear,
             node_values=node_values or {},
+            control=control,
         )
         self.use_processes = processes
         self._out = Path(out) if out is not None else None
@@ -297,8 +304,10 @@ class Bench:
             message, lost, interrupted = self._await_result(handle.get_result_async())
         finally:
             self._goal_handle = None
-        wall_time = (self.client.last_progress or time.monotonic()) - (self.client.started or began)
+        wall_time = max(0.0, (self.client.last_progress or time.monotonic()) - (self.client.started or began))
         bag_state = self._await_bag(lost)
+        if message is not None and message.result_code == ResultCode.LIMIT:
+            self._spin_while(lambda: not self.client.plant_trip, 1.0)  # the plant's next heartbeat says which
         points: tuple[ModalPoint, ...] = ()
         if message is None:
             code, text = ResultCode.NODE_LOST, self._obituary(lost)
@@ -461,6 +470,10 @@ class _RunClient(Node):  # type: ignore[misc]
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             self._counters[status.name] = {item.key: item.value for item in status.values}
+
+    @property
+    def plant_trip(self) -> str:
+        return self._counters.get("plant", {}).get("tripped", "")
 
     @property
     def drive_is_at_zero(self) -> bool:

@@ -25,6 +25,9 @@ from nmt_sequencer.level_plan import check_levels
 
 PACINGS = ("lockstep", "realtime")
 
+CONTROLS = {"voltage": 1, "response": 2, "force": 3}
+"""What levels are: constants of ``nmt_msgs/Level``."""
+
 # Where each node's class and executable are found.
 NODES: dict[str, tuple[str, str, str]] = {
     "plant": ("nmt_plant", "plant", "nmt_plant.plant_node:PlantNode"),
@@ -50,6 +53,8 @@ class TestPlan:
         stop_on_lost_lock: end the test at the first level that does not lock.
         linear: linear description; None = from the rig's model.
         node_values: further parameters by node name.
+        control: what the levels are: ``voltage`` (V), ``response`` (amplitude at the drive point, m or m/s²) or
+            ``force`` (N).
     """
 
     __test__ = False
@@ -66,19 +71,35 @@ class TestPlan:
     stop_on_lost_lock: bool = False
     linear: LinearDescription | None = None
     node_values: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    control: str = "voltage"
 
     def __post_init__(self) -> None:
         check_levels(self.levels, "The test")
         if self.pacing not in PACINGS:
             raise BenchError(f"Pacing '{self.pacing}' is not known; use {' or '.join(PACINGS)}.")
+        if self.control not in CONTROLS:
+            raise BenchError(f"Control '{self.control}' is not known; use {', '.join(CONTROLS)}.")
         if self.latency_blocks < 0:
             raise BenchError(f"latency_blocks must not be negative, got {self.latency_blocks}.")
         if self.window_periods is not None and self.window_periods < 3:
             raise BenchError(f"A window needs at least 3 periods, got {self.window_periods}.")
         for name in ("ramp", "timeout"):
             value = getattr(self, name)
-            if value is not None and not 0 <= value < 1e6:
-                raise BenchError(f"The {name} must be between 0 and 1e6 s, got {value}.")
+            if value is not None and not 0 < value < 1e6:
+                raise BenchError(f"The {name} must be positive and below 1e6 s, got {value:g}.")
+        limit = self.rig.limits.voltage_v
+        if self.control == "voltage" and limit is not None and max(self.levels) > limit:
+            raise BenchError(
+                f"Level {max(self.levels):g} V is beyond the limit of rig {self.rig.name} "
+                f"(limits.voltage_v: {limit:g} V); lower the level."
+            )
+
+    @property
+    def level_unit(self) -> str:
+        """Unit of the levels."""
+        if self.control == "response":
+            return Quantity[_response_topic(self.rig).upper()].unit
+        return "V" if self.control == "voltage" else "N"
 
     @property
     def goal(self) -> dict[str, Any]:
@@ -86,7 +107,7 @@ class TestPlan:
         test = self.rig.test
         return {
             "run_id": self.run_id,
-            "control": 1,
+            "control": CONTROLS[self.control],
             "levels": [float(level) for level in self.levels],
             "ramp": float(test.ramp_s if self.ramp is None else self.ramp),
             "window_periods": int(test.window_periods if self.window_periods is None else self.window_periods),
@@ -168,6 +189,10 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
         if name not in values:
             raise BenchError(f"Node '{name}' is not part of the bench; there are {', '.join(values)}.")
         values[name].update(extra)
+    if values["pll"].get("loop") == "paper" and test.control != "voltage":
+        raise BenchError(
+            f"The paper's loop steps the voltage only; use the adaptive loop for levels of {test.control}."
+        )
     for name, peers in expected_peers(topics, extraction.topics, response).items():
         values[name]["expected_peers"] = peers
     goal = test.goal
@@ -256,12 +281,14 @@ def _loop_values(test: TestPlan, linear: LinearDescription, response: str) -> di
     """The rig's loop settings; amplitude floors default to a fraction of the linear estimate at the lowest level."""
     values = dict(test.rig.pll)
     loop = _paper_values(values)
-    lowest = min(test.levels)
-    if "force_floor" not in values and linear.force_per_volt > 0:
-        values["force_floor"] = 0.02 * lowest * linear.force_per_volt
-    if "response_floor" not in values and linear.displacement_per_volt > 0:
-        scale = linear.frequencies_rad_s[linear.target_mode] ** 2 if response == "acceleration" else 1.0
-        values["response_floor"] = 0.02 * lowest * linear.displacement_per_volt * scale
+    scale = linear.frequencies_rad_s[linear.target_mode] ** 2 if response == "acceleration" else 1.0
+    force_per_volt, response_per_volt = linear.force_per_volt, linear.displacement_per_volt * scale
+    per_volt = {"voltage": 1.0, "response": response_per_volt, "force": force_per_volt}[test.control]
+    lowest = min(test.levels) / per_volt
+    if "force_floor" not in values and lowest * force_per_volt > 0:
+        values["force_floor"] = 0.02 * lowest * force_per_volt
+    if "response_floor" not in values and lowest * response_per_volt > 0:
+        values["response_floor"] = 0.02 * lowest * response_per_volt
     settings = settings_from({**values, "latency_blocks": test.latency_blocks})
     return {**loop, **{name: type(getattr(settings, name))(value) for name, value in values.items()}}
 

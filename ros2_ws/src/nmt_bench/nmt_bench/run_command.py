@@ -41,8 +41,15 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument(
         "--levels",
         metavar="PLAN",
-        help="drive amplitudes in V: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or a list a,b,c "
-        "(default: the rig's)",
+        help="levels in the unit of --control: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or a "
+        "list a,b,c (default: the rig's, in V)",
+    )
+    parser.add_argument(
+        "--control",
+        choices=("voltage", "response", "force"),
+        default="voltage",
+        help="what the levels are: drive voltage (V), amplitude of the drive-point response that is held (m or "
+        "m/s^2), or force fundamental that is held (N) (default: voltage)",
     )
     parser.add_argument(
         "--direction",
@@ -96,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the test, write the results, print the table.
 
     Returns:
-        0 if the plan was worked through, 130 after Ctrl-C, 1 if the run ended early for another reason.
+        0 if the plan was worked through and a level locked, 130 after Ctrl-C, 1 otherwise.
 
     Raises:
         BenchError: the rig, a level or an option is refused, or the nodes do not start.
@@ -122,6 +129,7 @@ def run(arguments: argparse.Namespace) -> int:
         stop_on_lost_lock=arguments.stop_on_lost_lock,
         domain_id=arguments.domain,
         node_values={"pll": {"loop": arguments.pll}} if arguments.pll else None,
+        control=arguments.control,
     )
     console = make_console()
     with _terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
@@ -144,6 +152,7 @@ def _levels(arguments: argparse.Namespace) -> list[float] | str | None:
 
 
 def _measure(bench: Bench, console: Any, quiet: bool) -> RunResult:
+    from nmt_bench.report_columns import unit_text
     from nmt_bench.terminal import RunProgress
 
     began = time.monotonic()
@@ -152,11 +161,12 @@ def _measure(bench: Bench, console: Any, quiet: bool) -> RunResult:
             return bench.run()
         console.print(
             f"{bench.rig.name}, drive point {bench.rig.drive_point}, {len(bench.test.levels)} levels from "
-            f"{min(bench.test.levels):g} to {max(bench.test.levels):g} V, run {bench.test.run_id}; nodes started in "
-            f"{time.monotonic() - began:.1f} s",
+            f"{min(bench.test.levels):g} to {max(bench.test.levels):g} {unit_text(bench.test.level_unit)}, "
+            f"run {bench.test.run_id}; nodes started in {time.monotonic() - began:.1f} s",
             markup=False,
         )
-        with RunProgress(bench.rig.sample_rate_hz, len(bench.test.levels), console=console) as progress:
+        count, unit = len(bench.test.levels), bench.test.level_unit
+        with RunProgress(bench.rig.sample_rate_hz, count, unit, console) as progress:
             return bench.run(progress.update)
 
 
@@ -228,10 +238,13 @@ def _summarise(
 
 
 def _exit_code(result: RunResult) -> int:
+    from nmt_extract.modal_point import Status
     from nmt_sequencer.run_machine import ResultCode
 
     if result.interrupted:
         return EXIT_INTERRUPTED
+    if not any(point.status == Status.OK for point in result.points):
+        return EXIT_FAILED
     return EXIT_DONE if result.code == ResultCode.SUCCEEDED and result.bag_state == "closed" else EXIT_FAILED
 
 

@@ -81,7 +81,7 @@ def html_page(title: str, head: str, sections: Sequence[tuple[str, str, str]]) -
         "<i>q</i> modal amplitude; Γ modal participation. Error of the method: distance to EPMC at the same <i>q</i>; "
         "error of the test: distance to the single-point phase-resonant reference at the same voltage. "
         "SI units.</footer>\n</main>\n"
-        "<dialog><p><button>Close</button>Wheel: zoom. Drag: move. Double click: whole figure.</p><div></div></dialog>\n"
+        "<dialog><p><button>Close</button>Wheel: zoom. Drag: move. Double click: all.</p><div></div></dialog>\n"
         f"<script>\n{_template('report.js')}</script>\n</body>\n</html>\n"
     )
 

@@ -1,0 +1,66 @@
+"""Levels of response and force through the nodes."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from nmt_bench.harness import Bench
+from nmt_bench.studies.case import StudyCase
+from nmt_bench.studies.case_reference import single_point_at
+from nmt_core.errors import BenchError
+from nmt_extract.modal_point import Status
+
+
+@pytest.mark.parametrize(("control", "unit", "levels"), [("response", "m", (5e-5, 2e-4)), ("force", "N", (0.05, 1.0))])
+def test_a_level_is_held_and_gives_the_same_backbone(control, unit, levels):
+    with Bench("beam", levels=levels, control=control, window_periods=30) as bench:
+        assert bench.test.level_unit == unit
+        result = bench.run()
+    reference = single_point_at(StudyCase("x", "x", 2, tuple(np.geomspace(0.1, 2.0, 60))))["curve"]
+    for point, level in zip(result.points, levels, strict=True):
+        assert point.status is Status.OK
+        assert point.level_unit == unit
+        held = point.force_n if control == "force" else abs(point.shape_harmonics[1][point.points.index(2)])
+        assert held == pytest.approx(level, rel=5e-3)
+        if point.modal_amplitude < 1.5e-4:  # sticking
+            assert point.omega_rad_s == pytest.approx(139.434, rel=1e-4)
+        q = np.log(reference["modal_amplitude"])
+        omega = np.interp(np.log(point.modal_amplitude), q, reference["omega_rad_s"])
+        damping = np.interp(np.log(point.modal_amplitude), q, reference["damping_ratio"])
+        assert point.omega_rad_s == pytest.approx(omega, rel=1e-3)
+        assert point.damping_ratio == pytest.approx(damping, rel=0.02)
+
+
+def test_what_a_level_is_goes_into_the_records():
+    bench = Bench("beam", levels="0.05:1:3", control="force")
+    assert bench.test.goal["control"] == 3
+    assert json.loads(json.dumps(bench.test.goal))["levels"][0] == 0.05
+
+
+def test_levels_that_fit_neither_rig_nor_loop_are_refused():
+    with pytest.raises(BenchError, match="are voltages; give --levels"):
+        Bench("beam", control="response")
+    with pytest.raises(BenchError, match="Control 'power' is not known"):
+        Bench("beam", levels=[1.0], control="power")
+    with pytest.raises(BenchError, match="steps the voltage only"):
+        Bench("beam", levels=[1.0], control="force", node_values={"pll": {"loop": "paper"}})
+
+
+def test_the_papers_loop_runs_through_the_nodes():
+    values = {"pll": {"loop": "paper", "paper_waiting_time": 4.0, "paper_phase_tolerance": 0.05}}
+    with Bench("beam", levels=[0.1], window_periods=20, node_values=values) as bench:
+        result = bench.run()
+    assert result.points[0].omega_rad_s == pytest.approx(139.434, rel=2e-4)
+
+
+def test_settings_of_the_papers_loop_come_from_the_rig_too():
+    bench = Bench("beam", levels=[0.1], overrides=["pll.loop=paper", "pll.paper_gain=60"])
+    assert bench._dry.values["pll"]["paper_gain"] == 60.0
+    assert bench._dry.values["pll"]["loop"] == "paper"
+    with pytest.raises(BenchError, match="'paper_colour' is not known"):
+        Bench("beam", levels=[0.1], overrides=["pll.paper_colour=1"])

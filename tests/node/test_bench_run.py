@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import signal
 import threading
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.errors import BenchError
@@ -212,3 +214,29 @@ def test_blocks_of_latency_do_not_bias_the_result(finished: RunResult) -> None:
     for late, prompt in zip(result.points, finished.points, strict=True):
         assert late.omega_rad_s == pytest.approx(prompt.omega_rad_s, rel=2e-4)
         assert late.damping_ratio == pytest.approx(prompt.damping_ratio, rel=5e-3)
+
+
+def test_levels_beyond_the_rigs_voltage_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match=r"60 V is beyond the limit of rig beam \(limits.voltage_v: 50 V\)"):
+        Bench("beam", [0.1, 60.0], out=tmp_path / "out")
+    with pytest.raises(BenchError, match="ramp must be positive"):
+        Bench("beam", [0.1], ramp=0.0)
+
+
+def test_a_velocity_sensor_is_recorded_too(tmp_path: Path) -> None:
+    sensor = tmp_path / "rig.yaml"
+    text = load_rig("beam").model_dump_json()
+    rig = load_rig_text(text, sensor)
+    with Bench(str(rig), [0.7], out=tmp_path / "out", window_periods=5) as bench:
+        assert bench.run().code == ResultCode.SUCCEEDED
+    assert Bag.open(tmp_path / "out" / "bag").topics["velocity"][1] > 0
+
+
+def load_rig_text(text: str, path: Path) -> Path:
+    """A rig file with a velocity sensor at point 5 beside the beam's own."""
+    values = {key: value for key, value in json.loads(text).items() if value is not None}
+    sensors = [{k: v for k, v in item.items() if v is not None} for item in values["sensors"]]
+    values["sensors"] = [*sensors, {"quantity": "velocity", "point": 5}]
+    values["local_elements"] = [{k: v for k, v in e.items() if v is not None} for e in values["local_elements"]]
+    path.write_text(yaml.safe_dump(values), encoding="utf-8")
+    return path

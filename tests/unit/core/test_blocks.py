@@ -60,4 +60,4 @@ def test_units_and_topics():
     assert Quantity.CURRENT.unit == "A"
     assert Quantity.UNKNOWN.unit == ""
     assert Quantity.ACCELERATION.topic == "acceleration"
-    assert SAMPLE_TOPICS == ("force", "displacement", "acceleration", "voltage")
+    assert SAMPLE_TOPICS == ("force", "displacement", "velocity", "acceleration", "voltage", "current")

@@ -114,6 +114,24 @@ def test_kernels_are_cached_once_their_module_exists(project):
     assert project.calls() == []
 
 
+def test_a_changed_kernel_discards_every_cached_one(project):
+    kernel = project.write("ros2_ws/src/nmt_plant/nmt_plant/kernel.py", "from numba import njit\n")
+    project.write("ros2_ws/src/nmt_plant/nmt_plant/plain.py", "x = 1\n")
+    project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
+    project.launcher.set_up(None)
+    cached = kernel.parent / "__pycache__" / "kernel.f-1.py311.1.nbc"
+    cached.parent.mkdir(exist_ok=True)
+    cached.write_text("old")
+    project.write("ros2_ws/src/nmt_plant/nmt_plant/plain.py", "x = 2\n")
+    project.launcher.set_up(None)
+    assert cached.exists()
+    project.write("ros2_ws/src/nmt_plant/nmt_plant/kernel.py", "from numba import njit  # another formula\n")
+    project.calls()
+    project.launcher.set_up(None)
+    assert not cached.exists()
+    assert "nmt_bench.warm_up" in project.calls()
+
+
 def test_failing_kernels_do_not_stop_the_bench(project, capsys):
     project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
     project.write("fail-at-nmt_bench.warm_up", "")

@@ -235,7 +235,7 @@ def test_a_level_without_lock_ends_the_run_if_so_planned(pacing, fate):
     assert amplitudes(bench) == [1.0, 2.0, 0.0]
     machine = bench.machine
     assert machine.code == ResultCode.LOCK_LOST
-    assert machine.reason == f"Level 1 did not hold lock: {bench_reason(fate)}."
+    assert machine.reason == f"Level 2 did not hold lock: {bench_reason(fate)}."
     assert len(machine.records) == 2
 
 
@@ -244,7 +244,7 @@ def test_a_limit_ends_the_run(pacing):
     bench = finished([Fate(), Fate(limit_after=2)], pacing)
     assert amplitudes(bench) == [1.0, 2.0, 0.0]
     assert bench.machine.code == ResultCode.LIMIT
-    assert bench.machine.reason == "Level 1: a safety limit has tripped."
+    assert bench.machine.reason == "Level 2: a safety limit has tripped."
     assert bench.machine.records[1].complete is False
 
 

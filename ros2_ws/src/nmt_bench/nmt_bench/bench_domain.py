@@ -53,13 +53,12 @@ class BenchDomain:
 def bench_environment(domain_id: int) -> dict[str, str]:
     """Environment variables for the nodes of a bench.
 
-    Discovery stays on this host, because a shaker must not obey a stranger on the network; UDP on the loopback
-    device instead of shared memory leaves nothing in /dev/shm when a node is killed and costs no speed.
+    Discovery stays on this host, because a shaker must not obey a stranger on the network. The nodes share two or
+    more cores: a numerical library that starts a thread a core would only slow them down.
     """
     return {
         "ROS_DOMAIN_ID": str(domain_id),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
         "OPENBLAS_NUM_THREADS": "1",
         "OMP_NUM_THREADS": "1",
     }

@@ -28,7 +28,9 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
     add_output_options(parser, "nodes.yaml, rig.yaml, run.json")
     parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
-    parser.add_argument("--levels", metavar="PLAN", help="drive amplitudes in V, as in './nmt run' (default: the rig's)")
+    parser.add_argument(
+        "--levels", metavar="PLAN", help="drive amplitudes in V, as in './nmt run' (default: the rig's)"
+    )
     parser.add_argument(
         "--pacing",
         choices=("lockstep", "realtime"),

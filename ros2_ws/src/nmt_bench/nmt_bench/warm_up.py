@@ -1,4 +1,4 @@
-"""Compiles the numerical kernels into their cache, so that no first run has to wait: ``python -m nmt_bench.warm_up``."""
+"""Compiles the numerical kernels into their cache, so that no first run has to wait (``-m nmt_bench.warm_up``)."""
 
 from __future__ import annotations
 

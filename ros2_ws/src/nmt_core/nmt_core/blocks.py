@@ -47,10 +47,7 @@ _UNITS = {
     Quantity.CURRENT: "A",
 }
 
-SAMPLE_TOPICS = tuple(
-    quantity.topic
-    for quantity in (Quantity.FORCE, Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VOLTAGE)
-)
+SAMPLE_TOPICS = tuple(quantity.topic for quantity in Quantity if quantity is not Quantity.UNKNOWN)
 
 
 class BlockFlag(IntFlag):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -45,16 +46,13 @@ class Parameter:
             BenchError: wrong type, not finite, out of bounds or not one of the choices.
         """
         where = f"Parameter '{self.name}' of {owner}"
-        kind = type(self.default)
-        if kind is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        if kind is list:
-            value = list(value)
-            element = type(self.default[0]) if isinstance(self.default, list) and self.default else float
-            if element is float:
-                value = [float(item) for item in value]
-        elif not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-            raise BenchError(f"{where} must be of type {kind.__name__}, got {value!r}.")
+        if isinstance(self.default, list):
+            if isinstance(value, str) or not isinstance(value, Sequence | array):
+                raise BenchError(f"{where} must be a list, got {value!r}.")
+            kind = type(self.default[0])
+            value = [_of_kind(item, kind, where) for item in value]
+        else:
+            value = _of_kind(value, type(self.default), where)
         numbers = value if isinstance(value, list) else [value]
         for number in numbers:
             if isinstance(number, bool) or not isinstance(number, int | float):
@@ -71,6 +69,15 @@ class Parameter:
 
     def _unit(self) -> str:
         return f" {self.unit}" if self.unit else ""
+
+
+def _of_kind(value: Any, kind: type, where: str) -> Any:
+    """``value`` if it is of a kind; whole numbers pass for floats, truth values for nothing else."""
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+        raise BenchError(f"{where} must be of type {kind.__name__}, got {value!r}.")
+    return value
 
 
 def check_values(table: Sequence[Parameter], values: Mapping[str, Any], owner: str) -> dict[str, ParameterValue]:

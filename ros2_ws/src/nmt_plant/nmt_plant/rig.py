@@ -253,8 +253,8 @@ class TestSection(Section):
     __test__ = False
     mode: Annotated[int, Field(ge=1)] = 1
     levels: Annotated[str, Field(pattern=r"^[-+0-9.eE:, ]+$")] = "0.05:1.5:10"
-    ramp_s: NotNegative = 0.5
-    window_periods: Annotated[int, Field(ge=1)] = 200
+    ramp_s: Positive = 0.5
+    window_periods: Annotated[int, Field(ge=3)] = 200
     lock_timeout_s: Positive = 60.0
 
 

@@ -13,7 +13,8 @@ from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import Parameter
 from nmt_core.wire import BlockReader, LoopStatus, PlainDrive, write_drive, write_status
-from nmt_msgs.msg import Drive, Frequency, Level, LockEvent, SampleBlock as SampleBlockMessage
+from nmt_msgs.msg import Drive, Frequency, Level, LockEvent
+from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 from nmt_pll.lock import LoopState
 from nmt_pll.loop import LockWindow, Loop, LoopOutput, PhaseLockedLoop
 from nmt_pll.paper_loop import PaperLoop

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from nmt_core.blocks import SAMPLE_TOPICS
 from nmt_core.errors import BenchError
 
 SAMPLE_BLOCK = "nmt_msgs/msg/SampleBlock"
@@ -39,7 +40,7 @@ class BenchTopic:
 BENCH_TOPICS: tuple[BenchTopic, ...] = (
     *(
         BenchTopic(name, SAMPLE_BLOCK, Service.SAMPLES)
-        for name in ("force", "displacement", "acceleration", "voltage")
+        for name in SAMPLE_TOPICS
     ),
     BenchTopic("drive", "nmt_msgs/msg/Drive", Service.SAMPLES),
     BenchTopic("frequency", "nmt_msgs/msg/Frequency", Service.SAMPLES),

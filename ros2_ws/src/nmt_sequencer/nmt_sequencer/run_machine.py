@@ -47,6 +47,7 @@ class ResultCode(IntEnum):
 LOOP_LOCKED = 3
 LOOP_LOST = 4
 FLAG_LIMIT = 2
+FLAG_WATCHDOG = 4
 
 
 @dataclass(frozen=True)
@@ -291,7 +292,7 @@ class RunMachine:
         if report.last_sample > self.newest:
             self.newest = report.last_sample
             self.report = report
-            if self.phase == RunPhase.PAUSED and report.flags & FLAG_LIMIT:
+            if self.phase == RunPhase.PAUSED and report.flags & (FLAG_LIMIT | FLAG_WATCHDOG):
                 self.phase = RunPhase.RUNNING
             if self.active and report.last_sample + 1 >= self._next_tick:
                 if self.phase == RunPhase.PAUSED and not self.pacing.lockstep:
@@ -368,9 +369,10 @@ class RunMachine:
                 self.end_sample = self.horizon if self.pacing.lockstep else self.newest + 1
             return
         record = self.records[-1]
-        if report.flags & FLAG_LIMIT:
-            record.reason = record.reason or "a safety limit has tripped"
-            self._quiet(effective, ResultCode.LIMIT, f"Level {record.index}: {record.reason}.")
+        if report.flags & (FLAG_LIMIT | FLAG_WATCHDOG):
+            tripped = "a safety limit" if report.flags & FLAG_LIMIT else "the drive watchdog"
+            record.reason = record.reason or f"{tripped} has tripped"
+            self._quiet(effective, ResultCode.LIMIT, f"Level {record.index + 1}: {record.reason}.")
             return
         if self.stop_request is not None:
             code, reason = self.stop_request
@@ -383,7 +385,7 @@ class RunMachine:
             record.reason = self._loss_reasons.get(record.index, "lock was lost")
             record.ended = report.last_sample
             if plan.stop_on_lost_lock:
-                why = f"Level {record.index} did not hold lock: {record.reason}."
+                why = f"Level {record.index + 1} did not hold lock: {record.reason}."
                 self._quiet(effective, ResultCode.LOCK_LOST, why)
                 return
         elif record.window_end is not None and report.last_sample + 1 >= record.window_end:

@@ -1,4 +1,4 @@
-"""Levels of response and force through the nodes."""
+"""Levels of response and force, ramps, and the paper's loop through the nodes."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from nmt_bench.studies.case import StudyCase
 from nmt_bench.studies.case_reference import single_point_at
 from nmt_core.errors import BenchError
 from nmt_extract.modal_point import Status
+from nmt_extract.offline import extract_bag
 
 
 @pytest.mark.parametrize(("control", "unit", "levels"), [("response", "m", (5e-5, 2e-4)), ("force", "N", (0.05, 1.0))])
@@ -64,3 +65,31 @@ def test_settings_of_the_papers_loop_come_from_the_rig_too():
     assert bench._dry.values["pll"]["loop"] == "paper"
     with pytest.raises(BenchError, match="'paper_colour' is not known"):
         Bench("beam", levels=[0.1], overrides=["pll.paper_colour=1"])
+
+
+def test_windows_along_ramps_need_no_waiting(tmp_path):
+    levels = (0.6, 0.7, 0.8, 0.9)
+    with Bench("beam", levels=levels, strategy="ramp", window_periods=30, out=tmp_path / "out") as bench:
+        result = bench.run()
+    assert [point.status for point in result.points] == 4 * [Status.OK]
+    reference = single_point_at(StudyCase("x", "x", 2, tuple(np.geomspace(0.5, 1.0, 60))))["curve"]
+    q = np.log(reference["modal_amplitude"])
+    for point in result.points:
+        place = np.log(point.modal_amplitude)
+        assert point.omega_rad_s == pytest.approx(np.interp(place, q, reference["omega_rad_s"]), rel=1e-3)
+        assert point.damping_ratio == pytest.approx(np.interp(place, q, reference["damping_ratio"]), rel=0.03)
+    # After the first level, a level is little longer than its window.
+    starts = np.diff([point.window_first_sample for point in result.points[1:]])
+    assert np.all(starts < 1.25 * np.array([point.window_samples for point in result.points[1:-1]]))
+    offline = extract_bag(result.bag).points
+    assert all(a.identical(b) for a, b in zip(offline, result.points, strict=True))
+
+
+def test_the_strategy_is_checked():
+    with pytest.raises(BenchError, match="Strategy 'leap' is not known"):
+        Bench("beam", levels=[1.0], strategy="leap")
+    with pytest.raises(BenchError, match="waits at every level"):
+        Bench("beam", levels=[1.0], strategy="ramp", overrides=["pll.loop=paper"])
+    bench = Bench("beam", levels=[1.0], strategy="ramp")
+    assert bench.test.goal["window_periods"] == 20
+    assert bench.test.goal["ramp"] == pytest.approx(20 / 22.19, rel=1e-3)

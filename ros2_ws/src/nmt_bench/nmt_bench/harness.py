@@ -124,6 +124,7 @@ class Bench:
         domain_id: ROS domain; None = any that no other bench uses.
         node_values: further parameters by node name.
         control: what the levels are: ``voltage`` (V), ``response`` (m or m/s²) or ``force`` (N).
+        strategy: ``stepped`` or ``ramp``, see :class:`nmt_bench.node_plan.TestPlan`.
 
     Raises:
         BenchError: the rig, the levels or a setting is refused; nothing has been started then.
@@ -150,6 +151,7 @@ class Bench:
         domain_id: int | None = None,
         node_values: Mapping[str, Mapping[str, Any]] | None = None,
         control: str = "voltage",
+        strategy: str = "stepped",
     ) -> None:
         changes = list(overrides)
         if exciter is not None:
@@ -182,6 +184,7 @@ class Bench:
             linear=linear,
             node_values=node_values or {},
             control=control,
+            strategy=strategy,
         )
         self.use_processes = processes
         self._out = Path(out) if out is not None else None

@@ -28,6 +28,12 @@ PACINGS = ("lockstep", "realtime")
 CONTROLS = {"voltage": 1, "response": 2, "force": 3}
 """What levels are: constants of ``nmt_msgs/Level``."""
 
+STRATEGIES = ("stepped", "ramp")
+RAMP_WINDOW = 20
+"""Whole periods of a window of the strategy ``ramp`` unless the test says otherwise."""
+RAMP_DELAY = 1.0
+"""Periods from the start of a level to its window in the strategy ``ramp``."""
+
 # Where each node's class and executable are found.
 NODES: dict[str, tuple[str, str, str]] = {
     "plant": ("nmt_plant", "plant", "nmt_plant.plant_node:PlantNode"),
@@ -55,6 +61,8 @@ class TestPlan:
         node_values: further parameters by node name.
         control: what the levels are: ``voltage`` (V), ``response`` (amplitude at the drive point, m or m/s²) or
             ``force`` (N).
+        strategy: ``stepped``: wait at every level for lock; ``ramp``: lock once, then ramp from level to level as long
+            as a window lasts and extract during the ramps by the balance of power.
     """
 
     __test__ = False
@@ -72,6 +80,7 @@ class TestPlan:
     linear: LinearDescription | None = None
     node_values: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     control: str = "voltage"
+    strategy: str = "stepped"
 
     def __post_init__(self) -> None:
         check_levels(self.levels, "The test")
@@ -79,6 +88,8 @@ class TestPlan:
             raise BenchError(f"Pacing '{self.pacing}' is not known; use {' or '.join(PACINGS)}.")
         if self.control not in CONTROLS:
             raise BenchError(f"Control '{self.control}' is not known; use {', '.join(CONTROLS)}.")
+        if self.strategy not in STRATEGIES:
+            raise BenchError(f"Strategy '{self.strategy}' is not known; use {' or '.join(STRATEGIES)}.")
         if self.latency_blocks < 0:
             raise BenchError(f"latency_blocks must not be negative, got {self.latency_blocks}.")
         if self.window_periods is not None and self.window_periods < 3:
@@ -105,12 +116,17 @@ class TestPlan:
     def goal(self) -> dict[str, Any]:
         """Fields of the ``run_levels`` goal."""
         test = self.rig.test
+        window, ramp = self.window_periods, self.ramp
+        if self.strategy == "ramp":
+            window = RAMP_WINDOW if window is None else window
+            linear = self.linear or linear_description(self.rig)
+            ramp = window / linear.frequency_hz if ramp is None else ramp
         return {
             "run_id": self.run_id,
             "control": CONTROLS[self.control],
             "levels": [float(level) for level in self.levels],
-            "ramp": float(test.ramp_s if self.ramp is None else self.ramp),
-            "window_periods": int(test.window_periods if self.window_periods is None else self.window_periods),
+            "ramp": float(test.ramp_s if ramp is None else ramp),
+            "window_periods": int(test.window_periods if window is None else window),
             "timeout": float(test.lock_timeout_s if self.timeout is None else self.timeout),
             "stop_on_lost_lock": self.stop_on_lost_lock,
         }
@@ -152,7 +168,8 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
     response = _response_topic(rig)
     topics = _sample_topics(rig)
     extraction = ExtractionSettings(
-        harmonics=rig.extraction.harmonics, topics=_extraction_topics(rig, topics)
+        harmonics=rig.extraction.harmonics, topics=_extraction_topics(rig, topics),
+        power_balance=test.strategy == "ramp",
     )
     pll = _loop_values(test, linear, response)
     timing = {"sample_rate": float(rig.sample_rate_hz), "block_samples": int(rig.block_samples)}
@@ -182,6 +199,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
             "linear_json": linear.to_json(),
             "harmonics": extraction.harmonics,
             "topics": list(extraction.topics),
+            "power_balance": extraction.power_balance,
         },
         "recorder": {"output": str(bag), "chunk_messages": _chunk_messages(rig, len(topics))},
     }
@@ -189,6 +207,10 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
         if name not in values:
             raise BenchError(f"Node '{name}' is not part of the bench; there are {', '.join(values)}.")
         values[name].update(extra)
+    if test.strategy == "ramp":
+        values["pll"].setdefault("ramp_delay_periods", RAMP_DELAY)
+    if values["pll"].get("loop") == "paper" and test.strategy == "ramp":
+        raise BenchError("The paper's loop waits at every level; use the adaptive loop for the strategy ramp.")
     if values["pll"].get("loop") == "paper" and test.control != "voltage":
         raise BenchError(
             f"The paper's loop steps the voltage only; use the adaptive loop for levels of {test.control}."

@@ -45,6 +45,13 @@ def add_parser(subparsers: Subparsers) -> None:
         "list a,b,c (default: the rig's, in V)",
     )
     parser.add_argument(
+        "--strategy",
+        choices=("stepped", "ramp"),
+        default="stepped",
+        help="stepped: wait for lock at every level; ramp: lock once, then windows of 20 periods during slow ramps, "
+        "evaluated by the balance of power (default: stepped)",
+    )
+    parser.add_argument(
         "--control",
         choices=("voltage", "response", "force"),
         default="voltage",
@@ -130,6 +137,7 @@ def run(arguments: argparse.Namespace) -> int:
         domain_id=arguments.domain,
         node_values={"pll": {"loop": arguments.pll}} if arguments.pll else None,
         control=arguments.control,
+        strategy=arguments.strategy,
     )
     console = make_console()
     with _terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:

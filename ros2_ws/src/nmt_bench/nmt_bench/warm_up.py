@@ -8,7 +8,10 @@ from pathlib import Path
 from nmt_bench.sample_run import record_sample_run
 from nmt_extract.offline import extract_bag
 from nmt_plant.reference import compute_reference, single_point_reference
+from nmt_plant.linear_description import linear_description
 from nmt_plant.rig import load_rig
+from nmt_pll.paper_loop import PaperLoop
+from nmt_pll.paper_settings import PaperSettings
 
 
 def warm_up() -> None:
@@ -20,6 +23,7 @@ def warm_up() -> None:
         extract_bag(bag)
     compute_reference(rig, harmonics=3, points=5)
     single_point_reference(rig, levels=[0.1, 0.6], harmonics=3)
+    PaperLoop(linear_description(rig), PaperSettings(), rig.sample_rate_hz, rig.block_samples)
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ PARAMETERS = (
     ),
     Parameter("sub_windows", 10, "", "Sub-windows for the standard uncertainties.", low=3, high=1000),
     Parameter("minimum_periods", 3, "periods", "Windows of fewer whole periods are rejected.", low=3),
+    Parameter("power_balance", False, "", "Balance of power for windows whose level still changes."),
     Parameter(
         "hysteresis_json",
         "",
@@ -53,6 +54,9 @@ class ExtractNode(BenchNode):
         BenchError: no linear description, or a parameter is out of range.
     """
 
+    # Nobody waits for this node block by block.
+    BURST_PERIOD = 0.02
+
     def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
         super().__init__("extract", PARAMETERS, values, **kwargs)
         text = str(self.values["linear_json"])
@@ -71,7 +75,7 @@ class ExtractNode(BenchNode):
                 self.bench_subscription(kind, topic, self._publishing(callback), SAMPLES_QOS, raw=raw)
 
     def _settings(self) -> ExtractionSettings:
-        names = ("harmonics", "topics", "sub_windows", "minimum_periods")
+        names = ("harmonics", "topics", "sub_windows", "minimum_periods", "power_balance")
         values: dict[str, Any] = {name: self.values[name] for name in names}
         text = str(self.values["hysteresis_json"])
         if text:

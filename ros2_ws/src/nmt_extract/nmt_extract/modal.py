@@ -21,6 +21,7 @@ from nmt_extract.harmonics import (
 )
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
 from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns, rejected_point
+from nmt_extract.power_balance import BalancedMode, balance, part_count
 from nmt_extract.settings import ExtractionSettings
 from nmt_extract.sine_fit import fit_frequency
 from nmt_extract.uncertainty import jackknife, slope_uncertainty, sub_window_count
@@ -325,6 +326,8 @@ class _Evaluation:
             2.0 * math.pi * self.frequency_std,
             fields["damping_ratio"] * omega[0] * math.hypot(fields["phase_error"], fields["phase_error_std"]),
         )
+        if self.settings.power_balance:
+            fields.update(vars(self._balance()))
         # Harmonic n turns by n times the angle that makes the target mode's participation real.
         reference = values.participation[0, linear.target_mode]
         turn = np.conj(reference) / abs(reference) if abs(reference) > 0.0 else 1.0 + 0.0j
@@ -347,6 +350,33 @@ class _Evaluation:
             normalised_shape=values.normalised_shape[0] * turn,
             participation=values.participation[0] * turn,
             **fields,
+        )
+
+    def _balance(self) -> BalancedMode:
+        """Balance of power over parts of the window."""
+        window, linear = self.window, self.linear
+        bounds = whole_period_bounds(self.cycles, self.periods, max(1, part_count(self.periods)))
+        edges = np.append(self.cycles, self.cycles[0] + self.advance)[bounds]
+        omega: FloatArray = np.asarray(
+            2.0 * np.pi * np.diff(edges) / (np.diff(bounds) / window.sample_rate), dtype=np.float64
+        )
+        # A low order is enough for the fundamental of a few periods and costs less noise.
+        moments = segment_moments(self.cycles, window.data, min(3, self.harmonics), bounds)
+        amplitudes = solve_moments(moments)
+        force = amplitudes[:, self.force_row]
+        drive = self._integrated(amplitudes[:, self.drive_row], self.drive_quantity, omega, 0)
+        shape = self._integrated(amplitudes[:, self.shape_rows], self.shape_quantity, omega, 0)[:, :, 1]
+        values = modal_quantities(
+            omega, force, drive, drive, shape, linear.shape_matrix, linear.target_mode
+        )
+        return balance(
+            np.asarray(0.5 * (bounds[1:] + bounds[:-1]) / window.sample_rate, dtype=np.float64),
+            window.samples / window.sample_rate,
+            omega,
+            values.modal_amplitude,
+            values.active_power,
+            np.asarray((force[:, 1] * drive[:, 1].conj()).real, dtype=np.float64),
+            np.unwrap(np.angle(drive[:, 1])),
         )
 
     def _uncertainty(self, name: str, value: FloatArray) -> float:

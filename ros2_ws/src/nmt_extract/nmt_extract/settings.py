@@ -22,6 +22,8 @@ class ExtractionSettings:
         topics: sample topics that must be complete over a window; ``force`` and at least one response.
         sub_windows: K, sub-windows for the standard uncertainties.
         minimum_periods: windows of fewer whole periods are rejected.
+        power_balance: the level may still change over a window: frequency, damping and amplitude from the balance of
+            power instead of a steady state.
         hysteresis: masses and points of a chain of three masses; None = no hysteresis damping.
     """
 
@@ -29,6 +31,7 @@ class ExtractionSettings:
     topics: tuple[str, ...] = ("force", "acceleration")
     sub_windows: int = 10
     minimum_periods: int = 3
+    power_balance: bool = False
     hysteresis: HysteresisLayout | None = None
 
     def __post_init__(self) -> None:
@@ -42,6 +45,10 @@ class ExtractionSettings:
                 raise BenchError(
                     f"Extraction setting '{name}' must be a whole number in {low}..{high}, got {value!r}."
                 )
+        if not isinstance(self.power_balance, bool):
+            raise BenchError(
+                f"Extraction setting 'power_balance' must be true or false, got {self.power_balance!r}."
+            )
         unknown = [topic for topic in self.topics if topic not in _TOPICS]
         if unknown or len(set(self.topics)) != len(self.topics):
             raise BenchError(

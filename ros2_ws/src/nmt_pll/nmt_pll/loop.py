@@ -129,6 +129,7 @@ class PhaseLockedLoop:
         self._ramp = settings.quiet_ramp
         self._closed_from = 0
         self._judged_from = 0
+        self._running_from = 0
         self._deadline: float = math.inf
         self._bound_since: int | None = None
         self._good_frequency = self.start_frequency
@@ -179,6 +180,9 @@ class PhaseLockedLoop:
             reason = self._reason_to_give_up(flags, end, valid)
             if reason:
                 self._give_up(end, reason)
+            elif valid and self._running_from and end >= self._running_from:
+                self._running_from = 0
+                lock = self._open_window(end, error, "the lock is carried on along the ramp")
             elif valid and end > self._judged_from:
                 self.dwell.add(error, present, response_amplitude)
                 if self.dwell.full:
@@ -265,6 +269,11 @@ class PhaseLockedLoop:
         self._judged_from = max(ramp_end, self._closed_from) + round(2.0 / self.cutoff * self.sample_rate)
         self._deadline = self._judged_from + level.timeout * self.sample_rate if level.timeout else math.inf
         self._bound_since = None
+        # A lock carried on: the window opens during the ramp, and only then does the loop judge itself.
+        self._running_from = 0
+        if self.settings.ramp_delay_periods > 0 and self.machine.state == LoopState.LOCKED and not was_quiet:
+            delay = self.settings.ramp_delay_periods * 2.0 * math.pi / self.controller.output
+            self._running_from = self._judged_from = end + round(delay * self.sample_rate)
         self._amplitude = self._start_voltage(level, was_quiet)
         self.dwell.clear()
         self._deviation = 0.0
@@ -351,16 +360,18 @@ class PhaseLockedLoop:
             return None
         if not self.criteria.locked(statistics, self._deviation):
             return None
-        self.machine.lock(
-            end, f"phase error {math.degrees(statistics.mean):.3f} deg over {self.settings.dwell_periods:g} periods"
-        )
+        reason = f"phase error {math.degrees(statistics.mean):.3f} deg over {self.settings.dwell_periods:g} periods"
+        return self._open_window(end, statistics.mean, reason)
+
+    def _open_window(self, end: int, error: float, reason: str) -> LockWindow | None:
+        self.machine.lock(end, reason)
         self._good_frequency = self.controller.output
         level = self._level
         if level is None or level.window_periods == 0:
             return None
         frequency = self.controller.output / (2.0 * math.pi)
         samples = round(level.window_periods * self.sample_rate / frequency)
-        return LockWindow(level, end - 1, frequency, statistics.mean, end, samples, level.window_periods)
+        return LockWindow(level, end - 1, frequency, error, end, samples, level.window_periods)
 
     def _give_up(self, end: int, reason: str) -> None:
         self.machine.lose(end, reason)

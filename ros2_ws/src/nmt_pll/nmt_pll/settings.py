@@ -34,6 +34,8 @@ class LoopSettings:
         response_floor: smallest response amplitude with a valid phase, unit of the response.
         latency_blocks: blocks of buffering between command and excitation.
         quiet_ramp: half-cosine to zero after a lost lock, s.
+        ramp_delay_periods: a level that follows a locked one opens its window so many periods after it begins, while
+            its ramp goes on, without the lock criteria; 0 = wait for them.
     """
 
     cutoff: float = 0.0
@@ -55,6 +57,7 @@ class LoopSettings:
     response_floor: float = 0.0
     latency_blocks: int = 0
     quiet_ramp: float = 0.5
+    ramp_delay_periods: float = 0.0
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -112,6 +115,7 @@ _DESCRIPTIONS = {
     "response_floor": ("m or m/s^2", "Smallest response amplitude with a valid phase."),
     "latency_blocks": ("blocks", "Buffering between command and excitation."),
     "quiet_ramp": ("s", "Half-cosine to zero after a lost lock."),
+    "ramp_delay_periods": ("periods", "Windows during the ramp so long after a level begins; 0 = after lock."),
 }
 
 

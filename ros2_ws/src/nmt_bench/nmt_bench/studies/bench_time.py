@@ -86,7 +86,7 @@ _REMARKS = (
 def _accuracy_figure(results: Sequence[Result]) -> ReportFigure:
     figure = Figure(figsize=(9.6, 4.4))
     panels = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.08, right=0.985, bottom=0.24, top=0.94, wspace=0.24)
+    figure.subplots_adjust(left=0.08, right=0.985, bottom=0.29, top=0.94, wspace=0.24)
     ways = list(dict.fromkeys(result["case"]["labels"]["way"] for result in results))
     for axes, column, target, label in (
         (panels[0], 0, TARGET_OMEGA, r"largest error of $\tilde\omega$ / %"),
@@ -122,7 +122,7 @@ def _accuracy_figure(results: Sequence[Result]) -> ReportFigure:
         axes.set_xlabel("periods per level")
         axes.set_ylabel(label)
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=5)
+    figure.legend(handles, labels, loc="lower center", ncols=4, fontsize=7.5)
     caption = (
         "Accuracy against periods per level; each way with several window lengths. Dashed: the target of 50 periods, "
         "0.1 % and 3 %. Open markers: sensor noise of the paper's low level."

@@ -15,9 +15,10 @@ from nmt_bench.studies.case import StudyCase
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_plant.model.linear_modes import sticking_modes
-from nmt_plant.reference import compute_reference, single_point_reference
+from nmt_plant.reference import SinglePointReference, compute_reference, single_point_reference
 from nmt_plant.rig import Rig, load_rig
 from nmt_plant.rig_model import build_elements, build_structure
+from nmt_plant.slipping_reference import single_point_reference_from_above
 
 _ATTEMPTS = (1.0, 0.6, 1.7)
 
@@ -68,7 +69,7 @@ def single_point_at(case: StudyCase) -> dict[str, Any]:
     points = 240 if case.strategy == "ramp" else 60
     grid = np.unique(np.concatenate((np.geomspace(volts[0] / 1.3, volts[-1] * 1.1, points), volts)))
     try:
-        reference = single_point_reference(case_rig(case), None, grid, case.harmonics)
+        reference = _reached(case, grid)
     except (BenchError, ArithmeticError, ValueError) as error:
         return {"failure": _sentence(error), "single_valued": False, "levels": {}, "curve": {}}
     columns = {
@@ -98,6 +99,20 @@ def single_point_at(case: StudyCase) -> dict[str, Any]:
         "levels": at_levels,
         "curve": columns,
     }
+
+
+def _reached(case: StudyCase, grid: FloatArray) -> SinglePointReference:
+    """The reference from rest; from above for a test that begins at its highest level and cannot be had from rest."""
+    rig = case_rig(case)
+    downwards = len(case.levels) > 1 and case.levels[0] == max(case.levels)
+    try:
+        reference = single_point_reference(rig, None, grid, case.harmonics)
+        if not downwards or len(reference.level) == len(grid):
+            return reference
+    except (BenchError, ArithmeticError, ValueError):
+        if not downwards:
+            raise
+    return single_point_reference_from_above(rig, grid, case.harmonics)
 
 
 def epmc_at(case: StudyCase, amplitudes: Sequence[float]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ setup(
     name="nmt_core",
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"": ["py.typed"]},
+    package_data={"": ["py.typed", "*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/nmt_core"]),
         ("share/nmt_core", ["package.xml"]),

@@ -6,6 +6,7 @@ import os
 import socket
 from collections.abc import Iterable
 
+from nmt_core.dds_profile import dds_environment
 from nmt_core.errors import BenchError
 
 # Domain ids up to 101 keep clear of the system's ephemeral ports.
@@ -59,6 +60,7 @@ def bench_environment(domain_id: int) -> dict[str, str]:
     return {
         "ROS_DOMAIN_ID": str(domain_id),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        **dds_environment(),
         "OPENBLAS_NUM_THREADS": "1",
         "OMP_NUM_THREADS": "1",
     }

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from nmt_bench.sample_run import record_sample_run
 from nmt_extract.offline import extract_bag
-from nmt_plant.reference import compute_reference, single_point_reference
 from nmt_plant.linear_description import linear_description
+from nmt_plant.reference import compute_reference, single_point_reference
 from nmt_plant.rig import load_rig
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings

@@ -70,6 +70,8 @@ class BenchNode(Node):  # type: ignore[misc]
         BenchError: a parameter is unknown, of the wrong type or out of range.
     """
 
+    BURST_PERIOD = 0.0  # s; see spin_for_ever
+
     def __init__(
         self,
         name: str,
@@ -82,6 +84,7 @@ class BenchNode(Node):  # type: ignore[misc]
         super().__init__(name, **kwargs)
         self.values = self._declare((*table, *COMMON_PARAMETERS), dict(values or {}))
         self.counters: dict[str, int | float | str] = {}
+        self.received = 0
         self._expected = _parse_peers(self.values["expected_peers"], self.get_name())
         self._endpoints: dict[str, list[Any]] = {}
         watched: Any = self.values["watched_nodes"]
@@ -122,7 +125,12 @@ class BenchNode(Node):  # type: ignore[misc]
         self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile, raw: bool = False
     ) -> Any:
         """A subscription that counts among the node's endpoints."""
-        subscription = self.create_subscription(kind, topic, callback, qos, raw=raw)
+
+        def counted(message: Any) -> None:
+            self.received += 1
+            callback(message)
+
+        subscription = self.create_subscription(kind, topic, counted, qos, raw=raw)
         self._endpoints.setdefault(topic, []).append(subscription.get_publisher_count)
         return subscription
 
@@ -206,15 +214,24 @@ def calm_collector() -> None:
     gc.set_threshold(50_000, 50, 100)
 
 
-def spin_for_ever(executor: Any, context: Any) -> None:
-    """Spin until the context is shut down.
+def spin_for_ever(executor: Any, node: BenchNode) -> None:
+    """Spin until the node's context is shut down.
 
     ``EventsExecutor.spin()`` without a time limit burns a core, serves nothing and does not see signals; with a limit
-    it waits as it should.
+    it waits as it should. A node with a ``BURST_PERIOD`` sleeps so long and then works off all that has come: waking
+    it for every message would cost more than the message.
     """
+    context, burst_period = node.context, node.BURST_PERIOD
     never = Future()
     while context.ok():
-        executor.spin_until_future_complete(never, timeout_sec=_SPIN_LIMIT)
+        if burst_period <= 0.0:
+            executor.spin_until_future_complete(never, timeout_sec=_SPIN_LIMIT)
+            continue
+        time.sleep(burst_period)
+        received = -1
+        while received != node.received and context.ok():
+            received = node.received
+            executor.spin_once(timeout_sec=0.0)
 
 
 def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -> int:
@@ -235,7 +252,7 @@ def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -
         executor.add_node(node)
         calm_collector()
         with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-            spin_for_ever(executor, node.context)
+            spin_for_ever(executor, node)
         return 0
     except BenchError as error:
         sys.stderr.write(f"{error}\n")

@@ -35,7 +35,7 @@ PARAMETERS = (
     Parameter("latency_blocks", 0, "blocks", "Blocks of buffering between command and excitation.", low=0, high=100),
     Parameter(
         "command_timeout",
-        2.0,
+        10.0,
         "s",
         "Wall time in lockstep without a command after which blocks go on without it, so that the watchdog can act.",
         low=0.1,

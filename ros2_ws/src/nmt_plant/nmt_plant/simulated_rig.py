@@ -292,7 +292,7 @@ class SimulatedRig(Device):
 
     def _quiet(self, reason: str, ramp: float | None) -> None:
         if not self._reason:
-            self._trip(reason, BlockFlag.NONE, self.rig.limits.ramp_s if ramp is None else ramp)
+            self._trip(reason, BlockFlag.WATCHDOG, self.rig.limits.ramp_s if ramp is None else ramp)
         self._oscillator.ramp_to_zero(self._quiet_ramp)
 
     def _reset(self) -> None:

@@ -70,6 +70,9 @@ class RecorderNode(BenchNode):
         BenchError: a parameter is wrong, a message type is not installed, or the bag cannot be created.
     """
 
+    # Nobody waits for this node block by block.
+    BURST_PERIOD = 0.02
+
     def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
         super().__init__("recorder", PARAMETERS, values, **kwargs)
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import socket
 from collections.abc import Iterable
@@ -12,6 +13,7 @@ from nmt_core.errors import BenchError
 # Domain ids up to 101 keep clear of the system's ephemeral ports.
 _DOMAINS = range(1, 101)
 _FIRST_PORT = 28_700
+_BENCHES = itertools.count(step=7)
 
 
 class BenchDomain:
@@ -29,7 +31,8 @@ class BenchDomain:
     def __init__(self, domain_id: int | None = None) -> None:
         if domain_id is not None and domain_id not in _DOMAINS:
             raise BenchError(f"A ROS domain must be from {_DOMAINS[0]} to {_DOMAINS[-1]}, got {domain_id}.")
-        count, offset = len(_DOMAINS), os.getpid()
+        # Not the one just left: its last packets may still be on the way.
+        count, offset = len(_DOMAINS), os.getpid() + next(_BENCHES)
         candidates: Iterable[int] = [_DOMAINS[(offset + k) % count] for k in range(count)]
         if domain_id is not None:
             candidates = [domain_id]

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nmt_bench.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
+    from nmt_bench.report_data import ReferenceCurve
     from nmt_plant.reference import Reference
+    from nmt_plant.rig import Rig
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+
+CONVERGENCE_ORDERS = (1, 3, 5, 7, 20, 61)
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -46,6 +55,18 @@ def add_parser(subparsers: Subparsers) -> None:
             "cover the rig's levels generously)"
         ),
     )
+    parser.add_argument(
+        "--compare",
+        metavar="FILE",
+        type=Path,
+        help="table with the columns of reference.csv to compare with, at its own amplitudes unless --amplitudes "
+        "is given",
+    )
+    parser.add_argument(
+        "--convergence",
+        action="store_true",
+        help=f"also print how the result converges over {', '.join(map(str, CONVERGENCE_ORDERS))} harmonics",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -58,21 +79,70 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1 <= arguments.harmonics <= 200:
         raise BenchError(f"--harmonics must be a whole number from 1 to 200, got {arguments.harmonics}.")
 
+    from nmt_bench.report_data import read_reference
     from nmt_bench.terminal import make_console
     from nmt_plant.reference import compute_reference, write_reference_csv
     from nmt_plant.rig import load_rig
 
     amplitudes = _amplitudes(arguments.amplitudes) if arguments.amplitudes else None
+    given = read_reference(arguments.compare) if arguments.compare is not None else None
+    if given is not None and amplitudes is None:
+        amplitudes = [float(q) for q in given.modal_amplitude]
     rig = load_rig(arguments.rig, arguments.set)
+    compute_reference(rig, arguments.harmonics, amplitudes, points=5 if amplitudes is None else 100)  # compiles
+    began = time.perf_counter()
     reference = compute_reference(rig, arguments.harmonics, amplitudes)
+    elapsed = time.perf_counter() - began
     with OutputFolder(arguments.out, arguments.force) as folder:
         write_reference_csv(reference, folder / "reference.csv")
     console = make_console()
     for line in _summary(reference):
         console.print(line, markup=False)
+    console.print(f"solved in {elapsed:.3f} s once compiled", markup=False)
+    if given is not None:
+        console.print(_comparison(reference, given, arguments.compare), markup=False, soft_wrap=True)
+    if arguments.convergence:
+        console.print(_convergence(rig, reference))
     console.print(f"Results in {arguments.out}: reference.csv", markup=False)
     sys.stdout.flush()
     return 0
+
+
+def _comparison(reference: Reference, given: ReferenceCurve, path: Path) -> str:
+    """Largest relative distances to a table, at its own amplitudes or those within both curves."""
+    import numpy as np
+
+    errors = []
+    for q, omega, damping in zip(
+        reference.modal_amplitude, reference.omega_rad_s, reference.damping_ratio, strict=True
+    ):
+        expected = given.at(float(q))
+        errors.append((abs(omega / expected[0] - 1.0), abs(damping / expected[1] - 1.0)))
+    inside = np.array([pair for pair in errors if np.all(np.isfinite(pair))])
+    if not inside.size:
+        return f"{path} has no modal amplitude in common with the reference."
+    worst = inside.max(axis=0)
+    return (
+        f"against {path} at {len(inside)} amplitudes: largest relative error of modal frequency {worst[0]:.1e}, "
+        f"of damping ratio {worst[1]:.1e}"
+    )
+
+
+def _convergence(rig: Rig, reference: Reference) -> Table:
+    """Distance of truncated series to the finest."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from nmt_plant.reference import convergence_table
+
+    table = Table(title="Convergence over harmonics", title_justify="left", box=SIMPLE_HEAD)
+    for head in ("harmonics", "modal frequency", "damping ratio"):
+        table.add_column(head, justify="right")
+    rows = convergence_table(rig, CONVERGENCE_ORDERS, reference.modal_amplitude)
+    for row in rows[:-1]:
+        table.add_row(str(row.harmonics), f"{row.omega_error:.1e}", f"{row.damping_error:.1e}")
+    table.caption = f"largest relative distance to {rows[-1].harmonics} harmonics over the backbone"
+    return table
 
 
 def _summary(reference: Reference) -> list[str]:

@@ -186,8 +186,8 @@ def test_a_swinging_loop_is_not_locked_when_its_mean_passes_zero(size, phase, pe
         assert not CRITERIA.locked(s)
 
 
-def statistics(mean=0.0, scatter=0.0):
-    return DwellStatistics(mean, 0.0, scatter, 0.0, 0.0, 0.0, 0.0, 0.0)
+def statistics(mean=0.0, scatter=0.0, mean_std=0.0):
+    return DwellStatistics(mean, mean_std, scatter, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_a_lock_is_kept_within_wider_bounds_than_it_is_won_with():
@@ -195,6 +195,12 @@ def test_a_lock_is_kept_within_wider_bounds_than_it_is_won_with():
         assert CRITERIA.lost(statistics(math.radians(mean))) == ""
         assert not CRITERIA.locked(statistics(math.radians(mean)))
     assert CRITERIA.lost(statistics(scatter=math.radians(19.0))) == ""
+
+
+def test_noise_of_the_mean_is_no_lost_lock():
+    noisy = math.radians(2.0)
+    assert CRITERIA.lost(statistics(math.radians(13.9), mean_std=noisy)) == ""
+    assert "exceeds 14.00 deg" in CRITERIA.lost(statistics(math.radians(14.1), mean_std=noisy))
 
 
 @pytest.mark.parametrize("sign", [1, -1])

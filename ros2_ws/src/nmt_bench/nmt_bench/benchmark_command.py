@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
-PARTS = ("plant", "bag", "bench")
+PARTS = ("plant", "reference", "bag", "bench")
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -28,8 +28,8 @@ def add_parser(subparsers: Subparsers) -> None:
         "benchmark",
         help="speed of this machine beside limits and peers",
         description=(
-            "Measures the plant's time integration, the work per block of each node, reading and "
-            "extracting bags, and the whole bench with its nodes in one process and in one process each. "
+            "Measures the plant's time integration, the harmonic-balance reference, the work per block of each "
+            "node, reading and extracting bags, and the whole bench with its nodes in one process and in one process each. "
             "Each figure is printed beside its limit, or beside a peer measured in the same run. Takes "
             "about a minute on an idle machine."
         ),
@@ -73,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     console = make_console()
     parts: dict[str, Callable[[float], list[Figure]]] = {
         "plant": benchmark_figures.plant_figures,
+        "reference": benchmark_figures.reference_figures,
         "bag": benchmark_figures.bag_figures,
         "bench": benchmark_figures.bench_figures,
     }

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nmt_bench.sample_run import record_sample_run
 from nmt_core.errors import BenchError
 
@@ -17,7 +19,10 @@ LIMIT_ONE_PROCESS = 80.0
 LIMIT_EXTRACTION = 0.7
 _LEVELS = (0.2, 0.5, 1.0)
 _BEST_OF = 3
+LIMIT_BACKBONE = 0.5
+LIMIT_RESPONSE = 2.0
 _AT_LEAST = "limit, at least"
+_AT_MOST = "limit, at most"
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,45 @@ def plant_figures(seconds: float) -> list[Figure]:
         ),
         Figure(
             "plant: whole device", result.device, "× real time", None, "with oscillator, sensors and safety"
+        ),
+    ]
+
+
+def reference_figures(_: float) -> list[Figure]:
+    """Harmonic balance of the beam: EPMC backbone and a forced response beside their limits."""
+    from nmt_plant.model.forced_response import ForcedProblem, frequency_response
+    from nmt_plant.model.fourier_basis import FourierBasis
+    from nmt_plant.reference import compute_reference
+    from nmt_plant.rig import load_rig
+    from nmt_plant.rig_model import build_system
+
+    rig = load_rig("beam")
+    amplitudes = np.geomspace(1e-5, 2e-2, 100)
+    problem = ForcedProblem(build_system(rig), FourierBasis.up_to(7), 139.4)
+
+    def sweep() -> int:
+        return len(frequency_response(problem, 0.5, 110.0, 150.0, held="force").responses)
+
+    compute_reference(rig, 7, amplitudes)  # compiles or loads the kernels
+    points = sweep()
+    backbone = _best(lambda: compute_reference(rig, 7, amplitudes))
+    response = _best(sweep)
+    return [
+        Figure(
+            "reference: 100 backbone points, 7 harmonics",
+            backbone,
+            "s",
+            LIMIT_BACKBONE,
+            _AT_MOST,
+            backbone <= LIMIT_BACKBONE,
+        ),
+        Figure(
+            f"reference: force-held response, {points} points",
+            response,
+            "s",
+            LIMIT_RESPONSE,
+            _AT_MOST,
+            response <= LIMIT_RESPONSE,
         ),
     ]
 

@@ -198,11 +198,14 @@ class LockCriteria:
         return ""
 
     def lost(self, statistics: DwellStatistics) -> str:
-        """Why a lock has to be given up, empty if it holds; wider than the lock criteria lest lock flicker."""
-        if abs(statistics.mean) > self.unlock_tolerance:
+        """Why a lock has to be given up, empty if it holds; wider than the lock criteria lest lock flicker.
+
+        As there, noise excuses two standard uncertainties of the mean: a short dwell in much noise is no lost lock.
+        """
+        limit = self.unlock_tolerance + 2.0 * statistics.mean_std
+        if abs(statistics.mean) > limit:
             return (
-                f"mean phase error {math.degrees(statistics.mean):.2f} deg exceeds "
-                f"{math.degrees(self.unlock_tolerance):.2f} deg"
+                f"mean phase error {math.degrees(statistics.mean):.2f} deg exceeds {math.degrees(limit):.2f} deg"
             )
         if statistics.scatter > 2.0 * self.scatter_limit:
             return (

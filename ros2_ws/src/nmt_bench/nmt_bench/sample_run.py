@@ -20,7 +20,7 @@ from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
     from nmt_plant.rig import Rig
-    from nmt_pll.loop import LoopOutput
+    from nmt_pll.level_loop import LoopOutput
     from nmt_pll.settings import LevelCommand
 
 _LOCK_LOST = 4

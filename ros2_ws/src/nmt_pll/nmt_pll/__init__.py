@@ -1,1 +1,26 @@
-"""Phase-locked loop for phase resonance testing; PLL node."""
+"""Phase-locked loops for phase resonance testing; the node is in :mod:`nmt_pll.pll_node`."""
+
+from nmt_pll.gains import ControllerGains, LoopPlant, closed_form_gains
+from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
+from nmt_pll.lock import LoopState
+from nmt_pll.loop import PhaseLockedLoop
+from nmt_pll.paper_loop import PaperLoop
+from nmt_pll.paper_settings import PaperSettings
+from nmt_pll.phase_detector import AdaptiveFourierFilter
+from nmt_pll.settings import LevelCommand, LoopSettings
+
+__all__ = [
+    "AdaptiveFourierFilter",
+    "ControllerGains",
+    "LevelCommand",
+    "LevelLoop",
+    "LockWindow",
+    "LoopOutput",
+    "LoopPlant",
+    "LoopSettings",
+    "LoopState",
+    "PaperLoop",
+    "PaperSettings",
+    "PhaseLockedLoop",
+    "closed_form_gains",
+]

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from nmt_core.blocks import BlockFlag, FloatArray, Quantity, SampleBlock
+from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.gains import LoopPlant
-from nmt_pll.lock import Dwell, LockCriteria, LockStateMachine, LoopState, Transition
+from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
+from nmt_pll.lock import Dwell, LockCriteria, LoopState
 from nmt_pll.phase_detector import AdaptiveFourierFilter, phase_error
 from nmt_pll.settings import CONTROL_FORCE, CONTROL_RESPONSE, CONTROL_VOLTAGE, LevelCommand, LoopSettings
 
@@ -24,63 +23,8 @@ _VELOCITY_LEAD = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class LockWindow:
-    """A lock and the window it opens; as ``nmt_msgs/LockEvent``."""
 
-    level: LevelCommand
-    sample: int
-    frequency_hz: float
-    phase_error: float
-    first_sample: int
-    samples: int
-    periods: int
-
-
-class LoopOutput(NamedTuple):
-    """Answer of the loop to one block.
-
-    Attributes:
-        last_sample: last sample it is based on.
-        frequency_hz: frequency for the next block; 0 with the drive off.
-        amplitude: drive amplitude for the next block, V.
-        ramp: half-cosine duration for a change of amplitude, s.
-        state: loop state.
-        phase_error: rad, NaN if not valid.
-        force_amplitude: N; response_amplitude: unit of the response.
-        level: level worked on, None before the first.
-        lock: set with the block in which lock was confirmed.
-        transition: set with the block in which the state changed.
-    """
-
-    last_sample: int
-    frequency_hz: float
-    amplitude: float
-    ramp: float
-    state: LoopState
-    phase_error: float
-    force_amplitude: float
-    response_amplitude: float
-    level: LevelCommand | None
-    lock: LockWindow | None
-    transition: Transition | None
-    flags: int
-
-
-class Loop(Protocol):
-    """What the node needs of a phase-locked loop."""
-
-    def set_level(self, level: LevelCommand) -> None:
-        """Take a level to be worked on from its ``apply_at_sample`` on."""
-
-    def process(self, force: SampleBlock, response: SampleBlock) -> LoopOutput:
-        """Answer one block."""
-
-    def quiet(self, reason: str) -> None:
-        """Take the drive to zero from the next block on."""
-
-
-class PhaseLockedLoop:
+class PhaseLockedLoop(LevelLoop):
     """Adaptive Fourier filter, scheduled PI controller and lock state machine.
 
     Args:
@@ -93,10 +37,8 @@ class PhaseLockedLoop:
     def __init__(
         self, linear: LinearDescription, settings: LoopSettings, sample_rate: float, block_samples: int
     ) -> None:
-        self.linear = linear
+        super().__init__(linear, sample_rate, block_samples, settings.quiet_ramp)
         self.settings = settings
-        self.sample_rate = sample_rate
-        self.block_duration = block_samples / sample_rate
         self.cutoff = settings.resolved_cutoff(linear)
         self.filter = AdaptiveFourierFilter(2, settings.harmonics, self.cutoff, sample_rate)
         dead_time = (1.5 + settings.latency_blocks) * self.block_duration
@@ -119,41 +61,20 @@ class PhaseLockedLoop:
         self.dwell = Dwell(
             math.ceil(dwell_time / self.block_duration), 2.0 / (self.cutoff * self.block_duration)
         )
-        self.machine = LockStateMachine()
         self.decay = self.plant.structure_decay
-        self._levels: list[LevelCommand] = []
-        self._level: LevelCommand | None = None
-        self._block_samples = block_samples
         self._response_quantity = Quantity.DISPLACEMENT
-        self._amplitude = 0.0
-        self._ramp = settings.quiet_ramp
         self._closed_from = 0
         self._judged_from = 0
         self._running_from = 0
-        self._deadline: float = math.inf
         self._bound_since: int | None = None
         self._good_frequency = self.start_frequency
-        self._quiet_reason = ""
         self._deviation = 0.0
-        self.newest_sequence = 0
 
-    def set_level(self, level: LevelCommand) -> None:
-        """Take a level to be worked on from its ``apply_at_sample`` on.
-
-        Raises:
-            BenchError: amplitude, ramp or control are not usable.
-        """
-        if not (math.isfinite(level.amplitude) and level.amplitude >= 0):
-            raise BenchError(f"Level {level.index}: the amplitude must be finite and >= 0, got {level.amplitude}.")
-        if not (math.isfinite(level.ramp) and level.ramp >= 0):
-            raise BenchError(f"Level {level.index}: the ramp must be finite and >= 0 s, got {level.ramp}.")
+    def _check_control(self, level: LevelCommand) -> None:
         if level.control not in (CONTROL_VOLTAGE, CONTROL_RESPONSE, CONTROL_FORCE):
             raise BenchError(
                 f"Level {level.index}: control {level.control} is not known; use voltage, response or force."
             )
-        self._levels.append(level)
-        self._levels.sort(key=lambda item: (item.apply_at_sample, item.sequence))
-        self.newest_sequence = max(self.newest_sequence, level.sequence)
 
     def process(self, force: SampleBlock, response: SampleBlock) -> LoopOutput:
         """Answer one block of force and drive-point response (first channel of each).
@@ -161,16 +82,15 @@ class PhaseLockedLoop:
         Raises:
             ValueError: the blocks do not cover the same samples, or the response is not a motion.
         """
-        if force.first_sample != response.first_sample or force.samples != response.samples:
-            raise ValueError("force and response blocks do not cover the same samples")
+        rows = self._drive_point_rows(force, response)
         end = force.end_sample
         flags = force.flags | response.flags
         present = force.oscillator.frequency_hz
         self._response_quantity = response.quantity
-        error, force_amplitude, response_amplitude = self._measure(force, response)
+        error, force_amplitude, response_amplitude = self._measure(*rows, force.oscillator)
         if self.machine.state not in (LoopState.ACQUIRING, LoopState.LOCKED):
             self._quiet_reason = ""  # the drive is at zero already; the next level is not to suffer for it
-        self._start_due_level(force.first_sample, end)
+        self._start_due_levels(force.first_sample, end)
         lock = None
         state = self.machine.state
         if state in (LoopState.ACQUIRING, LoopState.LOCKED):
@@ -187,41 +107,20 @@ class PhaseLockedLoop:
                 self.dwell.add(error, present, response_amplitude)
                 if self.dwell.full:
                     lock = self._judge(end)
-        running = self._amplitude > 0.0
-        return LoopOutput(
-            last_sample=end - 1,
-            frequency_hz=self.controller.output / (2.0 * math.pi),
-            amplitude=self._amplitude if running else 0.0,
-            ramp=self._ramp,
-            state=self.machine.state,
-            phase_error=error,
-            force_amplitude=force_amplitude,
-            response_amplitude=response_amplitude,
-            level=self._level,
-            lock=lock,
-            transition=self.machine.take_transition(),
-            flags=flags,
-        )
+        amplitudes = force_amplitude, response_amplitude
+        return self._output(end, self.controller.output, error, amplitudes, lock, flags)
 
-    def quiet(self, reason: str) -> None:
-        """Take the drive to zero from the next block on; a lost lock with this reason."""
-        self._quiet_reason = reason
-
-    def warm_up_data(self) -> FloatArray:
-        """A silent block of the loop's shape, for compiling before the first real one."""
-        return np.zeros((2, self._block_samples))
-
-    def _measure(self, force: SampleBlock, response: SampleBlock) -> tuple[float, float, float]:
+    def _measure(
+        self, force: FloatArray, response: FloatArray, phase: OscillatorPhase
+    ) -> tuple[float, float, float]:
         """Phase error (NaN if not valid), force amplitude and response amplitude after the block."""
-        phase = force.oscillator
         if math.isnan(phase.cycles) or not phase.frequency_hz > 0:
             return math.nan, 0.0, 0.0
-        lead = _VELOCITY_LEAD.get(response.quantity)
+        lead = _VELOCITY_LEAD.get(self._response_quantity)
         if lead is None:
-            raise ValueError(f"the response is {response.quantity.name.lower()}, not a motion")
-        data = np.empty((2, force.samples))
-        data[0] = force.data[self._row(force)]
-        data[1] = response.data[self._row(response)]
+            raise ValueError(f"the response is {self._response_quantity.name.lower()}, not a motion")
+        data = np.empty((2, force.size))
+        data[0], data[1] = force, response
         coefficients = self.filter.process(data, phase.cycles, phase.frequency_hz, phase.rate_hz_s)
         fundamental = complex(coefficients[0, 1]), complex(coefficients[1, 1])
         force_amplitude, response_amplitude = abs(fundamental[0]), abs(fundamental[1])
@@ -232,32 +131,7 @@ class PhaseLockedLoop:
             return math.nan, force_amplitude, response_amplitude
         return phase_error(fundamental[0], fundamental[1], lead), force_amplitude, response_amplitude
 
-    def _row(self, block: SampleBlock) -> int:
-        """Row of the drive point's channel; the only channel where there is but one."""
-        if len(block.points) == 1:
-            return 0
-        try:
-            return block.points.index(self.linear.drive_point)
-        except ValueError:
-            raise ValueError(
-                f"no {block.quantity.topic} channel at the drive point {self.linear.drive_point}"
-            ) from None
-
-    def _start_due_level(self, first: int, end: int) -> None:
-        """Begin the levels whose ``apply_at_sample`` this block, starting at ``first``, has reached."""
-        while self._levels and self._levels[0].apply_at_sample <= first:
-            self._begin(self._levels.pop(0), end)
-
-    def _begin(self, level: LevelCommand, end: int) -> None:
-        was_quiet = self._amplitude == 0.0
-        same_level = self._level is not None and self._level.index == level.index
-        self._level = level
-        self._ramp = level.ramp
-        if level.amplitude == 0.0:
-            self._amplitude = 0.0
-            if self.machine.state != LoopState.LOCK_LOST or not same_level:
-                self.machine.fix(end, "the drive goes to zero")
-            return
+    def _start(self, level: LevelCommand, end: int, was_quiet: bool) -> None:
         if was_quiet:
             start = 2.0 * math.pi * level.frequency_hz or self._good_frequency
             self.controller.reset(start)
@@ -277,7 +151,6 @@ class PhaseLockedLoop:
         self._amplitude = self._start_voltage(level, was_quiet)
         self.dwell.clear()
         self._deviation = 0.0
-        self.machine.acquire(end, f"level {level.index} starts")
 
     def _start_voltage(self, level: LevelCommand, was_quiet: bool) -> float:
         """Drive voltage a level starts with; controlled amplitudes start from the linear estimate."""
@@ -324,13 +197,9 @@ class PhaseLockedLoop:
             self._bound_since = None
 
     def _reason_to_give_up(self, flags: int, end: int, valid: bool) -> str:
-        if self._quiet_reason:
-            reason, self._quiet_reason = self._quiet_reason, ""
+        reason = self._stopped_from_outside(flags)
+        if reason:
             return reason
-        if flags & BlockFlag.LIMIT:
-            return "a safety limit has tripped"
-        if flags & BlockFlag.WATCHDOG:
-            return "the drive watchdog has tripped"
         if self._bound_since is not None and end - self._bound_since > self.dwell.length * self._block_samples:
             side = "lower" if self.controller.integrator <= self.controller.low else "upper"
             return (
@@ -364,16 +233,5 @@ class PhaseLockedLoop:
         return self._open_window(end, statistics.mean, reason)
 
     def _open_window(self, end: int, error: float, reason: str) -> LockWindow | None:
-        self.machine.lock(end, reason)
         self._good_frequency = self.controller.output
-        level = self._level
-        if level is None or level.window_periods == 0:
-            return None
-        frequency = self.controller.output / (2.0 * math.pi)
-        samples = round(level.window_periods * self.sample_rate / frequency)
-        return LockWindow(level, end - 1, frequency, error, end, samples, level.window_periods)
-
-    def _give_up(self, end: int, reason: str) -> None:
-        self.machine.lose(end, reason)
-        self._amplitude = 0.0
-        self._ramp = self.settings.quiet_ramp
+        return self._lock(end, self.controller.output, error, reason)

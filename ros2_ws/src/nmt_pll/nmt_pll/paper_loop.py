@@ -29,11 +29,11 @@ from collections import deque
 import numpy as np
 from numba import njit
 
-from nmt_core.blocks import BlockFlag, FloatArray, Quantity, SampleBlock
+from nmt_core.blocks import FloatArray, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_pll.lock import LockStateMachine, LoopState
-from nmt_pll.loop import LockWindow, LoopOutput
+from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
+from nmt_pll.lock import LoopState
 from nmt_pll.paper_settings import PaperSettings
 from nmt_pll.settings import CONTROL_VOLTAGE, LevelCommand
 
@@ -84,7 +84,7 @@ def _advance(
     return filtered_sum / force.size, output_sum / force.size
 
 
-class PaperLoop:
+class PaperLoop(LevelLoop):
     """Product detector, low-pass, PI controller; levels start at fixed intervals.
 
     Everything runs sample by sample at the sample rate. The oscillator lives in the plant and takes one
@@ -105,50 +105,25 @@ class PaperLoop:
     def __init__(
         self, linear: LinearDescription, settings: PaperSettings, sample_rate: float, block_samples: int
     ) -> None:
-        self.linear = linear
+        super().__init__(linear, sample_rate, block_samples, settings.quiet_ramp)
         self.settings = settings
-        self.sample_rate = sample_rate
-        self.block_duration = block_samples / sample_rate
         self.centre = settings.centre_frequency(linear)
         self.frequency = self.centre
-        self.machine = LockStateMachine()
-        self.newest_sequence = 0
-        self._block_samples = block_samples
         self._state = np.zeros(4)
         self._bounds = (_SLOWEST - 1.0) * self.centre, 0.5 * math.pi * sample_rate - self.centre
         dwell = settings.dwell_periods * 2.0 * math.pi / self.centre
         self._errors: deque[float] = deque(maxlen=max(2, math.ceil(dwell / self.block_duration)))
-        self._levels: list[LevelCommand] = []
-        self._level: LevelCommand | None = None
-        self._amplitude = 0.0
-        self._ramp = settings.quiet_ramp
         self._window_from = 0
         self._closed_from = 0
-        self._deadline: float = math.inf
-        self._quiet_reason = ""
         self.process_signals(*self.warm_up_data())  # compile now, not with the first block
         self.reset()
 
-    def set_level(self, level: LevelCommand) -> None:
-        """Take a level to be worked on from its ``apply_at_sample`` on.
-
-        Raises:
-            BenchError: amplitude, ramp or control are not usable.
-        """
-        if not (math.isfinite(level.amplitude) and level.amplitude >= 0):
-            raise BenchError(
-                f"Level {level.index}: the amplitude must be finite and >= 0, got {level.amplitude}."
-            )
-        if not (math.isfinite(level.ramp) and level.ramp >= 0):
-            raise BenchError(f"Level {level.index}: the ramp must be finite and >= 0 s, got {level.ramp}.")
+    def _check_control(self, level: LevelCommand) -> None:
         if level.control != CONTROL_VOLTAGE:
             raise BenchError(
                 f"Level {level.index}: the paper's loop steps the voltage only; "
                 "use the adaptive loop for other controls."
             )
-        self._levels.append(level)
-        self._levels.sort(key=lambda item: (item.apply_at_sample, item.sequence))
-        self.newest_sequence = max(self.newest_sequence, level.sequence)
 
     def process(self, force: SampleBlock, response: SampleBlock) -> LoopOutput:
         """Answer one block of force and drive-point response.
@@ -157,8 +132,7 @@ class PaperLoop:
             ValueError: the blocks do not cover the same samples, or the response is not a displacement or
                 acceleration.
         """
-        if force.first_sample != response.first_sample or force.samples != response.samples:
-            raise ValueError("force and response blocks do not cover the same samples")
+        force_row, response_row = self._drive_point_rows(force, response)
         sign = _SIGN.get(response.quantity)
         if sign is None:
             raise ValueError(
@@ -167,10 +141,8 @@ class PaperLoop:
             )
         end = force.end_sample
         flags = force.flags | response.flags
-        self._start_due_level(force.first_sample, end)
-        filtered = self._signals(
-            force.data[self._row(force)], sign * response.data[self._row(response)], end > self._closed_from
-        )
+        self._start_due_levels(force.first_sample, end)
+        filtered = self._signals(force_row, sign * response_row, end > self._closed_from)
         force_amplitude, response_amplitude = (math.sqrt(2.0 * float(self._state[k])) for k in range(2))
         valid = (
             self._amplitude > 0.0
@@ -184,29 +156,7 @@ class PaperLoop:
             if valid:
                 self._errors.append(error)
             lock = self._judge(end, flags, valid)
-        running = self._amplitude > 0.0
-        return LoopOutput(
-            last_sample=end - 1,
-            frequency_hz=self.frequency / (2.0 * math.pi),
-            amplitude=self._amplitude if running else 0.0,
-            ramp=self._ramp,
-            state=self.machine.state,
-            phase_error=error,
-            force_amplitude=force_amplitude,
-            response_amplitude=response_amplitude,
-            level=self._level,
-            lock=lock,
-            transition=self.machine.take_transition(),
-            flags=flags,
-        )
-
-    def quiet(self, reason: str) -> None:
-        """Take the drive to zero from the next block on; a lost lock with this reason."""
-        self._quiet_reason = reason
-
-    def warm_up_data(self) -> FloatArray:
-        """A silent block of the loop's shape."""
-        return np.zeros((2, self._block_samples))
+        return self._output(end, self.frequency, error, (force_amplitude, response_amplitude), lock, flags)
 
     def reset(self, frequency: float = 0.0) -> None:
         """Start again from an angular frequency (rad/s); 0 = the centre."""
@@ -238,31 +188,8 @@ class PaperLoop:
             return 0.0
         return self.process_signals(np.ascontiguousarray(force), np.ascontiguousarray(response), closed)
 
-    def _row(self, block: SampleBlock) -> int:
-        """Row of the drive point's channel; the only channel where there is but one."""
-        if len(block.points) == 1:
-            return 0
-        try:
-            return block.points.index(self.linear.drive_point)
-        except ValueError:
-            raise ValueError(
-                f"no {block.quantity.topic} channel at the drive point {self.linear.drive_point}"
-            ) from None
-
-    def _start_due_level(self, first: int, end: int) -> None:
-        while self._levels and self._levels[0].apply_at_sample <= first:
-            self._begin(self._levels.pop(0), end)
-
-    def _begin(self, level: LevelCommand, end: int) -> None:
-        same_level = self._level is not None and self._level.index == level.index
-        was_quiet = self._amplitude == 0.0
-        self._level = level
-        self._ramp = level.ramp
+    def _start(self, level: LevelCommand, end: int, was_quiet: bool) -> None:
         self._amplitude = level.amplitude
-        if level.amplitude == 0.0:
-            if self.machine.state != LoopState.LOCK_LOST or not same_level:
-                self.machine.fix(end, "the drive goes to zero")
-            return
         if was_quiet:
             self.reset(2.0 * math.pi * level.frequency_hz)
             self._closed_from = end + round((level.ramp + self.settings.closing_time) * self.sample_rate)
@@ -270,14 +197,11 @@ class PaperLoop:
         ramp_end = end + level.ramp * self.sample_rate
         self._deadline = ramp_end + level.timeout * self.sample_rate if level.timeout else math.inf
         self._errors.clear()
-        self.machine.acquire(end, f"level {level.index} starts")
 
     def _judge(self, end: int, flags: int, valid: bool) -> LockWindow | None:
         reason = self._reason_to_give_up(flags, end, valid)
         if reason:
-            self.machine.lose(end, reason)
-            self._amplitude = 0.0
-            self._ramp = self.settings.quiet_ramp
+            self._give_up(end, reason)
             return None
         full = len(self._errors) == self._errors.maxlen
         if self.machine.state == LoopState.LOCKED or end < self._window_from or not full:
@@ -288,25 +212,16 @@ class PaperLoop:
         )
         if abs(mean) > self.settings.phase_tolerance or scatter > self.settings.scatter_limit:
             return None
-        self.machine.lock(end, f"mean phase error {math.degrees(mean):.3f} deg after the waiting time")
-        level = self._level
-        if level is None or level.window_periods == 0:
-            return None
-        frequency = self.frequency / (2.0 * math.pi)
-        samples = round(level.window_periods * self.sample_rate / frequency)
-        return LockWindow(level, end - 1, frequency, mean, end, samples, level.window_periods)
+        reason = f"mean phase error {math.degrees(mean):.3f} deg after the waiting time"
+        return self._lock(end, self.frequency, mean, reason)
 
     def _mean_error(self) -> float:
         return math.fsum(self._errors) / len(self._errors)
 
     def _reason_to_give_up(self, flags: int, end: int, valid: bool) -> str:
-        if self._quiet_reason:
-            reason, self._quiet_reason = self._quiet_reason, ""
+        reason = self._stopped_from_outside(flags)
+        if reason:
             return reason
-        if flags & BlockFlag.LIMIT:
-            return "a safety limit has tripped"
-        if flags & BlockFlag.WATCHDOG:
-            return "the drive watchdog has tripped"
         if self.machine.state == LoopState.ACQUIRING:
             return "no lock within the time-out" if end > self._deadline else ""
         if not valid:

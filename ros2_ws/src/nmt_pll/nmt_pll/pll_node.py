@@ -15,8 +15,9 @@ from nmt_core.parameters import Parameter
 from nmt_core.wire import BlockReader, LoopStatus, PlainDrive, write_drive, write_status
 from nmt_msgs.msg import Drive, Frequency, Level, LockEvent
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
+from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.lock import LoopState
-from nmt_pll.loop import LockWindow, Loop, LoopOutput, PhaseLockedLoop
+from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import paper_parameters, paper_settings_from
 from nmt_pll.settings import (
@@ -75,7 +76,7 @@ class PllNode(BenchNode):
         self.sample_rate = float(self.values["sample_rate"])
         self.block_samples = int(self.values["block_samples"])
         linear = LinearDescription.from_json(text)
-        self.loop: Loop
+        self.loop: LevelLoop
         if self.values["loop"] == "paper":
             self.loop = PaperLoop(linear, paper_settings_from(self.values), self.sample_rate, self.block_samples)
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+import math
 
 import numpy as np
 from numba import njit
@@ -105,4 +106,5 @@ def phase_error(force: complex, response: complex, velocity_lead: float) -> floa
     Returns:
         ε = arg(velocity) − arg(force) in (−π, π]; the loop raises the frequency when it is positive.
     """
-    return cmath.phase(response * force.conjugate() * cmath.rect(1.0, velocity_lead))
+    turned = response * force.conjugate() * cmath.rect(1.0, velocity_lead)
+    return math.atan2(turned.imag, turned.real)  # cmath.phase raises where the result underflows

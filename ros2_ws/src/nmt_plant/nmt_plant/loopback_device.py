@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
+from nmt_core.blocks import FloatArray, Quantity
 
-from .device import Device, DriveCommand, Waveform
-from .limits import LimitGuard
-from .oscillator import Oscillator, check_command
-from .watchdog import DriveWatchdog
+from .guarded_device import ChannelGroup, GuardedDevice, GuardSettings
+from .oscillator import OscillatorBlock
 
 
-class LoopbackDevice(Device):
+class LoopbackDevice(GuardedDevice):
     """Loopback with voltage limit and watchdog.
 
     Args:
@@ -41,114 +39,41 @@ class LoopbackDevice(Device):
         quiet_ramp: float = 0.1,
         point: int = 1,
     ) -> None:
-        super().__init__()
-        self._sample_rate, self._block_samples = float(sample_rate), int(block_samples)
-        self._gain, self._delay, self._limit = newton_per_volt, delay_samples, voltage_limit
-        self._watchdog_blocks, self._ramp, self._point = watchdog_blocks, quiet_ramp, point
+        channels = (
+            (Quantity.FORCE, f"f{point}", point),
+            (Quantity.ACCELERATION, f"a{point}", point),
+            (Quantity.VOLTAGE, "u", 0),
+        )
+        super().__init__(
+            sample_rate,
+            int(block_samples),
+            [
+                ChannelGroup(quantity, quantity.unit, (name,), (at,), slice(row, row + 1))
+                for row, (quantity, name, at) in enumerate(channels)
+            ],
+            GuardSettings({Quantity.VOLTAGE: voltage_limit}, quiet_ramp, watchdog_blocks, quiet_ramp),
+        )
+        self._gain, self._delay = newton_per_volt, delay_samples
         self._prepare()
 
     def _prepare(self) -> None:
-        self._oscillator = Oscillator(self._sample_rate)
-        self._watchdog = DriveWatchdog(self._watchdog_blocks)
-        self._guard = LimitGuard({Quantity.VOLTAGE: self._limit})
-        self._pending: list[DriveCommand] = []
+        super()._prepare()
         self._delayed = np.zeros(self._delay)
-        self._reason = ""
-        self._flags = BlockFlag.NONE
-        self._sample = 0
-
-    @property
-    def sample_rate(self) -> float:
-        """Sample rate, Hz."""
-        return self._sample_rate
-
-    @property
-    def block_samples(self) -> int:
-        """Samples in a block."""
-        return self._block_samples
-
-    @property
-    def next_sample(self) -> int:
-        """Index of the first sample of the next block."""
-        return self._sample
-
-    @property
-    def tripped(self) -> str:
-        """Why the drive was taken to zero and held there; empty if it was not."""
-        return self._reason
 
     @property
     def is_quiet(self) -> bool:
-        """Whether the drive is at zero and stays there without a new command."""
+        """Whether the drive is at zero and no command waits, unless tripped."""
         return self._oscillator.is_quiet and (bool(self._reason) or not self._pending)
 
     def _configure(self) -> None:
         pass
 
-    def _start(self) -> None:
-        self._prepare()
-
-    def _read(self) -> list[SampleBlock]:
-        due = [command for command in self._pending if command.apply_at_sample <= self._sample]
-        self._pending = [command for command in self._pending if command.apply_at_sample > self._sample]
-        if not self._reason:
-            for command in due:
-                self._oscillator.apply(command)
+    def _measure(self, drive: OscillatorBlock) -> FloatArray:
         n = self._block_samples
-        drive = self._oscillator.block(n)
         voltage = drive.voltage[:n]
         line = np.concatenate([self._delayed, voltage])
-        delayed, self._delayed = line[:n], line[n:]
-
-        def block(quantity: Quantity, channel: str, point: int, row: np.ndarray) -> SampleBlock:
-            return SampleBlock(
-                self._sample, self._sample_rate, quantity, quantity.unit, (channel,), (point,),
-                row[None, :].copy(), drive.phase, int(self._flags),
-            )  # fmt: skip
-
-        def blocks() -> list[SampleBlock]:
-            return [
-                block(Quantity.FORCE, f"f{self._point}", self._point, self._gain * delayed),
-                block(Quantity.ACCELERATION, f"a{self._point}", self._point, self._gain * delayed),
-                block(Quantity.VOLTAGE, "u", 0, voltage),
-            ]
-
-        if not self._reason:
-            if self._guard.check(blocks()):
-                self._trip(self._guard.reason, BlockFlag.LIMIT, self._ramp)
-            elif self._watchdog.block(not self._oscillator.is_quiet):
-                missed = self._watchdog.missed
-                self._trip(f"watchdog: no drive command for {missed} blocks", BlockFlag.WATCHDOG, self._ramp)
-        result = blocks()
-        self._sample += n
-        return result
-
-    def _trip(self, reason: str, flag: BlockFlag, ramp: float) -> None:
-        self._reason = reason
-        self._flags |= flag
-        self._oscillator.ramp_to_zero(ramp)
-
-    def _write(self, command: DriveCommand) -> None:
-        if command.waveform != Waveform.OFF:
-            check_command(command, self._sample_rate)
-        self._watchdog.command()
-        self._pending.append(command)
-
-    def _quiet(self, reason: str, ramp: float | None) -> None:
-        if not self._reason:
-            self._trip(reason, BlockFlag.NONE, self._ramp if ramp is None else ramp)
-
-    def _reset(self) -> None:
-        self._oscillator.ramp_to_zero(0.0)
-        self._pending.clear()
-        self._guard.reset()
-        self._watchdog.command()
-        self._reason = ""
-        self._flags = BlockFlag.NONE
-
-    def _stop(self) -> None:
-        self._oscillator.ramp_to_zero(0.0)
-        self._pending.clear()
+        delayed, self._delayed = self._gain * line[:n], line[n:]
+        return np.stack([delayed, delayed, voltage])
 
     def _close(self) -> None:
         pass

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.blocks import BlockFlag, FloatArray, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.blocks import BlockFlag, FloatArray, Quantity
 from nmt_core.errors import BenchError
 
-from .device import Device, DeviceFault, DriveCommand, Waveform
-from .limits import LimitGuard, within_limit
+from .device import DeviceFault, DriveCommand
+from .guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings
+from .limits import within_limit
 from .model.assembly import (
     ElectromechanicalSystem,
     OutputRow,
@@ -23,14 +22,12 @@ from .model.assembly import (
     velocity_output,
 )
 from .model.time_integration import IntegrationError, TimeIntegrator
-from .oscillator import Oscillator, OscillatorBlock, check_command
+from .oscillator import OscillatorBlock
 from .rig import Rig
 from .rig_model import build_system, input_per_volt
 from .sensors import Sensor, SensorChannel
-from .watchdog import DriveWatchdog
 
-# The order in which `tick` works; tests hold it to this.
-TICK_ORDER = ("commands", "measure", "compute", "safety", "actuate", "publish")
+__all__ = ["TICK_ORDER", "SimulatedRig", "rig_sensors", "sensor_output"]
 
 
 def rig_sensors(rig: Rig) -> tuple[Sensor, ...]:
@@ -73,27 +70,14 @@ def sensor_output(system: ElectromechanicalSystem, sensor: Sensor, volts_to_inpu
     return by_point[sensor.quantity](system, sensor.point)
 
 
-_Group = tuple[Quantity, tuple[str, ...], tuple[int, ...], list[int]]
-
-
-class _ChannelGroup(NamedTuple):
-    """The channels of one quantity: one block of them is published."""
-
-    quantity: Quantity
-    unit: str
-    channels: tuple[str, ...]
-    points: tuple[int, ...]
-    rows: slice | list[int]
-
-
-def _channel_groups(sensors: Sequence[Sensor]) -> list[_ChannelGroup]:
+def _channel_groups(sensors: Sequence[Sensor]) -> list[ChannelGroup]:
     groups = []
     for quantity in Quantity:
         rows = [row for row, sensor in enumerate(sensors) if sensor.quantity == quantity]
         if rows:
             together = rows == list(range(rows[0], rows[-1] + 1))
             groups.append(
-                _ChannelGroup(
+                ChannelGroup(
                     quantity,
                     quantity.unit,
                     tuple(sensors[row].channel for row in rows),
@@ -104,7 +88,7 @@ def _channel_groups(sensors: Sequence[Sensor]) -> list[_ChannelGroup]:
     return groups
 
 
-class SimulatedRig(Device):
+class SimulatedRig(GuardedDevice):
     """A rig file brought to life; every `read` integrates one block.
 
     Args:
@@ -112,60 +96,37 @@ class SimulatedRig(Device):
         block_samples: overrides the rig's.
     """
 
-    def __init__(self, rig: Rig, block_samples: int | None = None) -> None:
-        super().__init__()
-        self.rig = rig
-        self._block_samples = block_samples or rig.block_samples
-        self.sensors = rig_sensors(rig)
-        self._sample_rate = float(rig.sample_rate_hz)
-        self._groups = _channel_groups(self.sensors)
-        self._integrator: TimeIntegrator | None = None
-        self._next_sample = 0
-        self._prepare()
+    QUIET_FLAG = BlockFlag.WATCHDOG
 
-    def _prepare(self) -> None:
-        rig = self.rig
-        self._oscillator = Oscillator(rig.sample_rate_hz, rig.seed)
-        self._channels = [SensorChannel(sensor, rig.sample_rate_hz, rig.seed) for sensor in self.sensors]
-        self._plain_sensors = all(channel.plain for channel in self._channels)
-        self._watchdog = DriveWatchdog(rig.watchdog.blocks)
+    def __init__(self, rig: Rig, block_samples: int | None = None) -> None:
+        self.rig = rig
+        self.sensors = rig_sensors(rig)
         limits = {
             Quantity.VOLTAGE: rig.limits.voltage_v,
             Quantity.FORCE: rig.limits.force_n,
             Quantity.ACCELERATION: rig.limits.acceleration_m_s2,
             Quantity.DISPLACEMENT: rig.limits.displacement_m,
         }
-        self._guard = LimitGuard({quantity: limit for quantity, limit in limits.items() if limit is not None})
-        self._pending: list[DriveCommand] = []
-        self._reason = ""
-        self._flags = BlockFlag.NONE
-        self._next_sample = 0
+        super().__init__(
+            rig.sample_rate_hz,
+            block_samples or rig.block_samples,
+            _channel_groups(self.sensors),
+            GuardSettings(
+                {quantity: limit for quantity, limit in limits.items() if limit is not None},
+                rig.limits.ramp_s,
+                rig.watchdog.blocks,
+                rig.watchdog.ramp_s,
+            ),
+            rig.seed,
+        )
+        self._integrator: TimeIntegrator | None = None
+        self._prepare()
 
-    @property
-    def sample_rate(self) -> float:
-        """Sample rate, Hz."""
-        return float(self.rig.sample_rate_hz)
-
-    @property
-    def block_samples(self) -> int:
-        """Samples in a block."""
-        return self._block_samples
-
-    @property
-    def next_sample(self) -> int:
-        """Index of the first sample of the next block."""
-        return self._next_sample
-
-    @property
-    def tripped(self) -> str:
-        """Why the drive was taken to zero and held there; empty if it was not."""
-        return self._reason
-
-    @property
-    def is_quiet(self) -> bool:
-        """Whether the drive is at zero and stays there without a new command."""
-        harmless = all(command.waveform == Waveform.OFF for command in self._pending)
-        return self._oscillator.is_quiet and (bool(self._reason) or harmless)
+    def _prepare(self) -> None:
+        super()._prepare()
+        rig = self.rig
+        self._channels = [SensorChannel(sensor, rig.sample_rate_hz, rig.seed) for sensor in self.sensors]
+        self._plain_sensors = all(channel.plain for channel in self._channels)
 
     @property
     def integrator(self) -> TimeIntegrator:
@@ -190,32 +151,7 @@ class SimulatedRig(Device):
 
     def _start(self) -> None:
         self.integrator.reset()
-        self._prepare()
-
-    def _read(self) -> list[SampleBlock]:
-        return self.tick()
-
-    def tick(self) -> list[SampleBlock]:
-        """One block, in the order of TICK_ORDER; `read` calls it.
-
-        Commands that are due act on this block's drive; a violation seen in it acts from the next one on.
-        """
-        self._take_commands()
-        drive = self._oscillator.block(self._block_samples)
-        true_values = self._measure(drive)
-        recorded, overload = self._compute(true_values)
-        blocks = self._blocks(recorded, drive.phase)
-        self._safety(blocks)
-        self._actuate()
-        return self._publish(blocks, overload)
-
-    def _take_commands(self) -> None:
-        """Apply, in order of arrival, what is due at this block; ignored while tripped."""
-        due = [command for command in self._pending if command.apply_at_sample <= self._next_sample]
-        self._pending = [command for command in self._pending if command.apply_at_sample > self._next_sample]
-        if not self._reason:
-            for command in due:
-                self._oscillator.apply(command)
+        super()._start()
 
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
         try:
@@ -233,80 +169,14 @@ class SimulatedRig(Device):
             overload = overload or over
         return recorded, overload
 
-    def _blocks(self, recorded: FloatArray, phase: OscillatorPhase) -> list[SampleBlock]:
-        return [
-            SampleBlock(
-                self._next_sample,
-                self._sample_rate,
-                group.quantity,
-                group.unit,
-                group.channels,
-                group.points,
-                recorded[group.rows],
-                phase,
+    def _check(self, command: DriveCommand) -> None:
+        super()._check(command)
+        limit = self.rig.limits.voltage_v
+        if limit is not None and command.amplitude > limit:
+            raise BenchError(
+                f"drive amplitude {command.amplitude:g} V is beyond the rig's voltage limit "
+                f"of {limit:g} V; lower the level."
             )
-            for group in self._groups
-        ]
-
-    def _safety(self, blocks: Sequence[SampleBlock]) -> None:
-        if self._reason:
-            return
-        if self._guard.check(blocks):
-            self._trip(self._guard.reason, BlockFlag.LIMIT, self.rig.limits.ramp_s)
-        elif self._watchdog.block(not self._oscillator.is_quiet):
-            self._trip(
-                f"watchdog: no drive command for {self._watchdog.missed} blocks",
-                BlockFlag.WATCHDOG,
-                self.rig.watchdog.ramp_s,
-            )
-
-    def _actuate(self) -> None:
-        """Hand the drive to the output: while tripped it can only go to zero."""
-        if self._reason:
-            self._oscillator.ramp_to_zero(0.0 if self._oscillator.is_quiet else self._quiet_ramp)
-
-    def _publish(self, blocks: Sequence[SampleBlock], overload: bool) -> list[SampleBlock]:
-        flags = int(self._flags | (BlockFlag.OVERLOAD if overload else BlockFlag.NONE))
-        self._next_sample += self._block_samples
-        if not flags:
-            return list(blocks)
-        return [replace(block, flags=flags) for block in blocks]
-
-    def _trip(self, reason: str, flag: BlockFlag, ramp: float) -> None:
-        self._reason = reason
-        self._flags |= flag
-        self._quiet_ramp = ramp
-
-    def _write(self, command: DriveCommand) -> None:
-        # A command the oscillator cannot follow is refused here, where its sender can be told.
-        if command.waveform != Waveform.OFF:
-            check_command(command, self.sample_rate)
-            limit = self.rig.limits.voltage_v
-            if limit is not None and command.amplitude > limit:
-                raise BenchError(
-                    f"drive amplitude {command.amplitude:g} V is beyond the rig's voltage limit "
-                    f"of {limit:g} V; lower the level."
-                )
-        self._watchdog.command()
-        self._pending.append(command)
-
-    def _quiet(self, reason: str, ramp: float | None) -> None:
-        if not self._reason:
-            self._trip(reason, BlockFlag.WATCHDOG, self.rig.limits.ramp_s if ramp is None else ramp)
-        self._oscillator.ramp_to_zero(self._quiet_ramp)
-
-    def _reset(self) -> None:
-        # The tripped drive must be at rest before anybody takes over again.
-        self._oscillator.ramp_to_zero(0.0)
-        self._pending.clear()
-        self._guard.reset()
-        self._watchdog.command()
-        self._reason = ""
-        self._flags = BlockFlag.NONE
-
-    def _stop(self) -> None:
-        self._oscillator.ramp_to_zero(0.0)
-        self._pending.clear()
 
     def _close(self) -> None:
         self._integrator = None

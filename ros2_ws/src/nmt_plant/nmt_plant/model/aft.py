@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numba import njit
@@ -41,6 +42,21 @@ POLYNOMIAL_DEGREE = {
     QUINTIC_SPRING: 5,
 }
 SMOOTH_SAMPLES = {QUADRATIC_DRAG: 1024, TANH_FRICTION: 2048}
+
+LocalTables: TypeAlias = tuple[
+    IntArray,  # orders
+    IntArray,  # offsets
+    FloatArray,  # slope_basis
+    FloatArray,  # jenkins
+    IntArray,  # jenkins_start
+    FloatArray,  # contacts
+    IntArray,  # contacts_start
+    IntArray,  # kinds
+    FloatArray,  # parameters
+    IntArray,  # sampled_start
+    FloatArray,  # values
+    FloatArray,  # slopes
+]
 
 
 @dataclass(frozen=True)
@@ -176,28 +192,13 @@ class LocalForces:
             G (r, size) in N, ∂G/∂w (r, size, size) in N/m, ∂G/∂ω (r, size) in N s.
         """
         result: tuple[FloatArray, FloatArray, FloatArray] = local_forces(
-            np.ascontiguousarray(displacement, dtype=np.float64), angular_frequency, *self.tables
+            np.ascontiguousarray(displacement, dtype=np.float64), angular_frequency, self.tables
         )
         return result
 
     @property
-    def tables(
-        self,
-    ) -> tuple[
-        IntArray,
-        IntArray,
-        FloatArray,
-        FloatArray,
-        IntArray,
-        FloatArray,
-        IntArray,
-        IntArray,
-        FloatArray,
-        IntArray,
-        FloatArray,
-        FloatArray,
-    ]:
-        """Arguments of ``local_forces`` behind displacement and frequency."""
+    def tables(self) -> LocalTables:
+        """What the compiled kernels need to know of the elements; the basis' orders and offsets come first."""
         return (
             self.basis.orders,
             self.basis.offsets,
@@ -235,20 +236,23 @@ class LocalForces:
 def local_forces(
     displacement: FloatArray,
     angular_frequency: float,
-    orders: IntArray,
-    offsets: IntArray,
-    slope_basis: FloatArray,
-    jenkins: FloatArray,
-    jenkins_start: IntArray,
-    contacts: FloatArray,
-    contacts_start: IntArray,
-    kinds: IntArray,
-    parameters: FloatArray,
-    sampled_start: IntArray,
-    values: FloatArray,
-    slopes: FloatArray,
+    tables: LocalTables,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compiled body of ``LocalForces.forces``."""
+    (
+        orders,
+        offsets,
+        slope_basis,
+        jenkins,
+        jenkins_start,
+        contacts,
+        contacts_start,
+        kinds,
+        parameters,
+        sampled_start,
+        values,
+        slopes,
+    ) = tables
     count, size = displacement.shape
     samples = values.shape[0]
     force = np.zeros((count, size))
@@ -296,3 +300,29 @@ def local_forces(
                 for b in range(size):
                     derivative[i, a, b] += projection * stiffness_row[b]
     return force, derivative, frequency_derivative
+
+
+@njit(cache=True)
+def scaled_local_forces(
+    displacement: FloatArray, scale: float, angular_frequency: float, tables: LocalTables
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Local forces of the motion scale · displacement, per scale.
+
+    Args:
+        displacement: (r, size) coefficients of w / scale.
+        scale: m per unit of ``displacement``.
+        angular_frequency: ω, rad/s.
+        tables: ``LocalForces.tables``.
+
+    Returns:
+        G / scale (r, size), and its derivatives with respect to ``displacement`` (r, size, size), ω (r, size)
+        and log10 scale (r, size).
+    """
+    force, derivative, by_frequency = local_forces(displacement * scale, angular_frequency, tables)
+    force /= scale
+    by_frequency /= scale
+    by_scale = -force
+    for i in range(displacement.shape[0]):
+        by_scale[i] += derivative[i] @ displacement[i]
+    by_scale *= np.log(10.0)
+    return force, derivative, by_frequency, by_scale

@@ -19,7 +19,7 @@ from scipy.linalg import eigh
 
 from nmt_core.errors import BenchError
 
-from .aft import LocalForces, local_forces
+from .aft import LocalForces, LocalTables, scaled_local_forces
 from .continuation import Branch, StepControl, follow_branch, solve_at_parameter
 from .fourier_basis import ComplexArray, FloatArray, FourierBasis, IntArray
 from .harmonic_balance import (
@@ -142,7 +142,12 @@ class EpmcProblem:
 
     def __call__(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual (n,) and Jacobian (n, n + 1) at z (n + 1,)."""
-        residual, jacobian, _ = _epmc_residual(
+        residual, jacobian, _ = self._evaluate(z)
+        return residual, jacobian
+
+    def _evaluate(self, z: FloatArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
+        """Residual, Jacobian and modal fundamental η_1 / q (n_modes,) at z."""
+        result: tuple[FloatArray, FloatArray, ComplexArray] = _epmc_residual(
             z,
             self.linear_frequency,
             self.shift,
@@ -153,9 +158,9 @@ class EpmcProblem:
             self.impedance.stiffness,
             self.impedance.diagonal,
             self.basis.fundamental,
-            *self.local.tables,
+            self.local.tables,
         )
-        return residual, jacobian
+        return result
 
     def shapes_at(self, z: FloatArray) -> ComplexArray:
         """Normalised shape harmonics φ̃_n on all degrees of freedom, (n_orders, n), at a solution z."""
@@ -167,19 +172,7 @@ class EpmcProblem:
         shapes = harmonic_responses(
             self.impedance, self.basis, omega, excitation, self.local.directions.T, amplitudes
         )
-        modal = _epmc_residual(
-            z,
-            self.linear_frequency,
-            self.shift,
-            self.retained_mode,
-            self._local_rows,
-            self.impedance.mass,
-            self.impedance.damping,
-            self.impedance.stiffness,
-            self.impedance.diagonal,
-            self.basis.fundamental,
-            *self.local.tables,
-        )[2]
+        _, _, modal = self._evaluate(z)
         shapes[self.basis.fundamental] = self.impedance.shapes @ modal
         return shapes
 
@@ -196,52 +189,21 @@ def _epmc_residual(
     stiffness: FloatArray,
     diagonal: bool,
     fundamental: int,
-    orders: IntArray,
-    offsets: IntArray,
-    slope_basis: FloatArray,
-    jenkins: FloatArray,
-    jenkins_start: IntArray,
-    contacts: FloatArray,
-    contacts_start: IntArray,
-    kinds: IntArray,
-    parameters: FloatArray,
-    sampled_start: IntArray,
-    values: FloatArray,
-    slopes: FloatArray,
+    tables: LocalTables,
 ) -> tuple[FloatArray, FloatArray, ComplexArray]:
     """Residual, Jacobian and modal fundamental η_1 / q of the EPMC problem."""
+    orders, offsets = tables[:2]
     r, modes = local_rows.shape
-    size = values.shape[1]
-    local = r * size
-    unknowns = local + 4
+    unknowns = z.size - 1
+    local = unknowns - 4
+    size = local // r
     q = 10.0 ** z[unknowns]
     omega = z[local + 2] * reference_frequency
     excitation = z[local + 3] * reference_frequency
     a = z[local] + 1j * z[local + 1]
 
     displacement = z[:local].copy().reshape(r, size)
-    force, derivative, by_frequency = local_forces(
-        displacement * q,
-        omega,
-        orders,
-        offsets,
-        slope_basis,
-        jenkins,
-        jenkins_start,
-        contacts,
-        contacts_start,
-        kinds,
-        parameters,
-        sampled_start,
-        values,
-        slopes,
-    )
-    force /= q
-    by_frequency /= q
-    by_scale = -force
-    for i in range(r):
-        by_scale[i] += derivative[i] @ displacement[i]
-    by_scale *= np.log(10.0)
+    force, derivative, by_frequency, by_scale = scaled_local_forces(displacement, q, omega, tables)
 
     inputs = np.zeros((modes, r + 1))
     inputs[:, :r] = local_rows.T

@@ -14,7 +14,7 @@ from numba import njit
 
 from nmt_core.errors import BenchError
 
-from .aft import LocalForces, local_forces
+from .aft import LocalForces, LocalTables, scaled_local_forces
 from .assembly import ElectromechanicalSystem
 from .continuation import Branch, StepControl, follow_branch, solve_at_parameter
 from .fourier_basis import ComplexArray, FloatArray, FourierBasis, IntArray
@@ -135,7 +135,7 @@ class ForcedProblem:
             *self._rows,
             self._feedthrough,
             self.basis.fundamental,
-            *self.local.tables,
+            self.local.tables,
         )
         return result
 
@@ -191,47 +191,16 @@ def _forced_residual(
     acceleration_rows: FloatArray,
     feedthrough: FloatArray,
     fundamental: int,
-    orders: IntArray,
-    offsets: IntArray,
-    slope_basis: FloatArray,
-    jenkins: FloatArray,
-    jenkins_start: IntArray,
-    contacts: FloatArray,
-    contacts_start: IntArray,
-    kinds: IntArray,
-    parameters: FloatArray,
-    sampled_start: IntArray,
-    values: FloatArray,
-    slopes: FloatArray,
+    tables: LocalTables,
 ) -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
     """Compiled body of ``ForcedProblem.evaluate``."""
-    size = values.shape[1]
+    orders, offsets = tables[:2]
     r = inputs.shape[1] - 1
-    local = r * size
+    local = local_unknowns.size
+    size = local // r
     amplitude = compliance * 10.0**log_drive
     displacement = local_unknowns.copy().reshape(r, size)
-    force, derivative, by_frequency = local_forces(
-        displacement * amplitude,
-        omega,
-        orders,
-        offsets,
-        slope_basis,
-        jenkins,
-        jenkins_start,
-        contacts,
-        contacts_start,
-        kinds,
-        parameters,
-        sampled_start,
-        values,
-        slopes,
-    )
-    force /= amplitude
-    by_frequency /= amplitude
-    by_scale = -force
-    for i in range(r):
-        by_scale[i] += derivative[i] @ displacement[i]
-    by_scale *= np.log(10.0)
+    force, derivative, by_frequency, by_scale = scaled_local_forces(displacement, amplitude, omega, tables)
 
     transfer, transfer_by_frequency, transfer_by_excitation = transfer_matrices(
         omega,

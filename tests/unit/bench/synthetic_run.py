@@ -17,7 +17,7 @@ from nmt_bench.report_data import (
     RunReportData,
 )
 from nmt_core.linear_description import LinearDescription
-from nmt_extract.modal_point import ModalPoint, Status
+from nmt_extract.modal_point import MEASURED, ModalPoint, Status
 
 SAMPLE_RATE = 10_000.0
 BLOCK = 200
@@ -171,26 +171,8 @@ def synthetic_run(
     )
 
 
-_NAMES = (
-    "frequency_hz",
-    "omega_rad_s",
-    "damping_ratio",
-    "modal_amplitude",
-    "self_excitation",
-    "force_n",
-    "active_power",
-    "apparent_power",
-    "pbmif",
-    "gamma_force",
-    "gamma_acceleration",
-    "mac",
-    "phase_error",
-    "hysteresis_damping",
-)
-
-
 def _values(value: float) -> dict[str, float]:
-    return {key: value for name in _NAMES for key in (name, f"{name}_std")}
+    return {key: value for name in MEASURED for key in (name, f"{name}_std")}
 
 
 def _point(

@@ -20,7 +20,7 @@ from nmt_extract.harmonics import (
     whole_period_bounds,
 )
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
-from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns, rejected_point
+from nmt_extract.modal_point import EVALUATED, ModalPoint, Status, bench_time_ns, rejected_point
 from nmt_extract.power_balance import BalancedMode, balance, part_count
 from nmt_extract.settings import ExtractionSettings
 from nmt_extract.sine_fit import fit_frequency
@@ -299,22 +299,7 @@ class _Evaluation:
             linear.shape_matrix,
             linear.target_mode,
         )
-        measured = {
-            name: getattr(values, name)
-            for name in (
-                "damping_ratio",
-                "modal_amplitude",
-                "self_excitation",
-                "force_n",
-                "active_power",
-                "apparent_power",
-                "pbmif",
-                "gamma_force",
-                "gamma_acceleration",
-                "mac",
-                "phase_error",
-            )
-        }
+        measured = {name: getattr(values, name) for name in EVALUATED}
         if self.settings.hysteresis is not None:
             measured["hysteresis_damping"] = self._hysteresis(self.settings.hysteresis, omega, force)
         fields = {name: float(value[0]) for name, value in measured.items()}

@@ -22,9 +22,7 @@ class Status(IntEnum):
     NOT_LOCKED = 3
 
 
-MEASURED = (
-    "frequency_hz",
-    "omega_rad_s",
+EVALUATED = (
     "damping_ratio",
     "modal_amplitude",
     "self_excitation",
@@ -36,8 +34,10 @@ MEASURED = (
     "gamma_acceleration",
     "mac",
     "phase_error",
-    "hysteresis_damping",
 )
+"""Names of the quantities that ``modal_quantities`` evaluates for the window and for each of its parts."""
+
+MEASURED = ("frequency_hz", "omega_rad_s", *EVALUATED, "hysteresis_damping")
 """Names of the measured quantities; each has a companion ``<name>_std``."""
 
 COMPLEX = ("force_harmonics", "shape_harmonics", "normalised_shape", "participation")

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from nmt_bench.bench_domain import BenchDomain
 from nmt_bench.shared_memory import remove_dead_segments
@@ -24,6 +25,12 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 _LOG_FOLDER = pytest.StashKey[str]()
+
+
+# The same examples every time where a failure would stop everybody; new ones on one's own machine.
+settings.register_profile("ci", derandomize=True, deadline=None)
+if os.environ.get("CI"):
+    settings.load_profile("ci")
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -240,3 +241,22 @@ def load_rig_text(text: str, path: Path) -> Path:
     values["local_elements"] = [{k: v for k, v in e.items() if v is not None} for e in values["local_elements"]]
     path.write_text(yaml.safe_dump(values), encoding="utf-8")
     return path
+
+
+def test_a_full_disk_ends_the_run_and_keeps_what_was_recorded(tmp_path: Path) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with Bench("beam", [0.3] * 5, out=tmp_path / "out", window_periods=100) as bench:
+        writer = bench.nodes["recorder"].writer
+
+        def fill_the_disk(progress: Progress) -> None:
+            if progress.state == LOCKED:
+                writer._mcap.flush = full
+
+        result = bench.run(fill_the_disk)
+    assert result.code == ResultCode.NODE_LOST
+    assert result.bag_state == "failed"
+    assert "recorder reports" in result.message
+    assert "No space left on device" in result.message
+    assert len(list(Bag.open(tmp_path / "out" / "bag").blocks("force"))) > 10

@@ -143,10 +143,10 @@ def run(arguments: argparse.Namespace) -> int:
     with _terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
         result = _measure(bench, console, arguments.quiet)
         reference = _reference(arguments.reference, bench, result)
-        _write_results(result, bench, folder, reference)
-    _summarise(result, bench, reference, console, folder)
+        unwritten = _write_results(result, bench, folder, reference)
+    _summarise(result, bench, reference, console, folder, unwritten)
     sys.stdout.flush()
-    return _exit_code(result)
+    return EXIT_FAILED if unwritten and not result.interrupted else _exit_code(result)
 
 
 def _levels(arguments: argparse.Namespace) -> list[float] | str | None:
@@ -203,7 +203,8 @@ def _reference(choice: str | None, bench: Bench, result: RunResult) -> Reference
     )
 
 
-def _write_results(result: RunResult, bench: Bench, folder: Path, reference: ReferenceCurve | None) -> None:
+def _write_results(result: RunResult, bench: Bench, folder: Path, reference: ReferenceCurve | None) -> str:
+    """Write tables and report; what could not be written, as a sentence: the measurement is not to be lost for it."""
     from nmt_bench.report import list_files, report_data_from_bag, write_report
     from nmt_extract.modal_table import write_results
 
@@ -215,16 +216,29 @@ def _write_results(result: RunResult, bench: Bench, folder: Path, reference: Ref
         "result": result.code.name,
         "message": result.message,
     }
-    if result.points:
-        write_results(result.points, folder, inputs)
-    if result.bag is not None and result.bag.exists():
-        data = report_data_from_bag(result.bag, list(result.points) or None, reference)
-        data.files = list_files(folder)
-        write_report(data, folder / "report.html")
+    try:
+        if result.points:
+            write_results(result.points, folder, inputs)
+        if result.bag is not None and result.bag.exists():
+            data = report_data_from_bag(result.bag, list(result.points) or None, reference)
+            data.files = list_files(folder)
+            write_report(data, folder / "report.html")
+    except (OSError, BenchError) as error:
+        why = error.strerror.lower() if isinstance(error, OSError) and error.strerror else str(error).rstrip(".")
+        return (
+            f"The results could not all be written ({why}); what was recorded is in {folder / 'bag'}: "
+            f"make room and run './nmt extract {folder} --out DIR'."
+        )
+    return ""
 
 
 def _summarise(
-    result: RunResult, bench: Bench, reference: ReferenceCurve | None, console: Any, folder: Path
+    result: RunResult,
+    bench: Bench,
+    reference: ReferenceCurve | None,
+    console: Any,
+    folder: Path,
+    unwritten: str,
 ) -> None:
     from nmt_bench.terminal import print_modal_table
     from nmt_sequencer.run_machine import ResultCode
@@ -242,7 +256,10 @@ def _summarise(
         )
     for line in result.remarks:
         console.print(line, markup=False)
-    console.print(f"Report: {(folder / 'report.html').resolve()}", markup=False, soft_wrap=True)
+    if unwritten:
+        console.print(unwritten, style="red", markup=False, soft_wrap=True)
+    if (folder / "report.html").exists():
+        console.print(f"Report: {(folder / 'report.html').resolve()}", markup=False, soft_wrap=True)
 
 
 def _exit_code(result: RunResult) -> int:

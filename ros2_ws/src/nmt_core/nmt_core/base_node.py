@@ -92,6 +92,7 @@ class BenchNode(Node):  # type: ignore[misc]
         silence: Any = self.values["silence_timeout"]
         self._silence_timeout = float(silence)
         self._heard: dict[str, tuple[float, str]] = {}
+        self._failures: dict[str, str] = {}
         if self.watched_nodes:
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -146,6 +147,8 @@ class BenchNode(Node):  # type: ignore[misc]
         now = time.monotonic()
         for status in message.status:
             self._heard[status.name] = (now, status.message)
+            if status.level == DiagnosticStatus.ERROR and status.name in self.watched_nodes:
+                self._failures[status.name] = status.message
 
     def unready_nodes(self) -> dict[str, str]:
         """Watched nodes that have not called themselves ready, each with what it waits for."""
@@ -156,6 +159,10 @@ class BenchNode(Node):  # type: ignore[misc]
         """A watched node that was heard once and has fallen silent; empty if none."""
         limit = time.monotonic() - self._silence_timeout
         return next((n for n in self.watched_nodes if n in self._heard and self._heard[n][0] < limit), "")
+
+    def failed_node(self) -> tuple[str, str]:
+        """A watched node that reports an error, and its words; empty if none does."""
+        return next(iter(self._failures.items()), ("", ""))
 
     def _beat(self) -> None:
         missing = self.missing_peers()

@@ -293,6 +293,9 @@ class SequencerNode(BenchNode):
             silent = self.silent_node()
             if silent:
                 machine.stop(ResultCode.NODE_LOST, f"Node {silent} has fallen silent.")
+            failed, words = self.failed_node()
+            if failed:
+                machine.stop(ResultCode.NODE_LOST, f"Node {failed} reports: {words.rstrip('.')}.")
             if machine.phase == RunPhase.STOPPING or machine.stop_request is not None:
                 self._stopping_since = self._stopping_since or now
                 limit = _QUIET_TIMEOUT + (0.0 if machine.pacing.lockstep else machine.pacing.quiet_ramp + 1.0)

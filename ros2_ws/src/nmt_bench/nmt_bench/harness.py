@@ -54,6 +54,7 @@ from nmt_sequencer.run_machine import ResultCode
 
 START_TIMEOUT = 60.0
 _POLL = 0.02
+_LAST_WRITES = 0.5  # s that the recorder gets for what is on its way to it
 
 
 @dataclass(frozen=True)
@@ -417,6 +418,7 @@ class Bench:
         if lost == "sequencer" and self.processes is not None:
             # Nobody tells the recorder that the run is over: wait for the plant's own ramp, then end all nodes.
             self._spin_while(lambda: not self.client.drive_is_at_zero, 10.0)
+            self.spin(_LAST_WRITES)
             self.processes.end()
             return "closed" if (self.out / "bag" / "metadata.yaml").exists() else "open"
         self._spin_while(lambda: self.client.bag_state not in ("closed", "failed"), 10.0)

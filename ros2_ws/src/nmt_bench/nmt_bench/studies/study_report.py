@@ -36,10 +36,11 @@ def study_page(
         else ""
     )
     bench = sum(result["run"]["bench_time_s"] for result in results)
+    noun = "test" if len(results) == 1 else "tests"
     head = (
         f'<header>\n<p class="kicker">Study {escape(name)}</p>\n<h1>{escape(title)}</h1>\n'
-        f'<p class="subtitle">{len(results)} tests of the virtual beam through the bench’s nodes, {duration(bench)} of '
-        "bench time</p>\n" + notice + _links(sections) + "</header>\n"
+        f'<p class="subtitle">{len(results)} {noun} of the virtual beam through the bench’s nodes, '
+        f"{duration(bench)} of bench time</p>\n" + notice + _links(sections) + "</header>\n"
     )
     return html_page(f"{title}: study", head, sections)
 

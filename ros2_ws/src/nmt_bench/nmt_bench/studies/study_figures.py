@@ -147,9 +147,9 @@ def error_figures(prefix: str, results: Sequence[Result], rows: Callable[[Result
         log_q(axes, q_all)
     handles, labels = panels[0][0].get_legend_handles_labels()
     # As many columns as the longest label leaves room for.
-    columns = max(1, min(4, 90 // (max(map(len, labels), default=1) + 5)))
-    figure.subplots_adjust(bottom=0.12 + 0.035 * math.ceil(len(labels) / columns))
-    figure.legend(handles, labels, loc="lower center", ncols=columns)
+    legend_columns = max(1, min(4, 90 // (max(map(len, labels), default=1) + 5)))
+    figure.subplots_adjust(bottom=0.12 + 0.035 * math.ceil(len(labels) / legend_columns))
+    figure.legend(handles, labels, loc="lower center", ncols=legend_columns)
     caption = (
         "Relative errors at each level. Left: distance to the single-point reference at the same drive voltage, "
         "the error of the test (dashed: 0.1 % and 2 %). Right: distance to EPMC at the same <i>q</i>, the error of "

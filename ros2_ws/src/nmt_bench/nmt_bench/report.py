@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 from nmt_bench.report_data import FileEntry, ReferenceCurve, RunReportData, read_reference
 from nmt_bench.report_from_bag import report_data_from_bag
 from nmt_bench.report_svg import ReportFigure, figure_style
+from nmt_core.whole_file import write_whole
 
 __all__ = [
     "FileEntry",
@@ -37,16 +36,7 @@ def write_report(data: RunReportData, path: Path | str) -> Path:
         The path written.
     """
     path = Path(path)
-    text = report_html(data)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    write_whole(path, report_html(data))
     return path
 
 

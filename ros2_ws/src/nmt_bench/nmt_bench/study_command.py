@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from nmt_bench.studies import STUDIES
 from nmt_core.errors import BenchError
+from nmt_core.whole_file import write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -88,7 +89,7 @@ def _cores() -> int:
 
 
 def _run_all(arguments: argparse.Namespace, jobs: int, console: Any) -> bool:
-    from nmt_bench.studies.case_store import CaseStore, write_whole
+    from nmt_bench.studies.case_store import CaseStore
     from nmt_bench.studies.study_report import index_page
     from nmt_bench.studies.study_table import csv_text
 
@@ -109,7 +110,7 @@ def _run_study(
     name: str, folder: Path, arguments: argparse.Namespace, jobs: int, console: Any
 ) -> tuple[bool, str, list[SummaryRow], Sequence[Finding], list[Any]]:
     from nmt_bench.report_svg import figure_style
-    from nmt_bench.studies.case_store import CaseStore, write_whole
+    from nmt_bench.studies.case_store import CaseStore
     from nmt_bench.studies.study_report import study_page
     from nmt_bench.studies.study_runner import load_study, run_cases
     from nmt_bench.studies.study_table import csv_text, level_rows, summary_row

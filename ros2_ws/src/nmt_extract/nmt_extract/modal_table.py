@@ -10,8 +10,6 @@ import csv
 import io
 import json
 import math
-import os
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -20,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.whole_file import write_whole
 from nmt_extract.harmonics import ComplexArray
 from nmt_extract.modal_point import COMPLEX, ModalPoint, Status
 
@@ -186,20 +185,9 @@ def _read(path: Path) -> str:
 
 def _write_whole(path: Path, text: str) -> None:
     """Write a file completely or not at all."""
-    temporary = ""
     try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
+        write_whole(path, text)
     except OSError as error:
-        if temporary:
-            Path(temporary).unlink(missing_ok=True)
         raise BenchError(
             f"{path} cannot be written: {error.strerror}; check the folder and the free space."
         ) from error

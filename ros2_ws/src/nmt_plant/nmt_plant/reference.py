@@ -9,8 +9,6 @@ exciter and these sensors would measure: distance to it is the error of the test
 
 from __future__ import annotations
 
-import contextlib
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +18,7 @@ from numpy.typing import NDArray
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.whole_file import write_whole
 
 from .model.continuation import StepControl
 from .model.epmc import EpmcBackbone, epmc_backbone
@@ -250,14 +249,10 @@ def write_reference_csv(reference: Reference, path: str | Path) -> Path:
     target = Path(path)
     rows = np.column_stack([getattr(reference, column) for column in REFERENCE_COLUMNS])
     lines = [",".join(REFERENCE_COLUMNS), *(",".join(f"{value:.12g}" for value in row) for row in rows)]
-    partial = target.with_name(target.name + ".partial")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        os.replace(partial, target)
+        write_whole(target, "\n".join(lines) + "\n")
     except OSError as failure:
-        with contextlib.suppress(OSError):
-            partial.unlink()
         raise BenchError(
             f"cannot write {target}: {failure.strerror}; choose another output folder."
         ) from failure

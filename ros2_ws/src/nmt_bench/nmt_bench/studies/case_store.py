@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from nmt_bench.studies.case import StudyCase
 from nmt_core.errors import BenchError
+from nmt_core.whole_file import write_whole
 
 FORMAT = "nmt study case 1"
 _MARKER = "study.json"
@@ -80,19 +79,6 @@ class CaseStore:
 
     def _path(self, case: StudyCase) -> Path:
         return self._cases / f"{case.name}.json"
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file; it is whole or not there."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 def _read_json(path: Path) -> dict[str, Any]:

@@ -1,19 +1,22 @@
-"""What the phase-locked loops of the bench share: levels to work on, the answer to a block, how they are stopped."""
+"""What the loops of the bench share: levels to work on, the answer to a block, how they are stopped."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from nmt_core.blocks import BlockFlag, FloatArray, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.test_kind import TestKind
 from nmt_pll.lock import LockStateMachine, LoopState, Transition
 from nmt_pll.settings import LevelCommand
+
+WAVEFORM_SINE, WAVEFORM_RANDOM, WAVEFORM_SWEEP = 2, 3, 4
+"""Waveforms of the drive; values as in ``nmt_msgs/Drive``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,11 @@ class LoopOutput(NamedTuple):
         level: level worked on, None before the first.
         lock: set with the block in which lock was confirmed.
         transition: set with the block in which the state changed.
+        flags: flags of the blocks.
+        waveform: of the drive while its amplitude is not zero; as in ``nmt_msgs/Drive``.
+        rate_hz_s: SWEEP: rate of the frequency from the next block on, Hz/s.
+        frequency_end_hz: SWEEP: where it ends, Hz.
+        band_low_hz, band_high_hz: RANDOM: band of the noise, Hz.
     """
 
     last_sample: int
@@ -57,13 +65,18 @@ class LoopOutput(NamedTuple):
     lock: LockWindow | None
     transition: Transition | None
     flags: int
+    waveform: int = WAVEFORM_SINE
+    rate_hz_s: float = 0.0
+    frequency_end_hz: float = 0.0
+    band_low_hz: float = 0.0
+    band_high_hz: float = 0.0
 
 
 class LevelLoop(ABC):
-    """A phase-locked loop that works through levels, one block at a time.
+    """A loop that works through levels, one block at a time.
 
     Args:
-        linear: linear description of the rig.
+        drive_point: measurement point of the exciter.
         sample_rate: Hz.
         block_samples: samples a block.
         quiet_ramp: half-cosine to zero after a lost lock, s.
@@ -73,10 +86,11 @@ class LevelLoop(ABC):
         newest_sequence: sequence number of the newest level received.
     """
 
-    def __init__(
-        self, linear: LinearDescription, sample_rate: float, block_samples: int, quiet_ramp: float
-    ) -> None:
-        self.linear = linear
+    KINDS: ClassVar[tuple[TestKind, ...]] = (TestKind.PHASE_RESONANCE,)
+    """Kinds of test the loop can do."""
+
+    def __init__(self, drive_point: int, sample_rate: float, block_samples: int, quiet_ramp: float) -> None:
+        self.drive_point = drive_point
         self.sample_rate = sample_rate
         self.block_duration = block_samples / sample_rate
         self.machine = LockStateMachine()
@@ -94,8 +108,10 @@ class LevelLoop(ABC):
         """Take a level to be worked on from its ``apply_at_sample`` on.
 
         Raises:
-            BenchError: amplitude, ramp or control are not usable.
+            BenchError: test kind, amplitude, ramp or control are not usable.
         """
+        if level.test not in self.KINDS:
+            raise BenchError(f"Level {level.index}: this loop has no {level.test.label} test.")
         if not (math.isfinite(level.amplitude) and level.amplitude >= 0):
             raise BenchError(f"Level {level.index}: the amplitude must be finite and >= 0, got {level.amplitude}.")
         if not (math.isfinite(level.ramp) and level.ramp >= 0):
@@ -156,10 +172,10 @@ class LevelLoop(ABC):
         if len(block.points) == 1:
             return 0
         try:
-            return block.points.index(self.linear.drive_point)
+            return block.points.index(self.drive_point)
         except ValueError:
             raise ValueError(
-                f"no {block.quantity.topic} channel at the drive point {self.linear.drive_point}"
+                f"no {block.quantity.topic} channel at the drive point {self.drive_point}"
             ) from None
 
     def _stopped_from_outside(self, flags: int) -> str:

@@ -37,7 +37,8 @@ class PhaseLockedLoop(LevelLoop):
     def __init__(
         self, linear: LinearDescription, settings: LoopSettings, sample_rate: float, block_samples: int
     ) -> None:
-        super().__init__(linear, sample_rate, block_samples, settings.quiet_ramp)
+        super().__init__(linear.drive_point, sample_rate, block_samples, settings.quiet_ramp)
+        self.linear = linear
         self.settings = settings
         self.cutoff = settings.resolved_cutoff(linear)
         self.filter = AdaptiveFourierFilter(2, settings.harmonics, self.cutoff, sample_rate)

@@ -105,7 +105,8 @@ class PaperLoop(LevelLoop):
     def __init__(
         self, linear: LinearDescription, settings: PaperSettings, sample_rate: float, block_samples: int
     ) -> None:
-        super().__init__(linear, sample_rate, block_samples, settings.quiet_ramp)
+        super().__init__(linear.drive_point, sample_rate, block_samples, settings.quiet_ramp)
+        self.linear = linear
         self.settings = settings
         self.centre = settings.centre_frequency(linear)
         self.frequency = self.centre

@@ -9,6 +9,7 @@ from typing import Any
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import Parameter
+from nmt_core.test_kind import TestKind
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,11 @@ class LoopSettings:
 
 @dataclass(frozen=True, slots=True)
 class LevelCommand:
-    """One level for the loop to work on; fields as in ``nmt_msgs/Level``."""
+    """One level for the loop to work on; fields as in ``nmt_msgs/Level``.
+
+    ``amplitude`` of a RANDOM test is the rms of the voltage (V); ``duration`` (s) is the length of its window, of
+    RING_DOWN that of the free decay; ``frequency_hz`` is the start of a SWEEP that goes to ``frequency_end_hz``.
+    """
 
     sequence: int
     index: int
@@ -90,6 +95,12 @@ class LevelCommand:
     frequency_hz: float = 0.0
     window_periods: int = 0
     timeout: float = 0.0
+    test: TestKind = TestKind.PHASE_RESONANCE
+    band_low_hz: float = 0.0
+    band_high_hz: float = 0.0
+    rate_hz_s: float = 0.0
+    frequency_end_hz: float = 0.0
+    duration: float = 0.0
 
 
 CONTROL_VOLTAGE, CONTROL_RESPONSE, CONTROL_FORCE = 1, 2, 3

@@ -98,6 +98,19 @@ class JenkinsSection(ElementSection):
     slip_force_n: Positive
 
 
+class IwanSection(ElementSection):
+    """Joint with micro-slip: a distribution of Jenkins elements side by side (see model/iwan.py)."""
+
+    kind: Literal["iwan"]
+    tangential_stiffness_n_m: Positive
+    slip_force_n: Positive
+    exponent: Annotated[float, Field(gt=-1)] = 0.0
+    stiffness_ratio: NotNegative = 0.0
+    onset_ratio: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    sliders: Annotated[int, Field(ge=1, le=200)] = 12
+    remaining_stiffness_n_m: NotNegative = 0.0
+
+
 class CubicSpringSection(ElementSection):
     """g = k3 w³."""
 
@@ -166,6 +179,7 @@ class TanhFrictionSection(ElementSection):
 
 AnyElement = Annotated[
     JenkinsSection
+    | IwanSection
     | CubicSpringSection
     | QuinticSpringSection
     | QuadraticSpringSection

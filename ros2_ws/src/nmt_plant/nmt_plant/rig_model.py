@@ -5,6 +5,7 @@ from __future__ import annotations
 from .model.assembly import ElectromechanicalSystem, assemble
 from .model.beam import euler_bernoulli_cantilever
 from .model.chain import lumped_chain
+from .model.iwan import IwanJoint
 from .model.local_elements import (
     CubicSpring,
     Jenkins,
@@ -24,6 +25,7 @@ from .rig import (
     BeamSection,
     CubicSpringSection,
     ElementSection,
+    IwanSection,
     JenkinsSection,
     LinearDamperSection,
     LinearSpringSection,
@@ -57,7 +59,7 @@ def build_structure(rig: Rig) -> Structure:
 
 
 def build_element(section: ElementSection, structure: Structure) -> LocalElement:
-    """Local element of one section of a rig file.
+    """Local element of one section of a rig file that stands for one element.
 
     Raises:
         KeyError: the structure has no such point.
@@ -88,8 +90,27 @@ def build_element(section: ElementSection, structure: Structure) -> LocalElement
 
 
 def build_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:
-    """Local elements of a rig, on the degrees of freedom of its structure."""
-    return tuple(build_element(section, structure) for section in rig.local_elements)
+    """Local elements of a rig, on the degrees of freedom of its structure; an Iwan joint becomes its sliders."""
+    elements: list[LocalElement] = []
+    for section in rig.local_elements:
+        if isinstance(section, IwanSection):
+            elements.extend(build_iwan(section).elements(structure.direction(section.point, section.other_point)))
+        else:
+            elements.append(build_element(section, structure))
+    return tuple(elements)
+
+
+def build_iwan(section: IwanSection) -> IwanJoint:
+    """Iwan joint of one section of a rig file."""
+    return IwanJoint(
+        section.tangential_stiffness_n_m,
+        section.slip_force_n,
+        section.exponent,
+        section.stiffness_ratio,
+        section.onset_ratio,
+        section.sliders,
+        section.remaining_stiffness_n_m,
+    )
 
 
 def build_shaker(rig: Rig) -> ElectrodynamicShaker | None:

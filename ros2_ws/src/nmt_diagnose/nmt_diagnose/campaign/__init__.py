@@ -1,0 +1,1 @@
+"""Runs the diagnosis over sealed cases and scores it."""

@@ -1,0 +1,1 @@
+"""The library of effects: one small module each."""

@@ -1,0 +1,1 @@
+"""What a real side tells: tests, observables and their uncertainty."""

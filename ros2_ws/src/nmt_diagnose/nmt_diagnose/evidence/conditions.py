@@ -1,0 +1,163 @@
+"""Under which conditions a piece of evidence was recorded: all that a model needs to predict it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_core.blocks import FloatArray, Quantity
+
+
+@dataclass(frozen=True)
+class MeasuredChannel:
+    """A recorded channel.
+
+    Attributes:
+        name: channel name, for example ``f2``, ``x4``, ``a2``, ``u``.
+        quantity: what it measures.
+        point: measurement point, 0 for voltage and current.
+    """
+
+    name: str
+    quantity: Quantity
+    point: int
+
+
+@dataclass(frozen=True)
+class LockedLevel:
+    """One locked window.
+
+    Attributes:
+        index: level number in its plan.
+        drive: commanded drive voltage, V peak; its phase is the zero of all phases. NaN where it is not known.
+        phase_error: measured arg F₁ − arg(iωψ_k,1) at the drive point, rad: where the loop stood; an input of the
+            model.
+        phase_error_std: its standard uncertainty, rad.
+        frequency_hz: measured excitation frequency, Hz (start of the solution).
+        start_s, stop_s: window on the clock of its bag, s.
+        cycles_before: excitation periods since the start of the bag until the middle of the window.
+        direction: +1 while the level rises, −1 while it falls.
+    """
+
+    index: int
+    drive: float
+    phase_error: float
+    phase_error_std: float
+    frequency_hz: float
+    start_s: float
+    stop_s: float
+    cycles_before: float
+    direction: int
+
+
+@dataclass(frozen=True)
+class PhaseResonanceTest:
+    """Locked windows of one run.
+
+    Attributes:
+        name: unique name of the test.
+        drive_point: measurement point of the exciter.
+        response_channel: channel whose phase the loop controlled.
+        channels: all recorded channels with harmonics.
+        harmonics: highest order among the observables.
+        held: ``voltage`` (drive known), or ``force`` (drive unknown, |F₁| taken as the given amplitude).
+        levels: the windows, in time.
+    """
+
+    name: str
+    drive_point: int
+    response_channel: str
+    channels: tuple[MeasuredChannel, ...]
+    harmonics: int
+    held: str
+    levels: tuple[LockedLevel, ...]
+
+
+@dataclass(frozen=True)
+class RandomTest:
+    """Frequency responses of a low-level random test, referred to the voltage (or, without one, to the force).
+
+    Attributes:
+        name: unique name.
+        drive_point: measurement point of the exciter.
+        channels: response channels, in the order of the observables.
+        reference: ``voltage`` or ``force``.
+        lines_hz: frequency lines that became observables, Hz, shape (lines,).
+        resolution_hz: spacing of the lines of the estimator, Hz.
+        window: ``hann``: the expected estimate at a line is the response averaged over the neighbouring lines with the
+            weights of |W|² (1/6, 2/3, 1/6 in spacings of ``resolution_hz``).
+        drive_rms: rms of the reference, V or N.
+        start_s, stop_s: on the clock of its bag, s.
+    """
+
+    name: str
+    drive_point: int
+    channels: tuple[MeasuredChannel, ...]
+    reference: str
+    lines_hz: FloatArray
+    resolution_hz: float
+    window: str
+    drive_rms: float
+    start_s: float
+    stop_s: float
+
+
+@dataclass(frozen=True)
+class RingDownTest:
+    """Free decay after switch-off: frequency and decay rate of the drive-point response over its amplitude.
+
+    Attributes:
+        name: unique name.
+        drive_point: measurement point of the exciter (it stays attached, at zero volts).
+        channel: response channel.
+        amplitudes: fundamental amplitude in the channel's unit at which the observables stand, shape (k,), falling.
+        start_frequency_hz: Hz.
+    """
+
+    name: str
+    drive_point: int
+    channel: MeasuredChannel
+    amplitudes: FloatArray
+    start_frequency_hz: float
+
+
+@dataclass(frozen=True)
+class RecordTest:
+    """Any excitation: the model is driven by the measured input.
+
+    Attributes:
+        name: unique name.
+        drive_point: measurement point of the exciter.
+        sample_rate: Hz.
+        input_channel: measured input (voltage, or force).
+        input: samples, shape (n,), V or N, mean removed if the rig's input is not meant to have one.
+        channels: response channels, in the order of the observables.
+        segment_bounds: first sample of each scored segment and the end of the last, shape (segments + 1,).
+    """
+
+    name: str
+    drive_point: int
+    sample_rate: float
+    input_channel: MeasuredChannel
+    input: FloatArray
+    channels: tuple[MeasuredChannel, ...]
+    segment_bounds: FloatArray
+
+
+@dataclass(frozen=True)
+class BackboneTable:
+    """A backbone reduced by someone else: frequency (and damping ratio) over response amplitude at the drive point.
+
+    Attributes:
+        name: unique name.
+        drive_point: measurement point of the exciter.
+        channel: response channel of the amplitudes.
+        amplitudes: shape (k,).
+    """
+
+    name: str
+    drive_point: int
+    channel: MeasuredChannel
+    amplitudes: FloatArray
+
+
+Test = PhaseResonanceTest | RandomTest | RingDownTest | RecordTest | BackboneTable

@@ -1,0 +1,1 @@
+"""From residuals to a verdict: calibration, candidates, places, confidence."""

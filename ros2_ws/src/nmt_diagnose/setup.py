@@ -1,0 +1,18 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="nmt_diagnose",
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/nmt_diagnose"]),
+        ("share/nmt_diagnose", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="nmt developers",
+    maintainer_email="nmt@example.org",
+    description="The gap between a rig and its model: where it lies, which effect causes it, how far it shrinks",
+    license="Apache-2.0",
+)

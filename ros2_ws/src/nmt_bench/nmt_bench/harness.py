@@ -44,6 +44,7 @@ from nmt_bench.shared_memory import remove_dead_segments
 from nmt_core.base_node import STATE_QOS, calm_collector
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_core.test_kind import TestKind
 from nmt_extract.conversions import modal_point_from_message
 from nmt_extract.modal_point import ModalPoint
 from nmt_msgs.action import RunLevels
@@ -126,6 +127,8 @@ class Bench:
         node_values: further parameters by node name.
         control: what the levels are: ``voltage`` (V), ``response`` (m or m/s²) or ``force`` (N).
         strategy: ``stepped`` or ``ramp``, see :class:`nmt_bench.node_plan.TestPlan`.
+        test, frequencies_hz, band_hz, rate_hz_s, frequency_end_hz, duration: kind of test and its settings, see there.
+            A stepped sine with several frequencies and one level is run at that level at each of them.
 
     Raises:
         BenchError: the rig, the levels or a setting is refused; nothing has been started then.
@@ -153,6 +156,12 @@ class Bench:
         node_values: Mapping[str, Mapping[str, Any]] | None = None,
         control: str = "voltage",
         strategy: str = "stepped",
+        test: str = "phase_resonance",
+        frequencies_hz: Sequence[float] = (),
+        band_hz: tuple[float, float] | None = None,
+        rate_hz_s: float = 0.0,
+        frequency_end_hz: float = 0.0,
+        duration: float = 0.0,
     ) -> None:
         changes = list(overrides)
         if exciter is not None:
@@ -170,11 +179,18 @@ class Bench:
             raise BenchError(
                 f"Levels of {control} are needed: those of rig {self.rig.name} are voltages; give --levels."
             )
+        kind = TestKind.named(test)
+        if levels is None and not kind.closes_phase_loop:
+            label = kind.label.replace("_", " ")
+            raise BenchError(f"A {label} test needs levels: those of rig {self.rig.name} are for phase resonance.")
         plan = self.rig.test.levels if levels is None else levels
+        amplitudes = tuple(parse_levels(plan) if isinstance(plan, str) else plan)
+        if kind is TestKind.STEPPED_SINE and len(amplitudes) == 1:
+            amplitudes *= max(1, len(frequencies_hz))
         self.test = TestPlan(
             rig=self.rig,
             rig_yaml=text,
-            levels=tuple(parse_levels(plan) if isinstance(plan, str) else plan),
+            levels=amplitudes,
             run_id=run_id or time.strftime(f"{self.rig.name}-%Y%m%d-%H%M%S"),
             pacing=pacing,
             latency_blocks=latency_blocks,
@@ -186,6 +202,12 @@ class Bench:
             node_values=node_values or {},
             control=control,
             strategy=strategy,
+            test=test,
+            frequencies_hz=tuple(frequencies_hz),
+            band_hz=band_hz,
+            rate_hz_s=rate_hz_s,
+            frequency_end_hz=frequency_end_hz,
+            duration=duration,
         )
         self.use_processes = processes
         self._out = Path(out) if out is not None else None

@@ -15,7 +15,10 @@ import yaml
 
 from nmt_core.blocks import SAMPLE_TOPICS, Quantity
 from nmt_core.errors import BenchError
+from nmt_core.excitation import Excitation
 from nmt_core.linear_description import LinearDescription
+from nmt_core.test_kind import TestKind
+from nmt_extract.hysteresis import HysteresisLayout
 from nmt_extract.settings import ExtractionSettings
 from nmt_plant.linear_description import linear_description
 from nmt_plant.rig import Rig
@@ -33,6 +36,9 @@ RAMP_WINDOW = 20
 """Whole periods of a window of the strategy ``ramp`` unless the test says otherwise."""
 RAMP_DELAY = 1.0
 """Periods from the start of a level to its window in the strategy ``ramp``."""
+
+PEAK_FACTOR = 4.0
+"""Times its rms that a random drive reaches within seconds."""
 
 # Where each node's class and executable are found.
 NODES: dict[str, tuple[str, str, str]] = {
@@ -57,12 +63,18 @@ class TestPlan:
         latency_blocks: blocks of buffering between command and excitation.
         window_periods, ramp, timeout: None = the rig's own.
         stop_on_lost_lock: end the test at the first level that does not lock.
-        linear: linear description; None = from the rig's model.
+        linear: linear description; None = from the rig's model, for tests that need one.
         node_values: further parameters by node name.
         control: what the levels are: ``voltage`` (V), ``response`` (amplitude at the drive point, m or m/s²) or
             ``force`` (N).
         strategy: ``stepped``: wait at every level for lock; ``ramp``: lock once, then ramp from level to level as long
             as a window lasts and extract during the ramps by the balance of power.
+        test: kind of test, see :class:`nmt_core.test_kind.TestKind`: ``phase_resonance``, ``random``, ``sweep``,
+            ``stepped_sine`` or ``ring_down``. Only the phase-locked kinds use a linear description.
+        frequencies_hz: start of the sweep or frequency of the stepped sine, one for all levels or one a level.
+        band_hz: band of the noise of a random test, Hz; its levels are V rms.
+        rate_hz_s, frequency_end_hz: rate and end of the sweep.
+        duration: length of the window of a random test, or of the free decay of a ring-down, s.
     """
 
     __test__ = False
@@ -81,6 +93,12 @@ class TestPlan:
     node_values: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     control: str = "voltage"
     strategy: str = "stepped"
+    test: str = "phase_resonance"
+    frequencies_hz: tuple[float, ...] = ()
+    band_hz: tuple[float, float] | None = None
+    rate_hz_s: float = 0.0
+    frequency_end_hz: float = 0.0
+    duration: float = 0.0
 
     def __post_init__(self) -> None:
         check_levels(self.levels, "The test")
@@ -98,12 +116,50 @@ class TestPlan:
             value = getattr(self, name)
             if value is not None and not 0 < value < 1e6:
                 raise BenchError(f"The {name} must be positive and below 1e6 s, got {value:g}.")
+        kind = TestKind.named(self.test)
+        if self.band_hz is not None and len(self.band_hz) != 2:
+            raise BenchError(f"band_hz needs a lower and an upper edge, got {len(self.band_hz)} values.")
+        if self.strategy == "ramp" and kind is not TestKind.PHASE_RESONANCE:
+            raise BenchError("The strategy ramp is one of phase resonance tests; leave the strategy at stepped.")
+        rate = float(self.rig.sample_rate_hz)
+        self.excitation.check(self.level_frequencies_hz, len(self.levels), CONTROLS[self.control], rate)
         limit = self.rig.limits.voltage_v
+        if kind is TestKind.RANDOM and limit is not None and PEAK_FACTOR * max(self.levels) > limit:
+            raise BenchError(
+                f"Peaks of a random drive of {max(self.levels):g} V rms reach {PEAK_FACTOR:g} times as much, beyond "
+                f"the limit of rig {self.rig.name} (limits.voltage_v: {limit:g} V); lower the level."
+            )
         if self.control == "voltage" and limit is not None and max(self.levels) > limit:
             raise BenchError(
                 f"Level {max(self.levels):g} V is beyond the limit of rig {self.rig.name} "
                 f"(limits.voltage_v: {limit:g} V); lower the level."
             )
+
+    @property
+    def excitation(self) -> Excitation:
+        """Kind of test and its settings."""
+        low, high = self.band_hz or (0.0, 0.0)
+        return Excitation(
+            TestKind.named(self.test),
+            float(low),
+            float(high),
+            float(self.rate_hz_s),
+            float(self.frequency_end_hz),
+            float(self.duration),
+        )
+
+    @property
+    def level_frequencies_hz(self) -> tuple[float, ...]:
+        """Frequency of each level, Hz; empty = none given."""
+        one_for_all = len(self.frequencies_hz) == 1
+        return tuple(map(float, self.frequencies_hz)) * (len(self.levels) if one_for_all else 1)
+
+    @property
+    def used_linear(self) -> LinearDescription | None:
+        """Linear description that loop and extraction get; the model's only where the test needs one."""
+        if self.linear is None and TestKind.named(self.test).closes_phase_loop:
+            return linear_description(self.rig)
+        return self.linear
 
     @property
     def level_unit(self) -> str:
@@ -129,6 +185,8 @@ class TestPlan:
             "window_periods": int(test.window_periods if window is None else window),
             "timeout": float(test.lock_timeout_s if self.timeout is None else self.timeout),
             "stop_on_lost_lock": self.stop_on_lost_lock,
+            "frequencies_hz": list(self.level_frequencies_hz),
+            **self.excitation.values,
         }
 
 
@@ -164,13 +222,15 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
         BenchError: the rig has no response sensor at the drive point, or a setting is refused.
     """
     rig = test.rig
-    linear = test.linear or linear_description(rig)
+    linear = test.used_linear
+    linear_json = "" if linear is None else linear.to_json()
     response = _response_topic(rig)
     topics = _sample_topics(rig)
     extraction = ExtractionSettings(
         harmonics=rig.extraction.harmonics, topics=_extraction_topics(rig, topics),
-        power_balance=test.strategy == "ramp",
+        power_balance=test.strategy == "ramp", hysteresis=_hysteresis_layout(rig),
     )
+    layout = extraction.hysteresis
     pll = _loop_values(test, linear, response)
     timing = {"sample_rate": float(rig.sample_rate_hz), "block_samples": int(rig.block_samples)}
     values: dict[str, dict[str, Any]] = {
@@ -182,7 +242,8 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
         },
         "pll": {
             **timing,
-            "linear_json": linear.to_json(),
+            "linear_json": linear_json,
+            "drive_point": rig.drive_point,
             "response_topic": response,
             "latency_blocks": test.latency_blocks,
             "watched_nodes": ["plant", "sequencer"],
@@ -196,10 +257,11 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
         },
         "extract": {
             "rig": rig.name,
-            "linear_json": linear.to_json(),
+            "linear_json": linear_json,
             "harmonics": extraction.harmonics,
             "topics": list(extraction.topics),
             "power_balance": extraction.power_balance,
+            "hysteresis_json": "" if layout is None else json.dumps(layout.to_mapping()),
         },
         "recorder": {"output": str(bag), "chunk_messages": _chunk_messages(rig, len(topics))},
     }
@@ -211,6 +273,8 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
         values["pll"].setdefault("ramp_delay_periods", RAMP_DELAY)
     if values["pll"].get("loop") == "paper" and test.strategy == "ramp":
         raise BenchError("The paper's loop waits at every level; use the adaptive loop for the strategy ramp.")
+    if values["pll"].get("loop") == "paper" and test.excitation.test is TestKind.RING_DOWN:
+        raise BenchError("The paper's loop does not switch off; use the adaptive loop for a ring-down test.")
     if values["pll"].get("loop") == "paper" and test.control != "voltage":
         raise BenchError(
             f"The paper's loop steps the voltage only; use the adaptive loop for levels of {test.control}."
@@ -222,9 +286,13 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
         "run_id": test.run_id,
         "rig": rig.name,
         "seed": rig.seed,
-        "plan": {**{key: value for key, value in goal.items() if key != "run_id"}, "pacing": test.pacing},
+        "plan": {
+            **{key: value for key, value in goal.items() if key != "run_id"},
+            "test": test.excitation.test.label,
+            "pacing": test.pacing,
+        },
         "exciter_point": rig.drive_point,
-        "linear": json.loads(linear.to_json()),
+        "linear": None if linear is None else json.loads(linear_json),
         "extraction": extraction.to_mapping(),
         "parameters": {name: dict(items) for name, items in values.items()},
         "versions": versions(),
@@ -270,6 +338,14 @@ def expected_peers(
     return peers
 
 
+def _hysteresis_layout(rig: Rig) -> HysteresisLayout | None:
+    """Points and masses of the hysteresis evaluation; none where the exciter was moved away from its mass."""
+    section = rig.extraction.hysteresis
+    if section is None or section.excited_point != rig.drive_point:
+        return None
+    return HysteresisLayout.from_mapping(section.model_dump())
+
+
 def _sample_topics(rig: Rig) -> list[str]:
     present = {str(sensor.quantity) for sensor in rig.sensors}
     return [topic for topic in SAMPLE_TOPICS if topic in present]
@@ -299,10 +375,17 @@ def _response_topic(rig: Rig) -> str:
     )
 
 
-def _loop_values(test: TestPlan, linear: LinearDescription, response: str) -> dict[str, Any]:
+def _loop_values(test: TestPlan, linear: LinearDescription | None, response: str) -> dict[str, Any]:
     """The rig's loop settings; amplitude floors default to a fraction of the linear estimate at the lowest level."""
     values = dict(test.rig.pll)
     loop = _paper_values(values)
+    if linear is not None:
+        _add_floors(values, test, linear, response)
+    settings = settings_from({**values, "latency_blocks": test.latency_blocks})
+    return {**loop, **{name: type(getattr(settings, name))(value) for name, value in values.items()}}
+
+
+def _add_floors(values: dict[str, Any], test: TestPlan, linear: LinearDescription, response: str) -> None:
     scale = linear.frequencies_rad_s[linear.target_mode] ** 2 if response == "acceleration" else 1.0
     force_per_volt, response_per_volt = linear.force_per_volt, linear.displacement_per_volt * scale
     per_volt = {"voltage": 1.0, "response": response_per_volt, "force": force_per_volt}[test.control]
@@ -311,8 +394,6 @@ def _loop_values(test: TestPlan, linear: LinearDescription, response: str) -> di
         values["force_floor"] = 0.02 * lowest * force_per_volt
     if "response_floor" not in values and lowest * response_per_volt > 0:
         values["response_floor"] = 0.02 * lowest * response_per_volt
-    settings = settings_from({**values, "latency_blocks": test.latency_blocks})
-    return {**loop, **{name: type(getattr(settings, name))(value) for name, value in values.items()}}
 
 
 def _paper_values(values: dict[str, Any]) -> dict[str, Any]:

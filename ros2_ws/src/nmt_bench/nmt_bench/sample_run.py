@@ -224,6 +224,7 @@ class _Messages:
                 window_first_sample=lock.first_sample,
                 window_samples=lock.samples,
                 window_periods=lock.periods,
+                test=int(lock.level.test),
             )
 
     def _put(self, topic: str, kind: str, **values: Any) -> None:

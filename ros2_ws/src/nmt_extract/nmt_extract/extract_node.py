@@ -12,7 +12,7 @@ from nmt_core.parameters import Parameter
 from nmt_extract.conversions import fill_modal_point
 from nmt_extract.extractor import Extractor
 from nmt_extract.harmonics import compile_kernels
-from nmt_extract.message_feed import MessageFeed
+from nmt_extract.message_feed import STATE_TOPICS, MessageFeed
 from nmt_extract.settings import ExtractionSettings
 from nmt_msgs.msg import Frequency, Level, LockEvent, SampleBlock
 from nmt_msgs.msg import ModalPoint as ModalPointMessage
@@ -21,7 +21,10 @@ _STATE_TYPES = {"frequency": Frequency, "lock": LockEvent, "level": Level}
 
 PARAMETERS = (
     Parameter(
-        "linear_json", "", "", "Linear description of the rig as JSON; see the reference of linear.json."
+        "linear_json",
+        "",
+        "",
+        "Linear description of the rig as JSON, see the reference of linear.json; empty = nothing is extracted.",
     ),
     Parameter("harmonics", 10, "", "Number of harmonics H; 0..H are extracted.", low=1, high=200),
     Parameter(
@@ -46,12 +49,14 @@ PARAMETERS = (
 class ExtractNode(BenchNode):
     """Publishes one ``modal_point`` for each lock event and for each level that does not lock.
 
+    Without a linear description, as in tests that come before there is one, it listens and publishes nothing.
+
     Args:
         values: parameter values for launch-free use; see ``PARAMETERS``.
         **kwargs: forwarded to :class:`rclpy.node.Node`.
 
     Raises:
-        BenchError: no linear description, or a parameter is out of range.
+        BenchError: a parameter is out of range.
     """
 
     # Nobody waits for this node block by block.
@@ -60,19 +65,24 @@ class ExtractNode(BenchNode):
     def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
         super().__init__("extract", PARAMETERS, values, **kwargs)
         text = str(self.values["linear_json"])
-        if not text:
-            raise BenchError(
-                "The extract node needs the parameter 'linear_json'; make a parameter file with './nmt "
-                "params RIG'."
-            )
-        self.extractor = Extractor(LinearDescription.from_json(text), self._settings())
-        compile_kernels()
+        settings = self._settings()
+        self.extractor: Extractor | None = None
+        self._feed: MessageFeed | None = None
         self._publisher = self.bench_publisher(ModalPointMessage, "modal_point", SAMPLES_QOS)
+        if not text:
+            for topic in (*settings.topics, *STATE_TOPICS):
+                self.bench_subscription(
+                    _STATE_TYPES.get(topic, SampleBlock), topic, lambda _: None, SAMPLES_QOS, raw=True
+                )
+            return
+        self.extractor = Extractor(LinearDescription.from_json(text), settings)
+        compile_kernels()
         self._feed = MessageFeed(self.extractor)
         for callbacks, raw in ((self._feed.raw, True), (self._feed.decoded, False)):
             for topic, callback in callbacks.items():
                 kind = _STATE_TYPES.get(topic, SampleBlock)
-                self.bench_subscription(kind, topic, self._publishing(callback), SAMPLES_QOS, raw=raw)
+                publishing = self._publishing(callback, self.extractor)
+                self.bench_subscription(kind, topic, publishing, SAMPLES_QOS, raw=raw)
 
     def _settings(self) -> ExtractionSettings:
         names = ("harmonics", "topics", "sub_windows", "minimum_periods", "power_balance")
@@ -89,25 +99,24 @@ class ExtractNode(BenchNode):
                 raise BenchError(f"Parameter 'hysteresis_json' of {self.get_name()} must be a JSON object.")
         return ExtractionSettings.from_mapping(values)
 
-    def _publishing(self, callback: Any) -> Any:
-        extractor = self.extractor
-
+    def _publishing(self, callback: Any, extractor: Extractor) -> Any:
         def on_message(message: Any) -> None:
             callback(message)
             if extractor.ready:
-                self._publish()
+                self._publish(extractor)
 
         return on_message
 
-    def _publish(self) -> None:
-        for point in self.extractor.take():
+    def _publish(self, extractor: Extractor) -> None:
+        for point in extractor.take():
             self._publisher.publish(fill_modal_point(ModalPointMessage(), point))
             if point.reason:
                 self.get_logger().warning(f"Level {point.level_index}: {point.reason}")
 
     def update_counters(self) -> None:
         """Counters for the heartbeat."""
-        self.counters.update(self.extractor.counters, malformed=self._feed.malformed)
+        if self.extractor is not None and self._feed is not None:
+            self.counters.update(self.extractor.counters, malformed=self._feed.malformed)
 
 
 def main(args: list[str] | None = None) -> int:

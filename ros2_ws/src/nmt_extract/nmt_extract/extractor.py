@@ -42,6 +42,7 @@ class Extractor:
         )
         self.add_record = self._assembler.add_record
         self._levels: dict[int, tuple[float, str]] = {}
+        self._passed_over: set[int] = set()
         self._lock_samples: dict[int, int] = {}
         self._state = 0
         self._acquiring_since = -1
@@ -61,7 +62,8 @@ class Extractor:
             self._acquiring_since = last_sample
         if state == LOCK_LOST and previous != LOCK_LOST:
             locked = self._lock_samples.get(level_index, -1)
-            if not self._acquiring_since <= locked <= last_sample or locked < 0:
+            never_locked = not self._acquiring_since <= locked <= last_sample or locked < 0
+            if never_locked and level_index not in self._passed_over:
                 self._not_locked.append(
                     self._not_locked_point(last_sample, level_index, reason, response_unit)
                 )
@@ -74,6 +76,11 @@ class Extractor:
         """
         if amplitude > 0.0:
             self._levels[index] = (amplitude, unit)
+            self._passed_over.discard(index)
+
+    def pass_over_level(self, index: int) -> None:
+        """A level of a test that gives no modal points: neither does its failure."""
+        self._passed_over.add(index)
 
     def add_lock(self, lock: LockEvent) -> None:
         """Take a lock event."""

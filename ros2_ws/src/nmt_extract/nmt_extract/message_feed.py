@@ -5,12 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from nmt_core.test_kind import TestKind
 from nmt_core.wire import BlockReader, read_status
 from nmt_extract.conversions import level_unit, lock_event_from_message
 from nmt_extract.extractor import Extractor
 
 STATE_TOPICS = ("frequency", "lock", "level")
 """Topics that the extraction reads besides samples."""
+
+
+def gives_modal_points(message: Any) -> bool:
+    """Whether a level or lock event is of a kind of test that is extracted; as all were before there were kinds."""
+    value = int(getattr(message, "test", 0))
+    return value in tuple(TestKind) and TestKind(value).gives_modal_points
 
 
 class MessageFeed:
@@ -59,9 +66,14 @@ class MessageFeed:
         )
 
     def _on_lock(self, message: Any) -> None:
+        if not gives_modal_points(message):
+            return
         self._extractor.add_lock(lock_event_from_message(message))
 
     def _on_level(self, message: Any) -> None:
+        if not gives_modal_points(message):
+            self._extractor.pass_over_level(int(message.index))
+            return
         self._extractor.add_level(
             int(message.index), float(message.amplitude), level_unit(int(message.control))
         )

@@ -8,6 +8,7 @@ from typing import Any
 
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_core.test_kind import TestKind
 from nmt_extract.extractor import Extractor
 from nmt_extract.message_feed import STATE_TOPICS, MessageFeed
 from nmt_extract.modal_point import ModalPoint
@@ -77,6 +78,7 @@ def extract_opened_bag(
 ) -> ExtractionResult:
     """As :func:`extract_bag`, for an opened bag."""
     run: dict[str, Any] = bag.run_start or {}
+    _require_phase_resonance(run, bag)
     if linear is None:
         linear = _linear_of(run, bag)
     if settings is None:
@@ -97,6 +99,17 @@ def extract_opened_bag(
     points += extractor.finish()
     counters = {**extractor.counters, "malformed": feed.malformed}
     return ExtractionResult(points, run, bag.loss, counters, linear, settings)
+
+
+def _require_phase_resonance(run: dict[str, Any], bag: Any) -> None:
+    plan = run.get("plan")
+    kind = plan.get("test") if isinstance(plan, dict) else None
+    names = {item.label: item for item in TestKind}
+    if kind in names and not names[kind].gives_modal_points:
+        label = str(kind).replace("_", " ")
+        raise BenchError(
+            f"The bag {bag.path} holds a {label} test; modal points come from phase resonance tests."
+        )
 
 
 def _linear_of(run: dict[str, Any], bag: Any) -> LinearDescription:

@@ -7,6 +7,7 @@ from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings
 from nmt_pll.phase_detector import AdaptiveFourierFilter
+from nmt_pll.random_drive import RandomDrive
 from nmt_pll.settings import LevelCommand, LoopSettings
 
 __all__ = [
@@ -22,5 +23,6 @@ __all__ = [
     "PaperLoop",
     "PaperSettings",
     "PhaseLockedLoop",
+    "RandomDrive",
     "closed_form_gains",
 ]

@@ -103,6 +103,7 @@ class LevelLoop(ABC):
         self._ramp = quiet_ramp
         self._deadline: float = math.inf
         self._quiet_reason = ""
+        self._rejected: dict[int, str] = {}
 
     def set_level(self, level: LevelCommand) -> None:
         """Take a level to be worked on from its ``apply_at_sample`` on.
@@ -117,6 +118,14 @@ class LevelLoop(ABC):
         if not (math.isfinite(level.ramp) and level.ramp >= 0):
             raise BenchError(f"Level {level.index}: the ramp must be finite and >= 0 s, got {level.ramp}.")
         self._check_control(level)
+        self._take(level)
+
+    def reject(self, level: LevelCommand, reason: str) -> None:
+        """Answer a level that :meth:`set_level` refuses by a lost lock with this reason, at its sample."""
+        self._rejected[level.sequence] = reason
+        self._take(level)
+
+    def _take(self, level: LevelCommand) -> None:
         self._levels.append(level)
         self._levels.sort(key=lambda item: (item.apply_at_sample, item.sequence))
         self.newest_sequence = max(self.newest_sequence, level.sequence)
@@ -152,6 +161,10 @@ class LevelLoop(ABC):
             same_level = self._level is not None and self._level.index == level.index
             was_quiet = self._amplitude == 0.0
             self._level = level
+            if level.sequence in self._rejected:
+                self.machine.acquire(end, f"level {level.index} starts")
+                self._give_up(end, self._rejected.pop(level.sequence))
+                continue
             self._ramp = level.ramp
             if level.amplitude > 0.0:
                 self._start(level, end, was_quiet)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 
 from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_core.test_kind import TestKind
 from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.gains import LoopPlant
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
@@ -27,12 +29,17 @@ _VELOCITY_LEAD = {
 class PhaseLockedLoop(LevelLoop):
     """Adaptive Fourier filter, scheduled PI controller and lock state machine.
 
+    A level of a ring-down test is switched off at its lock; it counts as locked while the structure decays, and the
+    oscillator goes on at the locked frequency as the reference of the phase.
+
     Args:
         linear: linear description of the rig.
         settings: loop settings.
         sample_rate: Hz.
         block_samples: samples a block.
     """
+
+    KINDS: ClassVar[tuple[TestKind, ...]] = (TestKind.PHASE_RESONANCE, TestKind.RING_DOWN)
 
     def __init__(
         self, linear: LinearDescription, settings: LoopSettings, sample_rate: float, block_samples: int
@@ -70,12 +77,15 @@ class PhaseLockedLoop(LevelLoop):
         self._bound_since: int | None = None
         self._good_frequency = self.start_frequency
         self._deviation = 0.0
+        self._decaying = False
 
     def _check_control(self, level: LevelCommand) -> None:
         if level.control not in (CONTROL_VOLTAGE, CONTROL_RESPONSE, CONTROL_FORCE):
             raise BenchError(
                 f"Level {level.index}: control {level.control} is not known; use voltage, response or force."
             )
+        if level.test is TestKind.RING_DOWN and level.amplitude > 0.0 and not 0.0 < level.duration < math.inf:
+            raise BenchError(f"Level {level.index}: a ring-down needs a duration above 0 s, got {level.duration}.")
 
     def process(self, force: SampleBlock, response: SampleBlock) -> LoopOutput:
         """Answer one block of force and drive-point response (first channel of each).
@@ -94,7 +104,11 @@ class PhaseLockedLoop(LevelLoop):
         self._start_due_levels(force.first_sample, end)
         lock = None
         state = self.machine.state
-        if state in (LoopState.ACQUIRING, LoopState.LOCKED):
+        if self._decaying and state == LoopState.LOCKED:
+            reason = self._stopped_from_outside(flags)
+            if reason:
+                self._give_up(end, reason)
+        elif state in (LoopState.ACQUIRING, LoopState.LOCKED):
             valid = not math.isnan(error) and end > self._closed_from
             if valid:
                 self._control(error, force_amplitude, response_amplitude, end)
@@ -144,6 +158,7 @@ class PhaseLockedLoop(LevelLoop):
         self._judged_from = max(ramp_end, self._closed_from) + round(2.0 / self.cutoff * self.sample_rate)
         self._deadline = self._judged_from + level.timeout * self.sample_rate if level.timeout else math.inf
         self._bound_since = None
+        self._decaying = False
         # A lock carried on: the window opens during the ramp, and only then does the loop judge itself.
         self._running_from = 0
         if self.settings.ramp_delay_periods > 0 and self.machine.state == LoopState.LOCKED and not was_quiet:
@@ -235,4 +250,17 @@ class PhaseLockedLoop(LevelLoop):
 
     def _open_window(self, end: int, error: float, reason: str) -> LockWindow | None:
         self._good_frequency = self.controller.output
+        if self._level is not None and self._level.test is TestKind.RING_DOWN:
+            return self._switch_off(self._level, end, error, reason)
         return self._lock(end, self.controller.output, error, reason)
+
+    def _switch_off(self, level: LevelCommand, end: int, error: float, reason: str) -> LockWindow:
+        """End the excitation at the lock; the window is the free decay from the switch-off on."""
+        self.machine.lock(end, f"{reason}; the drive is switched off")
+        frequency = self.controller.output / (2.0 * math.pi)
+        self._decaying = True
+        self._amplitude = 0.0
+        self._ramp = self.settings.switch_off_periods / frequency
+        first = end + self.settings.latency_blocks * self._block_samples
+        samples = max(1, round(level.duration * self.sample_rate))
+        return LockWindow(level, end - 1, frequency, error, first, samples, 0)

@@ -12,6 +12,7 @@ from nmt_core.conversions import set_stamp
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import Parameter
+from nmt_core.test_kind import TestKind
 from nmt_core.wire import BlockReader, LoopStatus, PlainDrive, write_drive, write_status
 from nmt_msgs.msg import Drive, Frequency, Level, LockEvent
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
@@ -20,6 +21,7 @@ from nmt_pll.lock import LoopState
 from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import paper_parameters, paper_settings_from
+from nmt_pll.random_drive import RandomDrive
 from nmt_pll.settings import (
     CONTROL_FORCE,
     CONTROL_RESPONSE,
@@ -31,7 +33,13 @@ from nmt_pll.settings import (
 )
 
 PARAMETERS = (
-    Parameter("linear_json", "", "", "Linear description of the rig as JSON; see the reference of linear.json."),
+    Parameter(
+        "linear_json",
+        "",
+        "",
+        "Linear description of the rig as JSON, see the reference of linear.json; empty = no phase is controlled.",
+    ),
+    Parameter("drive_point", 0, "", "Point of the exciter if there is no linear description.", low=0),
     Parameter("sample_rate", 10000.0, "Hz", "Sample rate of the blocks.", low=1.0),
     Parameter("block_samples", 200, "samples", "Samples a block.", low=2, high=100000),
     Parameter(
@@ -48,6 +56,7 @@ PARAMETERS = (
         "adaptive: adaptive filter, closed-form gains, guard band; paper: product detector, low-pass, PI.",
         choices=("adaptive", "paper"),
     ),
+    Parameter("settling_time", 2.0, "s", "Random test: between the end of the ramp and the window.", low=0.0),
     *setting_parameters(),
     *paper_parameters(),
 )
@@ -61,27 +70,16 @@ class PllNode(BenchNode):
         **kwargs: forwarded to :class:`rclpy.node.Node`.
 
     Raises:
-        BenchError: no linear description, or a parameter is out of range.
+        BenchError: a parameter is out of range.
     """
 
     def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
         super().__init__("pll", PARAMETERS, values, **kwargs)
-        text = str(self.values["linear_json"])
-        if not text:
-            raise BenchError(
-                "The pll node needs the parameter 'linear_json'; make a parameter file with './nmt params RIG'."
-            )
-        names = {item.name for item in fields(LoopSettings)}
-        settings = settings_from({name: value for name, value in self.values.items() if name in names})
         self.sample_rate = float(self.values["sample_rate"])
         self.block_samples = int(self.values["block_samples"])
-        linear = LinearDescription.from_json(text)
-        self.loop: LevelLoop
-        if self.values["loop"] == "paper":
-            self.loop = PaperLoop(linear, paper_settings_from(self.values), self.sample_rate, self.block_samples)
-        else:
-            self.loop = PhaseLockedLoop(linear, settings, self.sample_rate, self.block_samples)
-        self._delay = settings.latency_blocks * self.block_samples
+        self.loops = self._make_loops()
+        self.loop: LevelLoop = next(iter(self.loops.values()))
+        self._delay = int(self.values["latency_blocks"]) * self.block_samples
         self._response_topic = str(self.values["response_topic"])
         self._waiting: dict[str, SampleBlock] = {}
         self._next_sample: int | None = None
@@ -98,6 +96,32 @@ class PllNode(BenchNode):
             self.bench_subscription(SampleBlockMessage, topic, self._reading(BlockReader()), SAMPLES_QOS, raw=True)
         self.create_timer(0.25, self._guard)
 
+    def _make_loops(self) -> dict[TestKind, LevelLoop]:
+        """The loop for each kind of test; the phase is controlled only where a linear description is given."""
+        v = self.values
+        names = {item.name for item in fields(LoopSettings)}
+        settings = settings_from({name: value for name, value in v.items() if name in names})
+        loops: list[LevelLoop] = []
+        drive_point = int(v["drive_point"])
+        if v["linear_json"]:
+            linear = LinearDescription.from_json(str(v["linear_json"]))
+            drive_point = linear.drive_point
+            if v["loop"] == "paper":
+                loops.append(PaperLoop(linear, paper_settings_from(v), self.sample_rate, self.block_samples))
+            else:
+                loops.append(PhaseLockedLoop(linear, settings, self.sample_rate, self.block_samples))
+        loops.append(
+            RandomDrive(
+                drive_point,
+                self.sample_rate,
+                self.block_samples,
+                settings.quiet_ramp,
+                float(v["settling_time"]),
+                settings.latency_blocks,
+            )
+        )
+        return {kind: loop for loop in loops for kind in loop.KINDS}
+
     def _guard(self) -> None:
         """Quiet the drive if the node that commands the levels has gone."""
         silent = self.silent_node()
@@ -106,12 +130,38 @@ class PllNode(BenchNode):
 
     def _warm_up(self) -> None:
         """Compile the detector's kernel before the first block, not with it."""
-        loop = self.loop
+        loop = self.loops.get(TestKind.PHASE_RESONANCE)
         if isinstance(loop, PhaseLockedLoop):
             loop.filter.process(loop.warm_up_data(), 0.0, 1.0)
             loop.filter.reset()
 
+    def _choose_loop(self, level: LevelCommand) -> None:
+        """Take the loop for the kind of test; only a loop at rest may be left.
+
+        Raises:
+            BenchError: no such loop here, or another one is at work.
+        """
+        loop = self.loops.get(level.test)
+        label = level.test.label.replace("_", " ")
+        if loop is None and level.test.closes_phase_loop and not self.values["linear_json"]:
+            raise BenchError(
+                f"A {label} test needs a linear description: the parameter 'linear_json' of the pll node is empty."
+            )
+        if loop is None:
+            raise BenchError(f"The pll node has no {label} test with this loop.")
+        if loop is self.loop:
+            return
+        if self.loop.machine.state in (LoopState.ACQUIRING, LoopState.LOCKED):
+            raise BenchError(f"A {label} test cannot begin while the level before is at work.")
+        self.loop = loop
+
     def _on_level(self, message: Level) -> None:
+        try:
+            kind = TestKind.of(message.test)
+        except BenchError as error:
+            self._refused += 1
+            self.get_logger().error(f"Level refused: {error}")
+            return
         level = LevelCommand(
             sequence=message.sequence,
             index=message.index,
@@ -122,13 +172,23 @@ class PllNode(BenchNode):
             frequency_hz=message.frequency_hz,
             window_periods=message.window_periods,
             timeout=message.timeout,
+            test=kind,
+            band_low_hz=message.band_low_hz,
+            band_high_hz=message.band_high_hz,
+            rate_hz_s=message.rate_hz_s,
+            frequency_end_hz=message.frequency_end_hz,
+            duration=message.duration,
         )
         try:
+            self._choose_loop(level)
             self.loop.set_level(level)
         except BenchError as error:
             self._refused += 1
             self.get_logger().error(f"Level refused: {error}")
-            return
+            if level.sequence <= self._sequence:
+                return
+            # The next level of the run: without an answer the sequencer would wait for ever.
+            self.loop.reject(level, str(error).rstrip("."))
         if self._next_sample is not None and level.apply_at_sample < self._next_sample:
             self._late_levels += 1
         self._sequence = max(self._sequence, level.sequence)
@@ -188,10 +248,14 @@ class PllNode(BenchNode):
         drive = PlainDrive(
             apply_at_sample=output.last_sample + 1 + self._delay,
             based_on_sample=output.last_sample,
-            waveform=Drive.SINE if running else Drive.OFF,
+            waveform=output.waveform if running else Drive.OFF,
             frequency_hz=output.frequency_hz,
             amplitude=output.amplitude,
             ramp=output.ramp,
+            band_low_hz=output.band_low_hz,
+            band_high_hz=output.band_high_hz,
+            rate_hz_s=output.rate_hz_s,
+            frequency_end_hz=output.frequency_end_hz,
         )
         self._drive.publish(write_drive(drive, self.sample_rate))
         if output.transition and output.transition.state == LoopState.LOCK_LOST:
@@ -230,6 +294,7 @@ class PllNode(BenchNode):
         message.window_first_sample = lock.first_sample
         message.window_samples = lock.samples
         message.window_periods = lock.periods
+        message.test = int(lock.level.test)
         self._lock.publish(message)
 
     def update_counters(self) -> None:

@@ -37,6 +37,8 @@ class LoopSettings:
         quiet_ramp: half-cosine to zero after a lost lock, s.
         ramp_delay_periods: a level that follows a locked one opens its window so many periods after it begins, while
             its ramp goes on, without the lock criteria; 0 = wait for them.
+        switch_off_periods: RING_DOWN: half-cosine of the voltage to zero, excitation periods; at most one.
+        voltage_limit: sweep and stepped sine give a level up whose drive would need more, V; 0 = no limit.
     """
 
     cutoff: float = 0.0
@@ -59,6 +61,8 @@ class LoopSettings:
     latency_blocks: int = 0
     quiet_ramp: float = 0.5
     ramp_delay_periods: float = 0.0
+    switch_off_periods: float = 1.0
+    voltage_limit: float = 0.0
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -70,6 +74,10 @@ class LoopSettings:
         for name in ("phase_tolerance", "dwell_periods", "unlock_tolerance", "quiet_ramp", "delay_margin"):
             if getattr(self, name) <= 0:
                 raise BenchError(f"PLL setting '{name}' must be positive.")
+        if self.switch_off_periods > 1.0:
+            raise BenchError(
+                f"PLL setting 'switch_off_periods' must be at most 1 period, got {self.switch_off_periods:g}."
+            )
         if (self.proportional > 0) != (self.integral > 0):
             raise BenchError("Give both fixed PLL gains, proportional and integral, or none of them.")
 
@@ -127,6 +135,8 @@ _DESCRIPTIONS = {
     "latency_blocks": ("blocks", "Buffering between command and excitation."),
     "quiet_ramp": ("s", "Half-cosine to zero after a lost lock."),
     "ramp_delay_periods": ("periods", "Windows during the ramp so long after a level begins; 0 = after lock."),
+    "switch_off_periods": ("periods", "Ring-down: half-cosine of the voltage to zero; at most 1."),
+    "voltage_limit": ("V", "Sweep and stepped sine give a level up that would need more; 0 = no limit."),
 }
 
 

@@ -14,6 +14,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from nmt_core.errors import BenchError
+from nmt_core.excitation import Excitation
 from nmt_sequencer.level_plan import check_levels
 
 NO_HORIZON = 2**62
@@ -62,6 +63,8 @@ class RunPlan:
         window_periods: whole periods to capture.
         timeout: bench time a level may take to lock, s; 0 = no limit.
         stop_on_lost_lock: end the run at the first level that does not lock.
+        excitation: kind of test and its settings.
+        frequencies_hz: frequency of each level; empty = none given.
     """
 
     run_id: str
@@ -71,6 +74,8 @@ class RunPlan:
     window_periods: int = 200
     timeout: float = 30.0
     stop_on_lost_lock: bool = False
+    excitation: Excitation = field(default_factory=Excitation)
+    frequencies_hz: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         check_levels(self.levels, "Plan")
@@ -82,6 +87,10 @@ class RunPlan:
             raise BenchError(f"The time-out must be finite and >= 0 s, got {self.timeout}.")
         if self.window_periods < 1:
             raise BenchError(f"A window needs at least one period, got {self.window_periods}.")
+
+    def check(self, sample_rate: float) -> None:
+        """Refuse (BenchError) an excitation that a bench of this sample rate (Hz) cannot do."""
+        self.excitation.check(self.frequencies_hz, len(self.levels), self.control, sample_rate)
 
 
 @dataclass(frozen=True)
@@ -157,6 +166,8 @@ class LevelOrder:
     ramp: float
     window_periods: int
     timeout: float
+    frequency_hz: float = 0.0
+    excitation: Excitation = field(default_factory=Excitation)
 
 
 @dataclass
@@ -417,8 +428,19 @@ class RunMachine:
     ) -> None:
         assert self.plan is not None
         self._sequence += 1
+        plan = self.plan
+        frequency = plan.frequencies_hz[index] if plan.frequencies_hz and amplitude > 0.0 else 0.0
         order = LevelOrder(
-            self._sequence, index, self.plan.control, amplitude, effective, ramp, window_periods, timeout
+            self._sequence,
+            index,
+            plan.control,
+            amplitude,
+            effective,
+            ramp,
+            window_periods,
+            timeout,
+            frequency,
+            plan.excitation,
         )
         self._orders.append(order)
         if self.pacing.lockstep:

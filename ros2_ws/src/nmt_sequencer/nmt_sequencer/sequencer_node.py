@@ -12,6 +12,7 @@ from std_srvs.srv import Trigger
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.conversions import set_stamp
 from nmt_core.errors import BenchError
+from nmt_core.excitation import Excitation
 from nmt_core.parameters import Parameter
 from nmt_core.wire import read_status
 from nmt_msgs.action import RunLevels
@@ -96,7 +97,7 @@ class SequencerNode(BenchNode):
 
     def _plan(self, goal: Any) -> RunPlan:
         v = self.values
-        return RunPlan(
+        plan = RunPlan(
             run_id=goal.run_id or time.strftime("run-%Y%m%d-%H%M%S"),
             levels=tuple(goal.levels),
             control=goal.control or RunLevels.Goal.CONTROL_VOLTAGE,
@@ -104,7 +105,11 @@ class SequencerNode(BenchNode):
             window_periods=goal.window_periods or int(v["window_periods"]),
             timeout=goal.timeout or float(v["timeout"]),
             stop_on_lost_lock=goal.stop_on_lost_lock,
+            excitation=Excitation.from_goal(goal),
+            frequencies_hz=tuple(goal.frequencies_hz),
         )
+        plan.check(float(v["sample_rate"]))
+        return plan
 
     def _on_goal(self, goal: Any) -> GoalResponse:
         try:
@@ -236,6 +241,9 @@ class SequencerNode(BenchNode):
             message.ramp = float(order.ramp)
             message.window_periods = order.window_periods
             message.timeout = float(order.timeout)
+            message.frequency_hz = float(order.frequency_hz)
+            for name, value in order.excitation.values.items():
+                setattr(message, name, value)
             self._level.publish(message)
         self._publish_state()
         self._publish_feedback()
@@ -308,6 +316,8 @@ class SequencerNode(BenchNode):
         elif self._goal is not None and self._pending is None and machine.phase == RunPhase.DONE:
             self._done_since = self._done_since or now
             waiting = {record.index for record in machine.records if record.complete} - set(self._points)
+            if machine.plan is not None and not machine.plan.excitation.test.gives_modal_points:
+                waiting.clear()
             if not waiting or now - self._done_since > float(self.values["points_timeout"]):
                 self._finish()
 

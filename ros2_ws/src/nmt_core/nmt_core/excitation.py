@@ -1,0 +1,124 @@
+"""What a level does besides having an amplitude: kind of test and what that kind needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from nmt_core.errors import BenchError
+from nmt_core.test_kind import TestKind
+
+CONTROL_VOLTAGE = 1
+_LONGEST = 1e6  # s
+
+# Which fields a kind of test has; the others must be zero.
+_FIELDS: dict[TestKind, tuple[str, ...]] = {
+    TestKind.PHASE_RESONANCE: (),
+    TestKind.RANDOM: ("band_low_hz", "band_high_hz", "duration"),
+    TestKind.SWEEP: ("rate_hz_s", "frequency_end_hz"),
+    TestKind.STEPPED_SINE: (),
+    TestKind.RING_DOWN: ("duration",),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Excitation:
+    """Kind of test and its settings, the same for every level of a run; as in ``nmt_msgs/RunLevels``.
+
+    Attributes:
+        test: kind of test.
+        band_low_hz, band_high_hz: RANDOM: band of the noise, Hz.
+        rate_hz_s: SWEEP: Hz/s, sign = direction.
+        frequency_end_hz: SWEEP: Hz at which it ends.
+        duration: s; RANDOM: length of the window, RING_DOWN: of the free decay in it.
+    """
+
+    test: TestKind = TestKind.PHASE_RESONANCE
+    band_low_hz: float = 0.0
+    band_high_hz: float = 0.0
+    rate_hz_s: float = 0.0
+    frequency_end_hz: float = 0.0
+    duration: float = 0.0
+
+    @classmethod
+    def from_goal(cls, goal: Any) -> Excitation:
+        """Read from a message or action goal with the fields of the same names.
+
+        Raises:
+            BenchError: no such kind of test.
+        """
+        names = [item.name for item in fields(cls) if item.name != "test"]
+        return cls(TestKind.of(int(goal.test)), **{name: float(getattr(goal, name)) for name in names})
+
+    @property
+    def values(self) -> Mapping[str, float | int]:
+        """All fields by name, the kind of test as a number: what goes into messages."""
+        return {item.name: getattr(self, item.name) for item in fields(self)} | {"test": int(self.test)}
+
+    def check(self, frequencies_hz: Sequence[float], levels: int, control: int, sample_rate: float) -> None:
+        """Refuse what a bench with this sample rate cannot do.
+
+        Args:
+            frequencies_hz: one per level, or none.
+            levels: number of levels.
+            control: what the levels are, as in ``nmt_msgs/Level``.
+            sample_rate: Hz.
+
+        Raises:
+            BenchError: a setting is missing, out of range, or not of this kind of test.
+        """
+        label, nyquist = self.test.label.replace("_", " "), 0.5 * sample_rate
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name == "test":
+                continue
+            if not math.isfinite(value):
+                raise BenchError(f"The {label} test's {item.name} must be finite, got {value}.")
+            if value != 0.0 and item.name not in _FIELDS[self.test]:
+                raise BenchError(f"A {label} test has no {item.name}; leave it out or choose another kind of test.")
+        self._check_frequencies(frequencies_hz, levels, nyquist)
+        if self.test is TestKind.RANDOM:
+            if not 0.0 < self.band_low_hz < self.band_high_hz < nyquist:
+                raise BenchError(
+                    f"The random band of {self.band_low_hz:g} to {self.band_high_hz:g} Hz must lie between 0 and half "
+                    f"the sample rate, {nyquist:g} Hz, the lower edge first."
+                )
+            if control != CONTROL_VOLTAGE:
+                raise BenchError("A random test has levels of voltage (V rms) only; leave the control at voltage.")
+        if "duration" in _FIELDS[self.test] and not 0.0 < self.duration < _LONGEST:
+            raise BenchError(
+                f"A {label} test needs a duration that is positive and below 1e6 s, got {self.duration:g}."
+            )
+        if self.test is TestKind.SWEEP:
+            self._check_sweep(frequencies_hz, nyquist)
+
+    def _check_frequencies(self, frequencies_hz: Sequence[float], levels: int, nyquist: float) -> None:
+        label = self.test.label.replace("_", " ")
+        if self.test is TestKind.RANDOM and frequencies_hz:
+            raise BenchError("A random test has a band and no frequencies; leave them out.")
+        if self.test in (TestKind.SWEEP, TestKind.STEPPED_SINE) and not frequencies_hz:
+            raise BenchError(f"A {label} test needs a frequency for every level; give frequencies_hz.")
+        if frequencies_hz and len(frequencies_hz) != levels:
+            raise BenchError(f"There are {len(frequencies_hz)} frequencies for {levels} levels; give one per level.")
+        for frequency in frequencies_hz:
+            if not 0.0 < frequency < nyquist:
+                raise BenchError(
+                    f"The frequency of {frequency:g} Hz must lie between 0 and half the sample rate, {nyquist:g} Hz."
+                )
+
+    def _check_sweep(self, frequencies_hz: Sequence[float], nyquist: float) -> None:
+        end, rate = self.frequency_end_hz, self.rate_hz_s
+        if not 0.0 < end < nyquist:
+            raise BenchError(
+                f"The sweep's end of {end:g} Hz must lie between 0 and half the sample rate, {nyquist:g} Hz."
+            )
+        if rate == 0.0:
+            raise BenchError("A sweep needs a rate other than 0 Hz/s.")
+        for start in frequencies_hz:
+            if not 0.0 < (end - start) / rate < _LONGEST:
+                raise BenchError(
+                    f"A rate of {rate:g} Hz/s does not lead from {start:g} to {end:g} Hz within 1e6 s; "
+                    "mind its sign."
+                )

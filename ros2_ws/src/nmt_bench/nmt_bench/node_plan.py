@@ -381,6 +381,8 @@ def _loop_values(test: TestPlan, linear: LinearDescription | None, response: str
     loop = _paper_values(values)
     if linear is not None:
         _add_floors(values, test, linear, response)
+    if test.rig.limits.voltage_v is not None:
+        values.setdefault("voltage_limit", float(test.rig.limits.voltage_v))
     settings = settings_from({**values, "latency_blocks": test.latency_blocks})
     return {**loop, **{name: type(getattr(settings, name))(value) for name, value in values.items()}}
 

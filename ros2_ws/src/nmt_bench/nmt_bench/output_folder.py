@@ -15,6 +15,7 @@ RESULT_NAMES = (
     "bag",
     "modal.csv",
     "modal.json",
+    "hysteresis.csv",
     "report.html",
     "rig.yaml",
     "run.json",

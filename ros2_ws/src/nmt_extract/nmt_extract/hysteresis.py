@@ -16,6 +16,7 @@ import numpy as np
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_extract.harmonics import ComplexArray
+from nmt_extract.modal_point import ModalPoint, Status
 
 _SAMPLES = 4096
 
@@ -131,6 +132,22 @@ def hysteresis_loop(
     x_k, f_k = (rotation @ stretch).real, (rotation @ spring_force).real
     energy = _midline_energy(x_rel, f_t) + _midline_energy(x_k, f_k)
     return HysteresisLoop(x_rel, f_t, work, energy)
+
+
+def loop_of_point(layout: HysteresisLayout, point: ModalPoint) -> HysteresisLoop | None:
+    """Loop of a modal point, from its harmonics; None where it has none.
+
+    The displacements ψ̃_n of the point take the place of accelerations, a_n = -(n ω̃)² ψ̃_n. Where the extraction
+    took its shape from accelerometers, the loop is the one that gave ``hysteresis_damping``.
+    """
+    wanted = (layout.excited_point, layout.middle_point, layout.free_point)
+    if point.status != Status.OK or not set(wanted) <= set(point.points):
+        return None
+    orders = np.arange(point.harmonics + 1)
+    square = -((orders * point.omega_rad_s) ** 2)
+    rows = [point.points.index(number) for number in wanted]
+    first, middle, free = (square * np.nan_to_num(point.shape_harmonics[:, row]) for row in rows)
+    return hysteresis_loop(layout, point.omega_rad_s, (first, middle, free), point.force_harmonics)
 
 
 def _midline_energy(displacement: FloatArray, force: FloatArray) -> float:

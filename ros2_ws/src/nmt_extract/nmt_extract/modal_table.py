@@ -20,6 +20,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
 from nmt_extract.harmonics import ComplexArray
+from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
 from nmt_extract.modal_point import COMPLEX, ModalPoint, Status
 
 _MEASURED_COLUMNS = (
@@ -35,6 +36,12 @@ _MEASURED_COLUMNS = (
 )
 COLUMNS = ("level", *(name + suffix for name in _MEASURED_COLUMNS for suffix in ("", "_std")))
 """Columns of ``modal.csv``, in order; units as in :class:`nmt_extract.modal_point.ModalPoint`."""
+
+LOOP_COLUMNS = ("level", "period_fraction", "relative_displacement_m", "joint_force_n")
+"""Columns of ``hysteresis.csv``."""
+
+LOOP_SAMPLES = 256
+"""Rows of ``hysteresis.csv`` a level: one period."""
 
 FORMAT = "nmt modal points 1"
 
@@ -119,13 +126,41 @@ def read_json(path: Path | str) -> tuple[list[ModalPoint], dict[str, Any]]:
 def write_results(
     points: Sequence[ModalPoint], folder: Path | str, inputs: Mapping[str, Any] | None = None
 ) -> None:
-    """Write ``modal.csv`` and ``modal.json`` into a folder that exists.
+    """Write ``modal.csv`` and ``modal.json`` into a folder that exists, and ``hysteresis.csv`` for a chain with a joint.
+
+    The loops are written where ``inputs["extraction"]["hysteresis"]`` names points and masses.
 
     Raises:
         BenchError: a file cannot be written.
     """
     write_csv(points, Path(folder) / "modal.csv")
     write_json(points, Path(folder) / "modal.json", inputs)
+    layout = ((inputs or {}).get("extraction") or {}).get("hysteresis")
+    if layout is not None:
+        write_loops(points, HysteresisLayout.from_mapping(layout), Path(folder) / "hysteresis.csv")
+
+
+def write_loops(points: Iterable[ModalPoint], layout: HysteresisLayout, path: Path | str) -> None:
+    """Write ``hysteresis.csv``: joint force over relative displacement, ``LOOP_SAMPLES`` rows a level.
+
+    Raises:
+        BenchError: the file cannot be written; an older file is then left as it was.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(LOOP_COLUMNS)
+    for point in points:
+        loop = loop_of_point(layout, point)
+        if loop is None:
+            continue
+        step = loop.force.shape[0] // LOOP_SAMPLES
+        for phase, (displacement, force) in enumerate(
+            zip(loop.relative_displacement[::step], loop.force[::step], strict=True)
+        ):
+            writer.writerow(
+                [repr(float(v)) for v in (point.level, phase / LOOP_SAMPLES, displacement, force)]
+            )
+    _write_whole(Path(path), text.getvalue())
 
 
 def _point_to_mapping(point: ModalPoint) -> dict[str, Any]:

@@ -272,12 +272,32 @@ class TestSection(Section):
     lock_timeout_s: Positive = 60.0
 
 
+class HysteresisSection(Section):
+    """Chain m1 - leaf spring - m2 - joint - m3 whose hysteresis loops are evaluated; masses as weighed.
+
+    Nothing is evaluated in tests whose exciter is at another point than m1.
+    """
+
+    excited_point: Point
+    middle_point: Point
+    free_point: Point
+    excited_mass_kg: Positive
+    free_mass_kg: Positive
+
+    @model_validator(mode="after")
+    def _three_points(self) -> HysteresisSection:
+        if len({self.excited_point, self.middle_point, self.free_point}) != 3:
+            raise ValueError("needs three different points: excited_point, middle_point and free_point")
+        return self
+
+
 class ExtractionSection(Section):
     """Harmonics of the extraction and how many linear modes Φ has (no more than response points)."""
 
     harmonics: Annotated[int, Field(ge=1, le=50)] = 7
     linear_modes: Annotated[int, Field(ge=1)] = 2
     quantity: Literal["displacement", "acceleration"] = "displacement"
+    hysteresis: HysteresisSection | None = None
 
 
 def _plain_setting(value: Any) -> Any:
@@ -336,6 +356,9 @@ class Rig(Section):
         return tuple(self.sensor_point(s) for s in self.sensors if Quantity[s.quantity.upper()] == quantity)
 
 
+_HYSTERESIS_POINTS = ("excited_point", "middle_point", "free_point")
+
+
 def _points_used(rig: Rig) -> Iterator[tuple[KeyPath, int]]:
     yield ("exciter", "point"), rig.exciter.point
     for index, element in enumerate(rig.local_elements):
@@ -345,6 +368,9 @@ def _points_used(rig: Rig) -> Iterator[tuple[KeyPath, int]]:
     for index, sensor in enumerate(rig.sensors):
         if isinstance(sensor.point, int):
             yield ("sensors", index, "point"), sensor.point
+    if rig.extraction.hysteresis is not None:
+        for name in _HYSTERESIS_POINTS:
+            yield ("extraction", "hysteresis", name), getattr(rig.extraction.hysteresis, name)
 
 
 def _check_references(rig: Rig, document: RigDocument) -> None:
@@ -386,6 +412,23 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
             f"{place}: extraction.linear_modes must be between test.mode ({rig.test.mode}) and the number of "
             f"{rig.extraction.quantity} sensors ({responses}), got {rig.extraction.linear_modes}."
         )
+    _check_hysteresis(rig, document)
+
+
+def _check_hysteresis(rig: Rig, document: RigDocument) -> None:
+    """The loops need the motion of all three masses."""
+    section = rig.extraction.hysteresis
+    if section is None:
+        return
+    measured = rig.response_points(Quantity[rig.extraction.quantity.upper()])
+    for name in _HYSTERESIS_POINTS:
+        path = ("extraction", "hysteresis", name)
+        point = getattr(section, name)
+        if point not in measured:
+            raise BenchError(
+                f"{document.place(path)}: {_dotted(path)} is {point}, where there is no "
+                f"{rig.extraction.quantity} sensor."
+            )
 
 
 def _dotted(path: Sequence[str | int]) -> str:

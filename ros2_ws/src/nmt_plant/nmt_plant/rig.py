@@ -34,7 +34,21 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-class BeamSection(Section):
+class AddedMassSection(Section):
+    """Mass fixed to a point; negative where the model has too much."""
+
+    point: Point
+    mass_kg: float
+
+
+class StructureSection(Section):
+    """Common keys of structures: masses added at points, and hysteretic damping K (1 + iη)."""
+
+    added_masses: list[AddedMassSection] = []
+    loss_factor: NotNegative = 0.0
+
+
+class BeamSection(StructureSection):
     """Cantilever of Euler-Bernoulli elements; points 1..elements from the clamp outward."""
 
     kind: Literal["beam"]
@@ -45,6 +59,9 @@ class BeamSection(Section):
     density_kg_m3: Positive
     elements: Annotated[int, Field(ge=1, le=200)]
     stiffness_damping_s: NotNegative = 0.0
+    mesh_refinement: Annotated[int, Field(ge=1, le=20)] = 1
+    clamp_rotational_stiffness_nm_rad: Positive | None = None
+    clamp_lateral_stiffness_n_m: Positive | None = None
 
     @property
     def points(self) -> range:
@@ -52,7 +69,7 @@ class BeamSection(Section):
         return range(1, self.elements + 1)
 
 
-class ChainSection(Section):
+class ChainSection(StructureSection):
     """Lumped masses in a row; point i = mass i."""
 
     kind: Literal["chain"]
@@ -83,11 +100,17 @@ class ChainSection(Section):
 
 
 class ElementSection(Section):
-    """Common keys of local elements: between `point` and `other_point`, the ground when that is left out."""
+    """Common keys of local elements: between `point` and `other_point`, the ground when that is left out.
+
+    side: an element on the side of the exciter acts on the drive point behind the force sensor, so its force is part
+    of the measured one. rotation: it acts on the rotation of the beam's cross-section (N m and rad instead of N and m).
+    """
 
     name: Name | None = None
     point: Point
     other_point: Point | None = None
+    side: Literal["structure", "exciter"] = "structure"
+    rotation: bool = False
 
 
 class JenkinsSection(ElementSection):
@@ -177,6 +200,89 @@ class TanhFrictionSection(ElementSection):
     reference_velocity_m_s: Positive
 
 
+class EddyBrakeSection(ElementSection):
+    """g = c v / (1 + (v / v_c)²)."""
+
+    kind: Literal["eddy_brake"]
+    damping_ns_m: NotNegative
+    critical_velocity_m_s: Positive
+
+
+class BacklashDamperSection(ElementSection):
+    """Free play with a spring and a damper behind it: g = max(e (k + λ ė), 0), e = |w| - gap > 0, to both sides."""
+
+    kind: Literal["backlash_damper"]
+    stiffness_n_m: Positive
+    damping_ns_m2: NotNegative
+    gap_m: NotNegative
+
+
+class BoucWenSection(ElementSection):
+    """g = k (a w + (1 - a) z), ż = v (1 - |z / z_y|^n (b sign(v z) + 1 - b))."""
+
+    kind: Literal["bouc_wen"]
+    stiffness_n_m: Positive
+    yield_displacement_m: Positive
+    exponent: Annotated[float, Field(ge=1, le=20)] = 1.0
+    post_yield_ratio: Annotated[float, Field(ge=0, le=1)] = 0.0
+    shape: Annotated[float, Field(ge=0, le=1)] = 0.5
+
+
+class LuGreSection(ElementSection):
+    """g = σ₀ z + σ₁ ż + σ₂ v, ż = v - σ₀ |v| z / s(v), s = F_C + (F_S - F_C) exp(-(v / v_S)²)."""
+
+    kind: Literal["lugre"]
+    bristle_stiffness_n_m: Positive
+    bristle_damping_ns_m: NotNegative = 0.0
+    viscous_damping_ns_m: NotNegative = 0.0
+    coulomb_force_n: Positive
+    static_force_n: Positive
+    stribeck_velocity_m_s: Positive
+
+    @model_validator(mode="after")
+    def _static_is_larger(self) -> LuGreSection:
+        if self.static_force_n < self.coulomb_force_n:
+            raise ValueError("static_force_n must not be smaller than coulomb_force_n")
+        return self
+
+
+class FractionalDamperSection(ElementSection):
+    """g = c dᵅw/dtᵅ between two frequencies, as a ladder of Maxwell elements."""
+
+    kind: Literal["fractional_damper"]
+    coefficient_n_sa_m: Positive
+    order: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    low_hz: Positive = 0.1
+    high_hz: Positive = 10_000.0
+
+    @model_validator(mode="after")
+    def _band(self) -> FractionalDamperSection:
+        if self.low_hz >= self.high_hz:
+            raise ValueError("low_hz must be smaller than high_hz")
+        return self
+
+
+class TunedMassQuadraticSection(ElementSection):
+    """Oscillator beside the structure with the coupling energy κ w² y: 1:2 resonance where it is tuned to 2 ω."""
+
+    kind: Literal["tuned_mass_quadratic"]
+    mass_kg: Positive
+    frequency_hz: Positive
+    damping_ratio: NotNegative = 0.0
+    coupling_n_m2: float
+
+
+class RattlingMassSection(ElementSection):
+    """Loose mass with free play: strikes at |w - y| = gap, is carried by viscous friction alone in between."""
+
+    kind: Literal["rattling_mass"]
+    mass_kg: Positive
+    gap_m: Positive
+    contact_stiffness_n_m: Positive
+    contact_damping_ns_m2: NotNegative = 0.0
+    friction_ns_m: NotNegative = 0.0
+
+
 AnyElement = Annotated[
     JenkinsSection
     | IwanSection
@@ -188,7 +294,14 @@ AnyElement = Annotated[
     | QuadraticDragSection
     | LinearSpringSection
     | LinearDamperSection
-    | TanhFrictionSection,
+    | TanhFrictionSection
+    | EddyBrakeSection
+    | BacklashDamperSection
+    | BoucWenSection
+    | LuGreSection
+    | FractionalDamperSection
+    | TunedMassQuadraticSection
+    | RattlingMassSection,
     Field(discriminator="kind"),
 ]
 
@@ -207,6 +320,16 @@ class ShakerSection(Section):
     force_factor_n_a: Positive
     inductance_h: Positive
     resistance_ohm: Positive
+    source_resistance_ohm: float = 0.0
+    amplifier_saturation_v: Positive | None = None
+    force_factor_linear_per_m: float = 0.0
+    force_factor_quadratic_per_m2: float = 0.0
+
+    @model_validator(mode="after")
+    def _circuit_loses(self) -> ShakerSection:
+        if not self.resistance_ohm + self.source_resistance_ohm > 0:
+            raise ValueError("resistance_ohm and source_resistance_ohm must have a positive sum")
+        return self
 
 
 class ForceSection(Section):
@@ -215,6 +338,13 @@ class ForceSection(Section):
     kind: Literal["force"]
     point: Point
     newton_per_volt: Positive = 1.0
+
+
+class TransverseSection(Section):
+    """Share of the same quantity at another point that a sensor records as well."""
+
+    point: Point
+    fraction: float
 
 
 class SensorSection(Section):
@@ -228,6 +358,17 @@ class SensorSection(Section):
     noise_correlation_time_s: NotNegative = 0.0
     range: Positive | None = None
     bits: Annotated[int, Field(ge=2, le=32)] | None = None
+    mass_kg: float = 0.0
+    transverse: TransverseSection | None = None
+    dead_zone: NotNegative = 0.0
+    low_pass_hz: Positive | None = None
+    high_pass_hz: Positive | None = None
+    delay_s: float = 0.0
+    hum_amplitude: NotNegative = 0.0
+    hum_hz: Positive = 50.0
+    crosstalk_per_volt: float = 0.0
+    clip: Positive | None = None
+    dropped_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.0
 
     @model_validator(mode="after")
     def _consistent(self) -> SensorSection:
@@ -241,6 +382,10 @@ class SensorSection(Section):
             raise ValueError("bits needs range, the converter's full scale")
         if self.gain == 0.0:
             raise ValueError("gain must not be zero, got 0")
+        if self.quantity in ("voltage", "current") and (self.mass_kg != 0.0 or self.transverse is not None):
+            raise ValueError(f"a {self.quantity} sensor moves with no point; remove mass_kg and transverse")
+        if self.quantity == "force" and self.transverse is not None:
+            raise ValueError("the force is measured at one point; remove transverse")
         return self
 
 
@@ -300,6 +445,14 @@ class ExtractionSection(Section):
     hysteresis: HysteresisSection | None = None
 
 
+class DriftSection(Section):
+    """Slow relative changes with bench time: of all slip forces (per second, per drive period), of the stiffness."""
+
+    slip_force_per_s: float = 0.0
+    slip_force_per_cycle: float = 0.0
+    stiffness_per_s: float = 0.0
+
+
 def _plain_setting(value: Any) -> Any:
     """One setting of the loop: a finite number, a word, or true or false; the loop itself checks the rest."""
     if isinstance(value, float) and not math.isfinite(value):
@@ -328,6 +481,8 @@ class Rig(Section):
     test: TestSection = TestSection()
     extraction: ExtractionSection = ExtractionSection()
     pll: dict[str, Annotated[Any, AfterValidator(_plain_setting)]] = {}
+    clock_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
+    drift: DriftSection = DriftSection()
 
     @property
     def drive_point(self) -> int:
@@ -365,9 +520,13 @@ def _points_used(rig: Rig) -> Iterator[tuple[KeyPath, int]]:
         yield ("local_elements", index, "point"), element.point
         if element.other_point is not None:
             yield ("local_elements", index, "other_point"), element.other_point
+    for index, mass in enumerate(rig.structure.added_masses):
+        yield ("structure", "added_masses", index, "point"), mass.point
     for index, sensor in enumerate(rig.sensors):
         if isinstance(sensor.point, int):
             yield ("sensors", index, "point"), sensor.point
+        if sensor.transverse is not None:
+            yield ("sensors", index, "transverse", "point"), sensor.transverse.point
     if rig.extraction.hysteresis is not None:
         for name in _HYSTERESIS_POINTS:
             yield ("extraction", "hysteresis", name), getattr(rig.extraction.hysteresis, name)
@@ -386,6 +545,7 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
         if element.other_point == element.point:
             path = ("local_elements", index, "other_point")
             raise BenchError(f"{document.place(path)}: {_dotted(path)} must differ from point.")
+        _check_element(rig, index, element, document)
     seen: dict[str, int] = {}
     for index, sensor in enumerate(rig.sensors):
         channel = rig.sensor_channel(sensor)
@@ -396,6 +556,12 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
                 "remove one or give it another channel name."
             )
         seen[channel] = index
+        if sensor.delay_s < -1.0 / rig.sample_rate_hz:
+            place = document.place((*path, "delay_s"))
+            raise BenchError(
+                f"{place}: sensors.{index}.delay_s is {sensor.delay_s:g}; a channel can lead by one sampling interval "
+                f"({1.0 / rig.sample_rate_hz:g} s) at most; delay the other channels instead."
+            )
         if sensor.quantity == "current" and not isinstance(rig.exciter, ShakerSection):
             raise BenchError(f"{document.place(path)}: a current sensor needs an electrodynamic_shaker.")
     if not any(sensor.quantity == "force" for sensor in rig.sensors):
@@ -429,6 +595,19 @@ def _check_hysteresis(rig: Rig, document: RigDocument) -> None:
                 f"{document.place(path)}: {_dotted(path)} is {point}, where there is no "
                 f"{rig.extraction.quantity} sensor."
             )
+
+
+def _check_element(rig: Rig, index: int, element: ElementSection, document: RigDocument) -> None:
+    """Side and rotation fit exciter and structure."""
+    if element.side == "exciter" and (element.point != rig.drive_point or element.other_point is not None):
+        place = document.place(("local_elements", index, "side"))
+        raise BenchError(
+            f"{place}: local_elements.{index} is on the side of the exciter, so its point must be the drive point "
+            f"({rig.drive_point}) and it must not have an other_point."
+        )
+    if element.rotation and not isinstance(rig.structure, BeamSection):
+        place = document.place(("local_elements", index, "rotation"))
+        raise BenchError(f"{place}: local_elements.{index}.rotation needs a beam; points of a chain do not rotate.")
 
 
 def _dotted(path: Sequence[str | int]) -> str:

@@ -1,0 +1,171 @@
+"""Maximum-a-posteriori fit by damped Gauss–Newton steps, and its evidence by Laplace's method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.inference.problem import BoolArray, ParametrisationLike, PredictionLike, Problem
+
+_STEPS = 25
+_TRIALS = 10
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Outcome of a fit.
+
+    Attributes:
+        parametrisation: what the parameters mean.
+        theta: estimate, shape (n,).
+        covariance: of the estimate, shape (n, n).
+        residual: whitened residual of all rows, used for the fit or not, shape (m,).
+        jacobian: whitened sensitivities ∂f/∂θ / σ of all rows at the estimate, shape (m, n).
+        used: rows that the fit used, shape (m,).
+        prediction: the model's solution at the estimate.
+        chi_square: Σ r² over the used rows.
+        penalty: Σ ((θ − mean)/std)² of the prior.
+        log_evidence: ln ∫ likelihood · prior dθ by Laplace's method, without the constant of the rows.
+        converged: the last step changed nothing that matters.
+    """
+
+    parametrisation: ParametrisationLike
+    theta: FloatArray
+    covariance: FloatArray
+    residual: FloatArray
+    jacobian: FloatArray
+    used: BoolArray
+    prediction: PredictionLike
+    chi_square: float
+    penalty: float
+    log_evidence: float
+    converged: bool
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard uncertainties of the estimate, shape (n,)."""
+        result: FloatArray = np.sqrt(np.diag(self.covariance))
+        return result
+
+
+class FitError(ArithmeticError):
+    """The model has no solution where the fit would have to start."""
+
+
+def fit(
+    problem: Problem,
+    parametrisation: ParametrisationLike,
+    theta: FloatArray,
+    used: BoolArray | None = None,
+    start: PredictionLike | None = None,
+    steps: int = _STEPS,
+) -> Fit:
+    """Fit by Levenberg's damping, within bounds.
+
+    Args:
+        problem: evidence and model.
+        parametrisation: parameters with prior.
+        theta: where to start, shape (n,).
+        used: rows to fit; None = all.
+        start: a solution to start from.
+        steps: most Gauss–Newton steps.
+
+    Raises:
+        FitError: the model cannot be solved at the start.
+    """
+    rows = np.ones(problem.size, dtype=bool) if used is None else used
+    theta = np.maximum(np.asarray(theta, dtype=np.float64), parametrisation.lower)
+    mean, std, lower = parametrisation.prior_mean, parametrisation.prior_std, parametrisation.lower
+    prediction = problem.forward.predict(parametrisation.rig(theta), start)
+    residual = problem.residual(prediction)
+    # Levels that have no solution even here cannot be compared; they are left out of this fit as a whole.
+    solvable = np.isfinite(residual)
+    if not np.any(solvable & rows):
+        raise FitError("the model has no solution for any of the observables")
+    rows = rows & solvable
+    damping, converged = 1e-3, False
+    cost = _cost(residual, rows, theta, mean, std)
+    jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
+    for _ in range(steps):
+        used_jacobian, used_residual = jacobian[rows], residual[rows]
+        normal = used_jacobian.T @ used_jacobian + np.diag(std**-2.0)
+        gradient = used_jacobian.T @ used_residual - (theta - mean) / std**2
+        accepted = False
+        for _ in range(_TRIALS):
+            step = _bounded_step(normal, gradient, damping, theta, lower)
+            # A step beyond a few prior deviations leaves the range in which the linearisation means anything.
+            step *= min(1.0, 3.0 / max(float(np.max(np.abs(step) / np.maximum(std, 1e-12))), 1e-300))
+            trial = np.maximum(theta + step, lower)
+            trial_prediction = problem.forward.predict(parametrisation.rig(trial), prediction)
+            trial_residual = problem.residual(trial_prediction)
+            trial_cost = _cost(trial_residual, rows, trial, mean, std)
+            if trial_cost <= cost:
+                accepted = True
+                break
+            damping = max(damping, 1e-6) * 8.0
+        if not accepted:
+            converged = bool(np.max(np.abs(step)) < 1e-3) if step.size else True
+            break
+        change = cost - trial_cost
+        theta, prediction, residual, cost = trial, trial_prediction, trial_residual, trial_cost
+        jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
+        damping *= 0.1
+        if change < 1e-2 + 1e-7 * cost:
+            converged = True
+            break
+    return _finished(problem, parametrisation, theta, rows, prediction, residual, jacobian, converged)
+
+
+def _finished(
+    problem: Problem,
+    parametrisation: ParametrisationLike,
+    theta: FloatArray,
+    rows: BoolArray,
+    prediction: PredictionLike,
+    residual: FloatArray,
+    jacobian: FloatArray,
+    converged: bool,
+) -> Fit:
+    mean, std = parametrisation.prior_mean, parametrisation.prior_std
+    used = jacobian[rows]
+    normal = used.T @ used + np.diag(std**-2.0)
+    chi_square = float(residual[rows] @ residual[rows])
+    penalty = float(np.sum(((theta - mean) / std) ** 2))
+    _, log_determinant = np.linalg.slogdet(normal)
+    log_evidence = -0.5 * (chi_square + penalty) - 0.5 * float(log_determinant) - float(np.sum(np.log(std)))
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    return Fit(
+        parametrisation, theta, covariance, residual, jacobian, rows, prediction, chi_square, penalty, log_evidence,
+        converged,
+    )  # fmt: skip
+
+
+def _whitened_jacobian(
+    problem: Problem, parametrisation: ParametrisationLike, theta: FloatArray, prediction: PredictionLike
+) -> FloatArray:
+    if theta.size == 0:
+        return np.zeros((problem.size, 0))
+    jacobian = problem.forward.jacobian(parametrisation, theta, prediction) / problem.evidence.sigma[:, None]
+    return np.where(np.isfinite(jacobian), jacobian, 0.0)
+
+
+def _cost(residual: FloatArray, rows: BoolArray, theta: FloatArray, mean: FloatArray, std: FloatArray) -> float:
+    used = residual[rows]
+    if not np.all(np.isfinite(used)):
+        return float("inf")
+    return float(used @ used + np.sum(((theta - mean) / std) ** 2))
+
+
+def _bounded_step(
+    normal: FloatArray, gradient: FloatArray, damping: float, theta: FloatArray, lower: FloatArray
+) -> FloatArray:
+    """Damped step; parameters at their bound that would leave it stay there."""
+    free = ~((theta <= lower) & (gradient < 0.0))
+    step = np.zeros_like(theta)
+    if np.any(free):
+        matrix = normal[np.ix_(free, free)]
+        matrix = matrix + damping * np.diag(np.diag(matrix))
+        step[free] = np.linalg.solve(matrix, gradient[free])
+    return step

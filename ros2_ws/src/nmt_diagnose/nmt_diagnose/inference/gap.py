@@ -1,0 +1,96 @@
+"""The gap on held-out data: before, after, floor, and how much of it a candidate closes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.evidence.observables import Evidence, IntArray
+from nmt_diagnose.inference.problem import BoolArray
+
+_RESAMPLES = 1000
+_FLOOR = 1.0
+
+
+@dataclass(frozen=True)
+class Closed:
+    """How much of a gap is closed.
+
+    Attributes:
+        before, after: root-mean-square whitened residual on held-out data.
+        floor: what noise and repeatability leave, 1 = the stated uncertainties.
+        value: (before − after) / (before − floor); NaN where there is no gap to close.
+        low, high: bootstrap interval of 90 %.
+    """
+
+    before: float
+    after: float
+    floor: float
+    value: float
+    low: float
+    high: float
+
+
+def rms(residual: FloatArray) -> float:
+    """Root mean square of whitened residuals; NaN without any."""
+    finite = residual[np.isfinite(residual)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
+
+
+def closed(
+    evidence: Evidence,
+    pairs: list[tuple[FloatArray, FloatArray, BoolArray]],
+    seed: int = 0,
+    floor: float = _FLOOR,
+) -> Closed:
+    """Pool held-out residuals of several splits and resample them in blocks that belong together.
+
+    Args:
+        evidence: the real side.
+        pairs: residual before, residual after (m,) each, and the held-out rows, one per split.
+        seed: of the bootstrap.
+        floor: rms that no model can beat.
+    """
+    before_squares, after_squares, counts = [], [], []
+    for before, after, rows in pairs:
+        both = rows & np.isfinite(before) & np.isfinite(after)
+        # Rows of one level (one tenth of the lines of a random test) stand or fall together.
+        keys = evidence.rows.test * 100_000 + _block(evidence)
+        for key in np.unique(keys[both]):
+            block = both & (keys == key)
+            before_squares.append(float(before[block] @ before[block]))
+            after_squares.append(float(after[block] @ after[block]))
+            counts.append(int(block.sum()))
+    if not counts:
+        nan = float("nan")
+        return Closed(nan, nan, floor, nan, nan, nan)
+    b, a, n = np.array(before_squares), np.array(after_squares), np.array(counts)
+    generator = np.random.default_rng(seed)
+    draws = generator.integers(0, n.size, size=(_RESAMPLES, n.size))
+    total = n[draws].sum(axis=1)
+    sample = _share(np.sqrt(b[draws].sum(axis=1) / total), np.sqrt(a[draws].sum(axis=1) / total), floor)
+    sample = sample[np.isfinite(sample)]
+    low, high = (float(x) for x in np.quantile(sample, [0.05, 0.95])) if sample.size > 50 else (float("nan"),) * 2
+    before_rms, after_rms = float(np.sqrt(b.sum() / n.sum())), float(np.sqrt(a.sum() / n.sum()))
+    value = float(_share(np.array([before_rms]), np.array([after_rms]), floor)[0])
+    return Closed(before_rms, after_rms, floor, value, low, high)
+
+
+def _block(evidence: Evidence) -> IntArray:
+    level = evidence.rows.level
+    lines = evidence.rows.harmonic < 0
+    many = np.bincount(evidence.rows.test) > 0
+    blocks = level.astype(np.int64).copy()
+    for test in np.flatnonzero(many):
+        mine = (evidence.rows.test == test) & lines
+        if np.unique(level[mine]).size > 60:
+            blocks[mine] = level[mine] * 10 // (int(level[mine].max()) + 1)
+    return blocks
+
+
+def _share(before: FloatArray, after: FloatArray, floor: float) -> FloatArray:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = (before - after) / (before - floor)
+    return np.where(before > floor * 1.02, value, np.nan)

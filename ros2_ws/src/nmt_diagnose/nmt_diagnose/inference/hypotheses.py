@@ -1,0 +1,76 @@
+"""Hypotheses that compete: no gap, parameters, one effect, two effects, something unnamed; and their probabilities."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.inference.fit import Fit
+
+NULL, UNKNOWN = "none", "unknown"
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One explanation.
+
+    Attributes:
+        label: effect with placement (two joined by `` + ``), ``none`` or ``unknown``.
+        effects: names of its effects; empty for ``none`` and ``unknown``.
+        place: where it lies.
+        log_evidence: ln Z, relative to the same rows for all.
+        log_prior: ln of its prior probability.
+        fit: its fit; None for ``unknown``.
+    """
+
+    label: str
+    effects: tuple[str, ...]
+    place: str
+    log_evidence: float
+    log_prior: float
+    fit: Fit | None
+
+
+def probabilities(hypotheses: Sequence[Hypothesis], temperature: float = 1.0) -> FloatArray:
+    """Posterior probabilities, softened by a temperature.
+
+    Evidence from a model with small errors of its own is over-confident; a temperature above one, found on simulated
+    cases, says how much.
+
+    Returns:
+        shape (hypotheses,), sum 1.
+    """
+    logs = np.array([item.log_prior + item.log_evidence / temperature for item in hypotheses])
+    weights = np.exp(logs - logs.max())
+    result: FloatArray = weights / weights.sum()
+    return result
+
+
+def equivalent(left: Fit, right: Fit, limit: float = 3.0) -> bool:
+    """Whether two fitted models predict the same data within ``limit`` standard deviations (Euclidean distance)."""
+    both = left.used & right.used & np.isfinite(left.residual) & np.isfinite(right.residual)
+    distance = float(np.linalg.norm(left.residual[both] - right.residual[both]))
+    return distance < limit
+
+
+def equivalence_classes(fits: Sequence[Fit], limit: float = 3.0) -> list[list[int]]:
+    """Groups of fits that the data cannot tell apart, each around its best member.
+
+    Args:
+        fits: fits, best first.
+        limit: distance in standard deviations.
+
+    Returns:
+        Indices, best member of each class first.
+    """
+    left = list(range(len(fits)))
+    classes = []
+    while left:
+        head = left[0]
+        members = [head] + [k for k in left[1:] if equivalent(fits[head], fits[k], limit)]
+        classes.append(members)
+        left = [k for k in left if k not in members]
+    return classes

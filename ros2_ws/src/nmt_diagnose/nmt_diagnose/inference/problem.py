@@ -1,0 +1,88 @@
+"""What a fit works on: evidence, the model that predicts it, and whitened residuals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_plant.rig import Rig
+
+BoolArray = NDArray[np.bool_]
+
+
+class PredictionLike(Protocol):
+    """What the inference reads of a prediction."""
+
+    @property
+    def values(self) -> FloatArray:
+        """Observables, shape (m,); NaN where the model has no solution."""
+
+
+class ForwardLike(Protocol):
+    """What the inference needs of the model; :class:`nmt_diagnose.twin.forward.Forward` has it."""
+
+    def predict(self, rig: Rig, start: PredictionLike | None = None) -> PredictionLike:
+        """Observables of a rig, starting from an earlier solution."""
+
+    def jacobian(
+        self, parametrisation: ParametrisationLike, theta: FloatArray, prediction: PredictionLike
+    ) -> FloatArray:
+        """Derivatives of the observables, shape (m, n)."""
+
+
+class ParametrisationLike(Protocol):
+    """What the inference needs of a parametrisation."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+
+    @property
+    def prior_mean(self) -> FloatArray:
+        """Mean of the prior, shape (n,)."""
+
+    @property
+    def prior_std(self) -> FloatArray:
+        """Standard deviation of the prior, shape (n,)."""
+
+    @property
+    def lower(self) -> FloatArray:
+        """Lower bounds, shape (n,), −inf where there is none."""
+
+    def rig(self, theta: FloatArray) -> Rig:
+        """The rig with these values."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Evidence and model.
+
+    Attributes:
+        evidence: the real side.
+        forward: predicts its observables.
+    """
+
+    evidence: Evidence
+    forward: ForwardLike
+
+    @property
+    def size(self) -> int:
+        """Number of observables m."""
+        return len(self.evidence.rows)
+
+    def difference(self, values: FloatArray) -> FloatArray:
+        """Measured minus predicted, phases on the shortest way, shape (m,)."""
+        result: FloatArray = self.evidence.values - values
+        phases = np.isin(self.evidence.rows.part, (Part.PHASE, Part.PHASE_ERROR))
+        result[phases] = (result[phases] + np.pi) % (2.0 * np.pi) - np.pi
+        return result
+
+    def residual(self, prediction: PredictionLike) -> FloatArray:
+        """Whitened residual (measured − predicted) / σ, shape (m,)."""
+        result: FloatArray = self.difference(prediction.values) / self.evidence.sigma
+        return result

@@ -1,0 +1,73 @@
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal
+from unit.diagnose.linear_problem import FunctionModel, Plain, evidence_of
+
+from nmt_diagnose.evidence.observables import Part
+from nmt_diagnose.inference.fit import FitError, fit
+from nmt_diagnose.inference.problem import Problem
+
+
+def test_linear_fit_is_the_gaussian_posterior():
+    generator = np.random.default_rng(1)
+    matrix = generator.standard_normal((40, 3))
+    sigma = generator.uniform(0.5, 2.0, 40)
+    prior = np.array([1.0, 0.3, 2.0])
+    measured = matrix @ np.array([0.4, -0.2, 1.5]) + sigma * generator.standard_normal(40)
+    plain = Plain(np.zeros(3), prior, np.full(3, -np.inf), ("a", "b", "c"))
+    result = fit(Problem(evidence_of(measured, sigma), FunctionModel(lambda t: matrix @ t)), plain, np.zeros(3))
+    # Conditional mean of jointly Gaussian θ and y, by the other formula (gain matrix).
+    joint = matrix @ np.diag(prior**2) @ matrix.T + np.diag(sigma**2)
+    gain = np.diag(prior**2) @ matrix.T @ np.linalg.inv(joint)
+    assert np.allclose(result.theta, gain @ measured, atol=2e-3)
+    assert np.allclose(result.covariance, np.diag(prior**2) - gain @ matrix @ np.diag(prior**2), atol=1e-6)
+    assert result.converged
+
+
+def test_log_evidence_is_the_marginal_likelihood_of_a_linear_model():
+    generator = np.random.default_rng(2)
+    matrix = generator.standard_normal((15, 2))
+    measured = generator.standard_normal(15) * 2.0
+    result = fit(
+        Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: matrix @ t)), Plain.of(2, 0.7), np.zeros(2)
+    )
+    exact = multivariate_normal(np.zeros(15), np.eye(15) + 0.49 * matrix @ matrix.T).logpdf(measured)
+    assert result.log_evidence - 7.5 * np.log(2.0 * np.pi) == pytest.approx(exact, abs=1e-4)
+
+
+def test_log_evidence_of_a_curved_model_is_close_to_its_integral():
+    x = np.linspace(0.0, 1.0, 30)
+
+    def model(t):
+        return np.exp(0.3 * t[0] * x)
+
+    measured = model(np.array([1.2])) + 0.05 * np.random.default_rng(3).standard_normal(30)
+    result = fit(Problem(evidence_of(measured, 0.05), FunctionModel(model)), Plain.of(1, 2.0), np.zeros(1))
+
+    def integrand(t):
+        residual = (measured - model(np.array([t]))) / 0.05
+        return np.exp(-0.5 * (residual @ residual - result.chi_square) - 0.5 * (t / 2.0) ** 2) / (
+            2.0 * np.sqrt(2.0 * np.pi)
+        )
+
+    integral, _ = quad(integrand, -3.0, 5.0, points=[result.theta[0]], limit=200)
+    assert result.log_evidence == pytest.approx(np.log(integral) - 0.5 * result.chi_square, abs=0.02)
+
+
+def test_phases_are_compared_on_the_shortest_way():
+    evidence = evidence_of([np.pi - 0.01], 0.1, part=Part.PHASE)
+    result = fit(
+        Problem(evidence, FunctionModel(lambda t: np.array([-np.pi + 0.01]) + t)), Plain.of(1, 10.0), np.zeros(1)
+    )
+    assert abs(result.theta[0] + 0.02) < 1e-3
+
+
+def test_bounds_hold_and_rows_without_solution_are_left_out():
+    evidence = evidence_of([-1.0, -1.0, 5.0], 1.0)
+    model = FunctionModel(lambda t: np.array([t[0], t[0], np.nan]))
+    result = fit(Problem(evidence, model), Plain.of(1, 3.0, lower=0.0), np.ones(1))
+    assert result.theta[0] == 0.0
+    assert not result.used[2]
+    with pytest.raises(FitError, match="no solution"):
+        fit(Problem(evidence, FunctionModel(lambda t: np.full(3, np.nan))), Plain.of(1), np.zeros(1))

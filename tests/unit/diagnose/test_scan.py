@@ -1,0 +1,67 @@
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+from unit.diagnose.linear_problem import FunctionModel, Plain, evidence_of
+
+from nmt_diagnose.inference.fit import fit
+from nmt_diagnose.inference.generic_source import source_score
+from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.inference.scan import Direction, Projector, scores
+
+
+def _setting(seed=4):
+    generator = np.random.default_rng(seed)
+    calibration = generator.standard_normal((60, 4))
+    effect = generator.standard_normal(60) + 0.8 * calibration[:, 0]
+    measured = calibration @ generator.standard_normal(4) + 0.9 * effect + generator.standard_normal(60)
+    problem = Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: calibration @ t[:4]))
+    return calibration, effect, measured, fit(problem, Plain.of(4), np.zeros(4))
+
+
+def test_score_equals_a_refit_with_the_effect():
+    calibration, effect, measured, null = _setting()
+    (score,) = scores(null, [Direction(0, np.zeros(1), effect, True)])
+    both = np.column_stack([calibration, effect])
+    plain = Plain(np.zeros(5), np.array([1.0, 1.0, 1.0, 1.0, 1e6]), np.full(5, -np.inf), ("a", "b", "c", "d", "e"))
+    full = fit(Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: both @ t)), plain, np.zeros(5), steps=200)
+    fall = null.chi_square + null.penalty - full.chi_square - full.penalty
+    assert score.gain == pytest.approx(fall, rel=1e-3)
+    assert score.strength == pytest.approx(full.theta[4], rel=1e-3)
+    assert score.sigmas == pytest.approx(full.theta[4] / full.std[4], rel=1e-3)
+
+
+def test_what_the_calibration_imitates_scores_nothing_and_wrong_signs_are_refused():
+    calibration, effect, _, null = _setting()
+    wide = Plain(np.zeros(4), np.full(4, 1e3), np.full(4, -np.inf), ("a", "b", "c", "d"))
+    loose = fit(Problem(evidence_of(null.residual, 1.0), FunctionModel(lambda t: calibration @ t)), wide, np.zeros(4))
+    inside, _ = sorted(
+        scores(loose, [Direction(0, np.zeros(1), calibration[:, 1], True), Direction(1, np.zeros(1), effect, True)]),
+        key=lambda score: score.direction.candidate,
+    )
+    assert inside.gain < 1e-3
+    assert inside.reach < 0.01
+    (wrong,) = scores(null, [Direction(0, np.zeros(1), -effect, False)])
+    assert wrong.gain == 0.0
+    assert wrong.reach > 1.0
+
+
+def test_generic_source_is_the_ratio_of_two_marginal_likelihoods():
+    calibration, effect, measured, null = _setting()
+    columns = np.column_stack([effect, np.random.default_rng(9).standard_normal(60)])
+    columns /= np.linalg.norm(columns, axis=0)
+    base = np.eye(60) + calibration @ calibration.T
+    # Same data seen from the other side: evidence of y − calibration, marginalised, with and without the source.
+    sizes = np.geomspace(0.3, 300.0, 13)
+    without = multivariate_normal(np.zeros(60), base).logpdf(measured)
+    logs = [
+        multivariate_normal(np.zeros(60), base + tau**2 * columns @ columns.T).logpdf(measured) - without
+        for tau in sizes
+    ]
+    assert source_score(null, 7.0 * columns, "structure", "point 1").gain == pytest.approx(
+        np.log(np.mean(np.exp(logs))), abs=5e-3
+    )
+
+
+def test_projector_without_parameters_is_the_plain_product():
+    vector = np.arange(5.0)
+    assert Projector(np.zeros((5, 0)), np.zeros(0)).inner(vector, vector) == 30.0

@@ -1,0 +1,197 @@
+"""The outcome of a diagnosis, and ``diagnosis.json``."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from nmt_core.whole_file import write_whole
+
+FORMAT = "nmt diagnosis 1"
+
+
+class Verdict(str, Enum):
+    """What a diagnosis comes to."""
+
+    NONE = "none"
+    CALIBRATION = "calibration"
+    EFFECT = "effect"
+    UNKNOWN = "unknown"
+    UNDECIDED = "undecided"  # the evidence does not reach: nothing that could be judged
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number with its standard uncertainty."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Share:
+    """How much of the gap was closed, with the interval of 90 %."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class PlaceShare:
+    """How much of the gap a place accounts for.
+
+    Attributes:
+        place: structure, boundary, joint, exciter, force_sensor, response_sensor, controller or time.
+        detail: point, channel or coordinate.
+        share: share of the gap that sources at this place account for, 0..1, all places together 1.
+        p: probability that the cause lies there.
+    """
+
+    place: str
+    detail: str
+    share: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One named explanation.
+
+    Attributes:
+        effect: name of the effect, two joined by `` + ``.
+        place: where it acts.
+        detail: point or channel.
+        probability: calibrated probability of the class it heads.
+        equivalents: other effects that these tests cannot tell from it.
+        parameters: fitted parameters.
+        closed: share of the held-out gap it closes.
+        sigmas: its strength over its standard uncertainty.
+    """
+
+    effect: str
+    place: str
+    detail: str
+    probability: float
+    equivalents: tuple[str, ...]
+    parameters: dict[str, Value]
+    closed: Share
+    sigmas: float
+
+
+@dataclass(frozen=True)
+class Gap:
+    """The gap on held-out data in noise units, and per observable in engineering units too.
+
+    Attributes:
+        before: root-mean-square whitened residual of the model with its own parameters re-fitted.
+        after: with the accepted explanation.
+        floor: what no model can beat.
+        as_given: of the model as it was given.
+        closed, low, high: (before − after) / (before − floor) with the interval of 90 %.
+        per_observable: by observable: before, after in noise units and in ``unit``.
+        held_out: what was held out.
+    """
+
+    before: float
+    after: float
+    floor: float
+    as_given: float
+    closed: float
+    low: float
+    high: float
+    per_observable: dict[str, dict[str, Any]]
+    held_out: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class NextTest:
+    """A test that would decide between explanations that are left.
+
+    Attributes:
+        test: what to do, for people.
+        command: the command that does it.
+        separates: the explanations that it tells apart.
+        expected_sigma: by how many standard deviations.
+    """
+
+    test: str
+    command: str
+    separates: tuple[str, ...]
+    expected_sigma: float
+
+
+@dataclass(frozen=True)
+class Recalibrated:
+    """A parameter of the given model that was re-fitted."""
+
+    name: str
+    start: float
+    to: float
+    std: float
+    unit: str
+    prior_std: float
+    sigmas: float
+
+
+@dataclass(frozen=True)
+class ResidualGroup:
+    """Part of the residual map: what is left in a test, level, channel and harmonic, in noise units."""
+
+    test: str
+    level: int
+    amplitude: float
+    channel: str
+    harmonic: int
+    as_given: float
+    before: float
+    after: float
+    rows: int
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that a diagnosis says; the fields are those of ``diagnosis.json``."""
+
+    verdict: Verdict
+    sentences: tuple[str, ...]
+    where: tuple[PlaceShare, ...]
+    ranking: tuple[Ranked, ...]
+    probabilities: dict[str, float]
+    gap: Gap
+    next_test: tuple[NextTest, ...]
+    calibration: tuple[Recalibrated, ...]
+    inputs: dict[str, Any]
+    notes: tuple[str, ...] = ()
+    residual_map: tuple[ResidualGroup, ...] = ()
+    residual_tests: tuple[dict[str, Any], ...] = ()
+    candidates: tuple[dict[str, Any], ...] = ()
+    features: dict[str, float] = field(default_factory=dict)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain values for JSON; what is not finite becomes None."""
+        result: dict[str, Any] = {"format": FORMAT, **_plain(asdict(self))}
+        return result
+
+    def write(self, path: Path) -> None:
+        """Write ``diagnosis.json`` whole."""
+        write_whole(path, json.dumps(self.to_mapping(), indent=2, ensure_ascii=False) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if hasattr(value, "item"):
+        return _plain(value.item())
+    return value

@@ -1,0 +1,125 @@
+"""Residual map: what is left per test, level, channel and harmonic; and per observable in engineering units."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.evidence.conditions import (
+    BackboneTable,
+    MeasuredChannel,
+    RandomTest,
+    RecordTest,
+    RingDownTest,
+    Test,
+)
+from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.inference.diagnosis import ResidualGroup
+from nmt_diagnose.inference.gap import rms
+from nmt_diagnose.inference.problem import BoolArray
+
+_BANDS = 10
+
+
+def channels_of(test: Test) -> tuple[MeasuredChannel, ...]:
+    """Channels that the rows of a test refer to."""
+    if isinstance(test, RingDownTest | BackboneTable):
+        return (test.channel,)
+    return test.channels
+
+
+def channel_name(evidence: Evidence, test: int, channel: int) -> str:
+    """Name of a row's channel; ``frequency and phase`` where it belongs to none."""
+    return "frequency and phase" if channel < 0 else channels_of(evidence.tests[test])[channel].name
+
+
+def level_groups(evidence: Evidence) -> FloatArray:
+    """Level of every row; the lines of a random test in ten bands, shape (m,)."""
+    groups = evidence.rows.level.astype(np.float64)
+    for number, test in enumerate(evidence.tests):
+        mine = evidence.rows.test == number
+        if isinstance(test, RandomTest) and mine.any():
+            groups[mine] = np.floor(evidence.rows.level[mine] * _BANDS / (evidence.rows.level[mine].max() + 1))
+    return groups
+
+
+def residual_map(
+    evidence: Evidence, as_given: FloatArray, before: FloatArray, after: FloatArray
+) -> tuple[ResidualGroup, ...]:
+    """Root-mean-square whitened residuals by test, level, channel and harmonic.
+
+    Args:
+        evidence: the real side.
+        as_given, before, after: whitened residuals of the model as given, re-fitted, and with the explanation, (m,).
+    """
+    rows, levels = evidence.rows, level_groups(evidence)
+    keys = np.column_stack([rows.test, levels, rows.channel, rows.harmonic])
+    result = []
+    for key in np.unique(keys, axis=0):
+        mine = np.all(keys == key, axis=1)
+        test, level, channel, harmonic = (int(value) for value in key)
+        result.append(
+            ResidualGroup(
+                evidence.tests[test].name,
+                level,
+                float(np.mean(rows.frequency_hz[mine] if harmonic < 0 and channel >= 0 else rows.amplitude[mine])),
+                channel_name(evidence, test, channel),
+                harmonic,
+                rms(as_given[mine]),
+                rms(before[mine]),
+                rms(after[mine]),
+                int(mine.sum()),
+            )
+        )
+    return tuple(result)
+
+
+_KINDS: tuple[tuple[str, str, float, tuple[Part, ...]], ...] = (
+    ("frequency", "%", 100.0, (Part.LOG_FREQUENCY,)),
+    ("phase error", "deg", 180.0 / np.pi, (Part.PHASE_ERROR,)),
+    ("amplitude of", "%", 100.0, (Part.LOG_MAGNITUDE,)),
+    ("phase of", "deg", 180.0 / np.pi, (Part.PHASE,)),
+    ("harmonics of", "% of the fundamental", 100.0, (Part.REAL, Part.IMAG)),
+    ("damping", "% of critical", 100.0, (Part.DAMPING,)),
+    ("record of", "", 1.0, (Part.SAMPLE,)),
+)
+
+
+def per_observable(
+    evidence: Evidence, before: FloatArray, after: FloatArray, held_out: BoolArray
+) -> dict[str, dict[str, Any]]:
+    """Gap by observable: in noise units, and in engineering units as root mean square.
+
+    Args:
+        evidence: the real side.
+        before, after: whitened residuals, (m,).
+        held_out: rows to judge by.
+    """
+    result: dict[str, dict[str, Any]] = {}
+    rows = evidence.rows
+    for test in range(len(evidence.tests)):
+        for name, unit, factor, parts in _KINDS:
+            kind = held_out & (rows.test == test) & np.isin(rows.part, parts)
+            for channel in np.unique(rows.channel[kind]):
+                mine = kind & (rows.channel == channel) & np.isfinite(before) & np.isfinite(after)
+                if not mine.any():
+                    continue
+                tail = f" {channel_name(evidence, test, int(channel))}" if channel >= 0 else ""
+                scale = evidence.sigma[mine] * factor
+                result[f"{evidence.tests[test].name}: {name}{tail}"] = {
+                    "before": rms(before[mine]),
+                    "after": rms(after[mine]),
+                    "floor": 1.0,
+                    "before_unit": rms(before[mine] * scale),
+                    "after_unit": rms(after[mine] * scale),
+                    "unit": unit or _record_unit(evidence, test, int(channel)),
+                    "rows": int(mine.sum()),
+                }
+    return result
+
+
+def _record_unit(evidence: Evidence, test: int, channel: int) -> str:
+    kind = evidence.tests[test]
+    return kind.channels[channel].quantity.unit if isinstance(kind, RecordTest) else ""

@@ -1,0 +1,150 @@
+"""Focused tests of what an explanation leaves: each looks for one kind of structure that noise does not have.
+
+A global χ² over thousands of rows cannot see an effect of a few standard deviations. These tests look where an effect
+would leave its trace; Holm's method combines them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.evidence.conditions import PhaseResonanceTest
+from nmt_diagnose.evidence.observables import Evidence
+from nmt_diagnose.inference.problem import BoolArray
+from nmt_diagnose.inference.residual_map import channel_name
+
+_LEAST_LEVELS = 5
+
+
+@dataclass(frozen=True)
+class ResidualTest:
+    """One test.
+
+    Attributes:
+        name: what it looks for.
+        where: channel, or test.
+        statistic: χ² or z.
+        freedom: degrees of freedom (0 = standard normal).
+        p: probability of as much by chance.
+        p_holm: the same, corrected for the number of tests.
+    """
+
+    name: str
+    where: str
+    statistic: float
+    freedom: int
+    p: float
+    p_holm: float = float("nan")
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+def residual_tests(evidence: Evidence, residual: FloatArray, used: BoolArray) -> tuple[ResidualTest, ...]:
+    """All tests that the evidence allows, most telling first.
+
+    Args:
+        evidence: the real side.
+        residual: whitened residual of the best explanation, parameters fitted, shape (m,).
+        used: rows that the fit used.
+    """
+    good = used & np.isfinite(residual)
+    found: list[ResidualTest] = []
+    for number, test in enumerate(evidence.tests):
+        mine = good & (evidence.rows.test == number)
+        if not mine.any():
+            continue
+        squares = float(residual[mine] @ residual[mine])
+        found.append(_chi_square("size of the residual", test.name, squares, int(mine.sum())))
+        if isinstance(test, PhaseResonanceTest):
+            found.extend(_over_level(evidence, residual, mine, number))
+            found.extend(_parity(evidence, residual, mine, test.name))
+            found.extend(_up_down(evidence, residual, mine, test))
+        else:
+            found.extend(_neighbours(evidence, residual, mine, number))
+    return holm(found)
+
+
+def holm(tests: list[ResidualTest]) -> tuple[ResidualTest, ...]:
+    """Holm's step-down correction; most telling first."""
+    ordered = sorted(tests, key=lambda test: test.p)
+    result, running = [], 0.0
+    for rank, test in enumerate(ordered):
+        running = max(running, min(1.0, test.p * (len(ordered) - rank)))
+        result.append(ResidualTest(test.name, test.where, test.statistic, test.freedom, test.p, running))
+    return tuple(result)
+
+
+def _chi_square(name: str, where: str, statistic: float, freedom: int) -> ResidualTest:
+    return ResidualTest(name, where, statistic, freedom, float(chi2.sf(statistic, freedom)))
+
+
+def _over_level(evidence: Evidence, residual: FloatArray, mine: BoolArray, number: int) -> list[ResidualTest]:
+    """Smooth courses over the level: a quadratic through the levels of each channel, harmonic and part."""
+    rows, result = evidence.rows, []
+    for channel in np.unique(rows.channel[mine]):
+        statistic, freedom = 0.0, 0
+        for harmonic in np.unique(rows.harmonic[mine & (rows.channel == channel)]):
+            for part in np.unique(rows.part[mine & (rows.channel == channel) & (rows.harmonic == harmonic)]):
+                group = mine & (rows.channel == channel) & (rows.harmonic == harmonic) & (rows.part == part)
+                if int(group.sum()) < _LEAST_LEVELS:
+                    continue
+                x = np.argsort(np.argsort(rows.amplitude[group], kind="stable"), kind="stable").astype(np.float64)
+                basis, _ = np.linalg.qr(np.vander(x - x.mean(), 3))
+                along = basis.T @ residual[group]
+                statistic += float(along @ along)
+                freedom += 3
+        if freedom:
+            name = channel_name(evidence, number, int(channel))
+            result.append(_chi_square("smooth course over the level", name, statistic, freedom))
+    return result
+
+
+def _parity(evidence: Evidence, residual: FloatArray, mine: BoolArray, name: str) -> list[ResidualTest]:
+    result = []
+    for label, remainder in (("even harmonics", 0), ("odd harmonics above the first", 1)):
+        group = mine & (evidence.rows.harmonic > 1) & (evidence.rows.harmonic % 2 == remainder)
+        if group.any():
+            result.append(_chi_square(label, name, float(residual[group] @ residual[group]), int(group.sum())))
+    return result
+
+
+def _up_down(evidence: Evidence, residual: FloatArray, mine: BoolArray, test: PhaseResonanceTest) -> list[ResidualTest]:
+    """Differences between two passages of the same drive level."""
+    rows = evidence.rows
+    drives = {level.index: level.drive for level in test.levels}
+    pairs = [(a, b) for a in drives for b in drives if a < b and np.isclose(drives[a], drives[b], rtol=1e-6)]
+    statistic, freedom = 0.0, 0
+    for first, second in pairs:
+        left, right = mine & (rows.level == first), mine & (rows.level == second)
+        if int(left.sum()) != int(right.sum()):
+            continue
+        difference = (residual[left] - residual[right]) / np.sqrt(2.0)
+        statistic += float(difference @ difference)
+        freedom += int(left.sum())
+    return (
+        [_chi_square("differences between rising and falling level", test.name, statistic, freedom)] if freedom else []
+    )
+
+
+def _neighbours(evidence: Evidence, residual: FloatArray, mine: BoolArray, number: int) -> list[ResidualTest]:
+    """Products of neighbouring lines or samples: noise has none on average."""
+    rows, result = evidence.rows, []
+    for channel in np.unique(rows.channel[mine]):
+        total, count = 0.0, 0
+        for part in np.unique(rows.part[mine & (rows.channel == channel)]):
+            group = np.flatnonzero(mine & (rows.channel == channel) & (rows.part == part))
+            values = residual[group[np.argsort(rows.level[group], kind="stable")]]
+            total += float(values[1:] @ values[:-1])
+            count += values.size - 1
+        if count > 10:
+            z = total / np.sqrt(count)
+            name = channel_name(evidence, number, int(channel))
+            result.append(ResidualTest("likeness of neighbouring lines", name, z, 0, float(norm.sf(z))))
+    return result

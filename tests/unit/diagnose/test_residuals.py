@@ -66,9 +66,9 @@ def test_each_test_sees_its_own_structure_that_the_size_alone_does_not_show():
     trend = noise + 1.3 * np.where((rows.channel == 1) & (rows.harmonic == 3), (rows.amplitude - 5.5) / 3.0, 0.0)
     assert _p(evidence, trend, "smooth course over the level", "a1").p < 1e-4
     assert _p(evidence, trend, "size of the residual").p > 1e-3
-    hysteresis = noise + np.where((rows.level >= 10) & (rows.harmonic == 1), 1.5, 0.0)
+    hysteresis = noise + np.where((rows.level >= 10) & (rows.harmonic == 1), 2.5, 0.0)
     assert _p(evidence, hysteresis, "differences between rising and falling level").p < 0.02
-    even = noise * np.where(rows.harmonic == 2, 1.8, 1.0)
+    even = noise * np.where(rows.harmonic == 2, 2.0, 1.0)
     assert _p(evidence, even, "even harmonics").p < 1e-4
     assert _p(evidence, even, "odd harmonics above the first").p > 1e-3
 

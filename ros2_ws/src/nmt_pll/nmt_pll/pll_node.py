@@ -31,6 +31,7 @@ from nmt_pll.settings import (
     setting_parameters,
     settings_from,
 )
+from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
 
 PARAMETERS = (
     Parameter(
@@ -120,6 +121,8 @@ class PllNode(BenchNode):
                 settings.latency_blocks,
             )
         )
+        for given_frequency in (SweepLoop, SteppedSineLoop):
+            loops.append(given_frequency(drive_point, settings, self.sample_rate, self.block_samples))
         return {kind: loop for loop in loops for kind in loop.KINDS}
 
     def _guard(self) -> None:
@@ -130,8 +133,9 @@ class PllNode(BenchNode):
 
     def _warm_up(self) -> None:
         """Compile the detector's kernel before the first block, not with it."""
-        loop = self.loops.get(TestKind.PHASE_RESONANCE)
-        if isinstance(loop, PhaseLockedLoop):
+        for loop in self.loops.values():
+            if not isinstance(loop, PhaseLockedLoop | SweepLoop | SteppedSineLoop):
+                continue
             loop.filter.process(loop.warm_up_data(), 0.0, 1.0)
             loop.filter.reset()
 

@@ -35,6 +35,13 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("nmt_bench.demo_command", "the paper's virtual experiment, from the first node to the report"),
     "run": ("nmt_bench.run_command", "one test of a rig: step the level, lock, record, extract, report"),
     "extract": ("nmt_bench.extract_command", "modal properties from a recorded bag; equal to the live ones"),
+    "sweep": ("nmt_bench.sweep_command", "sine sweep or stepped sine with a held force; frequency responses"),
+    "synthesis": (
+        "nmt_bench.synthesis_command",
+        "frequency response from a backbone alone, beside measured sweeps",
+    ),
+    "import": ("nmt_bench.import_command", "data measured elsewhere (CSV, NPZ, UFF58, tables) as a bag"),
+    "export": ("nmt_bench.export_command", "a recording as UFF58, CSV or NPZ, ready for './nmt import'"),
     "reference": (
         "nmt_bench.reference_command",
         "computed backbone of a rig's model (EPMC, harmonic balance)",

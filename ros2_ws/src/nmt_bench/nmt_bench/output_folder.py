@@ -22,19 +22,30 @@ RESULT_NAMES = (
     "reference.csv",
     "linear.json",
     "frf.csv",
+    "frf.uff",
+    "data.uff",
+    "data.csv",
+    "data.npz",
+    "oscillator.csv",
+    "loop.csv",
+    "sidecar.yaml",
+    "synthesis.csv",
     "study.csv",
     "diagnosis.json",
 )
 """Names that commands write; ``--force`` replaces these and touches nothing else in the folder."""
 
 
-def add_output_options(parser: argparse.ArgumentParser, contents: str, required: bool = True) -> None:
+def add_output_options(
+    parser: argparse.ArgumentParser, contents: str, required: bool = True, replace: str = "force"
+) -> None:
     """Add ``--out`` and ``--force`` to a command's parser.
 
     Args:
         parser: the command's parser.
         contents: what the command leaves in the folder, for the help text.
         required: whether ``--out`` must be given.
+        replace: name of the option that allows earlier results to be replaced, where ``--force`` means something else.
     """
     parser.add_argument(
         "--out",
@@ -44,7 +55,7 @@ def add_output_options(parser: argparse.ArgumentParser, contents: str, required:
         help=f"folder for the results ({contents}); made if it does not exist",
     )
     parser.add_argument(
-        "--force",
+        f"--{replace}",
         action="store_true",
         help="replace earlier results in the folder; files that nmt did not write stay",
     )

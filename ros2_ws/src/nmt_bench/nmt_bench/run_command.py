@@ -140,8 +140,8 @@ def run(arguments: argparse.Namespace) -> int:
         strategy=arguments.strategy,
     )
     console = make_console()
-    with _terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
-        result = _measure(bench, console, arguments.quiet)
+    with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
+        result = measure(bench, console, arguments.quiet)
         reference = _reference(arguments.reference, bench, result)
         unwritten = _write_results(result, bench, folder, reference)
     _summarise(result, bench, reference, console, folder, unwritten)
@@ -159,7 +159,8 @@ def _levels(arguments: argparse.Namespace) -> list[float] | str | None:
     return directed(parse_levels(plan), arguments.direction)
 
 
-def _measure(bench: Bench, console: Any, quiet: bool) -> RunResult:
+def measure(bench: Bench, console: Any, quiet: bool) -> RunResult:
+    """Start the nodes and run the test, with a progress display unless ``quiet``."""
     from nmt_bench.report_columns import unit_text
     from nmt_bench.terminal import RunProgress
 
@@ -274,7 +275,7 @@ def _exit_code(result: RunResult) -> int:
 
 
 @contextmanager
-def _terminate_as_interrupt() -> Iterator[None]:
+def terminate_as_interrupt() -> Iterator[None]:
     """Let SIGTERM end a run as Ctrl-C does: by a ramp to zero."""
 
     def interrupt(*_: object) -> None:

@@ -99,6 +99,9 @@ class PhaseLockedLoop(LevelLoop):
         present = force.oscillator.frequency_hz
         self._response_quantity = response.quantity
         error, force_amplitude, response_amplitude = self._measure(*rows, force.oscillator)
+        lead = self.settings.held_lead(2.0 * math.pi * present)
+        if lead != 0.0:  # the loop takes the phase it holds for phase resonance
+            error = math.remainder(error + lead, 2.0 * math.pi)
         if self.machine.state not in (LoopState.ACQUIRING, LoopState.LOCKED):
             self._quiet_reason = ""  # the drive is at zero already; the next level is not to suffer for it
         self._start_due_levels(force.first_sample, end)

@@ -56,6 +56,7 @@ def _advance(
     zero: float,
     low: float,
     high: float,
+    held: float,
 ) -> tuple[float, float]:
     """Run the loop over one block, sample by sample.
 
@@ -65,6 +66,7 @@ def _advance(
         step: sampling interval, s.
         gain: K; pole: a; zero: b, rad/s.
         low, high: bounds of the integrator, rad/s.
+        held: normalised product at which the loop rests, ½ sin of the phase it holds.
 
     Returns:
         Block means of the low-pass output (s) and of the controller output y (rad/s).
@@ -76,7 +78,7 @@ def _advance(
         state[0] = keep * state[0] + (1.0 - keep) * force[k] ** 2
         state[1] = keep * state[1] + (1.0 - keep) * response[k] ** 2
         scale = 2.0 * np.sqrt(state[0] * state[1])
-        product = force[k] * response[k] / scale if scale > 0.0 else 0.0
+        product = force[k] * response[k] / scale - held if scale > 0.0 else 0.0
         state[2] = keep * state[2] + (1.0 - keep) / pole * product
         state[3] = min(max(state[3] + gain * zero * step * state[2], low), high)
         filtered_sum += state[2]
@@ -179,8 +181,9 @@ class PaperLoop(LevelLoop):
         s = self.settings
         gain = s.gain if closed else 0.0
         filtered, output = _advance(
-            self._state, force, response, 1.0 / self.sample_rate, gain, s.pole, s.zero, *self._bounds
-        )
+            self._state, force, response, 1.0 / self.sample_rate, gain, s.pole, s.zero, *self._bounds,
+            -0.5 * math.sin(s.held_lead(self.frequency)),
+        )  # fmt: skip
         self.frequency = max(self.centre + output, _SLOWEST * self.centre)
         return float(filtered)
 

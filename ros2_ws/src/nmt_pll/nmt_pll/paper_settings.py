@@ -10,6 +10,7 @@ from typing import Any
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import Parameter
+from nmt_pll.settings import SIGNED_SETTINGS
 
 PAPER_PREFIX = "paper_"
 
@@ -34,6 +35,7 @@ class PaperSettings:
         force_floor: smallest force amplitude with a valid phase, N.
         response_floor: smallest response amplitude with a valid phase, unit of the response.
         quiet_ramp: half-cosine to zero after a lost lock, s.
+        phase_offset_rad, loop_latency_s: φ₀ and τ of the phase the loop holds, arg F - arg v = φ₀ + ω τ.
     """
 
     gain: float = 2.0 * math.pi
@@ -49,11 +51,16 @@ class PaperSettings:
     force_floor: float = 1.0e-4
     response_floor: float = 0.0
     quiet_ramp: float = 0.5
+    phase_offset_rad: float = 0.0
+    loop_latency_s: float = 0.0
 
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            if not math.isfinite(value) or value < 0:
+            if item.name in SIGNED_SETTINGS:
+                if not math.isfinite(value):
+                    raise BenchError(f"Setting '{item.name}' of the paper's loop must be finite, got {value}.")
+            elif not math.isfinite(value) or value < 0:
                 raise BenchError(
                     f"Setting '{item.name}' of the paper's loop must be finite and not negative, got {value}."
                 )
@@ -68,6 +75,10 @@ class PaperSettings:
         ):
             if getattr(self, name) <= 0:
                 raise BenchError(f"Setting '{name}' of the paper's loop must be positive.")
+
+    def held_lead(self, angular_frequency: float) -> float:
+        """Phase by which force leads velocity where the loop rests, rad, at ω in rad/s."""
+        return self.phase_offset_rad + angular_frequency * self.loop_latency_s
 
     def centre_frequency(self, linear: LinearDescription) -> float:
         """ω_m in rad/s."""

@@ -11,6 +11,9 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import Parameter
 from nmt_core.test_kind import TestKind
 
+# Settings that may be negative.
+SIGNED_SETTINGS = frozenset({"phase_offset_rad", "loop_latency_s"})
+
 
 @dataclass(frozen=True)
 class LoopSettings:
@@ -39,6 +42,8 @@ class LoopSettings:
             its ramp goes on, without the lock criteria; 0 = wait for them.
         switch_off_periods: RING_DOWN: half-cosine of the voltage to zero, excitation periods; at most one.
         voltage_limit: sweep and stepped sine give a level up whose drive would need more, V; 0 = no limit.
+        phase_offset_rad, loop_latency_s: φ₀ and τ of the phase the loop holds, arg F - arg v = φ₀ + ω τ, instead of 0;
+            what a controller does whose channels are not matched in phase or time.
     """
 
     cutoff: float = 0.0
@@ -63,11 +68,16 @@ class LoopSettings:
     ramp_delay_periods: float = 0.0
     switch_off_periods: float = 1.0
     voltage_limit: float = 0.0
+    phase_offset_rad: float = 0.0
+    loop_latency_s: float = 0.0
 
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            if not math.isfinite(value) or value < 0:
+            if item.name in SIGNED_SETTINGS:
+                if not math.isfinite(value):
+                    raise BenchError(f"PLL setting '{item.name}' must be finite, got {value}.")
+            elif not math.isfinite(value) or value < 0:
                 raise BenchError(f"PLL setting '{item.name}' must be finite and not negative, got {value}.")
         if not self.guard_low < 1.0 < self.guard_high:
             raise BenchError("The PLL's guard band must contain the target mode: guard_low < 1 < guard_high.")
@@ -80,6 +90,10 @@ class LoopSettings:
             )
         if (self.proportional > 0) != (self.integral > 0):
             raise BenchError("Give both fixed PLL gains, proportional and integral, or none of them.")
+
+    def held_lead(self, angular_frequency: float) -> float:
+        """Phase by which force leads velocity where the loop rests, rad, at ω in rad/s."""
+        return self.phase_offset_rad + angular_frequency * self.loop_latency_s
 
     def resolved_cutoff(self, linear: LinearDescription) -> float:
         """ω_LP in rad/s."""
@@ -137,13 +151,20 @@ _DESCRIPTIONS = {
     "ramp_delay_periods": ("periods", "Windows during the ramp so long after a level begins; 0 = after lock."),
     "switch_off_periods": ("periods", "Ring-down: half-cosine of the voltage to zero; at most 1."),
     "voltage_limit": ("V", "Sweep and stepped sine give a level up that would need more; 0 = no limit."),
+    "phase_offset_rad": ("rad", "Phase by which the held force leads the velocity; 0 = phase resonance."),
+    "loop_latency_s": ("s", "Time by which the held force leads the velocity, besides the phase offset."),
 }
 
 
 def setting_parameters() -> tuple[Parameter, ...]:
     """The settings as node parameters; names, types and defaults are those of :class:`LoopSettings`."""
     return tuple(
-        Parameter(item.name, item.default, *_DESCRIPTIONS[item.name], low=0.0)  # type: ignore[arg-type]
+        Parameter(
+            item.name,
+            item.default,  # type: ignore[arg-type]
+            *_DESCRIPTIONS[item.name],
+            low=None if item.name in SIGNED_SETTINGS else 0.0,
+        )
         for item in fields(LoopSettings)
     )
 

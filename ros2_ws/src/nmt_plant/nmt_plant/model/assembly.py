@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .local_elements import LocalElement
+from .attachments import Attachment
+from .couplings import FORCE_FACTOR, Coupling, coupling_parameters
+from .local_elements import LINEAR_DAMPER, LINEAR_SPRING, LocalElement
 from .shaker import ElectrodynamicShaker
 from .structure import Array, Structure
 
@@ -16,22 +18,35 @@ from .structure import Array, Structure
 class OutputRow:
     """Linear output of the system.
 
-    y = acceleration · q̈ + velocity · q̇ + displacement · q + feedthrough · input; rows have shape (n,).
+    y = acceleration · q̈ + velocity · q̇ + displacement · q + feedthrough · input + exciter_elements · Σ g, the sum
+    being over the local elements on the side of the exciter; rows have shape (n,).
     """
 
     acceleration: Array
     velocity: Array
     displacement: Array
     feedthrough: float
+    exciter_elements: float = 0.0
+
+    def plus(self, other: OutputRow, factor: float = 1.0) -> OutputRow:
+        """This output and a multiple of another."""
+        return OutputRow(
+            self.acceleration + factor * other.acceleration,
+            self.velocity + factor * other.velocity,
+            self.displacement + factor * other.displacement,
+            self.feedthrough + factor * other.feedthrough,
+            self.exciter_elements + factor * other.exciter_elements,
+        )
 
 
 @dataclass(frozen=True)
 class ElectromechanicalSystem:
-    """M q̈ + C q̇ + K q + Σ d_j g_j = b · input.
+    """M q̈ + C q̇ + K q + Σ d_j g_j + Σ c_k f_k = b · input.
 
     With a shaker q = [structure…, coil displacement (m), current (A)] and the input is the voltage u (V); the
     row of the current has no mass (inductance in `damping`, resistance in `stiffness`). Without a shaker q is
-    the structure's and the input is the force (N) at the drive point.
+    the structure's and the input is the force (N) at the drive point. Attachments put their unknowns with inertia
+    behind the structure's, those without at the very end.
 
     Attributes:
         mass, damping, stiffness: (n, n).
@@ -42,6 +57,9 @@ class ElectromechanicalSystem:
         force: output row set of the (stinger) force on the structure, N.
         structure_size: number of degrees of freedom of the structure; they come first.
         coil, current: index of coil displacement and current, None without a shaker.
+        first_order: number of attachments' unknowns without inertia, at the end.
+        couplings: forces f_k of two arguments with columns c_k of shape (n,).
+        on_exciter: for each element, whether it is on the side of the exciter; empty = none is.
     """
 
     mass: Array
@@ -55,6 +73,9 @@ class ElectromechanicalSystem:
     structure_size: int
     coil: int | None = None
     current: int | None = None
+    first_order: int = 0
+    couplings: tuple[Coupling, ...] = ()
+    on_exciter: tuple[bool, ...] = ()
 
     @property
     def size(self) -> int:
@@ -63,8 +84,12 @@ class ElectromechanicalSystem:
 
     @property
     def mechanical_size(self) -> int:
-        """Number of unknowns with inertia; the current, if any, comes last."""
-        return self.size - (0 if self.current is None else 1)
+        """Number of unknowns with inertia; the current, if any, and unknowns of first order come behind."""
+        return self.size - (0 if self.current is None else 1) - self.first_order
+
+    def is_on_exciter(self, element: int) -> bool:
+        """Whether an element (by its position) is on the side of the exciter."""
+        return bool(self.on_exciter) and self.on_exciter[element]
 
     def selector(self, point: int) -> Array:
         """Unit vector (n,) of the lateral displacement of `point`.
@@ -104,6 +129,12 @@ class ElectromechanicalSystem:
         q = np.linalg.solve(self.impedance(frequency, sticking), self.input_vector.astype(complex))
         s = 1j * frequency
         row = s * s * self.force.acceleration + s * self.force.velocity + self.force.displacement
+        if sticking and self.force.exciter_elements:
+            row = row.astype(complex)
+            for index, element in enumerate(self.elements):
+                if self.is_on_exciter(index):
+                    tangent = element.linear_stiffness + s * element.linear_damping
+                    row += self.force.exciter_elements * tangent * element.direction
         return q, complex(row @ q + self.force.feedthrough)
 
 
@@ -156,8 +187,13 @@ def assemble(
     elements: Sequence[LocalElement],
     drive_point: int,
     shaker: ElectrodynamicShaker | None = None,
+    attachments: Sequence[Attachment] = (),
+    exciter_elements: Sequence[LocalElement] = (),
 ) -> ElectromechanicalSystem:
-    """Join structure, local elements and exciter.
+    """Join structure, local elements, exciter and attachments.
+
+    Elements on the side of the exciter (`exciter_elements`) act on the drive point from behind the force sensor: their
+    force on the structure, -Σ g, is part of the stinger force.
 
     The stinger (1.32e14 N/m in the paper) is a rigid link: table and drive point share a degree of
     freedom, and the stinger force stays available as
@@ -167,6 +203,129 @@ def assemble(
         KeyError: the structure has no such drive point.
         ValueError: an element's direction does not fit the structure.
     """
+    n = structure.size
+    if not exciter_elements:
+        system = _with_exciter(structure, elements, drive_point, shaker)
+    else:
+        linear = [element for element in exciter_elements if element.kind in (LINEAR_SPRING, LINEAR_DAMPER)]
+        others = [element for element in exciter_elements if element.kind not in (LINEAR_SPRING, LINEAR_DAMPER)]
+        system = _with_exciter(structure, (*elements, *others), drive_point, shaker)
+        # A moment (an element on the rotation) is no part of the lateral stinger force.
+        lateral = [element.direction[structure.points[drive_point]] != 0.0 for element in others]
+        if any(lateral):
+            system = replace(
+                system,
+                force=replace(system.force, exciter_elements=-1.0),
+                on_exciter=(False,) * len(elements) + tuple(lateral),
+            )
+        for element in linear:
+            system = _with_linear_on_exciter(system, element, structure.points[drive_point])
+    return _attached(system, n, attachments) if attachments else system
+
+
+def _with_linear_on_exciter(
+    system: ElectromechanicalSystem, element: LocalElement, drive: int
+) -> ElectromechanicalSystem:
+    """A linear spring or damper on the side of the exciter, as part of matrices and stinger force."""
+    direction = _extended(element.direction, system.size)
+    outer = np.outer(direction, direction)
+    force = system.force
+    if direction[drive] != 0.0:
+        force = replace(
+            force,
+            velocity=force.velocity - element.linear_damping * direction,
+            displacement=force.displacement - element.linear_stiffness * direction,
+        )
+    return replace(
+        system,
+        damping=system.damping + element.linear_damping * outer,
+        stiffness=system.stiffness + element.linear_stiffness * outer,
+        force=force,
+    )
+
+
+def _attached(system: ElectromechanicalSystem, n: int, attachments: Sequence[Attachment]) -> ElectromechanicalSystem:
+    """The system with the unknowns of attachments inserted: with inertia behind the structure, others at the end."""
+    inertial = sum(attachment.inertial for attachment in attachments)
+    first_order = sum(attachment.first_order for attachment in attachments)
+    old = system.size
+    size = old + inertial + first_order
+    place = np.array([*range(n), *range(n + inertial, old + inertial)])  # where the old unknowns go
+
+    def moved(vector: Array) -> Array:
+        result = np.zeros(size)
+        result[place] = vector
+        return result
+
+    matrices = []
+    for matrix in (system.mass, system.damping, system.stiffness):
+        larger = np.zeros((size, size))
+        larger[np.ix_(place, place)] = matrix
+        matrices.append(larger)
+    elements = [element.along(moved(element.direction)) for element in system.elements]
+    couplings = [
+        replace(
+            coupling,
+            column=moved(coupling.column),
+            displacement_rows=np.array([moved(row) for row in coupling.displacement_rows]),
+            velocity_rows=np.array([moved(row) for row in coupling.velocity_rows]),
+        )
+        for coupling in system.couplings
+    ]
+    next_inertial, next_first = n, old + inertial
+    for attachment in attachments:
+        if attachment.direction.shape != (n,):
+            raise ValueError(f"direction of {type(attachment).__name__} must have shape ({n},)")
+        # Rows of [w, internal…] over all unknowns.
+        local = np.zeros((attachment.size, size))
+        local[0, :n] = attachment.direction
+        for k in range(attachment.inertial):
+            local[1 + k, next_inertial + k] = 1.0
+        for k in range(attachment.first_order):
+            local[1 + attachment.inertial + k, next_first + k] = 1.0
+        next_inertial += attachment.inertial
+        next_first += attachment.first_order
+        for larger, own in zip(matrices, attachment.matrices(), strict=True):
+            larger += local.T @ own @ local
+        elements += [element.along(element.direction @ local) for element in attachment.elements()]
+        couplings += [
+            replace(
+                coupling,
+                column=coupling.column @ local,
+                displacement_rows=coupling.displacement_rows @ local,
+                velocity_rows=coupling.velocity_rows @ local,
+            )
+            for coupling in attachment.couplings()
+        ]
+    flags = system.on_exciter + (False,) * (len(elements) - len(system.elements)) if system.on_exciter else ()
+    return replace(
+        system,
+        mass=matrices[0],
+        damping=matrices[1],
+        stiffness=matrices[2],
+        input_vector=moved(system.input_vector),
+        elements=tuple(elements),
+        force=OutputRow(
+            moved(system.force.acceleration),
+            moved(system.force.velocity),
+            moved(system.force.displacement),
+            system.force.feedthrough,
+            system.force.exciter_elements,
+        ),
+        coil=None if system.coil is None else system.coil + inertial,
+        current=None if system.current is None else system.current + inertial,
+        first_order=first_order,
+        couplings=tuple(couplings),
+        on_exciter=flags,
+    )
+
+
+def _with_exciter(
+    structure: Structure,
+    elements: Sequence[LocalElement],
+    drive_point: int,
+    shaker: ElectrodynamicShaker | None,
+) -> ElectromechanicalSystem:
     n = structure.size
     for element in elements:
         if element.direction.shape != (n,):
@@ -215,6 +374,9 @@ def assemble(
     rows[1, coil] = shaker.coil_damping
     rows[2, x] = -(shaker.table_stiffness + shaker.coil_stiffness)
     rows[2, coil] = shaker.coil_stiffness
+    couplings: tuple[Coupling, ...] = ()
+    if shaker.force_factor_linear != 0.0 or shaker.force_factor_quadratic != 0.0:
+        couplings = _varying_force_factor(shaker, size, coil, current)
     return ElectromechanicalSystem(
         mass=mass,
         damping=damping,
@@ -227,4 +389,23 @@ def assemble(
         structure_size=n,
         coil=coil,
         current=current,
+        couplings=couplings,
+    )
+
+
+def _varying_force_factor(
+    shaker: ElectrodynamicShaker, size: int, coil: int, current: int
+) -> tuple[Coupling, Coupling]:
+    """What G (1 + b₁ x_C + b₂ x_C²) adds to the force on the coil and to the voltage it induces."""
+    parameters = coupling_parameters(
+        shaker.force_factor, shaker.force_factor_linear, shaker.force_factor_quadratic
+    )
+    force, voltage = np.zeros(size), np.zeros(size)
+    force[coil], voltage[current] = -1.0, 1.0
+    rows = np.zeros((4, 2, size))
+    rows[0, 0, coil] = rows[0, 1, current] = 1.0  # x_C and i
+    rows[2, 0, coil] = rows[3, 1, coil] = 1.0  # x_C and ẋ_C
+    return (
+        Coupling(FORCE_FACTOR, force, rows[0], rows[1], parameters),
+        Coupling(FORCE_FACTOR, voltage, rows[2], rows[3], parameters),
     )

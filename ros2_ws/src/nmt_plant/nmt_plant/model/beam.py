@@ -45,10 +45,13 @@ def euler_bernoulli_cantilever(
     density: float,
     elements: int,
     stiffness_damping: float = 0.0,
+    refinement: int = 1,
+    clamp_rotational_stiffness: float | None = None,
+    clamp_lateral_stiffness: float | None = None,
 ) -> Structure:
     """Clamped-free beam that bends over its `height`.
 
-    Points 1..elements are the free nodes from the clamp outward.
+    Points 1..elements are the ends of equal parts of the length, from the clamp outward.
 
     Args:
         length: m.
@@ -56,11 +59,15 @@ def euler_bernoulli_cantilever(
         height: m, in the bending direction.
         youngs_modulus: Pa.
         density: kg/m³.
-        elements: number of equal elements, at least 1.
-        stiffness_damping: beta in C = beta K, s.
+        elements: number of equal parts between points, at least 1.
+        stiffness_damping: beta in C = beta K of the beam (without the clamp's springs), s.
+        refinement: finite elements a part.
+        clamp_rotational_stiffness: N m/rad of a compliant clamp; None = rigid.
+        clamp_lateral_stiffness: N/m of a compliant clamp; None = rigid.
 
     Returns:
-        Structure with 2 degrees of freedom (lateral displacement, rotation) for each free node.
+        Structure with 2 degrees of freedom (lateral displacement, rotation) for each free node; those of a compliant
+        clamp come first.
 
     Raises:
         ValueError: a dimension that is not positive, or negative damping.
@@ -72,6 +79,9 @@ def euler_bernoulli_cantilever(
         ("youngs_modulus", youngs_modulus),
         ("density", density),
         ("elements", elements),
+        ("refinement", refinement),
+        ("clamp_rotational_stiffness", 1.0 if clamp_rotational_stiffness is None else clamp_rotational_stiffness),
+        ("clamp_lateral_stiffness", 1.0 if clamp_lateral_stiffness is None else clamp_lateral_stiffness),
     ):
         if not value > 0:
             raise ValueError(f"{name} must be positive, got {value}")
@@ -79,16 +89,23 @@ def euler_bernoulli_cantilever(
         raise ValueError(f"stiffness_damping must not be negative, got {stiffness_damping}")
     inertia = width * height**3 / 12.0
     mass_e, stiffness_e = element_matrices(
-        length / elements, youngs_modulus * inertia, density * width * height
+        length / (elements * refinement), youngs_modulus * inertia, density * width * height
     )
-    n = 2 * (elements + 1)
+    count = elements * refinement
+    n = 2 * (count + 1)
     mass = np.zeros((n, n))
     stiffness = np.zeros((n, n))
-    for e in range(elements):
+    for e in range(count):
         dofs = slice(2 * e, 2 * e + 4)
         mass[dofs, dofs] += mass_e
         stiffness[dofs, dofs] += stiffness_e
-    mass = mass[2:, 2:].copy()
-    stiffness = stiffness[2:, 2:].copy()
-    points = {node: 2 * (node - 1) for node in range(1, elements + 1)}
-    return Structure(mass, stiffness_damping * stiffness, stiffness, points)
+    damping = stiffness_damping * stiffness
+    springs = clamp_lateral_stiffness, clamp_rotational_stiffness
+    for index, spring in enumerate(springs):
+        stiffness[index, index] += spring or 0.0
+    free = [index for index, spring in enumerate(springs) if spring is not None] + list(range(2, n))
+    kept = np.ix_(free, free)
+    offset = len(free) - n
+    points = {node: 2 * node * refinement + offset for node in range(1, elements + 1)}
+    rotations = {node: index + 1 for node, index in points.items()}
+    return Structure(mass[kept].copy(), damping[kept].copy(), stiffness[kept].copy(), points, rotations)

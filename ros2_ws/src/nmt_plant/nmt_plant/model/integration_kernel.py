@@ -62,6 +62,13 @@ def next_branch(kind: int, p: Array, e: int, branch: int, w: float, v: float, sl
         if w < -p[e, 1]:
             return -1
         return 0
+    if kind == 12:
+        # Its force needs no branch; contact is located all the same.
+        if w > p[e, 2]:
+            return 1
+        if w < -p[e, 2]:
+            return -1
+        return 0
     return 0
 
 

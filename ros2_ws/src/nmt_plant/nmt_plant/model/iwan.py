@@ -8,6 +8,7 @@ which everything sticks: this gives the sharp bend between sticking and micro-sl
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -75,7 +76,7 @@ class IwanJoint:
         power = self.exponent + 1.0
         low = self.onset_ratio**power
         edges = (low + (1.0 - low) * np.arange(self.sliders + 1) / self.sliders) ** (1.0 / power)
-        ratios = [self._mean_ratio(float(a), float(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        ratios = [self._mean_ratio(float(a), float(b)) for a, b in itertools.pairwise(edges)]
         continuous = self.tangential_stiffness / (1.0 + self.stiffness_ratio)
         stiffness = [continuous / self.sliders] * self.sliders
         if self.stiffness_ratio > 0.0:
@@ -96,4 +97,5 @@ class IwanJoint:
     def _mean_ratio(self, low: float, high: float) -> float:
         """Mean of φ / φ_max over the power law between two ratios."""
         power = self.exponent + 1.0
-        return power / (power + 1.0) * (high ** (power + 1.0) - low ** (power + 1.0)) / (high**power - low**power)
+        share = (high ** (power + 1.0) - low ** (power + 1.0)) / (high**power - low**power)
+        return float(power / (power + 1.0) * share)

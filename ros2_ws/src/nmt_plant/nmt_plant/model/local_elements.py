@@ -28,6 +28,8 @@ QUADRATIC_DRAG = 7
 LINEAR_SPRING = 8
 LINEAR_DAMPER = 9
 TANH_FRICTION = 10
+EDDY_BRAKE = 11
+BACKLASH_DAMPER = 12
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -204,6 +206,36 @@ class TanhFriction(LocalElement):
         return float(self.slip_force / self.reference_velocity)
 
 
+@dataclass(frozen=True)
+class EddyBrake(LocalElement):
+    """g = c ẇ / (1 + (ẇ / v_c)²): the force of an eddy-current brake falls beyond its critical velocity (m/s)."""
+
+    damping: float
+    critical_velocity: float
+    kind: ClassVar[int] = EDDY_BRAKE
+    must_be_positive: ClassVar[tuple[str, ...]] = ("critical_velocity",)
+
+    @property
+    def linear_damping(self) -> float:
+        """c, N s/m."""
+        return float(self.damping)
+
+
+@dataclass(frozen=True)
+class BacklashDamper(LocalElement):
+    """Stops with damping behind a gap on both sides: |g| = max(e (k + λ ė), 0), e = |w| - gap (Hunt and Crossley).
+
+    Stiffness k in N/m, damping λ in N s/m²; the force grows with the penetration e, so it does not jump at contact.
+    """
+
+    stiffness: float
+    damping: float
+    gap: float
+    kind: ClassVar[int] = BACKLASH_DAMPER
+    must_be_positive: ClassVar[tuple[str, ...]] = ("stiffness",)
+    must_not_be_negative: ClassVar[tuple[str, ...]] = ("damping", "gap")
+
+
 @compiled
 def element_response(
     kind: int, p: Array, w: float, v: float, slider: float
@@ -252,6 +284,17 @@ def element_response(
     if kind == 10:
         t = np.tanh(v / p[1])
         return p[0] * t, 0.0, p[0] * (1.0 - t * t) / p[1], slider
+    if kind == 11:
+        ratio = v / p[1]
+        share = 1.0 / (1.0 + ratio * ratio)
+        return p[0] * v * share, 0.0, p[0] * share * share * (1.0 - ratio * ratio), slider
+    if kind == 12:
+        side = 1.0 if w > 0.0 else -1.0
+        e = side * w - p[2]
+        stiffness = p[0] + p[1] * side * v
+        if e > 0.0 and stiffness > 0.0:
+            return side * e * stiffness, stiffness, e * p[1], slider
+        return 0.0, 0.0, 0.0, slider
     return 0.0, 0.0, 0.0, slider
 
 
@@ -276,4 +319,7 @@ def element_stored_energy(kind: int, p: Array, w: float, slider: float) -> float
         energy = 0.5 * p[0] * e * e
     elif kind == 8:
         energy = 0.5 * p[0] * w * w
+    elif kind == 12:
+        e = max(abs(w) - p[2], 0.0)
+        energy = 0.5 * p[0] * e * e
     return energy

@@ -1,7 +1,8 @@
 """Exact propagation of the linear part over a time step, with polynomial holds for input and local forces.
 
-State s = [q with inertia (m), their velocities (m), coil current if any]; ṡ = A s + B_u u + B_g g, where g
-are the forces of the ports, i.e. the distinct directions of the local elements. Over a step the input is a
+State s = [q with inertia (m), their velocities (m), coil current if any, unknowns of first order];
+ṡ = A s + B_u u + B_g g, where g are the forces of the ports, i.e. the distinct directions of the local elements, and
+behind them of the couplings. Over a step the input is a
 straight line between samples; a port force is the cubic through its values and slopes at both ends (Hermite),
 so a smooth local force is integrated to fourth order and the linear part without error. Where the
 eigenvectors of A allow it, the state is kept in real modal form: pairs of states that a 2 x 2 block
@@ -11,7 +12,7 @@ propagates.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from .assembly import ElectromechanicalSystem, OutputRow
+from .couplings import Coupling
 from .local_elements import LINEAR_DAMPER, LINEAR_SPRING, LocalElement
 from .structure import Array
 
@@ -33,11 +35,14 @@ class StateSpace:
     Attributes:
         a: (N, N).
         b_input: (N,).
-        b_ports: (N, ports).
-        directions: (ports, n) distinct directions of the local elements.
+        b_ports: (N, ports), those of the couplings last.
+        directions: (ports without couplings, n) distinct directions of the local elements.
         elements: elements that are not part of A (springs and dampers that are linear are).
         element_port: (elements,) port of each element.
         mechanical_size: m.
+        exciter_ports: (ports,) 1 where the elements are on the side of the exciter, else 0.
+        couplings: forces of two arguments.
+        observed: (2 couplings, N) what the couplings observe, in turn y₁ and y₂ of each.
     """
 
     a: Array
@@ -47,6 +52,9 @@ class StateSpace:
     elements: tuple[LocalElement, ...]
     element_port: NDArray[np.int64]
     mechanical_size: int
+    exciter_ports: Array
+    couplings: tuple[Coupling, ...] = ()
+    observed: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def size(self) -> int:
@@ -74,6 +82,8 @@ class StateSpace:
             c[i, 2 * m :] = row.displacement[m:]
             c[i] += row.acceleration[:m] @ self.a[m : 2 * m]
             d_ports[i] = row.acceleration[:m] @ self.b_ports[m : 2 * m]
+            if row.exciter_elements:
+                d_ports[i] += row.exciter_elements * self.exciter_ports
             d_input[i] = row.acceleration[:m] @ self.b_input[m : 2 * m] + row.feedthrough
         return c, d_ports, d_input
 
@@ -82,7 +92,8 @@ def state_space(system: ElectromechanicalSystem) -> StateSpace:
     """First-order form of `system`; linear springs and dampers among its elements become part of A."""
     stiffness, damping = system.stiffness.copy(), system.damping.copy()
     rest: list[LocalElement] = []
-    for element in system.elements:
+    behind: list[bool] = []
+    for position, element in enumerate(system.elements):
         outer = np.outer(element.direction, element.direction)
         if element.kind == LINEAR_SPRING:
             stiffness += element.linear_stiffness * outer
@@ -90,16 +101,19 @@ def state_space(system: ElectromechanicalSystem) -> StateSpace:
             damping += element.linear_damping * outer
         else:
             rest.append(element)
+            behind.append(system.is_on_exciter(position))
     directions: list[Array] = []
     ports: list[int] = []
-    for element in rest:
+    exciter_ports: list[float] = []
+    for element, on_exciter in zip(rest, behind, strict=True):
         for index, known in enumerate(directions):
-            if np.array_equal(known, element.direction):
+            if np.array_equal(known, element.direction) and bool(exciter_ports[index]) == on_exciter:
                 ports.append(index)
                 break
         else:
             ports.append(len(directions))
             directions.append(element.direction)
+            exciter_ports.append(float(on_exciter))
     port_matrix = np.array(directions).reshape(len(directions), system.size)
 
     m = system.mechanical_size
@@ -120,7 +134,35 @@ def state_space(system: ElectromechanicalSystem) -> StateSpace:
         a[2 * m :, m : 2 * m] = -inverse_inductance @ damping[m:, :m]
         a[2 * m :, 2 * m :] = -inverse_inductance @ stiffness[m:, m:]
         b_input[2 * m :] = inverse_inductance @ system.input_vector[m:]
-    return StateSpace(a, b_input, b_ports, port_matrix, tuple(rest), np.array(ports, dtype=np.int64), m)
+    space = StateSpace(
+        a, b_input, b_ports, port_matrix, tuple(rest), np.array(ports, dtype=np.int64), m, np.array(exciter_ports)
+    )
+    return _with_couplings(space, system, inverse_mass) if system.couplings else space
+
+
+def _with_couplings(space: StateSpace, system: ElectromechanicalSystem, inverse_mass: Array) -> StateSpace:
+    """The state space with a port for each coupling behind those of the local elements."""
+    m, count = space.mechanical_size, len(system.couplings)
+    columns = np.array([coupling.column for coupling in system.couplings]).T
+    b = np.zeros((space.size, count))
+    b[m : 2 * m] = -inverse_mass @ columns[:m]
+    observed = np.zeros((2 * count, space.size))
+    for k, coupling in enumerate(system.couplings):
+        if np.any(coupling.velocity_rows[:, m:]):
+            raise ValueError("a coupling cannot observe the time derivative of an unknown without inertia")
+        rows = slice(2 * k, 2 * k + 2)
+        observed[rows, :m] = coupling.displacement_rows[:, :m]
+        observed[rows, m : 2 * m] = coupling.velocity_rows[:, :m]
+        observed[rows, 2 * m :] = coupling.displacement_rows[:, m:]
+    if space.size > 2 * m:
+        b[2 * m :] = -np.linalg.inv(system.damping[m:, m:]) @ columns[m:]
+    return replace(
+        space,
+        b_ports=np.hstack([space.b_ports, b]),
+        exciter_ports=np.concatenate([space.exciter_ports, np.zeros(count)]),
+        couplings=system.couplings,
+        observed=observed,
+    )
 
 
 @dataclass(frozen=True)
@@ -134,7 +176,8 @@ class Propagator:
         start_weights: (K+1, 2 + 2 ports, Z) weights of what is known before the step: input at both ends,
             port forces (N) at its start, their slopes (N/s) at its start.
         end_weights: (K+1, 2 ports, Z) weights of port forces, then their slopes, at the step's end.
-        port_rows: (3 ports, Z) displacement, velocity, acceleration of the ports, grouped by kind.
+        port_rows: (3 ports, Z) displacement, velocity, acceleration of the ports of local elements, grouped by kind;
+            behind them, where there are couplings, what these observe and its rate (4 rows a coupling).
         port_input: (3 ports,) direct share of the input in them.
         port_feedthrough: (3 ports, ports) direct share of the port forces in them.
         compliance: (K+1, 3 ports, 2 ports) share of port forces and slopes at the step's end in them.
@@ -257,17 +300,26 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
             for weight, hold in zip(weights, _holds(phi_matrices, h), strict=True):
                 weight[level] = hold @ inputs
 
+    own = space.directions.shape[0]  # ports of local elements
+    seen = 3 * own
+    total = seen + 2 * space.observed.shape[0]
     port_map = space.directions[:, :m]
-    rows = np.zeros((3 * ports, space.size))
-    rows[:ports, :m] = port_map
-    rows[ports : 2 * ports, m : 2 * m] = port_map
-    rows[2 * ports :] = port_map @ space.a[m : 2 * m]
+    rows = np.zeros((total, space.size))
+    rows[:own, :m] = port_map
+    rows[own : 2 * own, m : 2 * m] = port_map
+    rows[2 * own : seen] = port_map @ space.a[m : 2 * m]
+    feedthrough = np.zeros((total, ports))
+    feedthrough[2 * own : seen] = port_map @ space.b_ports[m : 2 * m]
+    port_input = np.zeros(total)
+    port_input[2 * own : seen] = port_map @ space.b_input[m : 2 * m]
+    if space.couplings:
+        rates = seen + space.observed.shape[0]
+        rows[seen:rates] = space.observed
+        rows[rates:] = space.observed @ space.a
+        feedthrough[rates:] = space.observed @ space.b_ports
+        port_input[rates:] = space.observed @ space.b_input
     port_rows = rows @ from_working
-    feedthrough = np.zeros((3 * ports, ports))
-    feedthrough[2 * ports :] = port_map @ space.b_ports[m : 2 * m]
-    port_input = np.zeros(3 * ports)
-    port_input[2 * ports :] = port_map @ space.b_input[m : 2 * m]
-    compliance = np.zeros((levels + 1, 3 * ports, 2 * ports))
+    compliance = np.zeros((levels + 1, total, 2 * ports))
     for level in range(levels + 1):
         compliance[level, :, :ports] = port_rows @ weights[4][level][:, 1:] + feedthrough
         compliance[level, :, ports:] = port_rows @ weights[5][level][:, 1:]

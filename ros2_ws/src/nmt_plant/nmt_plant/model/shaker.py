@@ -15,7 +15,10 @@ class ElectrodynamicShaker:
     (coil_stiffness, coil_damping) and driven by force_factor · current. Electrical side:
     L di/dt + R i + G ẋ_C = u.
 
-    Units: kg, N/m, N s/m, N/A (equal to V s/m), H, Ω.
+    Where force_factor_linear or force_factor_quadratic is not zero, G varies with the coil's displacement:
+    G (1 + b₁ x_C + b₂ x_C²), in the force as in the induced voltage.
+
+    Units: kg, N/m, N s/m, N/A (equal to V s/m), H, Ω, 1/m, 1/m².
 
     Raises:
         ValueError: a parameter that is not finite; a mass, force factor, coil stiffness, inductance or
@@ -31,6 +34,8 @@ class ElectrodynamicShaker:
     force_factor: float
     inductance: float
     resistance: float
+    force_factor_linear: float = 0.0
+    force_factor_quadratic: float = 0.0
 
     def __post_init__(self) -> None:
         strictly = {"table_mass", "coil_mass", "coil_stiffness", "force_factor", "inductance", "resistance"}
@@ -40,7 +45,7 @@ class ElectrodynamicShaker:
                 raise ValueError(f"shaker: {entry.name} must be finite, got {value}")
             if entry.name in strictly and not value > 0:
                 raise ValueError(f"shaker: {entry.name} must be positive, got {value}")
-            if not value >= 0:
+            if not value >= 0 and not entry.name.startswith("force_factor_"):
                 raise ValueError(f"shaker: {entry.name} must not be negative, got {value}")
 
     @property

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 Array = NDArray[np.float64]
 
@@ -19,6 +21,7 @@ class Structure:
         damping: (n, n) viscous damping matrix, N s/m.
         stiffness: (n, n) stiffness matrix, N/m.
         points: point number -> index of the degree of freedom of its lateral displacement.
+        rotations: point number -> index of the degree of freedom of its rotation, where points rotate.
 
     Raises:
         ValueError: matrices of different sizes or not finite, mass not positive definite, point out of range.
@@ -28,6 +31,7 @@ class Structure:
     damping: Array
     stiffness: Array
     points: dict[int, int] = field(default_factory=dict)
+    rotations: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = self.mass.shape[0]
@@ -62,13 +66,52 @@ class Structure:
         vector[self.points[point]] = 1.0
         return vector
 
-    def direction(self, point: int, other_point: int | None = None) -> Array:
+    def direction(self, point: int, other_point: int | None = None, rotation: bool = False) -> Array:
         """Direction (n,) of a local element between `point` and `other_point` (the ground when None).
+
+        Args:
+            point, other_point: point numbers.
+            rotation: of the rotations (rad) instead of the lateral displacements (m).
+
+        Raises:
+            KeyError: the structure has no such point, or it does not rotate.
+        """
+        vector = self.rotation_selector(point) if rotation else self.selector(point)
+        if other_point is not None:
+            vector = vector - (self.rotation_selector(other_point) if rotation else self.selector(other_point))
+        return vector
+
+    def rotation_selector(self, point: int) -> Array:
+        """Unit vector s of shape (n,) with rotation of `point` = s · q.
+
+        Raises:
+            KeyError: the structure has no such point, or its points do not rotate.
+        """
+        if point not in self.rotations:
+            raise KeyError(f"point {point} has no rotation; those with one are {sorted(self.rotations)}")
+        vector = np.zeros(self.size)
+        vector[self.rotations[point]] = 1.0
+        return vector
+
+    def with_masses(self, masses: Iterable[tuple[int, float]]) -> Structure:
+        """The structure with masses (point number, kg) added to the lateral motion of points.
 
         Raises:
             KeyError: the structure has no such point.
+            ValueError: negative masses that leave no positive definite mass matrix.
         """
-        vector = self.selector(point)
-        if other_point is not None:
-            vector = vector - self.selector(other_point)
-        return vector
+        mass = self.mass.copy()
+        for point, value in masses:
+            selector = self.selector(point)
+            mass += value * np.outer(selector, selector)
+        return replace(self, mass=mass)
+
+    def with_loss_factor(self, loss_factor: float) -> Structure:
+        """The structure with the viscous equivalent of hysteretic damping K (1 + iη) added.
+
+        Each undamped mode gets ζ = η / 2, which loses at its frequency as much as iη does.
+        """
+        squares, shapes = eigh(self.stiffness, self.mass)
+        weighted = self.mass @ shapes
+        rates = loss_factor * np.sqrt(np.maximum(squares, 0.0))
+        return replace(self, damping=self.damping + (weighted * rates) @ weighted.T)

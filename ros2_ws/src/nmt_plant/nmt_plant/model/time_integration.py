@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from .assembly import ElectromechanicalSystem, OutputRow
+from .coupled_kernel import coupled_forces, integrate_coupled
+from .couplings import COUPLING_PARAMETERS
 from .integration_kernel import integrate, port_forces
 from .local_elements import (
+    BACKLASH_DAMPER,
     JENKINS,
+    LINEAR_DAMPER,
+    LINEAR_SPRING,
     PARAMETER_COUNT,
     TWO_SIDED_GAP,
     UNILATERAL_STOP,
@@ -57,21 +63,58 @@ class TimeIntegrator:
             raise ValueError(f"sample_rate must be positive, got {sample_rate}")
         if substeps < 1:
             raise ValueError(f"substeps must be at least 1, got {substeps}")
-        self.system = system
         self.sample_rate = float(sample_rate)
         self.substeps = int(substeps)
         self._levels = int(corner_levels)
-        self._space = state_space(system)
-        self._propagator = propagator(self._space, 1.0 / (sample_rate * substeps), corner_levels, dense)
-        elements = self._space.elements
+        self._outputs = list(outputs)
+        self._dense = bool(dense or system.couplings)
+        self._take(system)
+        elements, couplings = self._space.elements, self._space.couplings
         self._kinds = np.array([element.kind for element in elements], dtype=np.int64)
         self._parameters = np.array([element.parameters for element in elements]).reshape(-1, PARAMETER_COUNT)
+        self._coupling_kinds = np.array([coupling.kind for coupling in couplings], dtype=np.int64)
+        self._coupling_parameters = np.array([coupling.parameters for coupling in couplings]).reshape(
+            -1, COUPLING_PARAMETERS
+        )
         self._affine = all(element.kind in _PIECEWISE_LINEAR for element in elements)
-        c, self._d_ports, self._d_input = self._space.output(list(outputs))
-        self._c = np.ascontiguousarray(c @ self._propagator.from_working)
         self._history = np.empty((0, 0))
         self._force_history = np.empty((0, 0))
         self.reset()
+
+    def _take(self, system: ElectromechanicalSystem) -> None:
+        """Matrices of `system`; the state stays as it is."""
+        self.system = system
+        self._space = state_space(system)
+        step = 1.0 / (self.sample_rate * self.substeps)
+        self._propagator = propagator(self._space, step, self._levels, self._dense)
+        c, self._d_ports, self._d_input = self._space.output(self._outputs)
+        self._c = np.ascontiguousarray(c @ self._propagator.from_working)
+
+    def change(self, system: ElectromechanicalSystem) -> None:
+        """Go on with slightly different matrices or parameters of elements; motion and memory stay as they are.
+
+        Raises:
+            ValueError: a system of other unknowns or elements.
+        """
+        before = self.system
+        kinds = [element.kind for element in system.elements]
+        if system.size != before.size or kinds != [element.kind for element in before.elements]:
+            raise ValueError("only a system of the same unknowns and elements can be changed to")
+        physical = self.physical_state
+        same = all(
+            np.array_equal(getattr(system, name), getattr(before, name)) for name in ("mass", "damping", "stiffness")
+        )
+        if same:
+            self.system = system
+            elements = [e for e in system.elements if e.kind not in (LINEAR_SPRING, LINEAR_DAMPER)]
+            self._space = replace(self._space, elements=tuple(elements))
+        else:
+            self._take(system)
+            # A new array: the modal form may have another size.
+            self._state = self._propagator.to_working @ physical
+            self._history = np.empty((0, 0))
+        for row, element in enumerate(self._space.elements):
+            self._parameters[row] = element.parameters
 
     def reset(self) -> None:
         """Return to rest at time zero, sliders at zero."""
@@ -80,7 +123,7 @@ class TimeIntegrator:
         self._state = np.zeros(p.to_working.shape[0])
         self._memory = (
             np.zeros(2 * ports),
-            np.zeros(3 * ports),
+            np.zeros(p.port_rows.shape[0]),
             np.zeros(n, dtype=np.int64),
             np.zeros(n),
             np.zeros(n),
@@ -100,7 +143,10 @@ class TimeIntegrator:
         m = self._space.mechanical_size
         if displacement.shape != (m,) or velocity.shape != (m,):
             raise ValueError(f"displacement and velocity must have shape ({m},)")
-        physical = np.concatenate([displacement, velocity, np.full(self._space.size - 2 * m, current)])
+        rest = np.zeros(self._space.size - 2 * m)
+        if self.system.current is not None:
+            rest[0] = current
+        physical = np.concatenate([displacement, velocity, rest])
         self.reset()
         self._state[:] = self._propagator.to_working @ physical
         self._settle_branches()
@@ -109,8 +155,9 @@ class TimeIntegrator:
         """Branches, forces and kinematics that fit the present state (sliders yield where they must)."""
         p = self._propagator
         forces, kinematics, branch, slider, _, _ = self._memory
-        ports = forces.size // 2
-        if ports == 0:
+        total = forces.size // 2
+        ports = self._space.directions.shape[0]
+        if total == 0:
             return
         kinematics[:] = p.port_rows @ self._state
         forces[:] = 0.0
@@ -128,14 +175,21 @@ class TimeIntegrator:
                 branch[e] = int(w > values[1])
             elif kind == TWO_SIDED_GAP:
                 branch[e] = int(w > values[1]) - int(w < -values[1])
-        work = np.zeros(ports), np.zeros(ports)
+            elif kind == BACKLASH_DAMPER:
+                branch[e] = int(w > values[2]) - int(w < -values[2])
         # Twice: the accelerations in the slopes depend on the forces.
         for _ in range(2):
-            port_forces(
-                self._kinds, self._parameters, self._space.element_port, branch, slider, kinematics, ports,
-                forces, *work,
-            )  # fmt: skip
-            kinematics[:] = p.port_rows @ self._state + p.port_feedthrough @ forces[:ports]
+            if self._space.couplings:
+                coupled_forces(
+                    self._kinds, self._parameters, self._space.element_port, branch, slider, self._coupling_kinds,
+                    self._coupling_parameters, kinematics, ports, forces, np.zeros((total, 2)),
+                )  # fmt: skip
+            else:
+                port_forces(
+                    self._kinds, self._parameters, self._space.element_port, branch, slider, kinematics, ports,
+                    forces, np.zeros(ports), np.zeros(ports),
+                )  # fmt: skip
+            kinematics[:] = p.port_rows @ self._state + p.port_feedthrough @ forces[:total]
 
     def advance(self, inputs: Array) -> Array:
         """Integrate over one block.
@@ -162,7 +216,12 @@ class TimeIntegrator:
             self._history = np.empty((self._state.size, n))
             self._force_history = np.empty((p.port_feedthrough.shape[1], n))
         result = np.empty((self._c.shape[0], n))
-        good = integrate(
+        good = integrate_coupled(
+            p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input, p.compliance, self._kinds,
+            self._parameters, self._space.element_port, self._coupling_kinds, self._coupling_parameters,
+            self._levels, self.substeps, inputs, self._state, *self._memory, self._c, self._d_ports,
+            self._d_input, result,
+        ) if self._space.couplings else integrate(
             p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input,
             p.port_feedthrough, p.compliance, self._kinds, self._parameters, self._space.element_port,
             self._affine, self._levels, self.substeps, inputs, self._state, *self._memory, self._c,
@@ -188,7 +247,7 @@ class TimeIntegrator:
 
     @property
     def element_forces(self) -> Array:
-        """(ports,) present forces of the local elements, summed over those with one direction, N."""
+        """(ports,) present forces of the local elements, summed over those with one direction, N; then couplings."""
         forces = self._memory[0]
         return forces[: forces.size // 2].copy()
 
@@ -209,15 +268,19 @@ class TimeIntegrator:
 
     @property
     def stored_energy(self) -> float:
-        """Kinetic and elastic energy of structure, exciter and local elements, and of the inductance, J."""
+        """Kinetic and elastic energy of structure, exciter and local elements, and of the inductance, J.
+
+        What attachments store in unknowns without inertia is not in it.
+        """
         m = self._space.mechanical_size
         s = self.physical_state
         x, v, i = s[:m], s[m : 2 * m], s[2 * m :]
         system = self.system
-        stiffness, inductance = system.stiffness[:m, :m], system.damping[m:, m:]
-        energy = 0.5 * float(v @ system.mass[:m, :m] @ v + x @ stiffness @ x + i @ inductance @ i)
+        energy = 0.5 * float(v @ system.mass[:m, :m] @ v + x @ system.stiffness[:m, :m] @ x)
+        if system.current is not None:
+            energy += 0.5 * float(system.damping[system.current, system.current]) * float(i[0]) ** 2
         for element in system.elements:
-            if element not in self._space.elements:
+            if element.kind in (LINEAR_SPRING, LINEAR_DAMPER):
                 energy += 0.5 * element.linear_stiffness * float(element.direction[:m] @ x) ** 2
         slider = self._memory[3]
         for e, element in enumerate(self._space.elements):

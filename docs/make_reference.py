@@ -85,6 +85,16 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "tangential_stiffness_n_m": "k_t, stiffness while it sticks",
         "slip_force_n": "μN, force at which it slips",
     },
+    "IwanSection": {
+        "kind": "joint with micro-slip: Jenkins elements side by side whose slip displacements follow a power law",
+        "tangential_stiffness_n_m": "K_T, all sliders together while they stick",
+        "slip_force_n": "F_S, all sliders together while they slip",
+        "exponent": "χ of the density of stiffness over slip displacement, R φ^χ",
+        "stiffness_ratio": "β, stiffness of the sliders at the largest slip displacement by that of the power law",
+        "onset_ratio": "smallest by largest slip displacement; 0 = Segalman's distribution",
+        "sliders": "sliders that stand for the power law, of equal stiffness; one more where β > 0",
+        "remaining_stiffness_n_m": "linear spring beside the sliders",
+    },
     "CubicSpringSection": {"kind": "g = k₃ w³", "stiffness_n_m3": "k₃; negative softens"},
     "QuinticSpringSection": {"kind": "g = k₅ w⁵", "stiffness_n_m5": "k₅"},
     "QuadraticSpringSection": {"kind": "g = k₂ w²", "stiffness_n_m2": "k₂"},
@@ -156,6 +166,14 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "harmonics": "highest harmonic",
         "linear_modes": "columns of Φ: at least the target mode, at most the response sensors",
         "quantity": "the responses that Φ is taken at",
+        "hysteresis": "points and masses of a chain whose joint loops are evaluated",
+    },
+    "HysteresisSection": {
+        "excited_point": "point of m₁, the driven mass",
+        "middle_point": "point of m₂, between leaf spring and joint",
+        "free_point": "point of m₃, beyond the joint",
+        "excited_mass_kg": "m₁",
+        "free_mass_kg": "m₃",
     },
 }
 

@@ -42,7 +42,7 @@ def write_report(data: RunReportData, path: Path | str) -> Path:
 
 def report_html(data: RunReportData) -> str:
     """The report as HTML text; the same text for the same data."""
-    from nmt_bench import report_backbone, report_history, report_page, report_shapes
+    from nmt_bench import report_backbone, report_history, report_hysteresis, report_page, report_shapes
 
     builders: dict[str, tuple[_Builder, ...]] = {
         "modal": (
@@ -55,6 +55,7 @@ def report_html(data: RunReportData) -> str:
             report_shapes.shape_figure,
             report_backbone.amplitude_figure,
             report_shapes.harmonics_figure,
+            report_hysteresis.hysteresis_figure,
         ),
         "run": (
             report_history.history_figure,

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter
 
 from nmt_bench.quantity_format import significant, uncertain
+from nmt_bench.report_abscissa import Abscissa, abscissa_of
 from nmt_bench.report_columns import unit_text
 from nmt_bench.report_data import RunReportData
 from nmt_bench.report_svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
@@ -20,13 +21,11 @@ if TYPE_CHECKING:
 
     from nmt_extract.modal_point import ModalPoint
 
-_Q_LABEL = r"modal amplitude $q$ / (m$\sqrt{\mathrm{kg}}$)"
-
-
 def frequency_figure(data: RunReportData) -> ReportFigure:
     """ω̃ over q with standard uncertainties, and the deviation from the reference where there is one."""
     points = data.good_points
-    q, q_std = _column(points, "modal_amplitude")
+    abscissa = abscissa_of(data)
+    x, x_std = abscissa.of_points(points)
     omega, omega_std = _column(points, "omega_rad_s")
     figure, main, residual = _axes_with_residual(data.reference is not None)
     if data.linear is not None:
@@ -47,14 +46,14 @@ def frequency_figure(data: RunReportData) -> ReportFigure:
         _quiet_axis(ratio, rf"$\tilde\omega\,/\,\omega_{{{data.linear.target_mode + 1}}}$")
     hertz = main.secondary_yaxis(1.0, functions=_scaled(2.0 * math.pi))
     _quiet_axis(hertz, r"$\tilde f$ / Hz")
-    _reference_line(main, data, "omega_rad_s", 1.0, q)
-    tips = _points(main, points, q, q_std, omega, omega_std, "omega_rad_s", "rad/s", data.reference is None)
+    _reference_line(main, data, abscissa, "omega_rad_s", 1.0, x)
+    tips = _points(main, points, x, x_std, omega, omega_std, "omega_rad_s", "rad/s", data.reference is None)
     main.set_ylabel(r"modal frequency $\tilde\omega$ / (rad/s)")
     if data.reference is not None:
-        _deviation(residual, data, points, omega, omega_std, 0)
-    _finish(main, residual, q)
+        _deviation(residual, data, abscissa, points, omega, omega_std, 0)
+    _finish(main, residual, abscissa, x)
     caption = (
-        "Modal frequency ω̃ over modal amplitude <i>q</i>, also as f̃ and relative to the linear mode. "
+        f"Modal frequency ω̃ over {abscissa.html}, also as f̃ and relative to the linear mode. "
         "Bars: standard uncertainty." + _reference_caption(data)
     )
     label = "Modal frequency over modal amplitude"
@@ -64,17 +63,18 @@ def frequency_figure(data: RunReportData) -> ReportFigure:
 def damping_figure(data: RunReportData) -> ReportFigure:
     """δ̃ over q with standard uncertainties, and the deviation from the reference where there is one."""
     points = data.good_points
-    q, q_std = _column(points, "modal_amplitude")
+    abscissa = abscissa_of(data)
+    x, x_std = abscissa.of_points(points)
     damping, damping_std = _column(points, "damping_ratio")
     figure, main, residual = _axes_with_residual(data.reference is not None, right=0.97)
-    _reference_line(main, data, "damping_ratio", 100.0, q)
+    _reference_line(main, data, abscissa, "damping_ratio", 100.0, x)
     tips = _points(
-        main, points, q, q_std, 100 * damping, 100 * damping_std, "damping_ratio", "%", data.reference is None
+        main, points, x, x_std, 100 * damping, 100 * damping_std, "damping_ratio", "%", data.reference is None
     )
     hysteresis, hysteresis_std = _column(points, "hysteresis_damping")
     if np.any(np.isfinite(hysteresis)):
         main.errorbar(
-            q,
+            x,
             100 * hysteresis,
             100 * np.nan_to_num(hysteresis_std),
             fmt="s",
@@ -86,10 +86,10 @@ def damping_figure(data: RunReportData) -> ReportFigure:
     main.set_ylabel(r"modal damping ratio $\tilde\delta$ / %")
     main.set_ylim(bottom=0.0)
     if data.reference is not None:
-        _deviation(residual, data, points, damping, damping_std, 1)
-    _finish(main, residual, q)
+        _deviation(residual, data, abscissa, points, damping, damping_std, 1)
+    _finish(main, residual, abscissa, x)
     caption = (
-        "Modal damping ratio δ̃ over modal amplitude <i>q</i>. Bars: standard uncertainty."
+        f"Modal damping ratio δ̃ over {abscissa.html}. Bars: standard uncertainty."
         + _reference_caption(data)
     )
     label = "Modal damping ratio over modal amplitude"
@@ -99,7 +99,8 @@ def damping_figure(data: RunReportData) -> ReportFigure:
 def indicator_figure(data: RunReportData) -> ReportFigure:
     """How well the mode is isolated: PBMIF, γ_F, γ_A and MAC over q, one panel each."""
     points = data.good_points
-    q, q_std = _column(points, "modal_amplitude")
+    abscissa = abscissa_of(data)
+    x, x_std = abscissa.of_points(points)
     figure = Figure(figsize=(6.3, 4.5))
     panels = figure.subplots(2, 2, sharex=True)
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.12, top=0.93, hspace=0.28, wspace=0.32)
@@ -112,7 +113,7 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
     )
     for axes, (name, title) in zip(panels.flat, names, strict=True):
         value, std = _column(points, name)
-        tips |= _points(axes, points, q, q_std, value, std, name, "")
+        tips |= _points(axes, points, x, x_std, value, std, name, "")
         axes.axhline(1.0, color=MUTED, linewidth=0.8)
         axes.set_title(title)
         lowest = float(np.nanmin(value)) if np.any(np.isfinite(value)) else 0.9
@@ -120,9 +121,9 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
         axes.set_ylim(lowest - 0.25 * span, 1.0 + 0.25 * span)
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.ticklabel_format(axis="y", useOffset=False)
-        _log_q(axes, q)
+        _log_x(axes, x)
     for axes in panels[1]:
-        axes.set_xlabel(_Q_LABEL)
+        axes.set_xlabel(abscissa.label)
     caption = (
         "1 is a perfectly appropriated mode. PBMIF: active over apparent power; γ<sub>F</sub>, "
         "γ<sub>A</sub>: fundamental content of force and drive-point acceleration; MAC: correlation with "
@@ -141,7 +142,8 @@ def participation_figure(data: RunReportData) -> ReportFigure | None:
     points = data.good_points
     if not points or data.linear is None or len(points[0].participation) == 0:
         return None
-    q, _ = _column(points, "modal_amplitude")
+    abscissa = abscissa_of(data)
+    x, _ = abscissa.of_points(points)
     gamma = np.array([point.participation for point in points])
     figure = Figure(figsize=(6.3, 4.5))
     magnitude, phase = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
@@ -151,22 +153,22 @@ def participation_figure(data: RunReportData) -> ReportFigure | None:
         number = mode + 1
         target = " (target)" if mode == data.linear.target_mode else ""
         magnitude.plot(
-            q,
+            x,
             np.abs(gamma[:, mode]),
             "o-",
             color=colours[mode % 5],
             linewidth=1.0,
             label=f"linear mode {number}{target}",
         )
-        phase.plot(q, np.degrees(np.angle(gamma[:, mode])), "o-", color=colours[mode % 5], linewidth=1.0)
+        phase.plot(x, np.degrees(np.angle(gamma[:, mode])), "o-", color=colours[mode % 5], linewidth=1.0)
     magnitude.set_yscale("log")
     magnitude.set_ylabel(r"$|\Gamma|$")
     magnitude.legend(loc="best")
     phase.set_ylabel(r"$\arg\Gamma$ / °")
     phase.set_ylim(-195, 195)
     phase.set_yticks((-180, -90, 0, 90, 180))
-    phase.set_xlabel(_Q_LABEL)
-    _log_q(phase, q)
+    phase.set_xlabel(abscissa.label)
+    _log_x(phase, x)
     caption = "Participation Γ = Φ⁺φ̃₁ of the linear modes in the nonlinear mode: magnitude and phase."
     label = "Participation of the linear modes over modal amplitude"
     return ReportFigure(
@@ -274,16 +276,19 @@ def _axes_with_residual(with_residual: bool, right: float = 0.715) -> tuple[Figu
     return figure, main, residual
 
 
-def _reference_line(main: Axes, data: RunReportData, column: str, factor: float, q: Any) -> None:
+def _reference_line(
+    main: Axes, data: RunReportData, abscissa: Abscissa, column: str, factor: float, x: Any
+) -> None:
     if data.reference is None:
         return
     curve = data.reference
     # The curve may go far beyond the test; show a third of a decade on each side of the measured points.
-    keep = np.ones(curve.modal_amplitude.size, dtype=bool)
-    if q.size:
-        keep = (curve.modal_amplitude > q.min() / 2.0) & (curve.modal_amplitude < q.max() * 2.0)
+    place = abscissa.of_curve(curve)
+    keep = np.ones(place.size, dtype=bool)
+    if x.size:
+        keep = (place > x.min() / 2.0) & (place < x.max() * 2.0)
     values = factor * getattr(curve, column)
-    main.plot(curve.modal_amplitude[keep], values[keep], color=INK, linewidth=1.1, label=curve.label)
+    main.plot(place[keep], values[keep], color=INK, linewidth=1.1, label=curve.label)
     main.plot([], [], "o", color=BLUE, label="measured")
     main.legend(loc="best")
 
@@ -291,6 +296,7 @@ def _reference_line(main: Axes, data: RunReportData, column: str, factor: float,
 def _deviation(
     residual: Axes | None,
     data: RunReportData,
+    abscissa: Abscissa,
     points: Sequence[ModalPoint],
     value: Any,
     std: Any,
@@ -305,7 +311,14 @@ def _deviation(
         bars = 100.0 * np.nan_to_num(std) / reference
     residual.axhline(0.0, color=INK, linewidth=1.0)
     residual.errorbar(
-        q, percent, np.nan_to_num(bars), fmt="o", color=BLUE, markersize=3.5, elinewidth=1.0, capsize=2.0
+        abscissa.of_points(points)[0],
+        percent,
+        np.nan_to_num(bars),
+        fmt="o",
+        color=BLUE,
+        markersize=3.5,
+        elinewidth=1.0,
+        capsize=2.0,
     )
     residual.set_ylabel("dev. / %")
     reach = np.abs(percent) + np.nan_to_num(bars)
@@ -318,15 +331,15 @@ def _reference_caption(data: RunReportData) -> str:
     return " Below: deviation from the reference at the same <i>q</i>." if data.reference is not None else ""
 
 
-def _finish(main: Axes, residual: Axes | None, q: Any) -> None:
+def _finish(main: Axes, residual: Axes | None, abscissa: Abscissa, x: Any) -> None:
     lowest = main if residual is None else residual
-    lowest.set_xlabel(_Q_LABEL)
-    _log_q(lowest, q)
+    lowest.set_xlabel(abscissa.label)
+    _log_x(lowest, x)
 
 
-def _log_q(axes: Axes, q: Any) -> None:
+def _log_x(axes: Axes, x: Any) -> None:
     axes.set_xscale("log")
-    good = q[np.isfinite(q) & (q > 0)]
+    good = x[np.isfinite(x) & (x > 0)]
     if good.size:
         axes.set_xlim(good.min() / 1.6, good.max() * 1.6)
     _decade_ticks(axes.xaxis, *axes.get_xlim())

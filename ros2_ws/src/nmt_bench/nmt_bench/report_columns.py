@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from nmt_extract.modal_point import Status
+from nmt_extract.modal_point import ModalPoint, Status
 
 
 @dataclass(frozen=True)
@@ -19,6 +21,7 @@ class ModalColumn:
         factor: what to multiply values with before printing (100 for percent).
         decimals: decimal places where the uncertainty is not known.
         scaled: whether the column takes a common power of ten.
+        optional: not shown where no point has a value.
     """
 
     name: str
@@ -28,12 +31,16 @@ class ModalColumn:
     factor: float = 1.0
     decimals: int = 4
     scaled: bool = False
+    optional: bool = False
 
 
 MODAL_COLUMNS = (
     ModalColumn("frequency_hz", "f̃", "f̃", "Hz", decimals=4),
     ModalColumn("omega_rad_s", "ω̃", "ω̃", "rad/s", decimals=3),
     ModalColumn("damping_ratio", "δ̃", "δ̃", "%", factor=100.0, decimals=3),
+    ModalColumn(
+        "hysteresis_damping", "δ<sub>hyst</sub>", "δ_hyst", "%", factor=100.0, decimals=3, optional=True
+    ),
     ModalColumn("modal_amplitude", "<i>q</i>", "q", "m√kg", scaled=True),
     ModalColumn("force_n", "|<i>F</i><sub>1</sub>|", "|F₁|", "N", decimals=4),
     ModalColumn("pbmif", "PBMIF", "PBMIF", ""),
@@ -41,6 +48,16 @@ MODAL_COLUMNS = (
     ModalColumn("gamma_acceleration", "γ<sub><i>A</i></sub>", "γ_A", ""),
     ModalColumn("mac", "MAC", "MAC", "", decimals=5),
 )
+
+
+def shown_columns(points: Iterable[ModalPoint]) -> tuple[ModalColumn, ...]:
+    """The columns that have something to show for these points."""
+    known = list(points)
+    return tuple(
+        column
+        for column in MODAL_COLUMNS
+        if not column.optional or any(math.isfinite(getattr(point, column.name)) for point in known)
+    )
 
 
 def status_text(status: int) -> str:

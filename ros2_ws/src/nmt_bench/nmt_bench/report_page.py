@@ -18,7 +18,7 @@ from nmt_bench.quantity_format import (
     significant,
     uncertain,
 )
-from nmt_bench.report_columns import MODAL_COLUMNS, status_text, unit_text
+from nmt_bench.report_columns import shown_columns, status_text, unit_text
 from nmt_bench.report_data import RunReportData
 from nmt_bench.report_svg import ReportFigure
 from nmt_extract.modal_point import Status
@@ -199,7 +199,7 @@ def _facts(data: RunReportData) -> str:
 def _modal_table(data: RunReportData) -> str:
     if not data.points:
         return "<p>The run gave no modal point.</p>"
-    points, columns = data.good_points, MODAL_COLUMNS
+    points, columns = data.good_points, shown_columns(data.good_points)
     exponents = {
         c.name: engineering_exponent(getattr(p, c.name) for p in points) if c.scaled else 0 for c in columns
     }

@@ -24,7 +24,7 @@ from nmt_bench.quantity_format import (
     significant,
     uncertain,
 )
-from nmt_bench.report_columns import MODAL_COLUMNS, status_text, unit_text
+from nmt_bench.report_columns import shown_columns, status_text, unit_text
 from nmt_bench.report_data import LoopState
 from nmt_extract.modal_point import Status
 
@@ -109,7 +109,7 @@ def _table(
         box=SIMPLE_HEAD,
     )
     table.add_column(f"level\n{unit}", justify="right", no_wrap=True)
-    columns = [column for column in MODAL_COLUMNS if column.name not in left_out]
+    columns = [column for column in shown_columns(good) if column.name not in left_out]
     exponents = {
         c.name: engineering_exponent(getattr(p, c.name) for p in good) if c.scaled else 0 for c in columns
     }

@@ -146,7 +146,9 @@ def loop_of_point(layout: HysteresisLayout, point: ModalPoint) -> HysteresisLoop
     orders = np.arange(point.harmonics + 1)
     square = -((orders * point.omega_rad_s) ** 2)
     rows = [point.points.index(number) for number in wanted]
-    first, middle, free = (square * np.nan_to_num(point.shape_harmonics[:, row]) for row in rows)
+    first, middle, free = (
+        np.asarray(square * np.nan_to_num(point.shape_harmonics[:, row]), dtype=np.complex128) for row in rows
+    )
     return hysteresis_loop(layout, point.omega_rad_s, (first, middle, free), point.force_harmonics)
 
 

@@ -126,9 +126,9 @@ def read_json(path: Path | str) -> tuple[list[ModalPoint], dict[str, Any]]:
 def write_results(
     points: Sequence[ModalPoint], folder: Path | str, inputs: Mapping[str, Any] | None = None
 ) -> None:
-    """Write ``modal.csv`` and ``modal.json`` into a folder that exists, and ``hysteresis.csv`` for a chain with a joint.
+    """Write ``modal.csv`` and ``modal.json`` into a folder that exists, and ``hysteresis.csv`` where there are loops.
 
-    The loops are written where ``inputs["extraction"]["hysteresis"]`` names points and masses.
+    There are where ``inputs["extraction"]["hysteresis"]`` names points and masses of a chain with a joint.
 
     Raises:
         BenchError: a file cannot be written.

@@ -21,20 +21,21 @@ from .model.fourier_basis import FloatArray, FourierBasis
 from .model.linear_modes import sticking_modes
 from .model.phase_resonance import _Quadrature, extract_mode, linear_phase_resonance
 from .reference import SinglePointReference
-from .rig import JenkinsSection, Rig
+from .rig import IwanSection, JenkinsSection, Rig
 from .rig_model import build_elements, build_structure, build_system, input_per_volt
 
 _SOFTENING = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
 _STIFFENING_STEPS = 15
 _LEVELS_PER_DECADE = 80
+_FRICTION = (JenkinsSection, IwanSection)
 _WHAT = "phase resonance in the slipping range"
 
 
 def softened(rig: Rig, factor: float) -> Rig:
-    """The rig with the tangential stiffness of every Jenkins element times a factor."""
+    """The rig with the tangential stiffness of every Jenkins element and Iwan joint times a factor."""
     elements = [
         element.model_copy(update={"tangential_stiffness_n_m": factor * element.tangential_stiffness_n_m})
-        if isinstance(element, JenkinsSection)
+        if isinstance(element, _FRICTION)
         else element
         for element in rig.local_elements
     ]
@@ -61,7 +62,7 @@ def single_point_reference_from_above(
     volts = np.unique(np.asarray(levels, dtype=np.float64))
     if volts.size == 0 or volts[0] <= 0.0:
         raise BenchError("levels must be positive voltages; give at least one.")
-    if not any(isinstance(element, JenkinsSection) for element in rig.local_elements):
+    if not any(isinstance(element, _FRICTION) for element in rig.local_elements):
         raise BenchError(f"rig {rig.name} has no Jenkins element, so it has no slipping range.")
     structure = build_structure(rig)
     # One reference frequency scales all problems, so that a solution of one is a guess for the next.

@@ -251,7 +251,6 @@ def test_messages_of_points_survive_both_ways():
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
-        ({}, "needs the parameter 'linear_json'"),
         ({"linear_json": "{"}, "not valid JSON"),
         ({"linear_json": "{}"}, "not complete or not well-formed"),
         ({**VALUES, "topics": ["force"]}, "one of displacement, velocity, acceleration"),

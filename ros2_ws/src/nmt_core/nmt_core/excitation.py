@@ -70,6 +70,8 @@ class Excitation:
             BenchError: a setting is missing, out of range, or not of this kind of test.
         """
         label, nyquist = self.test.label.replace("_", " "), 0.5 * sample_rate
+        if self.test not in _FIELDS:
+            raise BenchError(f"The bench does no {label} test; choose another kind of test.")
         for item in fields(self):
             value = getattr(self, item.name)
             if item.name == "test":

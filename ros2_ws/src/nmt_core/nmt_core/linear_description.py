@@ -16,6 +16,20 @@ import numpy as np
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 
+TEST_KEYS = frozenset(
+    (
+        "uncertainties",
+        "residuals",
+        "target_residuals",
+        "band_hz",
+        "estimator",
+        "fit",
+        "mass_estimate",
+        "quality",
+    )
+)
+"""What ``linear.json`` of a linear modal test says beyond the description; passed over here."""
+
 
 @dataclass(frozen=True)
 class LinearDescription:
@@ -79,13 +93,13 @@ class LinearDescription:
 
     @classmethod
     def from_mapping(cls, values: dict[str, Any]) -> LinearDescription:
-        """Build from parsed JSON.
+        """Build from parsed JSON, also of a whole ``linear.json`` (see ``TEST_KEYS``).
 
         Raises:
             BenchError: a key is missing, unknown or of the wrong kind.
         """
         try:
-            data = dict(values)
+            data = {key: value for key, value in values.items() if key not in TEST_KEYS}
             for key in ("points", "frequencies_rad_s", "damping_ratios"):
                 data[key] = tuple(data[key])
             data["shapes"] = tuple(tuple(float(x) for x in row) for row in data["shapes"])

@@ -102,8 +102,8 @@ def averaged_spectra(
     averages = 1 + (length - segment_samples) // step if length >= segment_samples else 0
     if averages < MINIMUM_AVERAGES:
         raise BenchError(
-            f"The record of {length / sample_rate:.3g} s holds {averages} segments of {segment_samples / sample_rate:.3g} "
-            f"s; at least {MINIMUM_AVERAGES} are needed: record longer."
+            f"The record of {length / sample_rate:.3g} s holds {averages} segments of "
+            f"{segment_samples / sample_rate:.3g} s; at least {MINIMUM_AVERAGES} are needed: record longer."
         )
     window = np.hanning(segment_samples + 1)[:-1]
     frequency = np.fft.rfftfreq(segment_samples, 1.0 / sample_rate)
@@ -118,7 +118,12 @@ def averaged_spectra(
             spectra[row] = np.fft.rfft(window * (values - values.mean()))[lines]
         total += spectra[:, np.newaxis] * spectra[np.newaxis].conj()
     return AveragedSpectra(
-        frequency[lines], names, total / averages, averages, _independent(window, step, averages), segment_samples
+        np.asarray(frequency[lines], dtype=np.float64),
+        names,
+        total / averages,
+        averages,
+        _independent(window, step, averages),
+        segment_samples,
     )
 
 

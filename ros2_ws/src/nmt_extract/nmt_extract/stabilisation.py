@@ -60,13 +60,16 @@ class StablePole:
 
 
 def order_poles(
-    accelerance: ComplexArray, frequency_hz: FloatArray, band_hz: tuple[float, float], highest_order: int = DEFAULT_ORDER
+    accelerance: ComplexArray,
+    frequency_hz: FloatArray,
+    band_hz: tuple[float, float],
+    highest_order: int = DEFAULT_ORDER,
 ) -> list[OrderPoles]:
     """Poles of all orders by the library's LSCF.
 
     Args:
-        accelerance: acceleration over force, m/s²/N, shape ``(responses, lines)``; accelerance weighs the modes of a wide
-            band more evenly than receptance.
+        accelerance: acceleration over force, m/s²/N, shape ``(responses, lines)``; accelerance weighs the modes of a
+            wide band more evenly than receptance.
         frequency_hz: lines, Hz, evenly spaced from below the band to above it.
         band_hz: where poles are sought.
         highest_order: highest number of modes.
@@ -83,8 +86,8 @@ def order_poles(
         )
     from sdypy import EMA  # takes its time and brings matplotlib
 
-    # Where the first line is not 0 Hz the library fills up by numpy.arange, whose rounding can add one line too many and
-    # so shift all poles by one line: fill up here. It also leaves out the line nearest to `upper`.
+    # Where the first line is not 0 Hz the library fills up by numpy.arange, whose rounding can add one line too many
+    # and so shift all poles by one line: fill up here. It also leaves out the line nearest to `upper`.
     spacing = (frequency_hz[-1] - frequency_hz[0]) / (frequency_hz.size - 1)
     missing = round(float(frequency_hz[0] / spacing))
     keep = frequency_hz <= high + spacing
@@ -130,7 +133,8 @@ def stable_poles(*diagrams: list[OrderPoles]) -> list[StablePole]:
     found: list[StablePole] = []
     for diagram in diagrams:
         for pole in _stable(diagram):
-            if not any(abs(other.frequency_hz / pole.frequency_hz - 1.0) < 4.0 * FREQUENCY_TOLERANCE for other in found):
+            distances = (abs(other.frequency_hz / pole.frequency_hz - 1.0) for other in found)
+            if all(distance >= 4.0 * FREQUENCY_TOLERANCE for distance in distances):
                 found.append(pole)
     return sorted(found, key=lambda pole: pole.frequency_hz)
 
@@ -139,8 +143,8 @@ def _stable(diagram: list[OrderPoles]) -> list[StablePole]:
     """Poles that stay within the tolerances over ``MINIMUM_RUN`` successive orders, ascending in frequency.
 
     A run may start at any order; it ends where no pole of the next order lies within the tolerances. Runs that meet
-    (within the frequency tolerance of each other) are one mode: the longest counts. Damping above ``HIGHEST_DAMPING`` is
-    no mode.
+    (within the frequency tolerance of each other) are one mode: the longest counts. Damping above ``HIGHEST_DAMPING``
+    is no mode.
     """
     runs: list[list[tuple[int, int]]] = []
     open_runs: dict[int, list[tuple[int, int]]] = {}

@@ -1,0 +1,642 @@
+"""Linear modal test: from one record of random excitation to modes, residuals and the plant with its exciter.
+
+Averaged spectra (:mod:`nmt_extract.frf`) give the frequency responses, the coherence and, through the stabilisation
+diagram (:mod:`nmt_extract.stabilisation`), the modes to look for. Every mode is then fitted to the whole record without
+window (:mod:`nmt_extract.rational_fit`) and scaled by the drive point. No model of the structure enters.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nmt_core.blocks import BlockFlag, FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_extract.frf import AveragedSpectra, ComplexArray, FrfEstimate, averaged_spectra, frf_estimate
+from nmt_extract.linear_residuals import Residuals, fit_residuals, modal_receptance
+from nmt_extract.rational_fit import RationalFit, StructureMode, fit_rational, structure_mode
+from nmt_extract.stabilisation import OrderPoles, StablePole, order_poles, stable_poles
+from nmt_record.segments import Signals
+
+_POWERS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
+
+LOWEST_COHERENCE = 0.8
+"""Share of a response's power around a mode that the fit must explain, in the best channel."""
+LINES_PER_HALF_POWER = 3.0
+"""Length of the record in inverse half-power bandwidths of the narrowest kept mode, at least."""
+DAMPING_SCATTER = 0.3
+"""Relative standard uncertainty of damping above which a mode is dropped."""
+_ORDER = 3  # degree of the polynomials beside the poles
+SEGMENTS = 10
+"""Segments without overlap into which the record is cut for the averages, where nothing else is asked for."""
+
+
+@dataclass(frozen=True)
+class LinearTestSettings:
+    """What to look for.
+
+    Attributes:
+        drive_point: point of the exciter.
+        quantity: response quantity of the shapes.
+        band_hz: band of the excitation.
+        modes: most modes to keep (never more than response points).
+        mode: number of the target mode among those fitted in the band, from 1; None = see ``rig_mode``.
+        near_hz: the target is the fitted mode nearest to this frequency; goes before ``mode``.
+        rig_mode: number of the target mode among all modes of the rig, a suspension mode below the band included.
+        segment_s: length of an averaged segment, s; None = a tenth of the record.
+    """
+
+    drive_point: int
+    quantity: Quantity
+    band_hz: tuple[float, float]
+    modes: int = 2
+    mode: int | None = None
+    near_hz: float | None = None
+    rig_mode: int = 1
+    segment_s: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LinearMode:
+    """One mode of the structure without exciter.
+
+    Attributes:
+        frequency_hz, damping_ratio: undamped frequency |λ|/2π and damping ratio.
+        frequency_std, damping_std: their standard uncertainties.
+        complex_shape: mass-normalised at the response points, 1/√kg.
+        shape: its real part, 1/√kg.
+        shape_std: standard uncertainty of ``shape``.
+        drive_shape, drive_shape_std: at the drive point.
+        averaged: the stable pole it was found by, from the averaged spectra.
+        coherence: share of the best response's power around the mode that the fit explains; free of leakage.
+        averaged_coherence: median γ² of force and best response around the mode, from the averaged spectra.
+        fit: the fit of the whole record.
+    """
+
+    frequency_hz: float
+    damping_ratio: float
+    frequency_std: float
+    damping_std: float
+    complex_shape: ComplexArray
+    shape: FloatArray
+    shape_std: FloatArray
+    drive_shape: float
+    drive_shape_std: float
+    averaged: StablePole
+    coherence: float
+    averaged_coherence: float
+    fit: RationalFit
+
+    @property
+    def omega(self) -> float:
+        """Frequency, rad/s."""
+        return 2.0 * math.pi * self.frequency_hz
+
+    @property
+    def complexity(self) -> float:
+        """Share of the shape that is not in phase, ‖Im ψ‖ / ‖ψ‖."""
+        return float(np.linalg.norm(self.complex_shape.imag) / np.linalg.norm(self.complex_shape))
+
+
+@dataclass(frozen=True)
+class PlantEstimate:
+    """The target mode with the exciter attached, as the phase-locked loop needs it.
+
+    Attributes:
+        frequency_hz, damping_ratio: pole of voltage to response nearest to the target mode.
+        frequency_std, damping_std: their standard uncertainties.
+        force_per_volt: N/V at the target mode's frequency.
+        displacement_per_volt: m/V at the drive point there.
+        moving_mass_kg: moving mass of the exciter.
+    """
+
+    frequency_hz: float
+    damping_ratio: float
+    frequency_std: float
+    damping_std: float
+    force_per_volt: float
+    displacement_per_volt: float
+    moving_mass_kg: float
+
+
+@dataclass(frozen=True, eq=False)
+class LinearTest:
+    """Result of the test.
+
+    Attributes:
+        points: response points, rows of the shapes.
+        modes: kept modes, ascending frequency.
+        further_modes: modes found in the band that were not kept.
+        target: index of the target mode among ``modes``.
+        plant: the target with exciter; None without a voltage channel.
+        residuals: of everything but the kept modes.
+        target_residuals: of everything but the target mode.
+        force_frf: force to responses.
+        voltage_frf: voltage to force and responses; None without a voltage channel.
+        diagrams: stabilisation diagrams, that of the whole band first.
+        stable: poles that the diagrams give.
+        remarks: sentences on what was left out or noticed.
+        suspension_below_band: whether a mass line below the first mode shows a suspension (rigid body) mode.
+        settings: what was asked for.
+        duration_s: length of the record.
+        quantity: of the responses.
+        reference: ``voltage`` or ``force``: input of the fits.
+    """
+
+    points: tuple[int, ...]
+    modes: tuple[LinearMode, ...]
+    further_modes: tuple[LinearMode, ...]
+    target: int
+    plant: PlantEstimate | None
+    residuals: Residuals
+    target_residuals: Residuals
+    force_frf: FrfEstimate
+    voltage_frf: FrfEstimate | None
+    diagrams: tuple[tuple[OrderPoles, ...], ...]
+    stable: tuple[StablePole, ...]
+    remarks: tuple[str, ...]
+    suspension_below_band: bool
+    settings: LinearTestSettings
+    duration_s: float
+    quantity: Quantity
+    reference: str
+
+    @property
+    def shapes(self) -> FloatArray:
+        """Φ of the kept modes, 1/√kg, shape ``(points, modes)``."""
+        return np.column_stack([mode.shape for mode in self.modes])
+
+    @property
+    def target_mode(self) -> LinearMode:
+        """The mode under test."""
+        return self.modes[self.target]
+
+    def receptance(self) -> ComplexArray:
+        """Measured receptance of the responses, m/N, at the lines of ``force_frf``, shape ``(points, lines)``."""
+        return _receptance(self.force_frf, self.quantity)
+
+    def synthesis(self) -> ComplexArray:
+        """Receptance of kept modes and residuals, m/N, shape ``(points, lines)``."""
+        frequency = self.force_frf.frequency_hz
+        total = self.residuals.receptance(frequency)
+        for mode in self.modes:
+            total = total + modal_receptance(*_term(mode), frequency)
+        return total
+
+
+@dataclass(frozen=True)
+class _Channels:
+    force: str
+    responses: tuple[str, ...]
+    points: tuple[int, ...]
+    drive: str
+    voltage: str | None
+
+
+def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
+    """Evaluate a record of random excitation.
+
+    Args:
+        signals: the record, see :func:`nmt_record.segments.read_signals`.
+        settings: what to look for.
+
+    Raises:
+        BenchError: gaps, overload, a missing or dead channel, a record too short, low coherence, no stable mode, or no
+            such target mode.
+    """
+    channels = _channels(signals, settings)
+    _check_samples(signals, channels)
+    duration = signals.samples / signals.sample_rate
+    spectra = _averages(signals, channels, settings)
+    force_frf = frf_estimate(spectra, channels.force, _unique(*channels.responses, channels.drive), channels.voltage)
+    voltage_frf = None
+    if channels.voltage is not None:
+        outputs = _unique(channels.force, *channels.responses, channels.drive)
+        voltage_frf = frf_estimate(spectra, channels.voltage, outputs)
+    rows = slice(0, len(channels.responses))
+    diagrams = _diagrams(force_frf, settings, rows)
+    stable = stable_poles(*diagrams)
+    if not stable:
+        raise BenchError(
+            f"No stable mode was found between {settings.band_hz[0]:g} and {settings.band_hz[1]:g} Hz"
+            f"{_coherence_hint(force_frf, rows)}; raise the level, record longer or change the band."
+        )
+    whole = _Record(signals, channels, settings)
+    found, remarks = _refine(whole, stable, force_frf, rows)
+    suspension = _has_mass_line(force_frf, channels.drive, _POWERS[signals.quantities[channels.drive]], found)
+    target = _target_of(found, settings, suspension)
+    kept = _kept(found, target, min(settings.modes, len(channels.points)))
+    further = tuple(mode for mode in found if mode not in kept)
+    narrowest = min(kept, key=lambda mode: mode.damping_ratio * mode.frequency_hz)
+    half_power = 2.0 * narrowest.damping_ratio * narrowest.frequency_hz
+    if duration * half_power < LINES_PER_HALF_POWER:
+        raise BenchError(
+            f"The record of {duration:.3g} s is too short for the mode at {narrowest.frequency_hz:.5g} Hz, whose "
+            f"half-power bandwidth is {half_power:.2g} Hz; record at least {LINES_PER_HALF_POWER / half_power:.0f} s."
+        )
+    index = kept.index(target)
+    receptance = _receptance(force_frf, settings.quantity)[rows]
+    variance = _variance(force_frf, settings.quantity)[rows]
+    frequency = force_frf.frequency_hz
+    terms = [_term(mode) for mode in kept]
+    lumped = fit_residuals(frequency, receptance, variance, terms, _overall_band(kept, settings))
+    neighbours = [mode for mode in found if mode is not target]
+    alone = fit_residuals(
+        frequency, receptance, variance, [_term(target)], _target_band(target, neighbours, settings)
+    )
+    return LinearTest(
+        points=channels.points,
+        modes=kept,
+        further_modes=further,
+        target=index,
+        plant=_plant(whole, target, voltage_frf),
+        residuals=lumped,
+        target_residuals=alone,
+        force_frf=force_frf,
+        voltage_frf=voltage_frf,
+        diagrams=tuple(tuple(diagram) for diagram in diagrams),
+        stable=tuple(stable),
+        remarks=tuple(remarks),
+        suspension_below_band=suspension,
+        settings=settings,
+        duration_s=duration,
+        quantity=settings.quantity,
+        reference="force" if channels.voltage is None else "voltage",
+    )
+
+
+# -- channels and samples ---------------------------------------------------------------------------------------------
+
+
+def _channels(signals: Signals, settings: LinearTestSettings) -> _Channels:
+    forces = signals.named(Quantity.FORCE)
+    at_drive = [name for name in forces if signals.points[name] in (0, settings.drive_point)]
+    if len(at_drive) != 1:
+        raise BenchError(
+            f"The record has {len(at_drive)} force channels at drive point {settings.drive_point}; one is needed."
+        )
+    responses = signals.named(settings.quantity)
+    if not responses:
+        name = settings.quantity.name.lower()
+        raise BenchError(f"The record has no {name} channel; choose another response quantity.")
+    drive = signals.named(settings.quantity, settings.drive_point)
+    for quantity in (Quantity.ACCELERATION, Quantity.DISPLACEMENT, Quantity.VELOCITY):
+        drive = drive or signals.named(quantity, settings.drive_point)
+    if not drive:
+        raise BenchError(
+            f"No response is measured at drive point {settings.drive_point}; without it shapes cannot be scaled."
+        )
+    voltages = signals.named(Quantity.VOLTAGE)
+    return _Channels(
+        at_drive[0],
+        tuple(responses),
+        tuple(signals.points[name] for name in responses),
+        drive[0],
+        voltages[0] if voltages else None,
+    )
+
+
+def _unique(*names: str) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(names))
+
+
+def _check_samples(signals: Signals, channels: _Channels) -> None:
+    if signals.gaps:
+        topic, first, count = signals.gaps[0]
+        raise BenchError(f"{count} samples of {topic} are missing from sample {first} on; record again.")
+    if signals.flags & BlockFlag.OVERLOAD:
+        raise BenchError("A converter was driven beyond its range (overload); lower the level or widen the range.")
+    if signals.flags & (BlockFlag.LIMIT | BlockFlag.WATCHDOG):
+        raise BenchError("A limit or the watchdog took the drive to zero within the record; lower the level.")
+    for name in _unique(channels.force, *channels.responses, channels.drive, *filter(None, [channels.voltage])):
+        values = signals.channels[name]
+        if not np.all(np.isfinite(values)):
+            raise BenchError(f"Channel {name} has values that are not numbers; record again.")
+        peak = float(np.max(np.abs(values)))
+        if peak == 0.0 or float(np.ptp(values)) == 0.0:
+            raise BenchError(f"Channel {name} shows no signal; check its sensor and the drive.")
+        # Random signals touch their extreme once: many samples there are a clipped converter.
+        at_end = int(np.count_nonzero(np.abs(values) >= peak * (1.0 - 1e-9)))
+        if at_end > max(8, 1e-5 * values.size) and peak > 2.0 * float(np.std(values)):
+            levels = np.unique(np.abs(values)).size
+            if levels > 64:
+                raise BenchError(
+                    f"Channel {name} is clipped: {at_end} samples lie at its extreme {peak:.4g}; lower the level."
+                )
+
+
+def _averages(signals: Signals, channels: _Channels, settings: LinearTestSettings) -> AveragedSpectra:
+    length = signals.samples
+    segment = length // SEGMENTS if settings.segment_s is None else round(settings.segment_s * signals.sample_rate)
+    names = _unique(channels.force, *channels.responses, channels.drive, *filter(None, [channels.voltage]))
+    low, high = settings.band_hz
+    if not 0.0 < low < high < 0.5 * signals.sample_rate:
+        raise BenchError(
+            f"The band {low:g} to {high:g} Hz must lie between 0 and half the sample rate, "
+            f"{signals.sample_rate / 2:g} Hz."
+        )
+    return averaged_spectra({name: signals.channels[name] for name in names}, signals.sample_rate, segment, (low, high))
+
+
+def _s(frequency_hz: FloatArray | float) -> ComplexArray:
+    return np.asarray(2j * np.pi * np.asarray(frequency_hz))
+
+
+def _receptance(frf: FrfEstimate, quantity: Quantity) -> ComplexArray:
+    return np.asarray(frf.best / _s(frf.frequency_hz) ** _POWERS[quantity])
+
+
+def _variance(frf: FrfEstimate, quantity: Quantity) -> FloatArray:
+    """Variance of the receptance from coherence and averages (Bendat and Piersol)."""
+    coherence = np.clip(frf.coherence, 1e-6, 1.0 - 1e-9)
+    relative = (1.0 - coherence) / (2.0 * coherence * frf.independent_averages)
+    return np.asarray(np.abs(_receptance(frf, quantity)) ** 2 * relative)
+
+
+def _diagrams(frf: FrfEstimate, settings: LinearTestSettings, rows: slice) -> list[list[OrderPoles]]:
+    """Of the whole band and of its lower parts, where few lines hold low modes."""
+    factor = _s(frf.frequency_hz) ** (2 - _POWERS[settings.quantity])
+    accelerance = frf.best[rows] * factor
+    low, high = settings.band_hz
+    diagrams = [order_poles(accelerance, frf.frequency_hz, settings.band_hz)]
+    for part in (4.0, 16.0):
+        if high / part > 2.0 * low:
+            try:
+                diagrams.append(order_poles(accelerance, frf.frequency_hz, (low, high / part)))
+            except BenchError:  # too few lines there; the whole band stands
+                break
+    return diagrams
+
+
+def _coherence_hint(frf: FrfEstimate, rows: slice) -> str:
+    median = float(np.median(np.max(frf.coherence[rows], axis=0)))
+    return f" (median coherence {median:.2f})" if median < LOWEST_COHERENCE else ""
+
+
+# -- modes ------------------------------------------------------------------------------------------------------------
+
+
+class _Record:
+    """Spectra of the whole record without window."""
+
+    def __init__(self, signals: Signals, channels: _Channels, settings: LinearTestSettings) -> None:
+        self.channels = channels
+        self.settings = settings
+        self.quantities = signals.quantities
+        self.sample_rate = signals.sample_rate
+        self.frequency: FloatArray = np.fft.rfftfreq(signals.samples, 1.0 / signals.sample_rate).astype(np.float64)
+        low, high = settings.band_hz
+        use = np.flatnonzero((self.frequency >= low) & (self.frequency <= high))
+        self.frequency = np.asarray(self.frequency[use], dtype=np.float64)
+        responses = _unique(*channels.responses, channels.drive)
+        self.outputs = responses if channels.voltage is None else (channels.force, *responses)
+        reference = channels.force if channels.voltage is None else channels.voltage
+
+        def spectrum(name: str) -> ComplexArray:
+            values = signals.channels[name]
+            return np.asarray(np.fft.rfft(values - values.mean())[use])
+
+        self.reference = spectrum(reference)
+        self.spectra = np.array([spectrum(name) for name in self.outputs])
+        self.force_row = None if channels.voltage is None else 0
+        self.response_rows = slice(0 if self.force_row is None else 1, None)
+
+    def fit(
+        self, pole: StablePole, others: list[StablePole], order: int = _ORDER, start: RationalFit | None = None
+    ) -> RationalFit:
+        """Around one pole: wide beside the resonance and the plant's, narrow beside the next mode."""
+        low, high = self.settings.band_hz
+        frequency = pole.frequency_hz
+        own = 8.0 * pole.damping_ratio * frequency
+        width = max(0.1 * frequency, own, 40.0 * (self.frequency[1] - self.frequency[0]))
+        gaps = [abs(other.frequency_hz - frequency) for other in others]
+        room = min([0.7 * gap for gap in gaps if gap > 0.0], default=math.inf)
+        width = min(width, max(room, 3.0 * pole.damping_ratio * frequency))
+        width = min(width, max(frequency - low, 0.02 * frequency), max(high - frequency, 0.02 * frequency))
+        within = sum(gap < width for gap in gaps)
+        count = 1 + min(within, 2)
+        return fit_rational(self.reference, self.spectra, self.frequency, frequency, width, count, order, start)
+
+
+def _refine(
+    record: _Record, stable: list[StablePole], frf: FrfEstimate, rows: slice
+) -> tuple[list[LinearMode], list[str]]:
+    modes: list[LinearMode] = []
+    remarks: list[str] = []
+    reasons: list[str] = []
+    for pole in stable:
+        others = [other for other in stable if other is not pole]
+        name = f"The pole at {pole.frequency_hz:.5g} Hz"
+        near = np.abs(frf.frequency_hz - pole.frequency_hz) <= max(
+            4.0 * pole.damping_ratio * pole.frequency_hz, 3.0 * (frf.frequency_hz[1] - frf.frequency_hz[0])
+        )
+        averaged = float(np.max(np.median(frf.coherence[rows][:, near], axis=1)))
+        try:
+            fit = record.fit(pole, others)
+            coherence = float(np.max(1.0 - fit.misfit[record.response_rows] ** 2))
+            if coherence < LOWEST_COHERENCE:
+                reasons.append(f"{name} is left out: coherence there is {coherence:.2f}, below {LOWEST_COHERENCE}")
+                continue
+            start = pole.frequency_hz * (1.0 + 1j * pole.damping_ratio)
+            mode = _scaled(record, structure_mode(fit, start, record.force_row), pole, (coherence, averaged), fit)
+            mode = _with_model_error(record, mode, others)
+        except (BenchError, np.linalg.LinAlgError) as error:
+            reasons.append(f"{name} is left out: {str(error).rstrip('.')}")
+            continue
+        moved = abs(mode.frequency_hz / pole.frequency_hz - 1.0)
+        if moved > 0.02 + pole.damping_ratio or not 0.0 < mode.damping_ratio < 1.0:
+            reasons.append(f"{name} is left out: the fit of the whole record does not confirm it")
+        elif mode.damping_std > DAMPING_SCATTER * mode.damping_ratio:
+            reasons.append(f"{name} is left out: its damping is uncertain by more than {100 * DAMPING_SCATTER:.0f} %")
+        else:
+            modes.append(mode)
+    if not modes:
+        raise BenchError(f"No mode could be fitted. {reasons[0]}; raise the level or record longer.")
+    remarks += [f"{reason}." for reason in reasons]
+    return sorted(modes, key=lambda mode: mode.frequency_hz), remarks
+
+
+def _scaled(
+    record: _Record, mode: StructureMode, pole: StablePole, coherence: tuple[float, float], fit: RationalFit
+) -> LinearMode:
+    """Mass-normalised shape from the residues: φ_p φ_d = 2 i ω_d A_p, displacement from any quantity by powers of λ."""
+    outputs = record.outputs if record.force_row is None else record.outputs[1:]
+    eigenvalue = mode.eigenvalue
+    omega = abs(eigenvalue)
+    damped = eigenvalue.imag
+    powers = np.array([_POWERS[record.quantities[name]] for name in outputs])
+    factor = 2j * damped / eigenvalue**powers
+    products = factor * mode.residues
+    drive = outputs.index(record.channels.drive)
+    if products[drive].real <= 0.0 or damped <= 0.0:
+        raise BenchError(
+            "its drive-point residue has the wrong sign: the force or the response at the drive point is inverted, or "
+            "it is no mode"
+        )
+    drive_shape = np.sqrt(products[drive])
+    shapes = products / drive_shape
+    count = len(record.channels.responses)
+    # Signs as of models: the largest entry is positive.
+    sign = 1.0 if shapes[:count].real[np.argmax(np.abs(shapes[:count].real))] > 0.0 else -1.0
+    # First-order propagation: the real parts have half the variance of the complex circular quantities.
+    covariance = mode.covariance
+    lambda_std = math.sqrt(max(covariance[0, 0].real, 0.0) / 2.0)
+    slopes = np.zeros((len(outputs), 1 + len(outputs)), dtype=np.complex128)
+    for row in range(len(outputs)):
+        slopes[row, 1 + row] += factor[row] / drive_shape
+        slopes[row, 1 + drive] -= 0.5 * shapes[row] / products[drive] * factor[drive]
+        slopes[row, 0] += shapes[row] * (0.5 - powers[row] + 0.5 * powers[drive]) / eigenvalue
+    shape_std = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", slopes, covariance, slopes.conj()).real, 0.0) / 2.0)
+    return LinearMode(
+        frequency_hz=omega / (2.0 * math.pi),
+        damping_ratio=-eigenvalue.real / omega,
+        frequency_std=lambda_std / (2.0 * math.pi),
+        damping_std=lambda_std / omega,
+        complex_shape=sign * shapes[:count],
+        shape=sign * shapes[:count].real,
+        shape_std=shape_std[:count],
+        drive_shape=sign * float(shapes[drive].real),
+        drive_shape_std=float(shape_std[drive]),
+        averaged=pole,
+        coherence=coherence[0],
+        averaged_coherence=coherence[1],
+        fit=fit,
+    )
+
+
+def _with_model_error(record: _Record, mode: LinearMode, others: list[StablePole]) -> LinearMode:
+    """Uncertainties widened by what a polynomial of one degree more changes: the model's own error."""
+    fit = record.fit(mode.averaged, others, _ORDER + 1, mode.fit)
+    start = mode.frequency_hz * (1.0 + 1j * mode.damping_ratio)
+    found = structure_mode(fit, start, record.force_row)
+    other = _scaled(record, found, mode.averaged, (mode.coherence, mode.averaged_coherence), fit)
+    return replace(
+        mode,
+        frequency_std=math.hypot(mode.frequency_std, other.frequency_hz - mode.frequency_hz),
+        damping_std=math.hypot(mode.damping_std, other.damping_ratio - mode.damping_ratio),
+        shape_std=np.hypot(mode.shape_std, other.shape - mode.shape),
+        drive_shape_std=math.hypot(mode.drive_shape_std, other.drive_shape - mode.drive_shape),
+    )
+
+
+def _has_mass_line(frf: FrfEstimate, drive: str, power: int, modes: list[LinearMode]) -> bool:
+    """Whether the drive-point receptance below the first mode is that of a mass: a body on a suspension below the band.
+
+    There the receptance of a structure held firmly is that of a spring, positive; of a free body, −1/(m ω²).
+    """
+    frequency, low, first = frf.frequency_hz, float(frf.frequency_hz[0]), modes[0].frequency_hz
+    use = (frequency >= 1.2 * low) & (frequency <= min(3.0 * low, 0.5 * first))
+    if np.count_nonzero(use) < 5:
+        use = frequency <= 0.7 * first
+    if np.count_nonzero(use) < 5:
+        return False
+    receptance = frf.best[frf.outputs.index(drive)] / _s(frequency) ** power
+    return bool(np.median(receptance.real[use] * frequency[use] ** 2) < 0.0)
+
+
+def _target_of(modes: list[LinearMode], settings: LinearTestSettings, suspension: bool) -> LinearMode:
+    listed = ", ".join(f"{mode.frequency_hz:.5g}" for mode in modes)
+    if settings.near_hz is not None:
+        near = settings.near_hz
+        nearest = min(modes, key=lambda mode: abs(mode.frequency_hz - near))
+        if abs(nearest.frequency_hz / near - 1.0) > 0.1:
+            raise BenchError(f"No mode lies within 10 % of {near:g} Hz; fitted modes are at {listed} Hz.")
+        return nearest
+    number = settings.mode if settings.mode is not None else max(1, settings.rig_mode - int(suspension))
+    if not 1 <= number <= len(modes):
+        raise BenchError(
+            f"Mode {number} is asked for, but the band has {len(modes)} fitted modes ({listed} Hz); choose with --mode "
+            "or --near."
+        )
+    return modes[number - 1]
+
+
+def _kept(modes: list[LinearMode], target: LinearMode, count: int) -> tuple[LinearMode, ...]:
+    """The lowest modes, the target among them."""
+    lowest = modes[:count]
+    if target not in lowest:
+        lowest = [*lowest[: count - 1], target]
+    return tuple(sorted(lowest, key=lambda mode: mode.frequency_hz))
+
+
+# -- residuals and plant ----------------------------------------------------------------------------------------------
+
+
+def _term(mode: LinearMode) -> tuple[FloatArray, float, float]:
+    return mode.shape * mode.drive_shape, mode.omega, mode.damping_ratio
+
+
+def _overall_band(modes: tuple[LinearMode, ...], settings: LinearTestSettings) -> tuple[float, float]:
+    return max(settings.band_hz[0], 0.6 * modes[0].frequency_hz), min(settings.band_hz[1], 1.2 * modes[-1].frequency_hz)
+
+
+def _target_band(
+    target: LinearMode, others: list[LinearMode], settings: LinearTestSettings
+) -> tuple[float, float]:
+    """A quarter below and above the target, at most halfway to the next mode."""
+    frequency = target.frequency_hz
+    width = min([0.25 * frequency, *(0.5 * abs(mode.frequency_hz - frequency) for mode in others)])
+    return max(settings.band_hz[0], frequency - width), min(settings.band_hz[1], frequency + width)
+
+
+def _plant(record: _Record, target: LinearMode, voltage_frf: FrfEstimate | None) -> PlantEstimate | None:
+    if record.force_row is None or voltage_frf is None:
+        return None
+    fit = target.fit
+    drive = record.outputs.index(record.channels.drive)
+    at = fit.response(np.array([target.frequency_hz]))[:, 0]
+    eigenvalues = fit.eigenvalues
+    chosen = int(np.argmax(np.abs(fit.residues[drive]) / np.abs(eigenvalues)))
+    eigenvalue = complex(eigenvalues[chosen])
+    scale = 2.0 * math.pi * fit.half_width_hz
+    std = scale * math.sqrt(max(fit.covariance[chosen, chosen].real, 0.0) / 2.0)
+    omega = abs(eigenvalue)
+    power = _POWERS[record.quantities[record.channels.drive]]
+    return PlantEstimate(
+        frequency_hz=omega / (2.0 * math.pi),
+        damping_ratio=-eigenvalue.real / omega,
+        frequency_std=std / (2.0 * math.pi),
+        damping_std=std / omega,
+        force_per_volt=float(abs(at[0])),
+        displacement_per_volt=float(abs(at[drive])) / target.omega**power,
+        moving_mass_kg=moving_mass(
+            voltage_frf, record.channels.force, record.channels.drive, power, record.sample_rate / 16.0
+        ),
+    )
+
+
+def moving_mass(frf: FrfEstimate, force: str, drive: str, power: int, highest_hz: float) -> float:
+    """Moving mass of the exciter, kg, from voltage to force and voltage to drive-point response.
+
+    An exciter gives the force it would give to a blocked table less what its own impedance takes:
+    F = T u − Z x with T = g (1 + c s²) / (1 + s τ), Z = s² m + s d / (1 + s τ) + k. c allows for the roll-off of the
+    converter's hold. With τ (inductance over resistance of the coil) on a grid the rest is linear; lines are weighted
+    evenly over the logarithm of frequency. All damping is counted as electrical: mechanical damping d₀ adds d₀ τ to m
+    (3 % for the virtual experiment's shaker).
+
+    Args:
+        frf: voltage to force and drive-point response.
+        force, drive: their names.
+        power: 0, 1 or 2: the response is a displacement, velocity or acceleration.
+        highest_hz: lines to use, Hz.
+    """
+    use = frf.frequency_hz <= highest_hz
+    frequency = frf.frequency_hz[use]
+    s = _s(frequency)
+    left = frf.h1[frf.outputs.index(force)][use]
+    motion = frf.h1[frf.outputs.index(drive)][use] / s**power
+    weight = 1.0 / np.sqrt(frequency) / np.abs(left)
+    target = np.concatenate([(left * weight).real, (left * weight).imag])
+    best = (math.inf, 0.0)
+    for tau in np.concatenate([[0.0], np.geomspace(1e-6, 1e-2, 81)]):
+        coil = 1.0 / (1.0 + s * tau)
+        matrix = (np.array([coil, coil * s**2, -motion * s**2, -motion * s * coil, -motion]) * weight).T
+        stacked = np.vstack([matrix.real, matrix.imag])
+        norm = np.linalg.norm(stacked, axis=0)
+        solution, *_ = np.linalg.lstsq(stacked / norm, target, rcond=None)
+        cost = float(np.sum((stacked / norm @ solution - target) ** 2))
+        if cost < best[0]:
+            best = (cost, float(solution[2] / norm[2]))
+    return max(best[1], 0.0)

@@ -1,0 +1,299 @@
+"""Compiled residual of the phase-resonant harmonic balance, with its Jacobian, and the channels it predicts.
+
+Unknowns are z = [w (r · size), ω, ln a]: real Fourier coefficients of the local coordinates, frequency, and the
+amplitude of the drive. For every order n
+
+    w_n + T_n^{wg} g_n(w) − T_n^{wu} u_n = 0,
+
+closed by the phase between measured force and response at lock and by one amplitude that is given.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from nmt_core.blocks import FloatArray
+from nmt_plant.model.aft import LocalTables, local_forces
+
+from .linear_model import ComplexArray, transfer_at
+
+# What is given besides the phase: ln of the drive's amplitude, or ln of the fundamental of one channel.
+DRIVE_GIVEN = -1
+
+
+@njit(cache=True)
+def sensor_gain(s: complex, gain: float, delay: float, low_pass: float, high_pass: float) -> tuple[complex, complex]:
+    """Complex gain of a sensor's chain at s = iω, and its derivative with respect to s."""
+    low = 1.0 / (1.0 + s * low_pass)
+    value = gain * np.exp(-s * delay) * low
+    slope = value * (-delay - low_pass * low)
+    if high_pass > 0.0:
+        high = s / (s + high_pass)
+        slope = slope * high + value * high_pass / (s + high_pass) ** 2
+        value = value * high
+    return value, slope
+
+
+@njit(cache=True)
+def factor_forces(
+    coil: FloatArray,
+    current: FloatArray,
+    omega: float,
+    linear: float,
+    quadratic: float,
+    values: FloatArray,
+    slopes: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Forces of the position-dependent part of the force factor, G(x) − G = ``linear`` x + ``quadratic`` x².
+
+    Returns:
+        coefficients of −(G(x) − G) i on the coil and of (G(x) − G) ẋ in the circuit (2, size), their derivatives with
+        respect to coil displacement and current (2, size, 2 · size), and to ω (2, size).
+    """
+    size = coil.size
+    samples = values.shape[0]
+    force = np.zeros((2, size))
+    derivative = np.zeros((2, size, 2 * size))
+    by_frequency = np.zeros((2, size))
+    for j in range(samples):
+        x = 0.0
+        i = 0.0
+        dx = 0.0
+        for a in range(size):
+            x += values[j, a] * coil[a]
+            i += values[j, a] * current[a]
+            dx += slopes[j, a] * coil[a]
+        factor = linear * x + quadratic * x * x
+        factor_slope = linear + 2.0 * quadratic * x
+        for a in range(size):
+            weight = (2.0 if a > 0 else 1.0) * values[j, a] / samples
+            force[0, a] -= weight * factor * i
+            force[1, a] += weight * factor * omega * dx
+            by_frequency[1, a] += weight * factor * dx
+            for b in range(size):
+                derivative[0, a, b] -= weight * factor_slope * i * values[j, b]
+                derivative[0, a, size + b] -= weight * factor * values[j, b]
+                derivative[1, a, b] += weight * omega * (factor_slope * dx * values[j, b] + factor * slopes[j, b])
+    return force, derivative, by_frequency
+
+
+@njit(cache=True)
+def evaluate(
+    z: FloatArray,
+    given: int,
+    given_log: float,
+    phase: float,
+    force_channel: int,
+    response_channel: int,
+    response_power: int,
+    drive: ComplexArray,
+    poles: ComplexArray,
+    displacement_rows: ComplexArray,
+    velocity_rows: ComplexArray,
+    acceleration_rows: ComplexArray,
+    inputs: ComplexArray,
+    feedthrough: ComplexArray,
+    channels: FloatArray,
+    factor: FloatArray,
+    tables: LocalTables,
+) -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
+    """Residual (nz,), Jacobian (nz, nz), channels (c, n_orders) after their sensors, and their derivatives
+    (c, n_orders, nz).
+
+    Args:
+        z: unknowns; the first order must be 0.
+        given: ``DRIVE_GIVEN``, or the channel whose fundamental has the given amplitude.
+        given_log: ln of that amplitude.
+        phase: measured arg F₁ − arg(velocity₁), rad.
+        force_channel, response_channel: rows of ``channels`` whose phase was controlled.
+        response_power: order of time derivative from the response channel to a velocity (1, 0, −1).
+        drive: (n_orders,) harmonics of the input for unit drive amplitude.
+        channels: sensor chains (c, 4).
+        factor: G, G b₁, G b₂.
+    """
+    orders, offsets = tables[0], tables[1]
+    count = orders.size
+    r = inputs.shape[1] - 1
+    c = channels.shape[0]
+    size = offsets[count - 1] + 2
+    local = r * size
+    nz = local + 2
+    omega = z[local]
+    amplitude = np.exp(z[local + 1])
+
+    elements = tables[4].size - 1
+    displacement = z[:local].copy().reshape(r, size)
+    g = np.zeros((r, size))
+    dg = np.zeros((r, size, local))
+    g_omega = np.zeros((r, size))
+    force, derivative, by_frequency = local_forces(displacement[:elements], omega, tables)
+    for i in range(elements):
+        g[i] = force[i]
+        g_omega[i] = by_frequency[i]
+        for a in range(size):
+            for b in range(size):
+                dg[i, a, i * size + b] = derivative[i, a, b]
+    if r > elements:
+        pair, pair_derivative, pair_frequency = factor_forces(
+            displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables[10], tables[11]
+        )
+        for i in range(2):
+            g[r - 2 + i] = pair[i]
+            g_omega[r - 2 + i] = pair_frequency[i]
+            for a in range(size):
+                for b in range(2 * size):
+                    dg[r - 2 + i, a, (r - 2) * size + b] = pair_derivative[i, a, b]
+
+    residual = np.zeros(nz)
+    jacobian = np.zeros((nz, nz))
+    measured = np.zeros((c, count), dtype=np.complex128)
+    slopes = np.zeros((c, count, nz), dtype=np.complex128)
+    column = np.zeros(nz, dtype=np.complex128)
+    for n in range(count):
+        order = orders[n]
+        offset = offsets[n]
+        s = 1j * order * omega
+        transfer, transfer_slope = transfer_at(
+            s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough
+        )
+        u = amplitude * drive[n]
+        for o in range(r + c):
+            value = transfer[o, r] * u
+            column[:] = 0.0
+            column[local] = transfer_slope[o, r] * u * 1j * order
+            column[local + 1] = value
+            for j in range(r):
+                t = transfer[o, j]
+                if order == 0:
+                    value -= t * g[j, offset]
+                    column[local] -= t * g_omega[j, offset]
+                    for b in range(local):
+                        column[b] -= t * dg[j, offset, b]
+                    continue
+                amount = g[j, offset] - 1j * g[j, offset + 1]
+                value -= t * amount
+                column[local] -= 1j * order * transfer_slope[o, j] * amount + t * (
+                    g_omega[j, offset] - 1j * g_omega[j, offset + 1]
+                )
+                for b in range(local):
+                    re = dg[j, offset, b]
+                    im = dg[j, offset + 1, b]
+                    if re != 0.0 or im != 0.0:
+                        column[b] -= t * (re - 1j * im)
+            if o < r:
+                row = o * size + offset
+                residual[row] = z[row] - value.real
+                for b in range(nz):
+                    jacobian[row, b] = -column[b].real
+                jacobian[row, row] += 1.0
+                if order > 0:
+                    residual[row + 1] = z[row + 1] + value.imag
+                    for b in range(nz):
+                        jacobian[row + 1, b] = column[b].imag
+                    jacobian[row + 1, row + 1] += 1.0
+            else:
+                k = o - r
+                gain, gain_slope = sensor_gain(s, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])
+                measured[k, n] = gain * value
+                for b in range(nz):
+                    slopes[k, n, b] = gain * column[b]
+                slopes[k, n, local] += 1j * order * gain_slope * value
+
+    one = 1
+    product = measured[force_channel, one] * np.conj(measured[response_channel, one])
+    # velocity = (iω)^power response: a quarter turn per derivative.
+    angle = np.angle(product) - 0.5 * np.pi * response_power - phase
+    angle -= 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
+    residual[local] = angle
+    for b in range(nz):
+        jacobian[local, b] = (
+            slopes[force_channel, one, b] / measured[force_channel, one]
+            - slopes[response_channel, one, b] / measured[response_channel, one]
+        ).imag
+    if given == DRIVE_GIVEN:
+        residual[local + 1] = z[local + 1] - given_log
+        jacobian[local + 1, local + 1] = 1.0
+    else:
+        residual[local + 1] = np.log(np.abs(measured[given, one])) - given_log
+        for b in range(nz):
+            jacobian[local + 1, b] = (slopes[given, one, b] / measured[given, one]).real
+    return residual, jacobian, measured, slopes
+
+
+@njit(cache=True)
+def newton(
+    z: FloatArray,
+    scale: FloatArray,
+    iterations: int,
+    tolerance: float,
+    given: int,
+    given_log: float,
+    phase: float,
+    force_channel: int,
+    response_channel: int,
+    response_power: int,
+    drive: ComplexArray,
+    poles: ComplexArray,
+    displacement_rows: ComplexArray,
+    velocity_rows: ComplexArray,
+    acceleration_rows: ComplexArray,
+    inputs: ComplexArray,
+    feedthrough: ComplexArray,
+    channels: FloatArray,
+    factor: FloatArray,
+    tables: LocalTables,
+) -> tuple[bool, FloatArray, FloatArray, ComplexArray, ComplexArray]:
+    """Damped Newton iteration from z.
+
+    Args:
+        scale: (nz,) size of the unknowns; the residuals have the same, the phase 1.
+
+    Returns:
+        converged, z, Jacobian, channels and their derivatives at z.
+    """
+    z = z.copy()
+    nz = z.size
+    local = nz - 2
+    weights = 1.0 / scale
+    weights[local] = 1.0
+    weights[local + 1] = 1.0
+    residual, jacobian, measured, slopes = evaluate(
+        z, given, given_log, phase, force_channel, response_channel, response_power, drive, poles, displacement_rows,
+        velocity_rows, acceleration_rows, inputs, feedthrough, channels, factor, tables,
+    )  # fmt: skip
+    error = np.linalg.norm(residual * weights)
+    for _ in range(iterations):
+        if not np.isfinite(error):
+            return False, z, jacobian, measured, slopes
+        system = np.empty((nz, nz))
+        for i in range(nz):
+            for j in range(nz):
+                system[i, j] = jacobian[i, j] * weights[i] * scale[j]
+        step = np.linalg.solve(system, -residual * weights) * scale
+        fraction = 1.0
+        # A step of the frequency beyond a few percent leaves the resonance.
+        largest = abs(step[local]) / z[local]
+        if largest > 0.05:
+            fraction = 0.05 / largest
+        length = np.linalg.norm(step / scale)
+        done = False
+        for _ in range(8):
+            trial = z + fraction * step
+            residual_new, jacobian_new, measured_new, slopes_new = evaluate(
+                trial, given, given_log, phase, force_channel, response_channel, response_power, drive, poles,
+                displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough, channels, factor, tables,
+            )  # fmt: skip
+            error_new = np.linalg.norm(residual_new * weights)
+            if error_new < error * (1.0 - 0.1 * fraction) or error_new < 1e-10 or length < tolerance:
+                done = True
+                break
+            fraction *= 0.5
+        # Where no shorter step is better, the shortest is taken all the same: it may cross a kink.
+        z, residual, jacobian, measured, slopes = trial, residual_new, jacobian_new, measured_new, slopes_new
+        error = error_new
+        if done and fraction == 1.0 and length < tolerance * (1.0 + np.linalg.norm(z / scale)):
+            return True, z, jacobian, measured, slopes
+        if done and error < 1e-12:
+            return True, z, jacobian, measured, slopes
+    return False, z, jacobian, measured, slopes

@@ -1,0 +1,411 @@
+"""Locked windows as the model predicts them: phase-resonant harmonic balance, level by level."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_diagnose.evidence.conditions import MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_plant.model.fourier_basis import FourierBasis
+from nmt_plant.rig import Rig
+
+from .converter import recorded_harmonics
+from .linear_model import ComplexArray
+from .parts_cache import PartsCache
+from .periodic_kernel import DRIVE_GIVEN, evaluate, newton, sensor_gain
+from .rig_parts import RigParts
+from .settings import TwinSettings
+
+VELOCITY_POWER = {Quantity.DISPLACEMENT: 1, Quantity.VELOCITY: 0, Quantity.ACCELERATION: -1}
+# Part of the measured frequency within which the model's resonance is looked for.
+SEARCH = 0.25
+
+
+@dataclass(frozen=True)
+class PeriodicState:
+    """Solution of one level.
+
+    Attributes:
+        z: unknowns of the kernel.
+        keys: identity of the coordinates in z.
+        drive: commanded amplitude, V (N where the force is held).
+        channels: harmonics (c, n_orders) before the converter.
+    """
+
+    z: FloatArray
+    keys: tuple[bytes, ...]
+    drive: float
+    channels: ComplexArray
+
+    @property
+    def omega(self) -> float:
+        """True angular frequency, rad/s."""
+        return float(self.z[-2])
+
+
+@dataclass(frozen=True)
+class LevelProblem:
+    """What a level asks for: phase and amplitude.
+
+    Attributes:
+        drive: commanded drive, V; NaN where it is unknown.
+        given: ``DRIVE_GIVEN`` or a channel.
+        amplitude: given amplitude (of the drive: V, or N).
+        phase: measured arg F₁ − arg(velocity₁), rad.
+        frequency_hz: start of the solution (nominal clock), Hz.
+        seconds, cycles: bench time of the window.
+    """
+
+    given: int
+    amplitude: float
+    phase: float
+    frequency_hz: float
+    seconds: float
+    cycles: float
+
+
+class PhaseResonanceTwin:
+    """Predicts one test of locked windows.
+
+    Args:
+        test: the test.
+        rows: its rows.
+        settings: of the twin.
+
+    Raises:
+        BenchError: the test lacks what defines its levels.
+    """
+
+    def __init__(self, test: PhaseResonanceTest, rows: Rows, settings: TwinSettings) -> None:
+        self.test, self.rows, self.settings = test, rows, settings
+        self.basis = FourierBasis.up_to(max(settings.harmonics, test.harmonics))
+        self.ideal_force = test.held == "force"
+        self.measured_count = len(test.channels)
+        # Channels that the phase condition needs come behind those of the test, if they were not recorded.
+        channels = list(test.channels)
+        names = [channel.name for channel in channels]
+        force = next((i for i, channel in enumerate(channels) if channel.quantity == Quantity.FORCE), None)
+        if force is None:
+            channels.append(MeasuredChannel(f"f{test.drive_point}", Quantity.FORCE, test.drive_point))
+            force = len(channels) - 1
+        self.force = force
+        if test.response_channel in names:
+            self.response = names.index(test.response_channel)
+        else:
+            channels.append(MeasuredChannel(test.response_channel, Quantity.DISPLACEMENT, test.drive_point))
+            self.response = len(channels) - 1
+        self.channels = tuple(channels)
+        quantity = self.channels[self.response].quantity
+        if quantity not in VELOCITY_POWER:
+            raise BenchError(
+                f"test {test.name}: the loop controlled the phase of {test.response_channel}, which is no motion."
+            )
+        self.power = VELOCITY_POWER[quantity]
+        self.voltages = [i for i, channel in enumerate(self.channels) if channel.quantity == Quantity.VOLTAGE]
+        self.levels = tuple(self._problem(position) for position in range(len(test.levels)))
+
+    def _problem(self, position: int) -> LevelProblem:
+        level = self.test.levels[position]
+        amplitude, given = level.drive, DRIVE_GIVEN
+        if self.ideal_force:
+            given = self.force
+            if not math.isfinite(amplitude):
+                own = self.rows.amplitude[self.rows.level == position]
+                amplitude = float(own[0]) if own.size else math.nan
+        return LevelProblem(
+            given,
+            amplitude,
+            level.phase_error,
+            level.frequency_hz,
+            0.5 * (level.start_s + level.stop_s),
+            level.cycles_before,
+        )
+
+    def solve(self, rig: Rig, cache: PartsCache, start: tuple[PeriodicState | None, ...] | None) -> list[Any]:
+        """One state per level; None where a level has no solution."""
+        order = np.argsort([level.amplitude for level in self.levels], kind="stable")
+        states: list[PeriodicState | None] = [None] * len(self.levels)
+        last: PeriodicState | None = None
+        for position in order:
+            level = self.levels[position]
+            parts = self.parts(rig, cache, level)
+            first = None if start is None else start[position]
+            states[position] = self._level(parts, level, first, last)
+            last = states[position] if states[position] is not None else last
+        return states
+
+    def parts(self, rig: Rig, cache: PartsCache, level: LevelProblem) -> RigParts:
+        """The rig at the time of a level."""
+        return cache.parts(
+            rig, self.test.drive_point, self.channels, self.basis, level.seconds, level.cycles, self.ideal_force
+        )
+
+    def _level(
+        self, parts: RigParts, level: LevelProblem, start: PeriodicState | None, last: PeriodicState | None
+    ) -> PeriodicState | None:
+        if not (math.isfinite(level.amplitude) and level.amplitude > 0.0 and math.isfinite(level.phase)):
+            return None
+        if start is not None:
+            state = self._newton(parts, level, level.amplitude, self.carried(parts, level, start))
+            if state is not None:
+                return state
+        if last is not None:
+            state = self._newton(parts, level, level.amplitude, self.scaled(parts, level, last))
+            if state is not None:
+                return state
+        state = self._newton(parts, level, level.amplitude, self.linear_start(parts, level, level.amplitude))
+        if state is not None:
+            return state
+        # Follow the branch up from the linear range, or from the last level, in shrinking steps.
+        return self._climb(parts, level, last)
+
+    def _climb(self, parts: RigParts, level: LevelProblem, last: PeriodicState | None) -> PeriodicState | None:
+        if last is None or last.drive >= level.amplitude:
+            amplitude = 1e-3 * level.amplitude
+            last = self._newton(parts, level, amplitude, self.linear_start(parts, level, amplitude))
+            if last is None:
+                return None
+        factor, tries = (level.amplitude / last.drive) ** 0.25, 0
+        while tries < 60:
+            tries += 1
+            amplitude = min(level.amplitude, last.drive * factor)
+            state = self._newton(parts, level, amplitude, self.scaled(parts, level, last, amplitude))
+            if state is None:
+                factor = factor**0.5
+                if factor < 1.005:
+                    return None
+                continue
+            last = state
+            if amplitude >= level.amplitude:
+                return state
+            factor = factor**1.3
+        return None
+
+    def _arguments(self, parts: RigParts, level: LevelProblem, amplitude: float) -> tuple[Any, ...]:
+        """Arguments of the kernel from ``given`` on."""
+        drive = unit_drive(parts, amplitude, self.ideal_force)
+        model = parts.linear
+        return (
+            level.given,
+            math.log(amplitude),
+            level.phase,
+            self.force,
+            self.response,
+            self.power,
+            drive,
+            model.poles,
+            model.displacement,
+            model.velocity,
+            model.acceleration,
+            model.inputs,
+            model.feedthrough,
+            parts.channels,
+            parts.force_factor,
+            parts.tables,
+        )
+
+    def _newton(self, parts: RigParts, level: LevelProblem, amplitude: float, z: FloatArray) -> PeriodicState | None:
+        scale = self._scale(parts, z)
+        try:
+            done, solved, _, channels, _ = newton(
+                z,
+                scale,
+                self.settings.iterations,
+                self.settings.tolerance,
+                *self._arguments(parts, level, amplitude),
+            )
+        except (np.linalg.LinAlgError, ZeroDivisionError):
+            return None
+        # A frequency far from the start is another resonance.
+        if not done or not abs(math.log(solved[-2] / (2.0 * np.pi * level.frequency_hz * parts.clock))) < 1.5 * SEARCH:
+            return None
+        return PeriodicState(solved, parts.keys, amplitude, channels)
+
+    def _scale(self, parts: RigParts, z: FloatArray) -> FloatArray:
+        size = self.basis.size
+        scale = np.ones_like(z)
+        for i in range(parts.coordinates):
+            block = slice(i * size, (i + 1) * size)
+            largest = float(np.max(np.abs(z[block])))
+            scale[block] = largest if largest > 0.0 else 1.0
+        scale[-2] = z[-2]
+        return scale
+
+    def linear_start(self, parts: RigParts, level: LevelProblem, amplitude: float) -> FloatArray:
+        """Unknowns of the system linearised at rest, at its phase resonance nearest to the measured frequency."""
+        measured = 2.0 * np.pi * level.frequency_hz * parts.clock
+        drive = unit_drive(parts, amplitude, self.ideal_force)[self.basis.fundamental] * amplitude
+        grid = measured * np.linspace(1.0 - SEARCH, 1.0 + SEARCH, 161)
+        angles = np.array([self._linear(parts, level, omega, drive)[1] for omega in grid])
+        # Phase resonance is where the angle rises through zero; it falls at antiresonances and jumps at nodes.
+        rises = np.flatnonzero((angles[:-1] < 0.0) & (angles[1:] >= 0.0) & (np.diff(angles) < 2.0))
+        omega = measured
+        if rises.size:
+            crossings = grid[rises] - angles[rises] * np.diff(grid)[rises] / np.diff(angles)[rises]
+            omega = float(crossings[np.argmin(np.abs(crossings - measured))])
+        w = self._linear(parts, level, omega, drive)[0]
+        r, size = parts.coordinates, self.basis.size
+        amplitudes = np.zeros((r, self.basis.orders.size), dtype=np.complex128)
+        amplitudes[:, self.basis.fundamental] = w
+        z = np.empty(r * size + 2)
+        z[:-2] = self.basis.to_real(amplitudes).ravel()
+        z[-2:] = omega, math.log(amplitude)
+        return z
+
+    def _linear(self, parts: RigParts, level: LevelProblem, omega: float, drive: complex) -> tuple[ComplexArray, float]:
+        """Local displacements (r,) of the linearised system and the angle of the phase condition, rad."""
+        r = parts.coordinates
+        s = 1j * omega
+        transfer, _ = parts.linear.at(s)
+        tangent = resting_tangent(parts, s)
+        w = np.linalg.solve(np.eye(r) + transfer[:r, :r] * tangent, transfer[:r, r] * drive)
+        pair = [
+            sensor_gain(s, *parts.channels[k])[0] * (transfer[r + k, r] * drive - transfer[r + k, :r] @ (tangent * w))
+            for k in (self.force, self.response)
+        ]
+        turn = np.exp(-1j * (0.5 * np.pi * self.power + level.phase))
+        return w, float(np.angle(pair[0] * np.conj(pair[1]) * turn))
+
+    def carried(self, parts: RigParts, level: LevelProblem, state: PeriodicState) -> FloatArray:
+        """A solution's unknowns on the coordinates of ``parts``; new coordinates move as the others make them."""
+        if state.keys == parts.keys:
+            return state.z.copy()
+        size = self.basis.size
+        z = np.zeros(parts.coordinates * size + 2)
+        z[-2:] = state.z[-2:]
+        fresh = []
+        for i, key in enumerate(parts.keys):
+            if key in state.keys:
+                j = state.keys.index(key)
+                z[i * size : (i + 1) * size] = state.z[j * size : (j + 1) * size]
+            else:
+                fresh.append(i)
+        residual = evaluate(z, *self._arguments(parts, level, state.drive))[0]
+        for i in fresh:
+            z[i * size : (i + 1) * size] = -residual[i * size : (i + 1) * size]
+        return z
+
+    def scaled(
+        self, parts: RigParts, level: LevelProblem, state: PeriodicState, amplitude: float | None = None
+    ) -> FloatArray:
+        """Another level's solution in proportion to the amplitude."""
+        wanted = level.amplitude if amplitude is None else amplitude
+        ratio = wanted / state.drive
+        z = self.carried(parts, level, state)
+        z[:-2] *= ratio
+        z[-1] += math.log(ratio)
+        return z
+
+    def stepped(
+        self, rig: Rig, cache: PartsCache, states: tuple[PeriodicState | None, ...]
+    ) -> list[PeriodicState | None]:
+        """Solutions of a slightly different rig by one Newton step from ``states``."""
+        result: list[PeriodicState | None] = []
+        for level, state in zip(self.levels, states, strict=True):
+            if state is None:
+                result.append(None)
+                continue
+            parts = self.parts(rig, cache, level)
+            z = self.carried(parts, level, state)
+            residual, jacobian, channels, slopes = evaluate(z, *self._arguments(parts, level, level.amplitude))
+            scale = self._scale(parts, z)
+            step = scale * np.linalg.solve(jacobian * scale, -residual)
+            result.append(PeriodicState(z + step, parts.keys, state.drive, channels + slopes @ step))
+        return result
+
+    def values(self, rig: Rig, cache: PartsCache, states: list[PeriodicState | None]) -> FloatArray:
+        """Observables of the test's rows; NaN where a level has no solution."""
+        count = len(self.levels)
+        omega = np.full(count, np.nan)
+        recorded = np.full((count, len(self.channels), self.basis.orders.size), np.nan, dtype=np.complex128)
+        parts = self.parts(rig, cache, self.levels[0]) if count else None
+        for position, state in enumerate(states):
+            if state is None or parts is None:
+                continue
+            omega[position] = state.omega
+            channels = state.channels
+            if math.isfinite(parts.saturation) and self.voltages:
+                # The voltage is recorded before the amplifier.
+                channels = channels.copy()
+                channels[self.voltages] = 0.0
+                channels[self.voltages, self.basis.fundamental] = state.drive * parts.channels[self.voltages, 0]
+            recorded[position] = recorded_harmonics(channels, parts.limits, self.basis)
+        if self.ideal_force:
+            # Without a known drive the phases refer to the measured force.
+            turn = np.angle(recorded[:, self.force, self.basis.fundamental])
+            recorded = recorded * np.exp(-1j * np.outer(turn, self.basis.orders))[:, None, :]
+        return self._rows_of(omega, recorded, rig, 1.0 if parts is None else parts.clock)
+
+    def _rows_of(self, omega: FloatArray, recorded: ComplexArray, rig: Rig, clock: float) -> FloatArray:
+        rows = self.rows
+        level, part = rows.level, rows.part
+        channel = np.maximum(rows.channel, 0)
+        order = np.where(rows.harmonic < 0, 1, rows.harmonic)
+        if np.any(order > self.basis.orders[-1]):
+            raise BenchError(f"test {self.test.name} has observables beyond harmonic {self.test.harmonics}.")
+        amplitude = recorded[level, channel, order]
+        fundamental = np.abs(recorded[level, channel, 1])
+        result = np.full(len(rows), np.nan)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            choices = {
+                Part.LOG_FREQUENCY: np.log(omega[level] / clock),
+                Part.PHASE_ERROR: _aim(rig, omega[level] / clock),
+                Part.LOG_MAGNITUDE: np.log(np.abs(amplitude)),
+                Part.PHASE: np.angle(amplitude),
+                Part.REAL: amplitude.real / fundamental,
+                Part.IMAG: amplitude.imag / fundamental,
+            }
+        for kind, values in choices.items():
+            which = part == kind
+            result[which] = values[which]
+        return result
+
+
+def _aim(rig: Rig, omega: FloatArray) -> FloatArray:
+    """Phase that the loop holds, rad."""
+    offset = float(rig.pll.get("phase_offset_rad", 0.0))
+    latency = float(rig.pll.get("loop_latency_s", 0.0))
+    return offset + omega * latency
+
+
+def unit_drive(parts: RigParts, amplitude: float, ideal_force: bool) -> ComplexArray:
+    """Harmonics (n_orders,) of the system's input per volt of a commanded tone of ``amplitude`` volts."""
+    orders = parts.basis.orders
+    result = np.zeros(orders.size, dtype=np.complex128)
+    if ideal_force:
+        result[parts.basis.fundamental] = 1.0
+        return result
+    if math.isinf(parts.saturation):
+        result[parts.basis.fundamental] = parts.input_per_volt
+        return result
+    angles = 2.0 * np.pi * np.arange(256) / 256
+    values = parts.saturation * np.tanh(amplitude * np.cos(angles) / parts.saturation)
+    for position, order in enumerate(orders):
+        if order % 2:
+            result[position] = 2.0 / 256 * float(np.cos(order * angles) @ values) / amplitude
+    return result * parts.input_per_volt
+
+
+def resting_tangent(parts: RigParts, s: complex) -> ComplexArray:
+    """∂g/∂w + s ∂g/∂ẇ at rest of each coordinate (r,)."""
+    tables = parts.tables
+    result = np.zeros(parts.coordinates, dtype=np.complex128)
+    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = tables[3:10]
+    for i in range(jenkins_start.size - 1):
+        result[i] += jenkins[jenkins_start[i] : jenkins_start[i + 1], 0].sum()
+        for stiffness, gap, side in contacts[contacts_start[i] : contacts_start[i + 1]]:
+            result[i] += stiffness if side * gap < 0.0 else 0.0
+        for kind, p in zip(
+            kinds[sampled_start[i] : sampled_start[i + 1]],
+            parameters[sampled_start[i] : sampled_start[i + 1]],
+            strict=True,
+        ):
+            if kind == 10:
+                result[i] += s * p[0] / p[1]
+    return result

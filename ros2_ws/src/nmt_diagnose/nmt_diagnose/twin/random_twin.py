@@ -1,0 +1,151 @@
+"""Frequency responses of a low-level random test: the system linearised at rest, smoothed as the estimator does."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_diagnose.evidence.conditions import MeasuredChannel, RandomTest
+from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_plant.model.fourier_basis import FourierBasis
+from nmt_plant.rig import Rig
+
+from .linear_model import ComplexArray, transfer_at
+from .parts_cache import PartsCache
+from .periodic_kernel import sensor_gain
+from .phase_resonance_twin import resting_tangent
+from .settings import TwinSettings
+
+# |W|² of the Hann window at a line's neighbours and at itself.
+HANN = np.array([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])
+
+
+class RandomTwin:
+    """Predicts the frequency responses of one random test.
+
+    Args:
+        test: the test.
+        rows: its rows.
+        settings: of the twin.
+
+    Raises:
+        BenchError: an unknown window or reference.
+    """
+
+    def __init__(self, test: RandomTest, rows: Rows, settings: TwinSettings) -> None:
+        if test.window not in ("hann", "none"):
+            raise BenchError(f"test {test.name}: window {test.window!r} is unknown; use hann or none.")
+        if test.reference not in ("voltage", "force"):
+            raise BenchError(f"test {test.name}: reference {test.reference!r} is unknown; use voltage or force.")
+        self.test, self.rows, self.settings = test, rows, settings
+        self.basis = FourierBasis.up_to(1)
+        channels = [*test.channels]
+        wanted = Quantity.VOLTAGE if test.reference == "voltage" else Quantity.FORCE
+        name, point = ("u", 0) if wanted == Quantity.VOLTAGE else (f"f{test.drive_point}", test.drive_point)
+        channels.append(MeasuredChannel(name, wanted, point))
+        self.channels = tuple(channels)
+        steps = np.array([-1.0, 0.0, 1.0]) if test.window == "hann" else np.array([0.0])
+        self.weights = HANN if test.window == "hann" else np.ones(1)
+        frequencies = np.maximum(test.lines_hz[:, None] + steps * test.resolution_hz, 0.0)
+        # Neighbouring lines share their frequencies.
+        quanta = np.round(frequencies / (1e-3 * test.resolution_hz)).astype(np.int64)
+        _, first, inverse = np.unique(quanta.ravel(), return_index=True, return_inverse=True)
+        self.frequencies = np.ascontiguousarray(frequencies.ravel()[first])
+        self.index = inverse.reshape(frequencies.shape)
+        self.seconds = 0.5 * (test.start_s + test.stop_s)
+
+    def responses(self, rig: Rig, cache: PartsCache) -> ComplexArray:
+        """Expected estimates (lines, channels)."""
+        parts = cache.parts(rig, self.test.drive_point, self.channels, self.basis, self.seconds)
+        r = parts.coordinates
+        model = parts.linear
+        stiffness = resting_tangent(parts, 0j).real.copy()
+        damping = resting_tangent(parts, 1.0 + 0j).real - stiffness
+        gains = parts.channels
+        h = linear_responses(
+            2.0 * np.pi * self.frequencies * parts.clock,
+            r,
+            stiffness,
+            damping,
+            model.poles,
+            model.displacement,
+            model.velocity,
+            model.acceleration,
+            model.inputs,
+            model.feedthrough,
+            gains,
+        )
+        h *= parts.input_per_volt
+        reference = h[:, -1]
+        if math.isfinite(parts.saturation) and self.test.reference == "voltage":
+            h = h * amplifier_gain(self.test.drive_rms, parts.saturation)
+        cross = (h[:, :-1] * np.conj(reference)[:, None])[self.index]
+        power = (np.abs(reference) ** 2)[self.index]
+        result: ComplexArray = np.einsum("k,lkc->lc", self.weights, cross) / (power @ self.weights)[:, None]
+        return result
+
+    def values(self, rig: Rig, cache: PartsCache) -> FloatArray:
+        """Observables of the test's rows."""
+        responses = self.responses(rig, cache)
+        rows = self.rows
+        own = responses[rows.level, rows.channel]
+        result = np.full(len(rows), np.nan)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for kind, values in (
+                (Part.LOG_MAGNITUDE, np.log(np.abs(own))),
+                (Part.PHASE, np.angle(own)),
+                (Part.REAL, own.real),
+                (Part.IMAG, own.imag),
+            ):
+                which = rows.part == kind
+                result[which] = values[which]
+        return result
+
+
+def amplifier_gain(rms: float, saturation: float) -> float:
+    """Mean slope of V tanh(u/V) over a Gaussian u: the gain that a cross-spectrum sees (Bussgang)."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
+    slope = 1.0 / np.cosh(rms * nodes / saturation) ** 2
+    return float(weights @ slope / weights.sum())
+
+
+@njit(cache=True)
+def linear_responses(
+    omega: FloatArray,
+    r: int,
+    stiffness: FloatArray,
+    damping: FloatArray,
+    poles: ComplexArray,
+    displacement_rows: ComplexArray,
+    velocity_rows: ComplexArray,
+    acceleration_rows: ComplexArray,
+    inputs: ComplexArray,
+    feedthrough: ComplexArray,
+    channels: FloatArray,
+) -> ComplexArray:
+    """Responses (lines, c) of the channels after their sensors to the drive, local forces linear: k w + d ẇ."""
+    c = channels.shape[0]
+    result = np.empty((omega.size, c), dtype=np.complex128)
+    closed = np.empty((r, r), dtype=np.complex128)
+    for line in range(omega.size):
+        s = 1j * omega[line]
+        transfer, _ = transfer_at(
+            s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough
+        )
+        tangent = stiffness + s * damping
+        for i in range(r):
+            for j in range(r):
+                closed[i, j] = transfer[i, j] * tangent[j]
+            closed[i, i] += 1.0
+        w = np.linalg.solve(closed, np.ascontiguousarray(transfer[:r, r]))
+        for k in range(c):
+            value = transfer[r + k, r]
+            for j in range(r):
+                value -= transfer[r + k, j] * tangent[j] * w[j]
+            gain, _ = sensor_gain(s, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])
+            result[line, k] = gain * value
+    return result

@@ -1,0 +1,393 @@
+"""A rig taken apart for the twin: linear system, coordinates with nonlinear forces, channels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_diagnose.evidence.conditions import MeasuredChannel
+from nmt_plant.model.aft import LocalForces, LocalTables
+from nmt_plant.model.assembly import ElectromechanicalSystem
+from nmt_plant.model.fourier_basis import FourierBasis, IntArray
+from nmt_plant.model.local_elements import LinearDamper, LinearSpring, LocalElement
+from nmt_plant.rig import BeamSection, ForceSection, Rig, SensorSection, ShakerSection
+from nmt_plant.rig_model import build_elements, build_structure, build_system
+
+from .linear_model import LinearModel, OutputRows, linear_model
+from .settings import TwinSettings
+
+COVERED = frozenset(
+    {
+        "jenkins", "iwan", "cubic_spring", "quintic_spring", "quadratic_spring", "unilateral_stop", "two_sided_gap",
+        "quadratic_drag", "linear_spring", "linear_damper", "tanh_friction",
+    }
+)  # fmt: skip
+# Channel table, one row per channel: see ``channel_table``.
+GAIN, DELAY, LOW_PASS, HIGH_PASS = range(4)
+
+
+@dataclass(frozen=True)
+class RigParts:
+    """What one test needs of a rig, at one moment.
+
+    The inputs of ``linear`` are the ``coordinates`` local forces (as forces on the structure along their directions),
+    then the drive; its outputs are the local displacements, then the channels before their sensors.
+
+    Attributes:
+        linear: poles and residues.
+        tables: nonlinear forces of the first ``elements`` coordinates, for the compiled kernels of nmt_plant.
+        coordinates: number r of local coordinates; with a nonlinear force factor the last two are the coil's
+            displacement and the current.
+        force_factor: G, G b₁, G b₂ (N/A, N/(A m), N/(A m²)); zeros without a shaker.
+        channels: sensor chains (c, 4): gain, delay (s), 1/(2π f_low) (s), 2π f_high (rad/s).
+        limits: (c, 3) clipping level, quantisation step, noise deviation before the converter (infinity, 0, 0 = none).
+        sections: sensor of each channel in the rig (None where the rig lacks it: an ideal one is assumed).
+        input_per_volt: N per V of an ideal exciter, 1 with a shaker.
+        saturation: V, infinity where the amplifier does not saturate.
+        clock: 1 + clock error.
+        basis: harmonic orders.
+        system: the linear system that ``linear`` was made of.
+        inputs: (n, r + 1) input vectors.
+        rows: outputs.
+        keys: identity of each coordinate, to carry solutions over to another rig.
+    """
+
+    linear: LinearModel
+    tables: LocalTables
+    coordinates: int
+    force_factor: FloatArray
+    channels: FloatArray
+    limits: FloatArray
+    sections: tuple[SensorSection | None, ...]
+    input_per_volt: float
+    saturation: float
+    clock: float
+    basis: FourierBasis
+    system: ElectromechanicalSystem
+    inputs: FloatArray
+    rows: OutputRows
+    keys: tuple[bytes, ...]
+
+    @property
+    def nonlinear_factor(self) -> bool:
+        """The force factor depends on the coil's position."""
+        return bool(self.force_factor[1] != 0.0 or self.force_factor[2] != 0.0)
+
+
+def with_exciter_at(rig: Rig, point: int) -> Rig:
+    """The rig with its exciter, and what sits on the exciter's side, at another point.
+
+    Raises:
+        BenchError: the structure has no such point.
+    """
+    if point == rig.drive_point:
+        return rig
+    if point not in rig.structure.points:
+        raise BenchError(
+            f"a test was driven at point {point}, but the structure of rig {rig.name} has points 1 to "
+            f"{rig.structure.points[-1]}; give the model of this rig."
+        )
+    moved = [
+        element.model_copy(update={"point": point}) if element.side == "exciter" else element
+        for element in rig.local_elements
+    ]
+    return rig.model_copy(
+        update={"exciter": rig.exciter.model_copy(update={"point": point}), "local_elements": moved}
+    )
+
+
+def rig_parts(
+    rig: Rig,
+    channels: Sequence[MeasuredChannel],
+    basis: FourierBasis,
+    settings: TwinSettings,
+    seconds: float = 0.0,
+    cycles: float = 0.0,
+    ideal_force: bool = False,
+) -> RigParts:
+    """Take a rig apart, as it is ``seconds`` and ``cycles`` after the start of a test.
+
+    Args:
+        rig: rig with its exciter where the test had it.
+        channels: channels of the test.
+        basis: harmonic orders of the local forces.
+        settings: reduction and mesh.
+        seconds, cycles: bench time and drive periods for the drift of slip forces and stiffness.
+        ideal_force: leave out the exciter; the input is the force on the structure, N.
+
+    Raises:
+        BenchError: the rig has something the twin does not cover.
+    """
+    rig = _prepared(rig, settings, seconds, ideal_force)
+    bare = rig.model_copy(update={"local_elements": []})
+    system = build_system(bare)
+    size = system.size
+    slip = (1.0 + rig.drift.slip_force_per_s * seconds) * (1.0 + rig.drift.slip_force_per_cycle * cycles)
+    slip = max(slip, 1e-6)
+
+    structure = build_structure(bare) if rig.local_elements else None
+    stiffness, damping = system.stiffness, system.damping
+    force_displacement, force_velocity, force_acceleration = _force_rows(system)
+    inside: list[LocalElement] = []
+    outside: list[LocalElement] = []
+    for section in rig.local_elements:
+        if section.kind not in COVERED:
+            raise BenchError(
+                f"the diagnosis' model does not cover local element {section.kind}; leave it out of the model."
+            )
+        assert structure is not None
+        for element in build_elements(rig.model_copy(update={"local_elements": [section]}), structure):
+            direction = np.zeros(size)
+            direction[: element.direction.shape[0]] = element.direction
+            if isinstance(element, LinearSpring | LinearDamper):
+                outer = np.outer(direction, direction)
+                stiffness = stiffness + element.linear_stiffness * outer
+                damping = damping + element.linear_damping * outer
+                if section.side == "exciter":
+                    force_displacement = force_displacement - element.linear_stiffness * direction
+                    force_velocity = force_velocity - element.linear_damping * direction
+                continue
+            if slip != 1.0 and hasattr(element, "slip_force"):
+                element = replace(element, slip_force=element.slip_force * slip)  # type: ignore[call-arg]
+            (outside if section.side == "exciter" else inside).append(element.along(direction))
+    system = replace(system, stiffness=stiffness, damping=damping)
+
+    tables, directions, first_outside = _gathered(inside, outside, basis, settings.samples, system)
+    elements = directions.shape[0]
+    exciter = rig.exciter
+    factor = np.zeros(3)
+    if isinstance(exciter, ShakerSection):
+        g = exciter.force_factor_n_a
+        factor[:] = g, g * exciter.force_factor_linear_per_m, g * exciter.force_factor_quadratic_per_m2
+    if factor[1] != 0.0 or factor[2] != 0.0:
+        extra = np.zeros((2, size))
+        extra[0, cast(int, system.coil)] = 1.0
+        extra[1, cast(int, system.current)] = 1.0
+        directions = np.vstack((directions, extra))
+    r = directions.shape[0]
+    inputs = np.column_stack((directions.T, system.input_vector))
+
+    force_feed = np.zeros(r + 1)
+    force_feed[r] = system.force.feedthrough
+    force_feed[first_outside:elements] = 1.0
+    if factor[1] != 0.0 or factor[2] != 0.0:
+        force_feed[r - 2] = 1.0
+    zero = np.zeros(size)
+    sections = tuple(_sensor(rig, channel) for channel in channels)
+    outputs: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = [
+        (direction, zero, zero, np.zeros(r + 1)) for direction in directions
+    ]
+    volts = 1.0 if isinstance(exciter, ShakerSection) else float(exciter.newton_per_volt)
+    for channel, sensor in zip(channels, sections, strict=True):
+        outputs.append(
+            _channel_rows(
+                system, channel, sensor, (force_displacement, force_velocity, force_acceleration, force_feed), volts
+            )
+        )
+    rows = OutputRows(*(np.array([row[i] for row in outputs]) for i in range(4)))
+    return RigParts(
+        linear=linear_model(system, inputs, rows, settings.kept_modes, settings.full_size),
+        tables=tables,
+        coordinates=r,
+        force_factor=factor,
+        channels=channel_table(sections),
+        limits=_limit_table(sections, rig.sample_rate_hz),
+        sections=sections,
+        input_per_volt=volts,
+        saturation=_saturation(exciter),
+        clock=1.0 + rig.clock_error,
+        basis=basis,
+        system=system,
+        inputs=inputs,
+        rows=rows,
+        keys=tuple(
+            (b"outside" if first_outside <= i < elements else b"inside") + direction.tobytes()
+            for i, direction in enumerate(directions)
+        ),
+    )
+
+
+def _prepared(rig: Rig, settings: TwinSettings, seconds: float, ideal_force: bool) -> Rig:
+    """Mesh as fine as wanted, stiffness as it is now, ideal force if asked for."""
+    update: dict[str, object] = {}
+    structure = rig.structure
+    change: dict[str, object] = {}
+    if isinstance(structure, BeamSection) and structure.mesh_refinement < settings.mesh_refinement:
+        change["mesh_refinement"] = settings.mesh_refinement
+    factor = 1.0 + rig.drift.stiffness_per_s * seconds
+    if factor != 1.0:
+        change.update(_scaled_stiffness(rig, factor))
+    if change:
+        update["structure"] = structure.model_copy(update=change)
+    if ideal_force and isinstance(rig.exciter, ShakerSection):
+        update["exciter"] = ForceSection(kind="force", point=rig.drive_point)
+    return rig.model_copy(update=update) if update else rig
+
+
+def _scaled_stiffness(rig: Rig, factor: float) -> dict[str, object]:
+    """Keys of the structure with all its stiffness times ``factor`` and its damping as it was."""
+    structure = rig.structure
+    if isinstance(structure, BeamSection):
+        change: dict[str, object] = {
+            "youngs_modulus_pa": structure.youngs_modulus_pa * factor,
+            "stiffness_damping_s": structure.stiffness_damping_s / factor,
+        }
+        for key in ("clamp_rotational_stiffness_nm_rad", "clamp_lateral_stiffness_n_m"):
+            value = getattr(structure, key)
+            if value is not None:
+                change[key] = value * factor
+        return change
+    change = {"springs_n_m": [value * factor for value in structure.springs_n_m]}
+    if structure.ground_springs_n_m is not None:
+        change["ground_springs_n_m"] = [value * factor for value in structure.ground_springs_n_m]
+    return change
+
+
+def _saturation(exciter: ShakerSection | ForceSection) -> float:
+    value = exciter.amplifier_saturation_v if isinstance(exciter, ShakerSection) else None
+    return math.inf if value is None else float(value)
+
+
+def _force_rows(system: ElectromechanicalSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacement, velocity and acceleration rows of the drive-point force.
+
+    With a shaker the coil's equation of motion is subtracted: the force then follows from current and inertia instead
+    of the tiny deformation of the coil's stiff suspension, which would cost six digits.
+    """
+    output = system.force
+    if system.coil is None:
+        return output.displacement, output.velocity, output.acceleration
+    return (
+        output.displacement - system.stiffness[system.coil],
+        output.velocity - system.damping[system.coil],
+        output.acceleration - system.mass[system.coil],
+    )
+
+
+def _gathered(
+    inside: list[LocalElement],
+    outside: list[LocalElement],
+    basis: FourierBasis,
+    samples: int | None,
+    system: ElectromechanicalSystem,
+) -> tuple[LocalTables, FloatArray, int]:
+    """Tables and directions of all nonlinear elements, those behind the force sensor last; index of the first of
+    these."""
+    size = system.size
+    first = LocalForces.gather(inside, basis, samples, np.zeros(size)) if inside or not outside else None
+    second = LocalForces.gather(outside, basis, samples) if outside else None
+    if first is not None and second is None:
+        if not inside:
+            # One coordinate without force keeps the kernels free of special cases.
+            idle = LocalForces.gather([], basis, samples, system.selector(system.drive_point))
+            return idle.tables, idle.directions, 1
+        return first.tables, first.directions, first.coordinates
+    assert second is not None
+    if first is None:
+        return second.tables, second.directions, 0
+    count = max(first.samples, second.samples)
+    a, b = first.with_samples(count).tables, second.with_samples(count).tables
+
+    def starts(i: int) -> IntArray:
+        return np.concatenate((a[i], a[i][-1] + b[i][1:]))  # type: ignore[misc]
+
+    tables: LocalTables = (
+        a[0], a[1], a[2], np.vstack((a[3], b[3])), starts(4), np.vstack((a[5], b[5])), starts(6),
+        np.concatenate((a[7], b[7])), np.vstack((a[8], b[8])), starts(9), a[10], a[11],
+    )  # fmt: skip
+    return tables, np.vstack((first.directions, second.directions)), first.coordinates
+
+
+def _sensor(rig: Rig, channel: MeasuredChannel) -> SensorSection | None:
+    """The rig's sensor of a channel: by name, else by quantity and point."""
+    for sensor in rig.sensors:
+        if rig.sensor_channel(sensor) == channel.name:
+            return sensor
+    for sensor in rig.sensors:
+        if Quantity[sensor.quantity.upper()] == channel.quantity and (
+            channel.quantity == Quantity.FORCE or rig.sensor_point(sensor) == channel.point
+        ):
+            return sensor
+    return None
+
+
+def channel_table(sections: Sequence[SensorSection | None]) -> FloatArray:
+    """Sensor chains (c, 4): gain, delay (s), time constant of the low-pass (s), corner of the high-pass (rad/s)."""
+    table = np.zeros((len(sections), 4))
+    table[:, GAIN] = 1.0
+    for row, sensor in zip(table, sections, strict=True):
+        if sensor is None:
+            continue
+        if sensor.dead_zone > 0.0 or sensor.dropped_fraction > 0.0:
+            raise BenchError(
+                f"the diagnosis' model does not cover a {sensor.quantity} sensor with dead_zone or dropped_fraction; "
+                "leave these keys out of the model."
+            )
+        row[GAIN] = sensor.gain
+        row[DELAY] = sensor.delay_s
+        row[LOW_PASS] = 0.0 if sensor.low_pass_hz is None else 1.0 / (2.0 * np.pi * sensor.low_pass_hz)
+        row[HIGH_PASS] = 0.0 if sensor.high_pass_hz is None else 2.0 * np.pi * sensor.high_pass_hz
+    return table
+
+
+def _limit_table(sections: Sequence[SensorSection | None], sample_rate: float) -> FloatArray:
+    table = np.zeros((len(sections), 3))
+    table[:, 0] = np.inf
+    for row, sensor in zip(table, sections, strict=True):
+        if sensor is None:
+            continue
+        levels = [value for value in (sensor.clip, sensor.range) if value is not None]
+        if levels:
+            row[0] = min(levels)
+        if sensor.bits is not None and sensor.range is not None:
+            row[1] = 2.0 * sensor.range / 2.0**sensor.bits
+        held = sensor.noise_correlation_time_s or 1.0 / sample_rate
+        row[2] = math.sqrt(sensor.noise_psd / held)
+    return table
+
+
+def _channel_rows(
+    system: ElectromechanicalSystem,
+    channel: MeasuredChannel,
+    sensor: SensorSection | None,
+    force: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    volts: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Displacement, velocity, acceleration rows and feedthrough of a channel before its sensor's electronics."""
+    zero = np.zeros(system.size)
+    feed = np.zeros_like(force[3])
+    crosstalk = 0.0 if sensor is None else sensor.crosstalk_per_volt
+    feed[-1] = crosstalk / volts
+    quantity = channel.quantity
+    if quantity == Quantity.FORCE:
+        mass = 0.0 if sensor is None else sensor.mass_kg
+        return force[0], force[1], force[2] + mass * system.selector(system.drive_point), force[3] + feed
+    if quantity == Quantity.VOLTAGE:
+        feed[-1] += 1.0 / volts
+        return zero, zero, zero, feed
+    if quantity == Quantity.CURRENT:
+        if system.current is None:
+            raise BenchError(f"channel {channel.name} is a current, but the model has no electrodynamic_shaker.")
+        row = zero.copy()
+        row[system.current] = 1.0
+        return row, zero, zero, feed
+    if channel.point not in system.points:
+        raise BenchError(
+            f"channel {channel.name} sits at point {channel.point}, but the model's structure has points 1 to "
+            f"{max(system.points)}; give the model of this rig."
+        )
+    row = system.selector(channel.point)
+    if sensor is not None and sensor.transverse is not None:
+        row = row + sensor.transverse.fraction * system.selector(sensor.transverse.point)
+    place = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}.get(quantity)
+    if place is None:
+        raise BenchError(f"channel {channel.name} is of a quantity that no sensor measures.")
+    rows = [zero, zero, zero]
+    rows[place] = row
+    return rows[0], rows[1], rows[2], feed

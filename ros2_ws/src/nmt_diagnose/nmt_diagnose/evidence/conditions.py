@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from nmt_core.blocks import FloatArray, Quantity
@@ -36,6 +37,7 @@ class LockedLevel:
         start_s, stop_s: window on the clock of its bag, s.
         cycles_before: excitation periods since the start of the bag until the middle of the window.
         direction: +1 while the level rises, −1 while it falls.
+        force_n: measured |F₁|, N: the given amplitude where the force is held.
     """
 
     index: int
@@ -47,6 +49,7 @@ class LockedLevel:
     stop_s: float
     cycles_before: float
     direction: int
+    force_n: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,8 @@ class PhaseResonanceTest:
         response_channel: channel whose phase the loop controlled.
         channels: all recorded channels with harmonics.
         harmonics: highest order among the observables.
-        held: ``voltage`` (drive known), or ``force`` (drive unknown, |F₁| taken as the given amplitude).
+        held: ``voltage`` (drive known), or ``force`` (drive unknown, |F₁| taken as the given amplitude; the zero of all
+            phases is then that of the measured F₁).
         levels: the windows, in time.
     """
 
@@ -83,7 +87,8 @@ class RandomTest:
         reference: ``voltage`` or ``force``.
         lines_hz: frequency lines that became observables, Hz, shape (lines,).
         resolution_hz: spacing of the lines of the estimator, Hz.
-        window: ``hann``: the expected estimate at a line is the response averaged over the neighbouring lines with the
+        window: ``none``: the expected estimate is the response at the line itself;
+            ``hann``: the expected estimate at a line is the response averaged over the neighbouring lines with the
             weights of |W|² (1/6, 2/3, 1/6 in spacings of ``resolution_hz``).
         drive_rms: rms of the reference, V or N.
         start_s, stop_s: on the clock of its bag, s.
@@ -132,6 +137,8 @@ class RecordTest:
         input: samples, shape (n,), V or N, mean removed if the rig's input is not meant to have one.
         channels: response channels, in the order of the observables.
         segment_bounds: first sample of each scored segment and the end of the last, shape (segments + 1,).
+        start_s: time of the first sample on the clock of its bag, s: an observable of time t is sample
+            (t − start_s) · sample_rate of the input.
     """
 
     name: str
@@ -141,6 +148,7 @@ class RecordTest:
     input: FloatArray
     channels: tuple[MeasuredChannel, ...]
     segment_bounds: FloatArray
+    start_s: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,118 @@
+"""Floors: what finite exactness of lock, estimators and model adds to the noise, and what repeats show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest, RingDownTest
+from nmt_diagnose.evidence.observables import Evidence, Part, Rows
+
+_FEWEST_PAIRS = 6
+
+
+@dataclass(frozen=True)
+class Floors:
+    """Standard deviations that remain with noise-free sensors. ``docs/explanation/evidence.md`` shows the measurements.
+
+    Attributes:
+        log_frequency: locked frequency, relative.
+        phase_error: F-v phase at lock against what the controller aims at, rad.
+        log_magnitude: fundamental amplitudes, relative.
+        phase: phases of fundamentals, rad.
+        harmonic: other harmonics over the fundamental, 1.
+        frf_log_magnitude: frequency responses, relative.
+        frf_phase: their phases, rad.
+        decay_log_frequency: instantaneous frequency of a ring-down, relative.
+        decay_damping: its damping ratio, relative.
+        table_log_frequency: frequencies of reduced tables without a stated uncertainty, relative.
+        table_damping: their damping ratios, relative.
+        record: samples of a record, relative to the rms of their channel.
+    """
+
+    log_frequency: float = 2e-5
+    phase_error: float = 2e-4
+    log_magnitude: float = 2e-4
+    phase: float = 2e-4
+    harmonic: float = 5e-5
+    frf_log_magnitude: float = 2e-4
+    frf_phase: float = 2e-4
+    decay_log_frequency: float = 2e-4
+    decay_damping: float = 1e-2
+    table_log_frequency: float = 1e-3
+    table_damping: float = 5e-2
+    record: float = 5e-3
+
+
+def repeatability(evidence: Evidence, repeats: Evidence) -> tuple[FloatArray, tuple[str, ...]]:
+    """Floor of each row from the difference between a test and its repeat.
+
+    Rows are paired by kind of test, drive point, level of excitation, channel, harmonic and part. Rows of one type
+    (kind of test, part, fundamental or not, channel) share one floor: the rms of their differences over √2, less what
+    the stated uncertainties explain. It takes the place of the row's own floor where it is larger.
+
+    Args:
+        evidence: the real side.
+        repeats: the same tests once more.
+
+    Returns:
+        Floors, shape (m,), and a sentence for the user.
+    """
+    floor = evidence.floor.copy()
+    partner = {key: row for row, key in enumerate(_keys(repeats))}
+    paired = np.array([partner.get(key, -1) for key in _keys(evidence)], dtype=np.int64)
+    found = paired >= 0
+    if not found.any():
+        return floor, ("The floor bags hold no repeat of a test of the real side; the floors are the default ones.",)
+    difference = np.full(paired.shape[0], np.nan)
+    difference[found] = evidence.values[found] - repeats.values[paired[found]]
+    angles = np.isin(evidence.rows.part, (Part.PHASE, Part.PHASE_ERROR))
+    difference[angles] = (difference[angles] + np.pi) % (2.0 * np.pi) - np.pi
+    stated = np.full(paired.shape[0], np.nan)
+    stated[found] = 0.5 * (evidence.std[found] ** 2 + repeats.std[paired[found]] ** 2)
+    kinds = _types(evidence.rows, evidence)
+    raised = 0
+    for kind in np.unique(kinds[found]):
+        mine = found & (kinds == kind)
+        if int(mine.sum()) < _FEWEST_PAIRS:
+            continue
+        excess = float(np.mean(0.5 * difference[mine] ** 2) - np.mean(stated[mine]))
+        measured = np.sqrt(max(0.0, excess))
+        every = kinds == kind
+        raised += int(np.sum(every & (floor < measured)))
+        floor[every] = np.maximum(floor[every], measured)
+    count = int(found.sum())
+    return floor, (f"{count} observables have a repeat; the differences raise the floor of {raised}.",)
+
+
+def _types(rows: Rows, evidence: Evidence) -> FloatArray:
+    order = np.clip(rows.harmonic, -1, 2)
+    quantity = np.zeros(len(rows), dtype=np.int64)
+    for index in range(len(rows)):
+        channels = getattr(evidence.tests[rows.test[index]], "channels", ())
+        quantity[index] = int(channels[rows.channel[index]].quantity) if rows.channel[index] >= 0 and channels else 0
+    result: FloatArray = ((rows.test * 16 + rows.part) * 16 + order + 1) * 16 + quantity
+    return result
+
+
+def _keys(evidence: Evidence) -> list[tuple[object, ...]]:
+    rows, keys = evidence.rows, []
+    for index in range(len(rows)):
+        test = evidence.tests[rows.test[index]]
+        channel = ""
+        if rows.channel[index] >= 0:
+            own = getattr(test, "channels", None) or (getattr(test, "channel", None),)
+            channel = own[rows.channel[index]].name if own[0] is not None else ""
+        if isinstance(test, RandomTest):
+            place: object = round(float(rows.frequency_hz[index]), 6)
+        elif isinstance(test, PhaseResonanceTest | RingDownTest):
+            place = int(rows.level[index])
+        else:
+            place = round(float(rows.time_s[index]), 9)
+        amplitude = float(f"{rows.amplitude[index]:.3g}") if isinstance(test, PhaseResonanceTest) else 0.0
+        keys.append(
+            (type(test).__name__, test.drive_point, place, amplitude, channel, int(rows.harmonic[index]), int(rows.part[index]))
+        )
+    return keys

@@ -1,0 +1,112 @@
+"""What the reading of evidence asks of the model: its channels, and its linear response for plausibility."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import Quantity
+from nmt_diagnose.evidence.conditions import MeasuredChannel
+from nmt_plant.linear_description import linear_description
+from nmt_plant.model.assembly import ElectromechanicalSystem
+from nmt_plant.rig import Rig
+from nmt_plant.rig_model import build_system, input_per_volt
+
+ComplexArray = NDArray[np.complex128]
+
+ORDER = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
+
+
+@dataclass(frozen=True)
+class ModelView:
+    """Channels and linear behaviour of a rig with the exciter at one point.
+
+    Attributes:
+        rig: the model, its exciter at the drive point of the test.
+        system: its equations.
+        shape: target mode at the drive point, 1/√kg.
+        frequencies_hz: linear frequencies of structure alone and with exciter.
+    """
+
+    rig: Rig
+    system: ElectromechanicalSystem
+    shape: float
+    frequencies_hz: tuple[float, ...]
+
+    @classmethod
+    def of(cls, rig: Rig, drive_point: int) -> ModelView:
+        """View of a rig driven at a point of its own, or at another one."""
+        if drive_point != rig.drive_point:
+            rig = rig.model_copy(update={"exciter": rig.exciter.model_copy(update={"point": drive_point})})
+        linear = linear_description(rig)
+        hertz = [value / (2.0 * math.pi) for value in (*linear.frequencies_rad_s, linear.plant_frequency_rad_s)]
+        return cls(rig, build_system(rig), linear.drive_point_shape, tuple(sorted(hertz)))
+
+    @property
+    def channels(self) -> tuple[MeasuredChannel, ...]:
+        """Channels that the model predicts."""
+        rig = self.rig
+        return tuple(
+            MeasuredChannel(rig.sensor_channel(s), Quantity[s.quantity.upper()], rig.sensor_point(s)) for s in rig.sensors
+        )
+
+    def responses(self, channels: Sequence[MeasuredChannel], frequency_hz: float) -> ComplexArray:
+        """Linear response of channels to 1 V of drive, sensors ideal, shape (channels,); NaN where there is none."""
+        omega = 2.0 * math.pi * frequency_hz
+        motion, force = self.system.response(omega)
+        values = np.full(len(channels), complex(math.nan))
+        scale = input_per_volt(self.rig)
+        for index, channel in enumerate(channels):
+            if channel.quantity is Quantity.VOLTAGE:
+                values[index] = 1.0
+            elif channel.quantity is Quantity.FORCE:
+                values[index] = scale * force
+            elif channel.quantity is Quantity.CURRENT and self.system.current is not None:
+                values[index] = scale * motion[self.system.current]
+            elif channel.quantity in ORDER and channel.point in self.system.points:
+                place = self.system.points[channel.point]
+                values[index] = scale * motion[place] * (1j * omega) ** ORDER[channel.quantity]
+        return values
+
+
+def matched(
+    channels: tuple[MeasuredChannel, ...], view: ModelView
+) -> tuple[dict[str, MeasuredChannel], tuple[str, ...]]:
+    """The model's channel for each recorded one, by quantity and point.
+
+    Returns:
+        The model's channel by recorded name, and sentences on what has no counterpart.
+    """
+    by_place = {(channel.quantity, channel.point): channel for channel in reversed(view.channels)}
+    by_name = {channel.name: channel for channel in view.channels}
+    result: dict[str, MeasuredChannel] = {}
+    notes = []
+    for channel in channels:
+        own = by_name.get(channel.name)
+        if own is None or (own.quantity, own.point) != (channel.quantity, channel.point):
+            own = by_place.get((channel.quantity, channel.point))
+        if channel.quantity is Quantity.FORCE and own is None:
+            own = next((c for c in view.channels if c.quantity is Quantity.FORCE), None)
+        if own is not None and own.name not in {c.name for c in result.values()}:
+            result[channel.name] = own
+        else:
+            place = f" at point {channel.point}" if channel.point else ""
+            notes.append(
+                f"Channel {channel.name} ({channel.quantity.name.lower()}{place}) has no counterpart among the model's "
+                "sensors and is left out; add the sensor to the rig file to use it."
+            )
+    taken = {channel.name for channel in result.values()}
+    missing = [channel.name for channel in view.channels if channel.name not in taken]
+    if missing:
+        notes.append(f"Of the model's channels, {', '.join(missing)} {'was' if len(missing) == 1 else 'were'} not recorded.")
+    return result, tuple(notes)
+
+
+def nearest_ratio(frequency_hz: float, frequencies_hz: tuple[float, ...]) -> float:
+    """Frequency over the nearest of several, on a logarithmic scale."""
+    logs = np.log(frequency_hz / np.asarray(frequencies_hz))
+    return float(np.exp(logs[np.argmin(np.abs(logs))]))

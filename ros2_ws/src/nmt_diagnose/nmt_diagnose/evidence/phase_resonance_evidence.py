@@ -1,0 +1,453 @@
+"""Observables of locked windows: frequency, phase at lock, and complex harmonics of every channel."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_core.test_kind import TestKind
+from nmt_diagnose.evidence.bag_samples import Stretch
+from nmt_diagnose.evidence.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.evidence.drive_hold import hold_factor, image_responses
+from nmt_diagnose.evidence.model_view import ModelView
+from nmt_diagnose.evidence.moderated_variance import moderated
+from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.evidence.row_table import RowTable, empty
+from nmt_diagnose.evidence.settings import EvidenceSettings
+from nmt_extract.harmonics import (
+    resolvable_harmonics,
+    segment_moments,
+    solve_moments,
+    whole_period_bounds,
+)
+from nmt_extract.sine_fit import fit_frequency
+from nmt_extract.uncertainty import sub_window_count
+from nmt_record.segments import Segment
+
+ComplexArray = NDArray[np.complex128]
+
+VELOCITY_LEAD = {Quantity.DISPLACEMENT: 0.5 * math.pi, Quantity.VELOCITY: 0.0, Quantity.ACCELERATION: -0.5 * math.pi}
+_RESPONSES = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
+# A drift over the window that its noise makes once in 16 000 windows.
+_SIGNIFICANT_DRIFT = 4.0
+_FURTHEST_PHASE = math.radians(60.0)
+
+
+def wrapped(angle: FloatArray) -> FloatArray:
+    """Angles in [−π, π)."""
+    result: FloatArray = (np.asarray(angle) + math.pi) % (2.0 * math.pi) - math.pi
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class LockedWindow:
+    """Harmonics of one window.
+
+    Attributes:
+        segment: what named the window.
+        stretch: its samples.
+        rows: name in the bag of each channel.
+        amplitudes: harmonics over the whole window, shape (channels, H + 1), in the frame of the drive.
+        without: the same without one sub-window, shape (K, channels, H + 1).
+        single: the same of each sub-window, shape (K, channels, H + 1).
+        frequency_hz: mean excitation frequency, Hz.
+        drive: drive voltage, V peak; NaN where it is not known.
+        referenced: whether phases refer to the drive; else to the force.
+    """
+
+    segment: Segment
+    stretch: Stretch
+    rows: tuple[str, ...]
+    amplitudes: ComplexArray
+    without: ComplexArray
+    single: ComplexArray
+    frequency_hz: float
+    drive: float
+    referenced: bool
+
+    def row(self, name: str) -> int:
+        """Index of a channel."""
+        return self.rows.index(name)
+
+
+def analyse_window(segment: Segment, stretch: Stretch, settings: EvidenceSettings) -> LockedWindow:
+    """Harmonics of a locked window with those of its sub-windows.
+
+    Raises:
+        BenchError: why the window cannot be used, one sentence.
+    """
+    where = f"Level {segment.level_index}"
+    force = stretch.find(Quantity.FORCE)
+    if force is None:
+        raise BenchError(f"{where}: there is no force channel; the window is left out.")
+    if force.name in stretch.faults:
+        raise BenchError(f"{where}: the force {stretch.faults[force.name]}; the window is left out.")
+    usable = [c for c in stretch.channels if c.name not in stretch.faults]
+    data = np.stack([stretch.row(channel.name) for channel in usable])
+    cycles = stretch.cycles
+    known = cycles is not None
+    if cycles is None:
+        guess = segment.frequency_hz if segment.frequency_hz > 0.0 else math.nan
+        cycles = fit_frequency(stretch.row(force.name), stretch.sample_rate, guess) * np.arange(stretch.samples) / stretch.sample_rate
+    # The window ends where its whole periods end.
+    step = float(cycles[-1] - cycles[0]) / (cycles.size - 1)
+    periods = int(math.floor(cycles[-1] + step - cycles[0] + 0.02))
+    if periods < settings.fewest_periods:
+        raise BenchError(
+            f"{where}: the window holds {periods} whole periods; at least {settings.fewest_periods} are needed to tell "
+            "signal from noise, so it is left out."
+        )
+    used = int(np.searchsorted(cycles, cycles[0] + periods - 1e-9))
+    cycles, data = cycles[:used], data[:, :used]
+    count = sub_window_count(periods, settings.sub_windows)
+    harmonics = resolvable_harmonics(settings.harmonics, used / periods)
+    if harmonics < 1:
+        raise BenchError(f"{where}: {used / periods:.3g} samples in a period resolve no harmonic; the window is left out.")
+    # Higher orders than those observed are fitted too, so that they do not leak into the observed ones.
+    fitted = resolvable_harmonics(2 * settings.harmonics + 1, used / periods)
+    moments = segment_moments(cycles, data, fitted, whole_period_bounds(cycles, periods, count))
+    whole = solve_moments(moments.total())[0, :, : harmonics + 1]
+    without = solve_moments(moments.leave_one_out())[..., : harmonics + 1]
+    single = solve_moments(moments)[..., : harmonics + 1]
+    rows = tuple(channel.name for channel in usable)
+    names_voltage = segment.level_unit == "V"
+    voltage = next((c for c in usable if c.quantity is Quantity.VOLTAGE), None)
+    # A voltage channel that holds nothing is no reference.
+    if voltage is not None and not abs(whole[rows.index(voltage.name), 1]) > 0.0:
+        voltage = None
+    drive, referenced = math.nan, known
+    if names_voltage and known:
+        drive = segment.level
+    elif voltage is not None:
+        drive = float(abs(whole[rows.index(voltage.name), 1]))
+    if voltage is not None:
+        reference: int | None = rows.index(voltage.name)
+        referenced = True
+        if known:
+            # The oscillator's own phase is exact: the voltage takes its place only where it says something else.
+            scatter = float(np.std(np.angle(single[:, reference, 1]))) / math.sqrt(count)
+            if abs(np.angle(whole[reference, 1])) < max(1e-6, 4.0 * scatter):
+                reference = None
+    else:
+        reference = None if known else rows.index(force.name)
+    if reference is not None:
+        whole, without, single = (_turned(part, reference) for part in (whole, without, single))
+    mean_step = float(np.polyfit(np.arange(used), cycles, 1)[0]) if not known else float(cycles[-1] - cycles[0]) / (used - 1)
+    return LockedWindow(
+        segment, stretch, rows, whole, without, single, mean_step * stretch.sample_rate, drive, referenced
+    )  # fmt: skip
+
+
+def _without_hold(
+    window: LockedWindow, view: ModelView, channels: dict[str, MeasuredChannel], rate_hz: float
+) -> LockedWindow:
+    """The window with the drive that the linear interpolation makes of its samples, and without its images."""
+    if math.isinf(rate_hz) or not math.isfinite(window.drive) or not window.referenced:
+        return window
+    own = [channels[name] for name in window.rows if name in channels]
+    where = [row for row, name in enumerate(window.rows) if name in channels]
+    frequency = np.array([window.frequency_hz])
+    images = np.zeros(len(window.rows), dtype=np.complex128)
+    images[where] = window.drive * image_responses(view, own, frequency, rate_hz)[:, 0]
+    parts = [part.copy() for part in (window.amplitudes, window.without, window.single)]
+    for part in parts:
+        part[..., 1] -= images
+    drive = window.drive * float(hold_factor(window.frequency_hz, rate_hz))
+    return replace(window, amplitudes=parts[0], without=parts[1], single=parts[2], drive=drive)
+
+
+def _force_framed(window: LockedWindow) -> LockedWindow:
+    """Phases referred to the force."""
+    force = window.stretch.find(Quantity.FORCE)
+    assert force is not None
+    row = window.row(force.name)
+    return replace(
+        window,
+        amplitudes=_turned(window.amplitudes, row),
+        without=_turned(window.without, row),
+        single=_turned(window.single, row),
+    )
+
+
+def _turned(amplitudes: ComplexArray, reference: int) -> ComplexArray:
+    """Phases referred to the fundamental of one channel."""
+    angle = np.angle(amplitudes[..., reference, 1])[..., np.newaxis, np.newaxis]
+    orders = np.arange(amplitudes.shape[-1])
+    result: ComplexArray = amplitudes * np.exp(-1j * angle * orders)
+    return result
+
+
+def _jackknife(without: FloatArray) -> FloatArray:
+    """Variance from delete-one values along the first axis."""
+    count = without.shape[0]
+    deviations = without - without.mean(axis=0)
+    result: FloatArray = (count - 1) / count * (deviations * deviations).sum(axis=0)
+    return result
+
+
+def _drift(single: FloatArray) -> FloatArray:
+    """Change over the window of the straight line through sub-window values, along the first axis."""
+    count = single.shape[0]
+    time = (np.arange(count) + 0.5) / count - 0.5
+    result: FloatArray = np.tensordot(time, single, axes=1) / float((time * time).sum())
+    return result
+
+
+@dataclass
+class _Cell:
+    """One observable of one channel on its way: values in the unit of the channel over its fundamental."""
+
+    level: int
+    name: str
+    harmonic: int
+    part: Part
+    value: float
+    scale: float
+    variance: float
+    drift: float
+    freedom: int
+
+
+def phase_resonance_evidence(
+    name: str,
+    windows: Sequence[tuple[Segment, Stretch]],
+    view: ModelView,
+    channels: dict[str, MeasuredChannel],
+    settings: EvidenceSettings,
+    response_quantity: Quantity | None = None,
+    hold_rate_hz: float = math.inf,
+) -> Evidence:
+    """Observables of the locked windows of one bag.
+
+    Stepped-sine windows near resonance count as locked windows whose phase nobody controlled: they have no row for the
+    phase, and are left out beyond 60° of phase.
+
+    Args:
+        name: name of the test.
+        windows: the windows and their samples, in time.
+        view: the model, driven at the test's drive point.
+        channels: the model's channel for each recorded one.
+        settings: settings.
+        response_quantity: quantity whose phase the loop controlled; None = the first that there is at the drive point.
+        hold_rate_hz: rate at which the drive is interpolated linearly, see drive_hold.py.
+    """
+    notes: list[str] = []
+    analysed: list[LockedWindow] = []
+    for segment, stretch in windows:
+        try:
+            window = analyse_window(segment, stretch, settings)
+            analysed.append(_without_hold(window, view, channels, hold_rate_hz))
+        except BenchError as error:
+            notes.append(f"{name}: {error}")
+    drive_point = view.rig.drive_point
+    levels: list[LockedLevel] = []
+    kept: list[LockedWindow] = []
+    for window in analysed:
+        outcome = _level(window, drive_point, response_quantity, len(analysed))
+        if isinstance(outcome, str):
+            notes.append(f"{name}: {outcome}")
+            continue
+        levels.append(outcome)
+        kept.append(window)
+    if not kept:
+        return empty(notes)
+    notes += _dropped_channels(name, kept, channels)
+    held = "voltage" if all(math.isfinite(level.drive) for level in levels) else "force"
+    if held == "force":
+        kept = [_force_framed(window) for window in kept]
+    levels = _with_direction(levels, held)
+    present = [c for c in channels.values() if c.quantity is not Quantity.VOLTAGE and c.quantity is not Quantity.CURRENT]
+    recorded = {own.name: theirs for theirs, own in channels.items()}
+    response = _response(kept[0].stretch, drive_point, response_quantity)
+    test = PhaseResonanceTest(
+        name=name,
+        drive_point=drive_point,
+        response_channel=channels[response.name].name if response and response.name in channels else "",
+        channels=tuple(present),
+        harmonics=settings.harmonics,
+        held=held,
+        levels=tuple(levels),
+    )
+    table = RowTable()
+    cells: list[_Cell] = []
+    for index, window in enumerate(kept):
+        for channel in present:
+            theirs = recorded[channel.name]
+            if theirs in window.rows:
+                given = held == "force" and channel.quantity is Quantity.FORCE
+                cells += _cells(index, channel, window, window.row(theirs), given)
+    _moderate(cells)
+    index_of = {channel.name: number for number, channel in enumerate(present)}
+    floors = settings.floors
+    for index, (window, level) in enumerate(zip(kept, levels, strict=True)):
+        amplitude = level.drive if held == "voltage" else level.force_n
+        common = {
+            "level": index,
+            "time_s": 0.5 * (level.start_s + level.stop_s),
+            "frequency_hz": level.frequency_hz,
+            "amplitude": amplitude,
+        }
+        omega = 2.0 * math.pi * level.frequency_hz
+        slope = _frequency_per_phase(window, view, response)
+        table.add(
+            Part.LOG_FREQUENCY, math.log(omega), slope * level.phase_error_std, floors.log_frequency, **common
+        )  # fmt: skip
+        if window.segment.kind is TestKind.PHASE_RESONANCE or window.segment.kind is TestKind.UNKNOWN:
+            table.add(Part.PHASE_ERROR, level.phase_error, level.phase_error_std, floors.phase_error, **common)
+        for cell in cells:
+            if cell.level == index:
+                std = math.sqrt(cell.variance) / cell.scale
+                floor = {Part.LOG_MAGNITUDE: floors.log_magnitude, Part.PHASE: floors.phase}.get(cell.part, floors.harmonic)
+                table.add(
+                    cell.part, cell.value, std, floor, channel=index_of[cell.name], harmonic=cell.harmonic, **common
+                )  # fmt: skip
+    return table.evidence(test, notes)
+
+
+def _response(stretch: Stretch, drive_point: int, wanted: Quantity | None) -> MeasuredChannel | None:
+    """Drive-point response that the phase is measured with."""
+    order = ((wanted,) if wanted is not None else ()) + _RESPONSES
+    for quantity in order:
+        channel = stretch.find(quantity, drive_point)
+        if channel is not None and channel.name not in stretch.faults:
+            return channel
+    return None
+
+
+def _level(window: LockedWindow, drive_point: int, wanted: Quantity | None, levels: int) -> LockedLevel | str:
+    """Conditions of a window, or why it cannot be used."""
+    segment, stretch = window.segment, window.stretch
+    where = f"Level {segment.level_index}"
+    response = _response(stretch, drive_point, wanted)
+    if response is None:
+        return f"{where}: no usable response at the drive point {drive_point}, so its phase is not known; it is left out."
+    force = stretch.find(Quantity.FORCE)
+    assert force is not None
+    lead = VELOCITY_LEAD[response.quantity]
+    rows = window.row(force.name), window.row(response.name)
+
+    def error(amplitudes: ComplexArray) -> FloatArray:
+        ratio = amplitudes[..., rows[0], 1] * np.conj(amplitudes[..., rows[1], 1])
+        return np.asarray(np.angle(ratio) - lead, dtype=np.float64)
+
+    if not (abs(window.amplitudes[rows[0], 1]) > 0.0 and abs(window.amplitudes[rows[1], 1]) > 0.0):
+        return f"{where}: force or drive-point response is zero; it is left out."
+    value = float(wrapped(error(window.amplitudes)))
+    without = wrapped(error(window.without) - value)
+    variance = float(_jackknife(without))
+    drift = float(_drift(wrapped(error(window.single) - value)))
+    if abs(value) > _FURTHEST_PHASE:
+        turned = abs(abs(value) - math.pi) < 0.5 * math.pi
+        why = "force or response has the wrong sign" if turned and abs(value) > math.radians(120.0) else "not near resonance"
+        return f"{where}: force and velocity are {math.degrees(value):.0f}° apart ({why}); it is left out."
+    std = math.sqrt(variance)
+    if abs(drift) > _SIGNIFICANT_DRIFT * math.sqrt(12.0) * std:
+        std = math.hypot(std, 0.5 * drift)
+    return LockedLevel(
+        index=segment.level_index,
+        drive=window.drive if window.referenced else math.nan,
+        phase_error=value,
+        phase_error_std=std,
+        frequency_hz=window.frequency_hz,
+        start_s=stretch.start_s,
+        stop_s=stretch.stop_s,
+        cycles_before=(
+            stretch.cycles_before
+            if math.isfinite(stretch.cycles_before)
+            else window.frequency_hz * 0.5 * (stretch.start_s + stretch.stop_s)
+        ),
+        direction=1,
+        force_n=float(abs(window.amplitudes[rows[0], 1])),
+    )
+
+
+def _with_direction(levels: list[LockedLevel], held: str) -> list[LockedLevel]:
+    """Levels that know whether they were reached from below or from above."""
+    size = [level.drive if held == "voltage" else level.force_n for level in levels]
+    result = []
+    for index, level in enumerate(levels):
+        if index > 0:
+            rising = size[index] >= size[index - 1]
+        else:
+            rising = len(levels) < 2 or size[1] >= size[0]
+        result.append(replace(level, direction=1 if rising else -1))
+    return result
+
+
+def _dropped_channels(name: str, windows: list[LockedWindow], channels: dict[str, MeasuredChannel]) -> list[str]:
+    lost: dict[tuple[str, str], list[int]] = {}
+    for window in windows:
+        for channel, fault in window.stretch.faults.items():
+            if channel in channels:
+                lost.setdefault((channel, fault), []).append(window.segment.level_index)
+    return [
+        f"{name}: channel {channel} is left out at level {', '.join(map(str, indices))}: {fault}."
+        for (channel, fault), indices in lost.items()
+    ]
+
+
+def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int, given: bool) -> list[_Cell]:
+    """Observables of one channel at one level."""
+    whole, without, single = window.amplitudes[row], window.without[:, row], window.single[:, row]
+    size = float(abs(whole[1]))
+    freedom = without.shape[0] - 1
+    if not size > 0.0:
+        return []
+    cells = []
+
+    def add(harmonic: int, part: Part, value: float, varied: FloatArray, parts: FloatArray) -> None:
+        # In the unit of the channel, so that noise of the same kind compares.
+        cells.append(
+            _Cell(
+                level, channel.name, harmonic, part, value, size,
+                float(_jackknife(varied)) * size**2, float(_drift(parts)) * size, freedom,
+            )  # fmt: skip
+        )
+
+    if not given:
+        turned = whole[1] / size
+        add(1, Part.LOG_MAGNITUDE, math.log(size), np.log(np.abs(without[:, 1])), np.log(np.abs(single[:, 1])))
+        add(1, Part.PHASE, float(np.angle(whole[1])), np.angle(without[:, 1] / turned), np.angle(single[:, 1] / turned))
+    for harmonic in range(whole.shape[0]):
+        if harmonic == 1 or (harmonic == 0 and channel.quantity is not Quantity.DISPLACEMENT):
+            continue
+        for part in (Part.REAL, Part.IMAG) if harmonic else (Part.REAL,):
+            pick = np.real if part is Part.REAL else np.imag
+            add(
+                harmonic, part, float(pick(whole[harmonic])) / size,
+                pick(without[:, harmonic]) / size, pick(single[:, harmonic]) / size,
+            )  # fmt: skip
+    return cells
+
+
+def _moderate(cells: list[_Cell]) -> None:
+    """Draw the variances of a channel together, harmonic by harmonic, and add what drifts."""
+    groups: dict[tuple[str, object, int], list[_Cell]] = {}
+    for cell in cells:
+        kind: object = (cell.part if cell.harmonic == 1 else min(cell.harmonic, 2))
+        groups.setdefault((cell.name, kind, cell.freedom), []).append(cell)
+    for (_, _, freedom), group in groups.items():
+        variances, degrees = moderated(np.array([cell.variance for cell in group]), float(freedom))
+        # Residuals over a deviation from d values have the variance d / (d − 2).
+        for cell, variance in zip(group, variances * degrees / (degrees - 2.0), strict=True):
+            cell.variance = float(variance)
+            if cell.drift**2 > _SIGNIFICANT_DRIFT**2 * 12.0 * cell.variance:
+                cell.variance += 0.25 * cell.drift**2
+
+
+def _frequency_per_phase(window: LockedWindow, view: ModelView, response: MeasuredChannel | None) -> float:
+    """|d ln ω / d phase| of the resonance, about its damping ratio: noise of the phase at lock is noise of ω for it."""
+    force = window.stretch.find(Quantity.FORCE)
+    if force is None or response is None or response.name not in window.rows:
+        return 0.05
+    omega = 2.0 * math.pi * window.frequency_hz
+    order = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}[response.quantity]
+    displacement = abs(window.amplitudes[window.row(response.name), 1]) / omega**order
+    amplitude = abs(window.amplitudes[window.row(force.name), 1])
+    return float(np.clip(amplitude * view.shape**2 / (2.0 * omega**2 * displacement), 1e-4, 0.5))

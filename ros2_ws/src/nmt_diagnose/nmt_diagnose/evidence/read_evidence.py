@@ -1,0 +1,301 @@
+"""From bags to evidence: every kind of test that a real side may contain."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
+from nmt_core.test_kind import TestKind
+from nmt_diagnose.evidence.bag_samples import Stretch, read_stretches
+from nmt_diagnose.evidence.conditions import MeasuredChannel
+from nmt_diagnose.evidence.floors import repeatability
+from nmt_diagnose.evidence.model_view import ModelView, matched
+from nmt_diagnose.evidence.observables import Evidence, joined
+from nmt_diagnose.evidence.phase_resonance_evidence import phase_resonance_evidence
+from nmt_diagnose.evidence.plausibility import check_frequency, out_of_scale, overload_note
+from nmt_diagnose.evidence.random_evidence import random_evidence
+from nmt_diagnose.evidence.record_evidence import record_evidence
+from nmt_diagnose.evidence.ring_down_evidence import ring_down_evidence
+from nmt_diagnose.evidence.row_table import empty
+from nmt_diagnose.evidence.settings import EvidenceSettings
+from nmt_diagnose.evidence.table_evidence import table_evidence
+from nmt_plant.rig import Rig
+from nmt_record.bag_reader import Bag
+from nmt_record.observables import observable_tables
+from nmt_record.segments import Segment, segments
+
+_LOCKED = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE)
+_FEW_LEVELS = 3
+
+
+def read_evidence(
+    bags: Sequence[Path | str],
+    model: Rig,
+    floor_bags: Sequence[Path | str] = (),
+    settings: EvidenceSettings | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Evidence:
+    """All observables of a real side.
+
+    Locked windows, random tests, ring-downs, records and reduced tables become tests; stepped sines near resonance count
+    as locked windows whose phase nobody controlled; sweeps are passed over with a note, because no steady state of the
+    model says what they must look like. What cannot be used is left out, with a sentence in ``notes``.
+
+    Args:
+        bags: bags of one rig: recorded runs or imports.
+        model: the rig file that is to be compared with them.
+        floor_bags: repeats of tests among ``bags``; the differences are what no model can beat.
+        settings: None = defaults.
+        progress: called with a sentence as the work goes on.
+
+    Raises:
+        BenchError: there is no such bag, a bag is damaged or of another rig, or nothing in them can be used.
+    """
+    settings = settings or EvidenceSettings()
+    if not bags:
+        raise BenchError("The diagnosis needs at least one bag of the real side; give --real.")
+    evidence = _read_all(bags, model, settings, progress)
+    if not len(evidence.rows):
+        reasons = " ".join(evidence.notes) or "No level was locked and no other test was made."
+        raise BenchError(f"Nothing in {', '.join(map(str, bags))} can be used as evidence. {reasons}")
+    notes = list(evidence.notes)
+    if floor_bags:
+        repeats = _read_all(floor_bags, model, settings, progress)
+        floor, more = repeatability(evidence, repeats)
+        notes += [*(f"Floor bag: {note}" for note in repeats.notes), *more]
+        evidence = replace(evidence, floor=floor, inputs=(*evidence.inputs, *repeats.inputs))
+    return replace(evidence, notes=tuple(dict.fromkeys(notes)))
+
+
+def _read_all(
+    bags: Sequence[Path | str], model: Rig, settings: EvidenceSettings, progress: Callable[[str], None] | None
+) -> Evidence:
+    parts: list[Evidence] = []
+    seen: dict[str, str] = {}
+    names: set[str] = set()
+    for path in map(Path, bags):
+        if progress is not None:
+            progress(f"reading {path}")
+        bag = Bag.open(path)
+        digest = bag_digest(path)
+        if digest in seen:
+            parts.append(empty((f"The bag {path} is the same as {seen[digest]} and is used once.",)))
+            continue
+        seen[digest] = str(path)
+        name = _unique(_name(path), names)
+        part = read_bag(bag, name, model, settings)
+        parts.append(replace(part, inputs=((str(path), digest),)))
+    return joined(parts)
+
+
+def read_bag(bag: Bag, name: str, model: Rig, settings: EvidenceSettings) -> Evidence:
+    """All observables of one bag.
+
+    Args:
+        bag: an opened bag.
+        name: for its tests and sentences.
+        model: the rig file that is to be compared with it.
+        settings: settings.
+
+    Raises:
+        BenchError: the bag is damaged or of another rig.
+    """
+    notes: list[str] = [bag.loss] if bag.loss else []
+    run = bag.run_start or {}
+    rig = run.get("rig")
+    if isinstance(rig, str) and rig and rig != model.name:
+        notes.append(f"{name} was recorded on rig '{rig}', the model is '{model.name}'.")
+    parts: list[Evidence] = []
+    found = segments(bag)
+    usable = [segment for segment in found if not segment.fault and segment.kind is not TestKind.SWEEP]
+    notes += [
+        f"{name}: level {segment.level_index} ({segment.kind.label}) is left out: {segment.fault}."
+        for segment in found
+        if segment.fault
+    ]
+    sweeps = sum(segment.kind is TestKind.SWEEP for segment in found)
+    if sweeps:
+        notes.append(
+            f"{name}: {sweeps} sweep{'s are' if sweeps > 1 else ' is'} passed over; a swept response is not a steady state "
+            "that the model could be compared with: use stepped sines or phase resonance."
+        )
+    if usable:
+        parts += _signals(bag, name, usable, run, model, settings, notes)
+    tables = observable_tables(bag) if "observables" in bag.topics else []
+    for number, table in enumerate(tables):
+        own = name if len(tables) == 1 and not usable else f"{name}/{table.name or f'table {number + 1}'}"
+        parts.append(table_evidence(own, table, model, settings))
+    if not found and not tables:
+        notes.append(f"{name}: no level was locked and no window was marked, so there is nothing to compare.")
+    return joined([empty(notes), *parts])
+
+
+@dataclass(frozen=True)
+class _Window:
+    segment: Segment
+    stretch: Stretch
+
+
+def _signals(
+    bag: Bag,
+    name: str,
+    usable: list[Segment],
+    run: dict[str, Any],
+    model: Rig,
+    settings: EvidenceSettings,
+    notes: list[str],
+) -> list[Evidence]:
+    """Evidence of the windows of one bag."""
+    stretches = read_stretches(bag, [(segment.first_sample, segment.samples) for segment in usable])
+    windows = []
+    for segment, stretch in zip(usable, stretches, strict=True):
+        if stretch is None:
+            notes.append(f"{name}: level {segment.level_index} is left out: the bag has no samples of its window.")
+        else:
+            windows.append(_Window(segment, stretch))
+    if not windows:
+        return []
+    recorded = tuple({c.name: c for window in windows for c in window.stretch.channels}.values())
+    drive_point = _drive_point(run, recorded, model)
+    if drive_point not in model.structure.points:
+        raise BenchError(
+            f"{name} was driven at point {drive_point}, but the model {model.name} has points 1 to "
+            f"{model.structure.points[-1]}; name the rig file of the rig that was tested."
+        )
+    view = ModelView.of(model, drive_point)
+    channels, more = matched(recorded, view)
+    notes += [f"{name}: {note}" for note in more]
+    if not any(channel.quantity in (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION) for channel in channels.values()):
+        raise BenchError(
+            f"{name} has no response channel that the model {model.name} has too; name the rig file of the rig that was "
+            "tested, or add its sensors."
+        )
+    rate = _hold_rate(run, windows[0].stretch.sample_rate)
+    response = _response_quantity(run)
+    parts = []
+    locked = [window for window in windows if window.segment.kind in _LOCKED]
+    if locked:
+        channels = _plausible(name, locked, view, channels, notes)
+        several = len({window.segment.kind for window in windows}) > 1
+        for kind in _LOCKED:
+            mine = [(window.segment, window.stretch) for window in locked if window.segment.kind is kind]
+            if mine:
+                own = f"{name}/{kind.label}" if several else name
+                parts.append(phase_resonance_evidence(own, mine, view, channels, settings, response, rate))
+                levels = len(getattr(parts[-1].tests[0], "levels", ())) if parts[-1].tests else 0
+                if 0 < levels < _FEW_LEVELS:
+                    notes.append(
+                        f"{own}: {levels} level{'s' if levels > 1 else ''} cannot tell effects apart by how they grow with "
+                        "amplitude; measure five or more."
+                    )
+    for kind, reader in ((TestKind.RANDOM, random_evidence), (TestKind.RING_DOWN, ring_down_evidence)):
+        mine_windows = [window for window in windows if window.segment.kind is kind]
+        for window in mine_windows:
+            own = f"{name}/{kind.label}" if len(windows) > len(mine_windows) else name
+            own = f"{own} {window.segment.level_index}" if len(mine_windows) > 1 else own
+            notes += overload_note(own, [(window.segment.level_index, window.stretch)])
+            if kind is TestKind.RANDOM:
+                parts.append(random_evidence(own, window.stretch, view, channels, settings, rate))
+            else:
+                guess = window.segment.frequency_hz
+                parts.append(ring_down_evidence(own, window.stretch, guess, view, channels, settings, response))
+    records = [window for window in windows if window.segment.kind is TestKind.RECORD]
+    if records:
+        own = f"{name}/record" if len(records) < len(windows) else name
+        parts.append(record_evidence(own, [window.stretch for window in records], view, channels, settings, notes))
+    return parts
+
+
+def _plausible(
+    name: str,
+    locked: list[_Window],
+    view: ModelView,
+    channels: dict[str, MeasuredChannel],
+    notes: list[str],
+) -> dict[str, MeasuredChannel]:
+    """Channels that can be trusted."""
+    frequencies = [_frequency(window) for window in locked]
+    check_frequency(name, [value for value in frequencies if math.isfinite(value)], view)
+    size = [window.segment.level if math.isfinite(window.segment.level) else math.inf for window in locked]
+    lowest = np.argsort(size, kind="stable")[:3]
+    off, more = out_of_scale(name, [(locked[i].stretch, frequencies[i]) for i in lowest], view, channels)
+    notes += more
+    notes += overload_note(name, [(window.segment.level_index, window.stretch) for window in locked])
+    return {key: channel for key, channel in channels.items() if key not in off}
+
+
+def _frequency(window: _Window) -> float:
+    cycles = window.stretch.cycles
+    if cycles is not None and cycles.size > 1:
+        return float(cycles[-1] - cycles[0]) / (cycles.size - 1) * window.stretch.sample_rate
+    return window.segment.frequency_hz if window.segment.frequency_hz > 0.0 else math.nan
+
+
+def _drive_point(run: dict[str, Any], recorded: tuple[MeasuredChannel, ...], model: Rig) -> int:
+    force = next((c.point for c in recorded if c.quantity is Quantity.FORCE and c.point > 0), None)
+    if force is not None:
+        return force
+    linear = run.get("linear")
+    for value in (run.get("exciter_point"), linear.get("drive_point") if isinstance(linear, dict) else None):
+        if isinstance(value, int) and not isinstance(value, bool) and value > 0:
+            return value
+    return model.drive_point
+
+
+def _response_quantity(run: dict[str, Any]) -> Quantity | None:
+    extraction = run.get("extraction")
+    topics = extraction.get("topics") if isinstance(extraction, dict) else None
+    for topic in topics if isinstance(topics, list | tuple) else ():
+        if topic in ("displacement", "velocity", "acceleration"):
+            return Quantity[topic.upper()]
+    return None
+
+
+def _hold_rate(run: dict[str, Any], sample_rate: float) -> float:
+    """Rate at which the drive was interpolated linearly: ``drive_hold_hz`` of the run, else that of simulated rigs."""
+    value = run.get("drive_hold_hz")
+    if isinstance(value, int | float) and not isinstance(value, bool) and value > 0.0:
+        return float(value)
+    return math.inf if "imported" in run or not run else sample_rate
+
+
+def bag_digest(path: Path) -> str:
+    """SHA-256 over the data files of a bag, in the order of their names.
+
+    Raises:
+        BenchError: a file cannot be read.
+    """
+    if path.is_file():
+        files = [path]
+    else:
+        files = sorted(item for item in path.rglob("*") if item.suffix in (".mcap", ".db3"))
+    digest = hashlib.sha256()
+    try:
+        for file in files:
+            with open(file, "rb") as handle:
+                while chunk := handle.read(1 << 20):
+                    digest.update(chunk)
+    except OSError as error:
+        raise BenchError(f"The bag {path} cannot be read: {error.strerror or error}.") from error
+    return digest.hexdigest()
+
+
+def _name(path: Path) -> str:
+    own = path.stem if path.is_file() else path.name
+    return path.resolve().parent.name or own if own in ("bag", "") else own
+
+
+def _unique(name: str, taken: set[str]) -> str:
+    result, number = name, 2
+    while result in taken:
+        result, number = f"{name} ({number})", number + 1
+    taken.add(result)
+    return result

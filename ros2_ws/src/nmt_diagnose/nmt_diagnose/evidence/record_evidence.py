@@ -1,0 +1,139 @@
+"""Observables of records: samples of the responses to any measured input.
+
+The model is driven by the whole input, but only a part of the samples become observables. What a right model leaves is
+the noise of the sensors, which is taken as white: any choice of samples then has the right likelihood, and fewer samples
+only make it less sharp. They are spread with the golden ratio, so that no period of the excitation meets them in step.
+The noise is the lowest level of the response's spectrum; nonlinear distortions must not count as noise here, because
+they are what is looked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import welch
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_diagnose.evidence.bag_samples import Stretch
+from nmt_diagnose.evidence.conditions import MeasuredChannel, RecordTest
+from nmt_diagnose.evidence.model_view import ModelView
+from nmt_diagnose.evidence.observables import Evidence, Part, joined
+from nmt_diagnose.evidence.row_table import RowTable, empty
+from nmt_diagnose.evidence.settings import EvidenceSettings
+from nmt_plant.model.linear_modes import damped_modes
+
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_DECAY = 5.0
+_LONGEST_START = 0.1
+_FEWEST_SAMPLES = 200
+_LOWEST = 0.05
+
+
+def spread_samples(start: int, stop: int, count: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Up to ``count`` different indices from start to stop − 1, ascending, in step with nothing."""
+    length = stop - start
+    if count >= length:
+        return np.arange(start, stop, dtype=np.int64)
+    stride = length / count
+    within = np.modf(_GOLDEN * np.arange(count))[0]
+    return np.unique(start + np.floor((np.arange(count) + within) * stride).astype(np.int64)).clip(start, stop - 1)
+
+
+def white_noise(samples: FloatArray, sample_rate: float) -> float:
+    """Standard deviation of white noise as strong as the lowest twentieth of the spectrum."""
+    segment = min(samples.size, max(64, samples.size // 64))
+    _, power = welch(samples - samples.mean(), sample_rate, nperseg=segment)
+    return float(math.sqrt(np.quantile(power[1:-1], _LOWEST) * 0.5 * sample_rate))
+
+
+def record_evidence(
+    name: str,
+    stretches: Sequence[Stretch],
+    view: ModelView,
+    channels: dict[str, MeasuredChannel],
+    settings: EvidenceSettings,
+    notes: list[str],
+) -> Evidence:
+    """Observables of the records of one bag, one test each.
+
+    Args:
+        name: name of the tests; numbered where there are several.
+        stretches: the records.
+        view: the model, driven at the test's drive point.
+        channels: the model's channel for each recorded one.
+        settings: settings.
+        notes: gets sentences.
+    """
+    parts = []
+    for number, stretch in enumerate(stretches):
+        own = f"{name} {number + 1}" if len(stretches) > 1 else name
+        parts.append(_one(own, stretch, view, channels, settings, settings.record_rows // len(stretches)))
+    return joined(parts)
+
+
+def _one(
+    name: str,
+    stretch: Stretch,
+    view: ModelView,
+    channels: dict[str, MeasuredChannel],
+    settings: EvidenceSettings,
+    budget: int,
+) -> Evidence:
+    notes = [
+        f"{name}: channel {channel} is left out: {fault}." for channel, fault in stretch.faults.items() if channel in channels
+    ]
+    source = stretch.find(Quantity.VOLTAGE) or stretch.find(Quantity.FORCE)
+    if source is None or source.name in stretch.faults:
+        why = "no input (voltage or force) was recorded" if source is None else f"its input {stretch.faults[source.name]}"
+        return empty((f"{name}: the record is left out: {why}.",))
+    recorded = {own.name: theirs for theirs, own in channels.items()}
+    present = [
+        channel
+        for channel in channels.values()
+        if recorded[channel.name] in {c.name for c in stretch.channels} - set(stretch.faults) - {source.name}
+        and channel.quantity is not Quantity.VOLTAGE
+    ]
+    if not present or stretch.samples < _FEWEST_SAMPLES:
+        why = "it has no response" if not present else f"{stretch.samples} samples are too few"
+        return empty((*notes, f"{name}: the record is left out: {why}."))
+    start = _start(view, stretch)
+    indices = spread_samples(start, stretch.samples, max(1, budget // len(present)))
+    count = max(1, min(settings.record_segments, indices.size // 20))
+    bounds = np.linspace(start, stretch.samples, count + 1).round().astype(np.int64)
+    level = np.searchsorted(bounds, indices, side="right") - 1
+    source_samples = stretch.row(source.name)
+    amplitude = [float(np.std(source_samples[low:high])) for low, high in zip(bounds[:-1], bounds[1:], strict=True)]
+    table = RowTable()
+    for row, channel in enumerate(present):
+        samples = stretch.row(recorded[channel.name])
+        samples = samples - samples.mean()
+        noise = white_noise(samples, stretch.sample_rate)
+        floor = settings.floors.record * float(np.std(samples))
+        for index, segment in zip(indices, level, strict=True):
+            table.add(
+                Part.SAMPLE, float(samples[index]), noise, floor, level=int(segment), channel=row,
+                time_s=(stretch.first_sample + int(index)) / stretch.sample_rate, frequency_hz=0.0,
+                amplitude=amplitude[int(segment)],
+            )  # fmt: skip
+    own = channels.get(source.name, source)
+    test = RecordTest(
+        name=name,
+        drive_point=view.rig.drive_point,
+        sample_rate=stretch.sample_rate,
+        input_channel=own,
+        input=source_samples - source_samples.mean(),
+        channels=tuple(present),
+        segment_bounds=bounds.astype(np.float64),
+        start_s=stretch.start_s,
+    )
+    return table.evidence(test, notes)
+
+
+def _start(view: ModelView, stretch: Stretch) -> int:
+    """First sample that the model's unknown initial state does not reach, at most a tenth of the record."""
+    modes = damped_modes(view.system)
+    slowest = float(np.min(-modes.eigenvalues.real)) if modes.eigenvalues.size else 0.0
+    longest = _LONGEST_START * stretch.samples
+    return int(min(_DECAY / slowest * stretch.sample_rate if slowest > 0.0 else longest, longest))

@@ -1,0 +1,195 @@
+"""Observables of ring-downs: instantaneous frequency and damping ratio over amplitude.
+
+The response is fitted period by period with a Fourier series on its own phase. In an exponential decay every period is
+a smaller copy of the one before, so the error that a fixed amplitude makes within a period is the same factor each time
+and cancels in frequency and decay rate. Logarithm and phase of the fundamentals are then fitted with parabolas over a
+few periods around each amplitude.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_diagnose.evidence.bag_samples import Stretch
+from nmt_diagnose.evidence.conditions import MeasuredChannel, RingDownTest
+from nmt_diagnose.evidence.model_view import ModelView
+from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.evidence.row_table import RowTable, empty
+from nmt_diagnose.evidence.settings import EvidenceSettings
+from nmt_extract.harmonics import resolvable_harmonics, segment_moments, solve_moments
+
+_SKIPPED_PERIODS = 4
+_HALF_WIDTH = 4
+_FEWEST_PERIODS = 3 * _HALF_WIDTH + _SKIPPED_PERIODS
+_SMALLEST = 1e-3
+_WORST_DAMPING = 0.3
+_PASSES = 3
+_ORDER = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
+
+
+def period_fundamentals(
+    samples: FloatArray, cycles: FloatArray, harmonics: int
+) -> tuple[NDArray[np.complex128], FloatArray]:
+    """Fundamental of each whole period of a phase.
+
+    Args:
+        samples: shape (n,).
+        cycles: phase at each sample, cycles, ascending, shape (n,).
+        harmonics: of the fit.
+
+    Returns:
+        Complex amplitudes, shape (periods,), and the index of each middle in samples, shape (periods,).
+    """
+    periods = int(math.floor(cycles[-1] - cycles[0]))
+    bounds = np.searchsorted(cycles, cycles[0] + np.arange(periods + 1) - 1e-9).astype(np.int64)
+    amplitudes = solve_moments(segment_moments(cycles, samples[np.newaxis], harmonics, bounds))[:, 0, 1]
+    middle = np.interp(cycles[0] + np.arange(periods) + 0.5, cycles, np.arange(cycles.size))
+    return amplitudes, np.asarray(middle, dtype=np.float64)
+
+
+def decay_of(
+    samples: FloatArray, sample_rate: float, frequency_hz: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Phase and logarithm of the amplitude of a decay, period by period.
+
+    Args:
+        samples: shape (n,).
+        sample_rate: Hz.
+        frequency_hz: at the start, Hz.
+
+    Returns:
+        Time (s), phase (rad, unwrapped), ln of the amplitude; each of shape (periods,).
+
+    Raises:
+        BenchError: less than a few periods.
+    """
+    index = np.arange(samples.size)
+    cycles = frequency_hz / sample_rate * index
+    harmonics = resolvable_harmonics(3, sample_rate / frequency_hz)
+    if harmonics < 1 or cycles[-1] < _FEWEST_PERIODS:
+        raise BenchError(f"{cycles[-1]:.3g} periods of decay are too few; {_FEWEST_PERIODS} are needed")
+    middle, phase, log = np.zeros(0), np.zeros(0), np.zeros(0)
+    for number in range(_PASSES):
+        amplitudes, middle = period_fundamentals(samples, cycles, harmonics)
+        size = np.abs(amplitudes)
+        if not (size > 0.0).all():
+            raise BenchError("the response vanishes")
+        log = np.log(size)
+        phase = 2.0 * math.pi * np.interp(middle, index, cycles) + np.unwrap(np.angle(amplitudes))
+        if number + 1 == _PASSES:
+            break
+        # The next pass counts periods of the decay itself, as long as it stands out.
+        strong = log > log.max() + math.log(_SMALLEST)
+        last = int(np.argmin(strong)) if not strong.all() else strong.size
+        if last < _FEWEST_PERIODS:
+            break
+        own = phase[:last] / (2.0 * math.pi)
+        smooth = np.convolve(own, np.full(3, 1.0 / 3.0), mode="valid")
+        smooth = np.concatenate((own[:1], smooth, own[-1:]))
+        new = np.interp(index, middle[:last], smooth)
+        ends = (smooth[1] - smooth[0]) / (middle[1] - middle[0]), (smooth[-1] - smooth[-2]) / (middle[last - 1] - middle[last - 2])
+        before, after = index < middle[0], index > middle[last - 1]
+        new[before] = smooth[0] + (index[before] - middle[0]) * ends[0]
+        new[after] = smooth[-1] + (index[after] - middle[last - 1]) * ends[1]
+        if not (np.diff(new) > 0.0).all():
+            break
+        cycles = new
+    return middle / sample_rate, phase, log
+
+
+def local_slopes(time: FloatArray, values: FloatArray, centre: int) -> tuple[float, float, float]:
+    """Value, slope and standard uncertainty of the slope of a parabola around one of several values."""
+    near = slice(max(0, centre - _HALF_WIDTH), centre + _HALF_WIDTH + 1)
+    t = time[near] - time[centre]
+    design = np.stack((np.ones_like(t), t, t * t), axis=1)
+    solution, *_ = np.linalg.lstsq(design, values[near], rcond=None)
+    residual = values[near] - design @ solution
+    freedom = t.size - 3
+    covariance = np.linalg.inv(design.T @ design) * float(residual @ residual) / freedom
+    return float(solution[0]), float(solution[1]), math.sqrt(float(covariance[1, 1]))
+
+
+def ring_down_evidence(
+    name: str,
+    stretch: Stretch,
+    frequency_hz: float,
+    view: ModelView,
+    channels: dict[str, MeasuredChannel],
+    settings: EvidenceSettings,
+    response_quantity: Quantity | None = None,
+) -> Evidence:
+    """Observables of one free decay.
+
+    Args:
+        name: name of the test.
+        stretch: samples from the switch-off on.
+        frequency_hz: at the switch-off, Hz; NaN or 0 = that of the model's mode.
+        view: the model, driven at the test's drive point.
+        channels: the model's channel for each recorded one.
+        settings: settings.
+        response_quantity: preferred quantity of the drive-point response.
+    """
+    order: Sequence[Quantity] = ((response_quantity,) if response_quantity is not None else ()) + _ORDER
+    candidates = [stretch.find(quantity, view.rig.drive_point) for quantity in order]
+    channel = next((c for c in candidates if c is not None and c.name in channels and c.name not in stretch.faults), None)
+    if channel is None:
+        return empty((f"{name}: the ring-down is left out: there is no usable response at the drive point.",))
+    samples = stretch.row(channel.name)
+    guess = frequency_hz if frequency_hz > 0.0 else view.frequencies_hz[0]
+    try:
+        time, phase, log = decay_of(samples, stretch.sample_rate, guess)
+    except BenchError as error:
+        return empty((f"{name}: the ring-down is left out: {error}.",))
+    nodes = _nodes(log, settings.decay_points)
+    table = RowTable()
+    amplitudes = []
+    floors = settings.floors
+    for node in nodes:
+        level, rate, rate_std = local_slopes(time, log, node)
+        _, omega, omega_std = local_slopes(time, phase, node)
+        if not omega > 0.0:
+            continue
+        damping = -rate / omega
+        if not rate_std / omega < max(_WORST_DAMPING * abs(damping), 1e-5):
+            break
+        common = {
+            "level": len(amplitudes),
+            "channel": 0,
+            "harmonic": 1,
+            "time_s": stretch.start_s + float(time[node]),
+            "frequency_hz": omega / (2.0 * math.pi),
+            "amplitude": math.exp(level),
+        }
+        table.add(Part.LOG_FREQUENCY, math.log(omega), omega_std / omega, floors.decay_log_frequency, **common)
+        table.add(Part.DAMPING, damping, rate_std / omega, floors.decay_damping * abs(damping), **common)
+        amplitudes.append(math.exp(level))
+    if not amplitudes:
+        return empty((f"{name}: the ring-down is left out: the decay does not stand out of the noise.",))
+    test = RingDownTest(name, view.rig.drive_point, channels[channel.name], np.array(amplitudes), guess)
+    return table.evidence(test)
+
+
+def _nodes(log: FloatArray, wanted: int) -> list[int]:
+    """Periods evenly spread over the logarithm of the amplitude, far enough apart to be independent."""
+    first = _SKIPPED_PERIODS + _HALF_WIDTH
+    last = log.size - _HALF_WIDTH - 1
+    usable = np.flatnonzero(log[first : last + 1] > log[: first + 1].max() + math.log(_SMALLEST)) + first
+    if usable.size == 0:
+        return []
+    # Once the decay has reached the noise it is not used again.
+    stop = int(usable[0]) + int(np.argmin(np.diff(np.append(usable, usable[-1] + 2)) == 1)) + 1
+    falling = np.arange(usable[0], min(stop, last + 1))
+    count = max(1, min(wanted, falling.size // (_HALF_WIDTH + 1) + 1))
+    marks = np.linspace(log[falling[0]], log[falling[-1]], count)
+    picked = [int(falling[np.argmin(np.abs(log[falling] - mark))]) for mark in marks]
+    result: list[int] = []
+    for node in sorted(set(picked)):
+        if not result or node - result[-1] > _HALF_WIDTH:
+            result.append(node)
+    return result

@@ -1,0 +1,56 @@
+"""Collects observables row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from nmt_diagnose.evidence.conditions import Test
+from nmt_diagnose.evidence.observables import Evidence, Part, Rows
+
+
+class RowTable:
+    """Observables of one test, in the order in which they are added."""
+
+    def __init__(self) -> None:
+        self._identity: list[tuple[int, int, int, int, float, float, float]] = []
+        self._numbers: list[tuple[float, float, float]] = []
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def add(
+        self,
+        part: Part,
+        value: float,
+        std: float,
+        floor: float,
+        *,
+        level: int,
+        channel: int = -1,
+        harmonic: int = -1,
+        time_s: float,
+        frequency_hz: float,
+        amplitude: float,
+    ) -> None:
+        """One observable; see :class:`nmt_diagnose.evidence.observables.Rows` for the meaning of the arguments."""
+        self._identity.append((level, channel, harmonic, int(part), time_s, frequency_hz, amplitude))
+        self._numbers.append((value, std, floor))
+
+    def evidence(self, test: Test, notes: Sequence[str] = ()) -> Evidence:
+        """The rows as evidence of one test; rows that are not finite are left out."""
+        identity = np.array(self._identity, dtype=np.float64).reshape(-1, 7)
+        numbers = np.array(self._numbers, dtype=np.float64).reshape(-1, 3)
+        whole = [identity[:, column].astype(np.int64) for column in range(4)]
+        rows = Rows(np.zeros(len(self), dtype=np.int64), *whole, *(identity[:, column].copy() for column in (4, 5, 6)))
+        result = Evidence((test,), rows, numbers[:, 0], numbers[:, 1], numbers[:, 2], tuple(notes))
+        usable = np.isfinite(numbers).all(axis=1)
+        return result if usable.all() else result.take(usable)
+
+
+def empty(notes: Sequence[str] = ()) -> Evidence:
+    """No observables, only notes."""
+    whole, real = np.zeros(0, dtype=np.int64), np.zeros(0)
+    rows = Rows(whole, whole, whole, whole, whole, real, real, real)
+    return Evidence((), rows, real, real, real, tuple(notes))

@@ -1,0 +1,149 @@
+"""Observables of tables that someone else has reduced: backbones and frequency responses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_diagnose.evidence.conditions import BackboneTable, MeasuredChannel, RandomTest
+from nmt_diagnose.evidence.model_view import ORDER, ModelView, nearest_ratio
+from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.evidence.row_table import RowTable, empty
+from nmt_diagnose.evidence.settings import EvidenceSettings
+from nmt_plant.rig import Rig
+from nmt_record.observables import ObservableTable
+
+_WRONG_FREQUENCY = 1.6
+_WITHOUT_STD = 0.02
+
+
+def table_evidence(name: str, table: ObservableTable, model: Rig, settings: EvidenceSettings) -> Evidence:
+    """Observables of one table; a sentence where it cannot be used."""
+    drive_point = table.drive_point or model.drive_point
+    points = model.structure.points
+    for point, what in ((drive_point, "drive point"), (table.point or drive_point, "point")):
+        if point not in points:
+            return empty((f"{name}: left out: its {what} {point} is not among the model's points 1 to {points[-1]}.",))
+    view = ModelView.of(model, drive_point)
+    point = table.point or drive_point
+    if table.quantity not in ORDER:
+        return empty(
+            (
+                f"{name}: left out: its amplitude is modal ({table.units.get('amplitude', 'no unit')}); the model predicts "
+                "amplitudes of a point in m, m/s or m/s^2.",
+            )
+        )
+    letter = {Quantity.DISPLACEMENT: "x", Quantity.VELOCITY: "v", Quantity.ACCELERATION: "a"}[table.quantity]
+    channel = next(
+        (c for c in view.channels if (c.quantity, c.point) == (table.quantity, point)),
+        MeasuredChannel(f"{letter}{point}", table.quantity, point),
+    )
+    if table.kind == "backbone":
+        return _backbone(name, table, view, channel, settings)
+    return _responses(name, table, view, channel, settings)
+
+
+def _column(table: ObservableTable, name: str) -> FloatArray:
+    return table.columns.get(name, np.full(table.rows, math.nan))
+
+
+def _backbone(
+    name: str, table: ObservableTable, view: ModelView, channel: MeasuredChannel, settings: EvidenceSettings
+) -> Evidence:
+    frequency, amplitude = table.columns["frequency_hz"], table.columns["amplitude"]
+    good = np.isfinite(frequency) & (frequency > 0.0) & np.isfinite(amplitude) & (amplitude > 0.0)
+    if not good.any():
+        return empty((f"{name}: left out: it has no row with frequency and amplitude.",))
+    ratios = [nearest_ratio(float(value), view.frequencies_hz) for value in frequency[good]]
+    if all(max(ratio, 1.0 / ratio) > _WRONG_FREQUENCY for ratio in ratios):
+        return empty((f"{name}: left out: its frequencies lie at no mode of the model {view.rig.name}.",))
+    damping, damping_std = _column(table, "damping_ratio"), _column(table, "damping_ratio_std")
+    frequency_std = _column(table, "frequency_hz_std")
+    floors = settings.floors
+    rows = RowTable()
+    where = np.flatnonzero(good)
+    notes = [] if good.all() else [f"{name}: {int((~good).sum())} of {good.size} rows have no value and are left out."]
+    for level, index in enumerate(where):
+        common = {
+            "level": level,
+            "channel": 0,
+            "harmonic": 1,
+            "time_s": 0.0,
+            "frequency_hz": float(frequency[index]),
+            "amplitude": float(amplitude[index]),
+        }
+        stated = frequency_std[index] / frequency[index]
+        known = math.isfinite(stated) and stated > 0.0
+        rows.add(
+            Part.LOG_FREQUENCY, math.log(2.0 * math.pi * frequency[index]), stated if known else 0.0,
+            floors.log_frequency if known else floors.table_log_frequency, **common,
+        )  # fmt: skip
+        if math.isfinite(damping[index]):
+            known = math.isfinite(damping_std[index]) and damping_std[index] > 0.0
+            share = floors.decay_damping if known else floors.table_damping
+            rows.add(
+                Part.DAMPING, float(damping[index]), float(damping_std[index]) if known else 0.0,
+                share * abs(float(damping[index])), **common,
+            )  # fmt: skip
+    test = BackboneTable(name, view.rig.drive_point, channel, amplitude[where].copy())
+    return rows.evidence(test, notes)
+
+
+def _responses(
+    name: str, table: ObservableTable, view: ModelView, channel: MeasuredChannel, settings: EvidenceSettings
+) -> Evidence:
+    frequency = table.columns["frequency_hz"]
+    response = table.columns["real"] + 1j * table.columns["imag"]
+    size = np.abs(response)
+    good = np.isfinite(size) & (size > 0.0) & (frequency > 0.0)
+    if not good.any():
+        return empty((f"{name}: left out: it has no usable line.",))
+    std = np.sqrt(0.5 * (_column(table, "real_std") ** 2 + _column(table, "imag_std") ** 2)) / np.where(size > 0.0, size, 1.0)
+    stated = np.isfinite(std)
+    std = np.where(stated, std, _WITHOUT_STD)
+    # Without uncertainties a coherence says something, but not how much was averaged: the line counts for less below 1.
+    coherence = np.clip(_column(table, "coherence"), 1e-6, 1.0)
+    weak = ~stated & np.isfinite(coherence)
+    std[weak] = np.maximum(std[weak], np.sqrt(0.5 * (1.0 - coherence[weak]) / coherence[weak]))
+    good &= std <= settings.largest_std
+    candidates = np.flatnonzero(good)
+    if candidates.size == 0:
+        return empty((f"{name}: left out: no line is known to better than {100 * settings.largest_std:g} %.",))
+    order = candidates[np.argsort(frequency[candidates], kind="stable")]
+    chosen = order[_spread(frequency[order], response[order], settings.lines)]
+    notes = []
+    if not stated.any():
+        notes.append(f"{name}: no uncertainties are given; {100 * _WITHOUT_STD:g} % is taken for every line.")
+    rows = RowTable()
+    level = table.level if math.isfinite(table.level) else 0.0
+    for number, index in enumerate(chosen):
+        common = {"level": number, "channel": 0, "time_s": 0.0, "frequency_hz": float(frequency[index]), "amplitude": level}
+        value = float(std[index])
+        floors = settings.floors
+        rows.add(Part.LOG_MAGNITUDE, math.log(float(size[index])), value, floors.frf_log_magnitude, **common)
+        rows.add(Part.PHASE, float(np.angle(response[index])), value, floors.frf_phase, **common)
+    steps = np.diff(np.sort(frequency))
+    test = RandomTest(
+        name=name,
+        drive_point=view.rig.drive_point,
+        channels=(channel,),
+        reference="force",
+        lines_hz=frequency[chosen].copy(),
+        resolution_hz=float(np.min(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0,
+        window="none",
+        drive_rms=level,
+        start_s=0.0,
+        stop_s=0.0,
+    )
+    return rows.evidence(test, notes)
+
+
+def _spread(frequency: FloatArray, response: np.ndarray[tuple[int], np.dtype[np.complex128]], wanted: int) -> FloatArray:
+    """Indices evenly spread over decades and turns of the phase."""
+    if frequency.size <= wanted:
+        return np.arange(frequency.size)
+    turns = np.concatenate(([0.0], np.cumsum(np.abs(np.angle(response[1:] * np.conj(response[:-1]))))))
+    way = np.log(frequency / frequency[0]) + turns * math.log(4.0) / math.pi
+    return np.unique(np.searchsorted(way, np.linspace(way[0], way[-1], wanted)).clip(0, way.size - 1))

@@ -9,7 +9,7 @@ from nmt_core.linear_description import LinearDescription
 
 from .model.linear_modes import damped_modes, sticking_modes
 from .rig import Rig
-from .rig_model import build_elements, build_shaker, build_structure, build_system, input_per_volt
+from .rig_model import build_resting_elements, build_shaker, build_structure, build_system, input_per_volt
 
 
 def linear_description(rig: Rig) -> LinearDescription:
@@ -24,7 +24,7 @@ def linear_description(rig: Rig) -> LinearDescription:
         ValueError: the plant has no oscillating mode.
     """
     structure = build_structure(rig)
-    elements = build_elements(rig, structure)
+    elements = build_resting_elements(rig, structure)
     target = rig.test.mode - 1
     modes = sticking_modes(structure, elements, max(rig.extraction.linear_modes, rig.test.mode))
     points = rig.response_points(Quantity[rig.extraction.quantity.upper()])

@@ -27,7 +27,15 @@ from .model.fourier_basis import FourierBasis
 from .model.linear_modes import sticking_modes
 from .model.phase_resonance import ExtractedMode, extract_mode, phase_resonant_backbone
 from .rig import Rig
-from .rig_model import build_elements, build_structure, build_system, input_per_volt
+from .rig_model import (
+    build_elements,
+    build_resting_elements,
+    build_structure,
+    build_system,
+    input_per_volt,
+    refuse_beyond_harmonic_balance,
+    without_exciter_effects,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -103,6 +111,7 @@ def compute_reference(
     Raises:
         BenchError: wrong amplitudes or harmonics, or no solution.
     """
+    refuse_beyond_harmonic_balance(rig, with_exciter=False)
     structure = build_structure(rig)
     elements = build_elements(rig, structure)
     amplitudes = (
@@ -134,7 +143,7 @@ def default_amplitudes(rig: Rig, points: int = 100) -> FloatArray:
     if points < 2:
         raise BenchError(f"a reference needs at least 2 points, got {points}; give a larger number.")
     levels = _level_range(rig.test.levels)
-    reached = single_point_reference(rig, None, levels).mode.full_modal_amplitude
+    reached = single_point_reference(without_exciter_effects(rig), None, levels).mode.full_modal_amplitude
     low = 10.0 ** np.floor(np.log10(reached.min() / 3.0))
     high = 10.0 ** np.ceil(np.log10(reached.max() * 10.0))
     return np.geomspace(low, high, points)
@@ -190,8 +199,9 @@ def single_point_reference(
         BenchError: wrong levels or point, or no phase resonance.
     """
     rig = with_exciter_at(rig, exciter_point)
+    refuse_beyond_harmonic_balance(rig, with_exciter=True)
     structure = build_structure(rig)
-    elements = build_elements(rig, structure)
+    elements = build_resting_elements(rig, structure)
     modes = sticking_modes(structure, elements, max(rig.extraction.linear_modes, rig.test.mode))
     problem = ForcedProblem(
         build_system(rig), FourierBasis.up_to(harmonics), float(modes.frequencies[rig.test.mode - 1])

@@ -599,6 +599,12 @@ def _check_hysteresis(rig: Rig, document: RigDocument) -> None:
 
 def _check_element(rig: Rig, index: int, element: ElementSection, document: RigDocument) -> None:
     """Side and rotation fit exciter and structure."""
+    if element.side == "exciter" and isinstance(
+        element,
+        BoucWenSection | LuGreSection | FractionalDamperSection | TunedMassQuadraticSection | RattlingMassSection,
+    ):
+        place = document.place(("local_elements", index, "side"))
+        raise BenchError(f"{place}: local_elements.{index} ({element.kind}) can only be on the side of the structure.")
     if element.side == "exciter" and (element.point != rig.drive_point or element.other_point is not None):
         place = document.place(("local_elements", index, "side"))
         raise BenchError(

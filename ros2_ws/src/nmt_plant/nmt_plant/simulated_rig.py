@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from nmt_core.blocks import BlockFlag, FloatArray, Quantity
 from nmt_core.errors import BenchError
 
 from .device import DeviceFault, DriveCommand
+from .drift import Drift
 from .guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings
 from .limits import within_limit
 from .model.assembly import (
@@ -23,11 +25,11 @@ from .model.assembly import (
 )
 from .model.time_integration import IntegrationError, TimeIntegrator
 from .oscillator import OscillatorBlock
-from .rig import Rig
+from .rig import Rig, ShakerSection
 from .rig_model import build_system, input_per_volt
 from .sensors import Sensor, SensorChannel
 
-__all__ = ["TICK_ORDER", "SimulatedRig", "rig_sensors", "sensor_output"]
+__all__ = ["TICK_ORDER", "SimulatedRig", "rig_sensors", "sensor_output", "sensor_row"]
 
 
 def rig_sensors(rig: Rig) -> tuple[Sensor, ...]:
@@ -42,6 +44,15 @@ def rig_sensors(rig: Rig) -> tuple[Sensor, ...]:
             noise_correlation_time=section.noise_correlation_time_s,
             adc_range=section.range,
             adc_bits=section.bits,
+            dead_zone=section.dead_zone,
+            low_pass_hz=section.low_pass_hz,
+            high_pass_hz=section.high_pass_hz,
+            delay=section.delay_s,
+            hum_amplitude=section.hum_amplitude,
+            hum_hz=section.hum_hz,
+            crosstalk_per_volt=section.crosstalk_per_volt,
+            clip=section.clip,
+            dropped_fraction=section.dropped_fraction,
         )
         for section in rig.sensors
     )
@@ -68,6 +79,22 @@ def sensor_output(system: ElectromechanicalSystem, sensor: Sensor, volts_to_inpu
     if sensor.quantity not in by_point:
         raise ValueError(f"no sensor measures {sensor.quantity.name}")
     return by_point[sensor.quantity](system, sensor.point)
+
+
+def sensor_row(system: ElectromechanicalSystem, rig: Rig, index: int, volts_to_input: float) -> OutputRow:
+    """Output row of one of the rig's sensors, with the mass of a force cell and the share of a transverse motion.
+
+    Raises:
+        ValueError: a quantity that no sensor measures, or a current without a shaker.
+    """
+    sensor, section = rig_sensors(rig)[index], rig.sensors[index]
+    row = sensor_output(system, sensor, volts_to_input)
+    if section.mass_kg and sensor.quantity == Quantity.FORCE:
+        row = row.plus(acceleration_output(system, system.drive_point), section.mass_kg)
+    if section.transverse is not None:
+        other = sensor_output(system, replace(sensor, point=section.transverse.point), volts_to_input)
+        row = row.plus(other, section.transverse.fraction)
+    return row
 
 
 def _channel_groups(sensors: Sequence[Sensor]) -> list[ChannelGroup]:
@@ -125,8 +152,15 @@ class SimulatedRig(GuardedDevice):
     def _prepare(self) -> None:
         super()._prepare()
         rig = self.rig
-        self._channels = [SensorChannel(sensor, rig.sample_rate_hz, rig.seed) for sensor in self.sensors]
+        self._channels = [SensorChannel(sensor, self.true_sample_rate, rig.seed) for sensor in self.sensors]
         self._plain_sensors = all(channel.plain for channel in self._channels)
+        self._drift = Drift(rig)
+        self._drive_voltage = np.zeros(0)
+
+    @property
+    def true_sample_rate(self) -> float:
+        """Hz: what a clock without error would find; the rig takes its sample rate for the nominal one."""
+        return self.rig.sample_rate_hz * (1.0 + self.rig.clock_error)
 
     @property
     def integrator(self) -> TimeIntegrator:
@@ -140,24 +174,42 @@ class SimulatedRig(GuardedDevice):
         return self._integrator
 
     def _configure(self) -> None:
-        system = build_system(self.rig)
         self._volts_to_input = input_per_volt(self.rig)
-        outputs = [sensor_output(system, sensor, self._volts_to_input) for sensor in self.sensors]
-        self._integrator = TimeIntegrator(system, self.sample_rate, outputs, self.rig.substeps)
+        self._integrator = self._make_integrator()
+        exciter = self.rig.exciter
+        self._saturation = exciter.amplifier_saturation_v if isinstance(exciter, ShakerSection) else None
+        self._voltage_rows = [row for row, s in enumerate(self.sensors) if s.quantity == Quantity.VOLTAGE]
         # Compiles the time loop, or loads it: not in the first block.
         self._integrator.advance(np.zeros(2))
         within_limit(np.zeros((1, 1)), 1.0)
         self._oscillator.block(1)
 
+    def _make_integrator(self) -> TimeIntegrator:
+        system = build_system(self.rig)
+        outputs = [sensor_row(system, self.rig, row, self._volts_to_input) for row in range(len(self.sensors))]
+        return TimeIntegrator(system, self.true_sample_rate, outputs, self.rig.substeps)
+
     def _start(self) -> None:
+        if self._drift.active:
+            self._integrator = self._make_integrator()  # what drifted is as it was
         self.integrator.reset()
         super()._start()
 
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
+        voltage = drive.voltage
+        if self._saturation is not None:
+            voltage = self._saturation * np.tanh(voltage / self._saturation)
+        self._drive_voltage = drive.voltage[:-1]
         try:
-            return self.integrator.advance(self._volts_to_input * drive.voltage)
+            if self._drift.active:
+                values = self._drift.advance(self.integrator, self._volts_to_input * voltage, drive.phase)
+            else:
+                values = self.integrator.advance(self._volts_to_input * voltage)
         except (IntegrationError, ValueError) as error:
             raise DeviceFault(str(error)) from error
+        if self._saturation is not None:
+            values[self._voltage_rows] = drive.voltage[:-1]  # measured before the amplifier
+        return values
 
     def _compute(self, true_values: FloatArray) -> tuple[FloatArray, bool]:
         if self._plain_sensors:
@@ -165,7 +217,7 @@ class SimulatedRig(GuardedDevice):
         overload = False
         recorded = np.empty_like(true_values)
         for row, channel in enumerate(self._channels):
-            recorded[row], over = channel.measure(true_values[row])
+            recorded[row], over = channel.measure(true_values[row], self._drive_voltage)
             overload = overload or over
         return recorded, overload
 

@@ -22,7 +22,13 @@ from .model.linear_modes import sticking_modes
 from .model.phase_resonance import _Quadrature, extract_mode, linear_phase_resonance
 from .reference import SinglePointReference
 from .rig import IwanSection, JenkinsSection, Rig
-from .rig_model import build_elements, build_structure, build_system, input_per_volt
+from .rig_model import (
+    build_resting_elements,
+    build_structure,
+    build_system,
+    input_per_volt,
+    refuse_beyond_harmonic_balance,
+)
 
 _SOFTENING = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
 _STIFFENING_STEPS = 15
@@ -64,6 +70,7 @@ def single_point_reference_from_above(
         raise BenchError("levels must be positive voltages; give at least one.")
     if not any(isinstance(element, _FRICTION) for element in rig.local_elements):
         raise BenchError(f"rig {rig.name} has no Jenkins element, so it has no slipping range.")
+    refuse_beyond_harmonic_balance(rig, with_exciter=True)
     structure = build_structure(rig)
     # One reference frequency scales all problems, so that a solution of one is a guess for the next.
     scale = float(sticking_modes(structure, (), rig.test.mode).frequencies[rig.test.mode - 1])
@@ -85,7 +92,8 @@ def single_point_reference_from_above(
         if value in logs:
             reached[float(value)] = system.response(z)
     order = sorted(reached)
-    modes = sticking_modes(structure, build_elements(rig, structure), max(rig.extraction.linear_modes, rig.test.mode))
+    elements = build_resting_elements(rig, structure)
+    modes = sticking_modes(structure, elements, max(rig.extraction.linear_modes, rig.test.mode))
     points = rig.response_points(Quantity[rig.extraction.quantity.upper()])
     shapes = modes.shapes[[modes.points.index(point) for point in points], : rig.extraction.linear_modes]
     mode = extract_mode(system.problem, [reached[value] for value in order], points, shapes, structure.mass)
@@ -103,7 +111,7 @@ def _from_rest(rig: Rig, harmonics: int, scale: float, top: float) -> tuple[floa
     for factor in _SOFTENING:
         softer = softened(rig, factor)
         structure = build_structure(softer)
-        sticking = sticking_modes(structure, build_elements(softer, structure), softer.test.mode)
+        sticking = sticking_modes(structure, build_resting_elements(softer, structure), softer.test.mode)
         try:
             resonance = linear_phase_resonance(
                 _problem(softer, harmonics, float(sticking.frequencies[softer.test.mode - 1]))

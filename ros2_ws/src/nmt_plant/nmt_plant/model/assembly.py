@@ -130,11 +130,10 @@ class ElectromechanicalSystem:
         s = 1j * frequency
         row = s * s * self.force.acceleration + s * self.force.velocity + self.force.displacement
         if sticking and self.force.exciter_elements:
-            row = row.astype(complex)
             for index, element in enumerate(self.elements):
                 if self.is_on_exciter(index):
                     tangent = element.linear_stiffness + s * element.linear_damping
-                    row += self.force.exciter_elements * tangent * element.direction
+                    row = row + self.force.exciter_elements * tangent * element.direction
         return q, complex(row @ q + self.force.feedthrough)
 
 

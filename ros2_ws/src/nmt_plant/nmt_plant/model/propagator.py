@@ -140,7 +140,7 @@ def state_space(system: ElectromechanicalSystem) -> StateSpace:
     return _with_couplings(space, system, inverse_mass) if system.couplings else space
 
 
-def _with_couplings(space: StateSpace, system: ElectromechanicalSystem, inverse_mass: Array) -> StateSpace:
+def _with_couplings(space: StateSpace, system: ElectromechanicalSystem, inverse_mass: NDArray[Any]) -> StateSpace:
     """The state space with a port for each coupling behind those of the local elements."""
     m, count = space.mechanical_size, len(system.couplings)
     columns = np.array([coupling.column for coupling in system.couplings]).T

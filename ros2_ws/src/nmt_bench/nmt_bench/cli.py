@@ -35,6 +35,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("nmt_bench.demo_command", "the paper's virtual experiment, from the first node to the report"),
     "run": ("nmt_bench.run_command", "one test of a rig: step the level, lock, record, extract, report"),
     "extract": ("nmt_bench.extract_command", "modal properties from a recorded bag; equal to the live ones"),
+    "linear": ("nmt_bench.linear_command", "linear modal test: random excitation, frequency responses, fitted modes"),
     "sweep": ("nmt_bench.sweep_command", "sine sweep or stepped sine with a held force; frequency responses"),
     "synthesis": (
         "nmt_bench.synthesis_command",

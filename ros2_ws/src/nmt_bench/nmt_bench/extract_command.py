@@ -12,7 +12,6 @@ from nmt_bench.output_folder import OutputFolder, add_output_options, check_outp
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
-    from nmt_core.linear_description import LinearDescription
     from nmt_extract.modal_point import ModalPoint
     from nmt_extract.settings import ExtractionSettings
     from nmt_record.bag_reader import Bag
@@ -67,13 +66,14 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
 
+    from nmt_bench.linear_input import read_linear
     from nmt_bench.report_data import read_reference
     from nmt_bench.terminal import make_console, print_modal_table
     from nmt_extract.modal_table import write_results
     from nmt_extract.offline import extract_opened_bag
     from nmt_record.bag_reader import Bag
 
-    linear = _read_linear(arguments.linear) if arguments.linear is not None else None
+    linear = read_linear(arguments.linear) if arguments.linear is not None else None
     reference = read_reference(arguments.reference) if arguments.reference is not None else None
     bag = Bag.open(arguments.bag)
     settings = _settings(bag.run_start, arguments.harmonics)
@@ -132,16 +132,3 @@ def _settings(run: dict[str, object] | None, harmonics: int | None) -> Extractio
     recorded = (run or {}).get("extraction")
     values = dict(recorded) if isinstance(recorded, dict) else {}
     return ExtractionSettings.from_mapping({**values, "harmonics": harmonics})
-
-
-def _read_linear(path: Path) -> LinearDescription:
-    from nmt_core.linear_description import LinearDescription
-
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"The linear description {path} cannot be read; give a linear.json file.") from error
-    try:
-        return LinearDescription.from_json(text)
-    except BenchError as error:
-        raise BenchError(f"{path}: {error}") from error

@@ -39,6 +39,12 @@ def add_parser(subparsers: Subparsers) -> None:
     add_output_options(parser, "bag/, modal.csv, modal.json, report.html, rig.yaml, run.json")
     parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
     parser.add_argument(
+        "--linear",
+        metavar="FILE",
+        type=Path,
+        help="linear.json of './nmt linear' for loop and extraction (default: the linear modes of the rig's model)",
+    )
+    parser.add_argument(
         "--levels",
         metavar="PLAN",
         help="levels in the unit of --control: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or a "
@@ -118,8 +124,10 @@ def run(arguments: argparse.Namespace) -> int:
     check_output(arguments.out, arguments.force)
 
     from nmt_bench.harness import Bench
+    from nmt_bench.linear_input import check_fits, read_linear
     from nmt_bench.terminal import make_console
 
+    linear = read_linear(arguments.linear) if arguments.linear is not None else None
     bench = Bench(
         arguments.rig,
         levels=_levels(arguments),
@@ -138,7 +146,10 @@ def run(arguments: argparse.Namespace) -> int:
         node_values={"pll": {"loop": arguments.pll}} if arguments.pll else None,
         control=arguments.control,
         strategy=arguments.strategy,
+        linear=linear,
     )
+    if linear is not None:
+        check_fits(linear, bench.rig, arguments.linear)
     console = make_console()
     with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
         result = measure(bench, console, arguments.quiet)

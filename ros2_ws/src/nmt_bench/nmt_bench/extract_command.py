@@ -97,7 +97,8 @@ def run(arguments: argparse.Namespace) -> int:
     print_modal_table(result.points, reference, console)
     if linear is None and settings is None:
         console.print(_comparison(result.points, recorded_points(bag)), markup=False)
-    names = "modal.csv, modal.json" + ("" if arguments.no_report else ", report.html")
+    written = ("modal.csv", "modal.json", "hysteresis.csv", "report.html")
+    names = ", ".join(name for name in written if (arguments.out / name).exists())
     console.print(f"Results in {arguments.out}: {names}", markup=False)
     sys.stdout.flush()
     return 0

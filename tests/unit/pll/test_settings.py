@@ -45,7 +45,7 @@ def test_fixed_gains_come_in_pairs(gains):
 
 
 def test_an_unknown_setting_is_named_with_the_known_ones():
-    with pytest.raises(BenchError, match=r"'cutof' is not known; known are .*cutoff, .*unlock_tolerance\.$"):
+    with pytest.raises(BenchError, match=r"'cutof' is not known; known are .*cutoff, .*voltage_limit\.$"):
         settings_from({"cutof": 1.0})
 
 

@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     points, inputs = read_json(_file(arguments.backbone, "modal.json"))
     linear, others = _others(arguments.linear, inputs, _points(points))
-    backbone = Backbone.from_points(points)
+    backbone = Backbone.from_points(points, others)
     tables = [table for path in arguments.sweep for table in read_response_csv(_file(path, "frf.csv"))]
     for table in tables:
         if table.level_unit != "N":

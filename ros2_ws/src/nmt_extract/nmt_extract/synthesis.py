@@ -13,6 +13,10 @@ vanishes. All solutions at one frequency are the crossings of that curve.
 ω̃(q), δ̃(q) and φ̃₁(q) are interpolated along ln q by piecewise cubic polynomials that keep monotone stretches monotone
 (PCHIP; real and imaginary parts of the shape separately). There is no extrapolation: beyond the measured amplitudes the
 response is not known, and the result says between which frequencies.
+
+A single exciter excites the other modes too, so the shape measured at phase resonance holds their share already. It is
+taken out, φ̃₁ = (ψ̃₁ − R(ω̃) F₁)/q with the other modes' receptance R, before the synthesis adds R(Ω) f₁; otherwise it
+would count twice, which turns the phase of responses far from the drive point by the ratio of that share to the whole.
 """
 
 from __future__ import annotations
@@ -61,8 +65,12 @@ class Backbone:
             raise BenchError("A synthesis needs damping ratios between 0 and 1 and positive frequencies.")
 
     @classmethod
-    def from_points(cls, points: Sequence[ModalPoint]) -> Backbone:
+    def from_points(cls, points: Sequence[ModalPoint], others: OtherModes | None = None) -> Backbone:
         """From extracted levels in any order; points of (nearly) the same amplitude are averaged.
+
+        Args:
+            points: the levels.
+            others: other modes whose share is taken out of the measured shapes; None = shapes as measured.
 
         Raises:
             BenchError: fewer than two usable levels, or levels with different measurement points.
@@ -88,7 +96,7 @@ class Backbone:
                 float(np.mean([p.modal_amplitude for p in group])),
                 float(np.mean([p.omega_rad_s for p in group])),
                 float(np.mean([p.damping_ratio for p in group])),
-                np.mean([p.normalised_shape for p in group], axis=0),
+                np.mean([_own_shape(p, others) for p in group], axis=0),
             )
             for group in groups
         ]
@@ -107,6 +115,15 @@ class Backbone:
         return values[..., 0], values[..., 1], shape
 
     _interpolation: Any = None
+
+
+def _own_shape(point: ModalPoint, others: OtherModes | None) -> ComplexArray:
+    """φ̃₁ of a level without the share of the other modes, 1/√kg, shape ``(points,)``."""
+    if others is None:
+        return point.normalised_shape
+    receptance = others.receptance(np.array([point.omega_rad_s]))[0]
+    share = receptance * point.force_harmonics[1] / point.modal_amplitude
+    return np.asarray(point.normalised_shape - share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -440,11 +457,14 @@ class ResonanceError:
 
 
 def peak(frequency: FloatArray, amplitude: FloatArray, fit: int = 2) -> tuple[float, float]:
-    """Frequency and height of the largest value by a parabola through 2 ``fit`` + 1 points; plain at an end.
+    """Frequency and height of the largest value; between the points by a parabola.
+
+    The parabola goes through 1/amplitude² of 2 ``fit`` + 1 points, which it fits exactly for one linear mode.
 
     Args:
         frequency: shape ``(k,)``, monotone.
         amplitude: shape ``(k,)``; NaN are left out.
+        fit: points to either side; plain maximum at an end.
     """
     good = np.isfinite(amplitude)
     frequency, amplitude = frequency[good], amplitude[good]
@@ -455,11 +475,14 @@ def peak(frequency: FloatArray, amplitude: FloatArray, fit: int = 2) -> tuple[fl
     if top - fit < 0 or top + fit >= amplitude.size:
         return float(frequency[top]), float(amplitude[top])
     x = frequency[part] - frequency[top]
-    c0, c1, c2 = np.polynomial.polynomial.polyfit(x, amplitude[part], 2)
-    if not c2 < 0.0:
+    c0, c1, c2 = np.polynomial.polynomial.polyfit(x, (amplitude[top] / amplitude[part]) ** 2, 2)
+    if not c2 > 0.0:
         return float(frequency[top]), float(amplitude[top])
     place = float(np.clip(-c1 / (2.0 * c2), x.min(), x.max()))
-    return float(frequency[top] + place), float(c0 + c1 * place + c2 * place**2)
+    lowest = c0 + c1 * place + c2 * place**2
+    if not lowest > 0.0:
+        return float(frequency[top]), float(amplitude[top])
+    return float(frequency[top] + place), float(amplitude[top] / math.sqrt(lowest))
 
 
 def resonance_error(
@@ -478,14 +501,17 @@ def resonance_error(
         synthesised: the same from the synthesis; NaN where there is none.
         curve: frequencies (Hz) and moduli along the synthesised curve, for its peak; None = from ``synthesised``.
     """
-    peak_at, height = peak(frequency, np.abs(measured))
+    modulus = np.abs(measured)
+    top = int(np.nanargmax(modulus))
+    # Few points across the resonance: the nearest three; a wider parabola would span its asymmetry.
+    fit = 2 if np.count_nonzero(modulus >= modulus[top] / math.sqrt(2.0)) >= 40 else 1
+    peak_at, height = peak(frequency, modulus, fit)
     if curve is None:
-        found_at, found = peak(frequency, np.abs(synthesised))
+        found_at, found = peak(frequency, np.abs(synthesised), fit)
     else:
-        top = int(np.argmax(curve[1]))
-        found_at, found = float(curve[0][top]), float(curve[1][top])
-    top = int(np.nanargmax(np.abs(measured)))
-    above = np.abs(measured) >= height / math.sqrt(2.0)
+        highest = int(np.argmax(curve[1]))
+        found_at, found = float(curve[0][highest]), float(curve[1][highest])
+    above = modulus >= height / math.sqrt(2.0)
     low = top
     while low > 0 and above[low - 1]:
         low -= 1

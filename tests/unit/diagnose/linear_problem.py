@@ -28,7 +28,7 @@ class FunctionModel:
         self.calls += 1
         return Values(np.asarray(self.function(rig), dtype=float), rig)
 
-    def jacobian(self, parametrisation, theta, prediction):
+    def jacobian(self, parametrisation, theta, prediction, which=None):
         if self.derivative is not None:
             return self.derivative(theta)
         base = self.function(theta)
@@ -44,16 +44,13 @@ class FunctionModel:
 class Plain:
     """Parametrisation whose rig is its vector."""
 
-    prior_mean: np.ndarray
     prior_std: np.ndarray
     lower: np.ndarray
     names: tuple[str, ...]
 
     @classmethod
     def of(cls, size, std=1.0, lower=-np.inf):
-        return cls(
-            np.zeros(size), np.full(size, float(std)), np.full(size, float(lower)), tuple(f"p{k}" for k in range(size))
-        )
+        return cls(np.full(size, float(std)), np.full(size, float(lower)), tuple(f"p{k}" for k in range(size)))
 
     def rig(self, theta):
         return np.asarray(theta, dtype=float)

@@ -15,7 +15,7 @@ def test_linear_fit_is_the_gaussian_posterior():
     sigma = generator.uniform(0.5, 2.0, 40)
     prior = np.array([1.0, 0.3, 2.0])
     measured = matrix @ np.array([0.4, -0.2, 1.5]) + sigma * generator.standard_normal(40)
-    plain = Plain(np.zeros(3), prior, np.full(3, -np.inf), ("a", "b", "c"))
+    plain = Plain(prior, np.full(3, -np.inf), ("a", "b", "c"))
     result = fit(Problem(evidence_of(measured, sigma), FunctionModel(lambda t: matrix @ t)), plain, np.zeros(3))
     # Conditional mean of jointly Gaussian θ and y, by the other formula (gain matrix).
     joint = matrix @ np.diag(prior**2) @ matrix.T + np.diag(sigma**2)

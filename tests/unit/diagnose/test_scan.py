@@ -22,7 +22,7 @@ def test_score_equals_a_refit_with_the_effect():
     calibration, effect, measured, null = _setting()
     (score,) = scores(null, [Direction(0, np.zeros(1), effect, True)])
     both = np.column_stack([calibration, effect])
-    plain = Plain(np.zeros(5), np.array([1.0, 1.0, 1.0, 1.0, 1e6]), np.full(5, -np.inf), ("a", "b", "c", "d", "e"))
+    plain = Plain(np.array([1.0, 1.0, 1.0, 1.0, 1e6]), np.full(5, -np.inf), ("a", "b", "c", "d", "e"))
     full = fit(Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: both @ t)), plain, np.zeros(5), steps=200)
     fall = null.chi_square + null.penalty - full.chi_square - full.penalty
     assert score.gain == pytest.approx(fall, rel=1e-3)
@@ -32,7 +32,7 @@ def test_score_equals_a_refit_with_the_effect():
 
 def test_what_the_calibration_imitates_scores_nothing_and_wrong_signs_are_refused():
     calibration, effect, _, null = _setting()
-    wide = Plain(np.zeros(4), np.full(4, 1e3), np.full(4, -np.inf), ("a", "b", "c", "d"))
+    wide = Plain(np.full(4, 1e3), np.full(4, -np.inf), ("a", "b", "c", "d"))
     loose = fit(Problem(evidence_of(null.residual, 1.0), FunctionModel(lambda t: calibration @ t)), wide, np.zeros(4))
     inside, _ = sorted(
         scores(loose, [Direction(0, np.zeros(1), calibration[:, 1], True), Direction(1, np.zeros(1), effect, True)]),

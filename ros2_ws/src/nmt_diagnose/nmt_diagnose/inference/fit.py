@@ -26,7 +26,7 @@ class Fit:
         used: rows that the fit used, shape (m,).
         prediction: the model's solution at the estimate.
         chi_square: Σ r² over the used rows.
-        penalty: Σ ((θ − mean)/std)² of the prior.
+        penalty: Σ (θ/std)² of the prior.
         log_evidence: ln ∫ likelihood · prior dθ by Laplace's method, without the constant of the rows.
         converged: the last step changed nothing that matters.
     """
@@ -77,7 +77,7 @@ def fit(
     """
     rows = np.ones(problem.size, dtype=bool) if used is None else used
     theta = np.maximum(np.asarray(theta, dtype=np.float64), parametrisation.lower)
-    mean, std, lower = parametrisation.prior_mean, parametrisation.prior_std, parametrisation.lower
+    std, lower = parametrisation.prior_std, parametrisation.lower
     prediction = problem.forward.predict(parametrisation.rig(theta), start)
     residual = problem.residual(prediction)
     # Levels that have no solution even here cannot be compared; they are left out of this fit as a whole.
@@ -86,12 +86,12 @@ def fit(
         raise FitError("the model has no solution for any of the observables")
     rows = rows & solvable
     damping, converged = 1e-3, False
-    cost = _cost(residual, rows, theta, mean, std)
+    cost = _cost(residual, rows, theta, std)
     jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
     for _ in range(steps):
         used_jacobian, used_residual = jacobian[rows], residual[rows]
         normal = used_jacobian.T @ used_jacobian + np.diag(std**-2.0)
-        gradient = used_jacobian.T @ used_residual - (theta - mean) / std**2
+        gradient = used_jacobian.T @ used_residual - theta / std**2
         accepted = False
         for _ in range(_TRIALS):
             step = _bounded_step(normal, gradient, damping, theta, lower)
@@ -100,7 +100,7 @@ def fit(
             trial = np.maximum(theta + step, lower)
             trial_prediction = problem.forward.predict(parametrisation.rig(trial), prediction)
             trial_residual = problem.residual(trial_prediction)
-            trial_cost = _cost(trial_residual, rows, trial, mean, std)
+            trial_cost = _cost(trial_residual, rows, trial, std)
             if trial_cost <= cost:
                 accepted = True
                 break
@@ -128,11 +128,11 @@ def _finished(
     jacobian: FloatArray,
     converged: bool,
 ) -> Fit:
-    mean, std = parametrisation.prior_mean, parametrisation.prior_std
+    std = parametrisation.prior_std
     used = jacobian[rows]
     normal = used.T @ used + np.diag(std**-2.0)
     chi_square = float(residual[rows] @ residual[rows])
-    penalty = float(np.sum(((theta - mean) / std) ** 2))
+    penalty = float(np.sum((theta / std) ** 2))
     _, log_determinant = np.linalg.slogdet(normal)
     log_evidence = -0.5 * (chi_square + penalty) - 0.5 * float(log_determinant) - float(np.sum(np.log(std)))
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
@@ -151,11 +151,11 @@ def _whitened_jacobian(
     return np.where(np.isfinite(jacobian), jacobian, 0.0)
 
 
-def _cost(residual: FloatArray, rows: BoolArray, theta: FloatArray, mean: FloatArray, std: FloatArray) -> float:
+def _cost(residual: FloatArray, rows: BoolArray, theta: FloatArray, std: FloatArray) -> float:
     used = residual[rows]
     if not np.all(np.isfinite(used)):
         return float("inf")
-    return float(used @ used + np.sum(((theta - mean) / std) ** 2))
+    return float(used @ used + np.sum((theta / std) ** 2))
 
 
 def _bounded_step(

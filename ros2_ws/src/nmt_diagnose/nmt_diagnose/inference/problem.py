@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -30,9 +31,13 @@ class ForwardLike(Protocol):
         """Observables of a rig, starting from an earlier solution."""
 
     def jacobian(
-        self, parametrisation: ParametrisationLike, theta: FloatArray, prediction: PredictionLike
+        self,
+        parametrisation: ParametrisationLike,
+        theta: FloatArray,
+        prediction: PredictionLike,
+        which: Sequence[int] | None = None,
     ) -> FloatArray:
-        """Derivatives of the observables, shape (m, n)."""
+        """Derivatives of the observables with respect to θ or its entries ``which``, shape (m, n)."""
 
 
 class ParametrisationLike(Protocol):
@@ -43,12 +48,8 @@ class ParametrisationLike(Protocol):
         """Names of the parameters."""
 
     @property
-    def prior_mean(self) -> FloatArray:
-        """Mean of the prior, shape (n,)."""
-
-    @property
     def prior_std(self) -> FloatArray:
-        """Standard deviation of the prior, shape (n,)."""
+        """Standard deviation of the prior, whose mean is zero, shape (n,)."""
 
     @property
     def lower(self) -> FloatArray:

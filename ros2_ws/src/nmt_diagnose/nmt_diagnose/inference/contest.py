@@ -1,0 +1,283 @@
+"""The contest of explanations: scan all candidates, fit the promising ones, add a second where one leaves more.
+
+Everything is judged on the same rows. The model without effect, its own parameters re-fitted, always competes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.effects.calibration import CalibrationParameter
+from nmt_diagnose.effects.effect import Candidate, EffectParameter
+from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.inference.fit import Fit, FitError, fit
+from nmt_diagnose.inference.problem import BoolArray, Problem
+from nmt_diagnose.inference.scan import Direction, Score, scores
+from nmt_plant.rig import Rig
+
+_SHAPE_STARTS = (0.5, 1.0, 2.0)
+
+
+@dataclass(frozen=True)
+class ContestSettings:
+    """How far the contest goes.
+
+    Attributes:
+        finalists: most effects that are fitted.
+        placements: most placements (and starting shapes) of one effect that are fitted.
+        least_gain: fall of χ² in the scan below which a candidate is not worth a fit.
+        behind: fall of χ² in the scan by which a candidate may lie behind the best and still be fitted.
+        first_of_pairs: best single explanations that get a second effect tried.
+        second_of_pairs: second effects fitted for each.
+        pair_gain: fall of χ² in the second scan from which a pair is tried.
+    """
+
+    finalists: int = 8
+    placements: int = 2
+    least_gain: float = 6.0
+    behind: float = 60.0
+    first_of_pairs: int = 3
+    second_of_pairs: int = 3
+    pair_gain: float = 14.0
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A fitted explanation.
+
+    Attributes:
+        candidates: its effects at their places; empty for the model with only its parameters re-fitted.
+        fit: the fit.
+        score: its score in the scan; None for the model without effect.
+    """
+
+    candidates: tuple[Candidate, ...]
+    fit: Fit
+    score: Score | None = None
+
+    @property
+    def label(self) -> str:
+        """For example ``cubic_stiffness@4 + air_drag@7``; ``none`` without effects."""
+        return " + ".join(candidate.label for candidate in self.candidates) or "none"
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of its effects, sorted."""
+        return tuple(sorted(candidate.effect.name for candidate in self.candidates))
+
+    @property
+    def sigmas(self) -> float:
+        """Strength of its weakest effect over its standard uncertainty; 0 without effects."""
+        parametrisation = self.fit.parametrisation
+        if not self.candidates or not isinstance(parametrisation, Parametrisation):
+            return 0.0
+        found = []
+        for index, candidate in enumerate(self.candidates):
+            own = parametrisation.index_of(index)
+            strengths = [
+                abs(float(self.fit.theta[own][k])) / float(self.fit.std[own][k])
+                for k, parameter in enumerate(candidate.effect.parameters)
+                if parameter.kind == "strength"
+            ]
+            found.append(max(strengths, default=0.0))
+        return min(found)
+
+
+class Contest:
+    """Fits explanations of one piece of evidence.
+
+    Args:
+        problem: evidence and model.
+        rig: the model as given.
+        calibration: parameters of the model that are free.
+        candidates: effects at their places.
+        settings: how far to go.
+        progress: called with a sentence as the work goes on.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        rig: Rig,
+        calibration: tuple[CalibrationParameter, ...],
+        candidates: tuple[Candidate, ...],
+        settings: ContestSettings | None = None,
+        progress: Callable[[str], None] | None = None,
+    ) -> None:
+        self.problem = problem
+        self.rig = rig
+        self.calibration = calibration
+        self.candidates = candidates
+        self.settings = settings or ContestSettings()
+        self._progress = progress or (lambda _: None)
+
+    def null(self, used: BoolArray | None = None) -> Contender:
+        """The model with its own parameters re-fitted.
+
+        Raises:
+            FitError: the model as given has no solution for any observable.
+        """
+        parametrisation = Parametrisation(self.rig, self.calibration)
+        return Contender((), fit(self.problem, parametrisation, parametrisation.zero, used))
+
+    def scan(self, base: Contender) -> list[Score]:
+        """Score all candidates on top of a contender, best first."""
+        return scores(base.fit, self.directions(base))
+
+    def directions(self, base: Contender) -> list[Direction]:
+        """Directions of all candidates that the contender does not have yet."""
+        taken = {candidate.label for candidate in base.candidates}
+        numbers = [k for k, candidate in enumerate(self.candidates) if candidate.label not in taken]
+        starts = {k: _starts(self.candidates[k]) for k in numbers}
+        result: list[Direction] = []
+        for turn in range(max((len(values) for values in starts.values()), default=0)):
+            chosen = [k for k in numbers if len(starts[k]) > turn]
+            result.extend(self._directions(base, chosen, [starts[k][turn] for k in chosen]))
+        return result
+
+    def _directions(self, base: Contender, chosen: list[int], starts: list[FloatArray]) -> list[Direction]:
+        """Directions of candidates at one start each: derivatives at zero strength, differences where those vanish."""
+        added = tuple(self.candidates[k] for k in chosen)
+        parametrisation = Parametrisation(self.rig, self.calibration, base.candidates + added)
+        first = base.fit.theta.size
+        theta = np.concatenate(
+            [base.fit.theta, *[_at_zero(self.candidates[k], s) for k, s in zip(chosen, starts, strict=True)]]
+        )
+        sigma = self.problem.evidence.sigma
+        offset, columns = first, []
+        for k in chosen:
+            columns.append(offset + _strength(self.candidates[k]))
+            offset += len(self.candidates[k].effect.parameters)
+        smooth = [i for i, start in enumerate(starts) if start[_strength(self.candidates[chosen[i]])] == 0.0]
+        result = []
+        if smooth:
+            which = [columns[i] for i in smooth]
+            jacobian = self.problem.forward.jacobian(parametrisation, theta, base.fit.prediction, which)
+            for position, i in enumerate(smooth):
+                signed = _parameter(self.candidates[chosen[i]]).signed
+                result.append(Direction(chosen[i], starts[i], jacobian[:, position] / sigma, signed))
+        for i in set(range(len(chosen))) - set(smooth):
+            start = starts[i]
+            strength = float(start[_strength(self.candidates[chosen[i]])])
+            own = Parametrisation(self.rig, self.calibration, (*base.candidates, self.candidates[chosen[i]]))
+            moved = self.problem.forward.predict(own.rig(np.concatenate([base.fit.theta, start])), base.fit.prediction)
+            change = base.fit.residual - self.problem.residual(moved)
+            result.append(Direction(chosen[i], start, change / strength, _parameter(self.candidates[chosen[i]]).signed))
+        return result
+
+    def add(self, base: Contender, score: Score, used: BoolArray | None = None) -> Contender | None:
+        """Fit a candidate on top of a contender; None where the model cannot be solved with it."""
+        candidate = self.candidates[score.direction.candidate]
+        parametrisation = Parametrisation(self.rig, self.calibration, (*base.candidates, candidate))
+        start = np.array(score.direction.start, dtype=np.float64)
+        position = _strength(candidate)
+        if start[position] == 0.0:
+            # Half of what the scan says: a step too far may leave the range where the level has a solution.
+            limit = 2.0 * parametrisation.prior_std[base.fit.theta.size + position]
+            start[position] = np.clip(0.5 * score.strength, -limit, limit)
+        try:
+            result = fit(
+                self.problem, parametrisation, np.concatenate([base.fit.theta, start]), used, base.fit.prediction
+            )
+        except FitError:
+            return None
+        return Contender((*base.candidates, candidate), result, score)
+
+    def refit(self, contender: Contender, used: BoolArray) -> Contender | None:
+        """The same explanation fitted to other rows; None where that fails."""
+        start = contender.fit
+        try:
+            result = fit(self.problem, start.parametrisation, start.theta, used, start.prediction)
+        except FitError:
+            return None
+        return Contender(contender.candidates, result, contender.score)
+
+    def singles(self, base: Contender, found: Sequence[Score]) -> list[Contender]:
+        """Fit the candidates that promise most, best evidence first.
+
+        Args:
+            base: what they are added to.
+            found: scores, best first.
+        """
+        settings = self.settings
+        chosen: dict[str, list[Score]] = {}
+        best = found[0].gain if found else 0.0
+        for score in found:
+            if score.gain < max(settings.least_gain, best - settings.behind):
+                break
+            name = self.candidates[score.direction.candidate].effect.name
+            if name not in chosen and len(chosen) == settings.finalists:
+                continue
+            if len(chosen.setdefault(name, [])) < settings.placements:
+                chosen[name].append(score)
+        result = []
+        for name, mine in chosen.items():
+            self._progress(f"fitting {name}")
+            for score in mine:
+                contender = self.add(base, score)
+                if contender is not None:
+                    result.append(contender)
+        return sorted(result, key=lambda contender: -contender.fit.log_evidence)
+
+    def pairs(self, singles: Sequence[Contender]) -> list[Contender]:
+        """Second effects on top of the best single ones, best evidence first."""
+        settings = self.settings
+        result: list[Contender] = []
+        tried: set[tuple[str, ...]] = set()
+        for single in _best_by_effect(singles)[: settings.first_of_pairs]:
+            count = 0
+            for score in self.scan(single):
+                if score.gain < settings.pair_gain or count == settings.second_of_pairs:
+                    break
+                label = self.candidates[score.direction.candidate].label
+                key = tuple(sorted((single.label, label)))
+                if key in tried:
+                    continue
+                tried.add(key)
+                count += 1
+                self._progress(f"fitting {single.label} with {label}")
+                contender = self.add(single, score)
+                if contender is not None:
+                    result.append(contender)
+        return sorted(result, key=lambda contender: -contender.fit.log_evidence)
+
+
+def _best_by_effect(contenders: Sequence[Contender]) -> list[Contender]:
+    seen: set[tuple[str, ...]] = set()
+    result = []
+    for contender in contenders:
+        if contender.effects not in seen:
+            seen.add(contender.effects)
+            result.append(contender)
+    return result
+
+
+def _strength(candidate: Candidate) -> int:
+    """Position of the strength among the parameters of a candidate."""
+    return next(k for k, p in enumerate(candidate.effect.parameters) if p.kind == "strength")
+
+
+def _parameter(candidate: Candidate) -> EffectParameter:
+    return candidate.effect.parameters[_strength(candidate)]
+
+
+def _at_zero(candidate: Candidate, start: FloatArray) -> FloatArray:
+    result = start.copy()
+    result[_strength(candidate)] = 0.0
+    return result
+
+
+def _starts(candidate: Candidate) -> list[FloatArray]:
+    """Dimensionless parameters to look at: all combinations of the grids; a strength without grid at zero."""
+    grids: list[tuple[float, ...]] = []
+    for parameter in candidate.effect.parameters:
+        if parameter.kind == "shape":
+            grids.append(tuple(float(np.log(value)) for value in parameter.grid or _SHAPE_STARTS))
+        else:
+            grids.append(parameter.grid or (0.0,))
+    return [np.array(values) for values in product(*grids)]

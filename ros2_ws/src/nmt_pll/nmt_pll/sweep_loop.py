@@ -23,6 +23,7 @@ _PROBE_VOLTAGE = 1.0e-4  # V, first voltage where nothing is known of the excite
 _PROBE_GROWTH = 0.25  # of ln u in a block while the measured amplitude is within its noise
 _PROBE_MARGIN = 20.0  # amplitude over its noise from which on the controller works
 _SHORTEST_DWELL = 0.2  # s
+_LONGEST_REST = 10.0  # s until a structure rests after a fade
 _LOST = math.log(2.0)  # deviation of the held amplitude that ends a sweep if it lasts
 _LOST_AFTER = 1.0  # s
 _GLIDE = 0.05  # relative change of frequency up to which a stepped sine glides on instead of stopping
@@ -265,29 +266,33 @@ class _GivenFrequencyLoop(LevelLoop):
         return self._refusal(level, phasors, end)
 
     def _listen_on(self, level: LevelCommand, end: int) -> str:
-        if end >= self._until - 4 * self._block_samples:
-            self._noise.append(self._held)
-        if end >= self._until:
-            self._ramp = self.block_duration
-            if level.control == CONTROL_VOLTAGE:
-                self._held = 0.0
-                self._approach(level, end)
-                self._amplitude = min(_PROBE_VOLTAGE, level.amplitude)
-            else:
-                self._stage = _Stage.PROBE
-                self._amplitude = _PROBE_VOLTAGE
-                self._set_deadline(level, end)
+        """Wait until the structure rests: what is left then is noise."""
+        self._noise = [*self._noise[-4:], self._held]
+        if end < self._until:
+            return ""
+        noise = max(self._noise)
+        if 2.0 * _PROBE_MARGIN * noise > level.amplitude:
+            if end < self._until + _LONGEST_REST * self.sample_rate:
+                return ""
+            return (
+                f"the target amplitude {level.amplitude:g} is within 2 x {_PROBE_MARGIN:g} times what is measured with "
+                f"the drive at rest ({noise:.2g}): noise, or a structure that does not come to rest"
+            )
+        self._ramp = self.block_duration
+        if level.control == CONTROL_VOLTAGE:
+            self._held = 0.0
+            self._approach(level, end)
+            self._amplitude = min(_PROBE_VOLTAGE, level.amplitude)
+        else:
+            self._stage = _Stage.PROBE
+            self._amplitude = _PROBE_VOLTAGE
+            self._set_deadline(level, end)
         return ""
 
     def _probe(self, level: LevelCommand, phasors: tuple[complex, complex], end: int) -> str:
         floor = self.settings.force_floor if level.control == CONTROL_FORCE else self.settings.response_floor
         wanted = max(_PROBE_MARGIN * max(self._noise, default=0.0), floor)
         if self._held >= min(wanted, 0.5 * level.amplitude):
-            if wanted > 0.5 * level.amplitude:
-                return (
-                    f"the target amplitude {level.amplitude:g} is within 2 x {_PROBE_MARGIN:g} times the noise of its "
-                    f"measurement ({max(self._noise, default=0.0):.2g})"
-                )
             self._approach(level, end)
             return ""
         self._amplitude *= math.exp(_PROBE_GROWTH)

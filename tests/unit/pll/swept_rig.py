@@ -1,0 +1,98 @@
+"""A simulated rig under a loop of given frequency, block by block, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nmt_core.blocks import Quantity, SampleBlock
+from nmt_core.test_kind import TestKind
+from nmt_plant.device import DriveCommand, Waveform
+from nmt_plant.rig import load_rig
+from nmt_plant.simulated_rig import SimulatedRig
+from nmt_pll.lock import LoopState
+from nmt_pll.settings import CONTROL_FORCE, LevelCommand, LoopSettings
+from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
+
+
+@dataclass
+class Outcome:
+    """What one level brought."""
+
+    lock: object = None
+    outputs: list = field(default_factory=list)
+    reasons: list = field(default_factory=list)
+    blocks: list[dict[Quantity, SampleBlock]] = field(default_factory=list)
+
+    def column(self, name: str) -> np.ndarray:
+        """One field of the answers within the window."""
+        inside = [o for o in self.outputs if self.lock.first_sample <= o.last_sample]
+        return np.array([getattr(o, name) for o in inside])
+
+
+class SweptRig:
+    """Joint resonator and a loop; blocks pass from one to the other as in lockstep."""
+
+    def __init__(
+        self, kind: TestKind = TestKind.SWEEP, overrides: Sequence[str] = (), latency_blocks: int = 0, **settings: float
+    ) -> None:
+        rig = load_rig("joint_resonator", overrides)
+        self.device = SimulatedRig(rig)
+        self.device.configure()
+        self.device.start()
+        loop = SweepLoop if kind is TestKind.SWEEP else SteppedSineLoop
+        values = LoopSettings(latency_blocks=latency_blocks, **settings)
+        self.loop = loop(rig.drive_point, values, self.device.sample_rate, self.device.block_samples)
+        self.kind = kind
+        self.delay = latency_blocks * self.device.block_samples
+        self.sequence = 0
+
+    def order(self, amplitude: float, frequency_hz: float, **fields: object) -> LevelCommand:
+        """A level for the next block."""
+        self.sequence += 1
+        values = {"ramp": 0.2, "control": CONTROL_FORCE, "timeout": 20.0, "window_periods": 20, **fields}
+        level = LevelCommand(
+            sequence=self.sequence,
+            index=self.sequence - 1,
+            amplitude=amplitude,
+            apply_at_sample=self.device.next_sample,
+            frequency_hz=frequency_hz,
+            test=self.kind,
+            **values,
+        )
+        self.loop.set_level(level)
+        return level
+
+    def run(self, seconds: float = 120.0) -> Outcome:
+        """Until the window is complete, the level is given up or the time is over."""
+        outcome = Outcome()
+        end = self.device.next_sample + round(seconds * self.device.sample_rate)
+        while self.device.next_sample < end:
+            blocks = {block.quantity: block for block in self.device.read()}
+            output = self.loop.process(blocks[Quantity.FORCE], blocks[Quantity.ACCELERATION])
+            running = output.amplitude > 0.0
+            self.device.write(
+                DriveCommand(
+                    Waveform(output.waveform) if running else Waveform.OFF,
+                    output.frequency_hz,
+                    output.amplitude,
+                    output.ramp,
+                    output.last_sample + 1 + self.delay,
+                    output.last_sample,
+                    rate_hz_s=output.rate_hz_s if running else 0.0,
+                    frequency_end_hz=output.frequency_end_hz if running else 0.0,
+                )
+            )
+            outcome.outputs.append(output)
+            outcome.blocks.append(blocks)
+            if output.transition is not None:
+                outcome.reasons.append(output.transition.reason)
+            outcome.lock = output.lock or outcome.lock
+            lock = outcome.lock
+            if lock is not None and self.device.next_sample >= lock.first_sample + lock.samples:
+                break
+            if output.state == LoopState.LOCK_LOST:
+                break
+        return outcome

@@ -36,7 +36,8 @@ def add_parser(subparsers: Subparsers) -> None:
         description=(
             "Drives the rig with low random noise, at half the level first and then at the level, and finds the linear "
             "modes: averaged frequency responses, stabilisation diagram, fit, mass-normalised shapes, residuals, and "
-            "the plant with its exciter. Give linear.json to './nmt run --linear': loop and extraction then need no model."
+            "the plant with its exciter. Give linear.json to './nmt run --linear': loop and extraction then need no "
+            "model."
         ),
     )
     parser.add_argument(

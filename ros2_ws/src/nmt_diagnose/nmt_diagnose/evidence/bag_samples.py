@@ -173,7 +173,7 @@ class _Collector:
             missing = int(np.isnan(row).sum())
             if channel.name not in faults and missing:
                 where = self.first + int(np.argmax(np.isnan(row)))
-                faults[channel.name] = f"{missing} of {row.size} samples are missing or NaN, the first at sample {where}"
+                faults[channel.name] = f"{missing} of {row.size} samples are missing or NaN, first at sample {where}"
             elif channel.name not in faults and not np.isfinite(row).all():
                 faults[channel.name] = "holds infinite values"
         middle = 0.5 * (self.first + self.end)

@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest, RingDownTest
-from nmt_diagnose.evidence.observables import Evidence, Part, Rows
+from nmt_diagnose.evidence.observables import Evidence, IntArray, Part, Rows
 
 _FEWEST_PAIRS = 6
 
 
 @dataclass(frozen=True)
 class Floors:
-    """Standard deviations that remain with noise-free sensors. ``docs/explanation/evidence.md`` shows the measurements.
+    """Standard deviations that remain with noise-free sensors; ``docs/reference/evidence.md`` shows the measurements.
 
     Attributes:
-        log_frequency: locked frequency, relative.
-        phase_error: F-v phase at lock against what the controller aims at, rad.
-        log_magnitude: fundamental amplitudes, relative.
+        log_frequency: locked frequency, relative: transients of the lock.
+        phase_error: F-v phase at lock against what the controller aims at, rad: a third of the tolerance at which locks
+            are usually confirmed.
+        log_magnitude, force_log_magnitude: fundamental amplitudes of motions and force, relative.
         phase: phases of fundamentals, rad.
         harmonic: other harmonics over the fundamental, 1.
-        frf_log_magnitude: frequency responses, relative.
-        frf_phase: their phases, rad.
+        model_harmonics: highest order of the model's harmonic balance; what it cuts off at a slipping joint adds to the
+            floors of locked windows, see :meth:`truncation`.
+        frf: frequency responses, relative and rad, besides the estimator's bias that is computed line by line.
         decay_log_frequency: instantaneous frequency of a ring-down, relative.
         decay_damping: its damping ratio, relative.
         table_log_frequency: frequencies of reduced tables without a stated uncertainty, relative.
@@ -32,18 +35,42 @@ class Floors:
         record: samples of a record, relative to the rms of their channel.
     """
 
-    log_frequency: float = 2e-5
-    phase_error: float = 2e-4
-    log_magnitude: float = 2e-4
-    phase: float = 2e-4
-    harmonic: float = 5e-5
-    frf_log_magnitude: float = 2e-4
-    frf_phase: float = 2e-4
+    log_frequency: float = 2e-6
+    phase_error: float = 1e-3
+    log_magnitude: float = 5e-5
+    force_log_magnitude: float = 2e-4
+    phase: float = 3e-5
+    harmonic: float = 5e-6
+    model_harmonics: int = 7
+    frf: float = 5e-5
     decay_log_frequency: float = 2e-4
     decay_damping: float = 1e-2
     table_log_frequency: float = 1e-3
     table_damping: float = 5e-2
     record: float = 5e-3
+
+    def window(self, part: Part, quantity: Quantity = Quantity.UNKNOWN, harmonic: int = 1) -> float:
+        """Floor of an observable of a locked window."""
+        if part is Part.PHASE_ERROR:
+            return self.phase_error
+        own = {
+            Part.LOG_FREQUENCY: self.log_frequency,
+            Part.LOG_MAGNITUDE: self.force_log_magnitude if quantity is Quantity.FORCE else self.log_magnitude,
+            Part.PHASE: self.phase,
+        }.get(part, self.harmonic)
+        return math.hypot(own, self.truncation(part, quantity, harmonic))
+
+    def truncation(self, part: Part, quantity: Quantity, harmonic: int) -> float:
+        """What orders beyond ``model_harmonics`` change; measured with 7 at a slipping joint, falls with power 3.5."""
+        if part is Part.LOG_FREQUENCY:
+            size = 2e-5
+        elif part in (Part.LOG_MAGNITUDE, Part.PHASE):
+            size = 3e-4 if quantity is Quantity.FORCE and part is Part.LOG_MAGNITUDE else 7e-5
+        elif quantity is Quantity.FORCE:
+            size = 1.5e-4 if harmonic else 0.0
+        else:
+            size = 6e-6 * harmonic ** {Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}.get(quantity, 0)
+        return float(size * (7.0 / self.model_harmonics) ** 3.5)
 
 
 def repeatability(evidence: Evidence, repeats: Evidence) -> tuple[FloatArray, tuple[str, ...]]:
@@ -87,24 +114,25 @@ def repeatability(evidence: Evidence, repeats: Evidence) -> tuple[FloatArray, tu
     return floor, (f"{count} observables have a repeat; the differences raise the floor of {raised}.",)
 
 
-def _types(rows: Rows, evidence: Evidence) -> FloatArray:
+def _types(rows: Rows, evidence: Evidence) -> IntArray:
     order = np.clip(rows.harmonic, -1, 2)
     quantity = np.zeros(len(rows), dtype=np.int64)
     for index in range(len(rows)):
         channels = getattr(evidence.tests[rows.test[index]], "channels", ())
         quantity[index] = int(channels[rows.channel[index]].quantity) if rows.channel[index] >= 0 and channels else 0
-    result: FloatArray = ((rows.test * 16 + rows.part) * 16 + order + 1) * 16 + quantity
+    result: IntArray = ((rows.test * 16 + rows.part) * 16 + order + 1) * 16 + quantity
     return result
 
 
 def _keys(evidence: Evidence) -> list[tuple[object, ...]]:
-    rows, keys = evidence.rows, []
+    rows = evidence.rows
+    keys: list[tuple[object, ...]] = []
     for index in range(len(rows)):
         test = evidence.tests[rows.test[index]]
         channel = ""
         if rows.channel[index] >= 0:
             own = getattr(test, "channels", None) or (getattr(test, "channel", None),)
-            channel = own[rows.channel[index]].name if own[0] is not None else ""
+            channel = getattr(own[rows.channel[index]], "name", "")
         if isinstance(test, RandomTest):
             place: object = round(float(rows.frequency_hz[index]), 6)
         elif isinstance(test, PhaseResonanceTest | RingDownTest):
@@ -112,7 +140,6 @@ def _keys(evidence: Evidence) -> list[tuple[object, ...]]:
         else:
             place = round(float(rows.time_s[index]), 9)
         amplitude = float(f"{rows.amplitude[index]:.3g}") if isinstance(test, PhaseResonanceTest) else 0.0
-        keys.append(
-            (type(test).__name__, test.drive_point, place, amplitude, channel, int(rows.harmonic[index]), int(rows.part[index]))
-        )
+        kind = int(rows.harmonic[index]), int(rows.part[index])
+        keys.append((type(test).__name__, test.drive_point, place, amplitude, channel, *kind))
     return keys

@@ -51,7 +51,8 @@ class ModelView:
         """Channels that the model predicts."""
         rig = self.rig
         return tuple(
-            MeasuredChannel(rig.sensor_channel(s), Quantity[s.quantity.upper()], rig.sensor_point(s)) for s in rig.sensors
+            MeasuredChannel(rig.sensor_channel(sensor), Quantity[sensor.quantity.upper()], rig.sensor_point(sensor))
+            for sensor in rig.sensors
         )
 
     def responses(self, channels: Sequence[MeasuredChannel], frequency_hz: float) -> ComplexArray:
@@ -102,7 +103,8 @@ def matched(
     taken = {channel.name for channel in result.values()}
     missing = [channel.name for channel in view.channels if channel.name not in taken]
     if missing:
-        notes.append(f"Of the model's channels, {', '.join(missing)} {'was' if len(missing) == 1 else 'were'} not recorded.")
+        verb = "was" if len(missing) == 1 else "were"
+        notes.append(f"Of the model's channels, {', '.join(missing)} {verb} not recorded.")
     return result, tuple(notes)
 
 

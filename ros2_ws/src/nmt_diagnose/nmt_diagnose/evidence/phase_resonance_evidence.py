@@ -18,7 +18,7 @@ from nmt_diagnose.evidence.drive_hold import hold_factor, image_responses
 from nmt_diagnose.evidence.model_view import ModelView
 from nmt_diagnose.evidence.moderated_variance import moderated
 from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.evidence.row_table import RowTable, empty
+from nmt_diagnose.evidence.row_table import Place, RowTable, empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
 from nmt_extract.harmonics import (
     resolvable_harmonics,
@@ -90,14 +90,11 @@ def analyse_window(segment: Segment, stretch: Stretch, settings: EvidenceSetting
         raise BenchError(f"{where}: the force {stretch.faults[force.name]}; the window is left out.")
     usable = [c for c in stretch.channels if c.name not in stretch.faults]
     data = np.stack([stretch.row(channel.name) for channel in usable])
-    cycles = stretch.cycles
-    known = cycles is not None
-    if cycles is None:
-        guess = segment.frequency_hz if segment.frequency_hz > 0.0 else math.nan
-        cycles = fit_frequency(stretch.row(force.name), stretch.sample_rate, guess) * np.arange(stretch.samples) / stretch.sample_rate
+    known = stretch.cycles is not None
+    cycles = _cycles(segment, stretch, force.name)
     # The window ends where its whole periods end.
     step = float(cycles[-1] - cycles[0]) / (cycles.size - 1)
-    periods = int(math.floor(cycles[-1] + step - cycles[0] + 0.02))
+    periods = math.floor(cycles[-1] + step - cycles[0] + 0.02)
     if periods < settings.fewest_periods:
         raise BenchError(
             f"{where}: the window holds {periods} whole periods; at least {settings.fewest_periods} are needed to tell "
@@ -108,7 +105,7 @@ def analyse_window(segment: Segment, stretch: Stretch, settings: EvidenceSetting
     count = sub_window_count(periods, settings.sub_windows)
     harmonics = resolvable_harmonics(settings.harmonics, used / periods)
     if harmonics < 1:
-        raise BenchError(f"{where}: {used / periods:.3g} samples in a period resolve no harmonic; the window is left out.")
+        raise BenchError(f"{where}: {used / periods:.3g} samples a period resolve no harmonic; the window is left out.")
     # Higher orders than those observed are fitted too, so that they do not leak into the observed ones.
     fitted = resolvable_harmonics(2 * settings.harmonics + 1, used / periods)
     moments = segment_moments(cycles, data, fitted, whole_period_bounds(cycles, periods, count))
@@ -138,10 +135,17 @@ def analyse_window(segment: Segment, stretch: Stretch, settings: EvidenceSetting
         reference = None if known else rows.index(force.name)
     if reference is not None:
         whole, without, single = (_turned(part, reference) for part in (whole, without, single))
-    mean_step = float(np.polyfit(np.arange(used), cycles, 1)[0]) if not known else float(cycles[-1] - cycles[0]) / (used - 1)
-    return LockedWindow(
-        segment, stretch, rows, whole, without, single, mean_step * stretch.sample_rate, drive, referenced
-    )  # fmt: skip
+    frequency = float(cycles[-1] - cycles[0]) / (used - 1) * stretch.sample_rate
+    return LockedWindow(segment, stretch, rows, whole, without, single, frequency, drive, referenced)
+
+
+def _cycles(segment: Segment, stretch: Stretch, force: str) -> FloatArray:
+    """Phase of the excitation at each sample, cycles; from a fit to the force where nobody recorded it."""
+    if stretch.cycles is not None:
+        return stretch.cycles
+    guess = segment.frequency_hz if segment.frequency_hz > 0.0 else math.nan
+    frequency = fit_frequency(stretch.row(force), stretch.sample_rate, guess)
+    return np.asarray(frequency * np.arange(stretch.samples) / stretch.sample_rate, dtype=np.float64)
 
 
 def _without_hold(
@@ -262,7 +266,7 @@ def phase_resonance_evidence(
     if held == "force":
         kept = [_force_framed(window) for window in kept]
     levels = _with_direction(levels, held)
-    present = [c for c in channels.values() if c.quantity is not Quantity.VOLTAGE and c.quantity is not Quantity.CURRENT]
+    present = [c for c in channels.values() if c.quantity not in (Quantity.VOLTAGE, Quantity.CURRENT)]
     recorded = {own.name: theirs for theirs, own in channels.items()}
     response = _response(kept[0].stretch, drive_point, response_quantity)
     test = PhaseResonanceTest(
@@ -285,28 +289,23 @@ def phase_resonance_evidence(
     _moderate(cells)
     index_of = {channel.name: number for number, channel in enumerate(present)}
     floors = settings.floors
+    quantity_of = {channel.name: channel.quantity for channel in present}
     for index, (window, level) in enumerate(zip(kept, levels, strict=True)):
         amplitude = level.drive if held == "voltage" else level.force_n
-        common = {
-            "level": index,
-            "time_s": 0.5 * (level.start_s + level.stop_s),
-            "frequency_hz": level.frequency_hz,
-            "amplitude": amplitude,
-        }
+        place = Place(index, 0.5 * (level.start_s + level.stop_s), level.frequency_hz, amplitude)
         omega = 2.0 * math.pi * level.frequency_hz
         slope = _frequency_per_phase(window, view, response)
         table.add(
-            Part.LOG_FREQUENCY, math.log(omega), slope * level.phase_error_std, floors.log_frequency, **common
-        )  # fmt: skip
+            Part.LOG_FREQUENCY, math.log(omega), slope * level.phase_error_std, floors.window(Part.LOG_FREQUENCY), place
+        )
         if window.segment.kind is TestKind.PHASE_RESONANCE or window.segment.kind is TestKind.UNKNOWN:
-            table.add(Part.PHASE_ERROR, level.phase_error, level.phase_error_std, floors.phase_error, **common)
+            floor = floors.window(Part.PHASE_ERROR)
+            table.add(Part.PHASE_ERROR, level.phase_error, level.phase_error_std, floor, place)
         for cell in cells:
             if cell.level == index:
                 std = math.sqrt(cell.variance) / cell.scale
-                floor = {Part.LOG_MAGNITUDE: floors.log_magnitude, Part.PHASE: floors.phase}.get(cell.part, floors.harmonic)
-                table.add(
-                    cell.part, cell.value, std, floor, channel=index_of[cell.name], harmonic=cell.harmonic, **common
-                )  # fmt: skip
+                floor = floors.window(cell.part, quantity_of[cell.name], cell.harmonic)
+                table.add(cell.part, cell.value, std, floor, place, index_of[cell.name], cell.harmonic)
     return table.evidence(test, notes)
 
 
@@ -326,7 +325,7 @@ def _level(window: LockedWindow, drive_point: int, wanted: Quantity | None, leve
     where = f"Level {segment.level_index}"
     response = _response(stretch, drive_point, wanted)
     if response is None:
-        return f"{where}: no usable response at the drive point {drive_point}, so its phase is not known; it is left out."
+        return f"{where}: no usable response at the drive point {drive_point}, so the phase is unknown; it is left out."
     force = stretch.find(Quantity.FORCE)
     assert force is not None
     lead = VELOCITY_LEAD[response.quantity]
@@ -343,8 +342,8 @@ def _level(window: LockedWindow, drive_point: int, wanted: Quantity | None, leve
     variance = float(_jackknife(without))
     drift = float(_drift(wrapped(error(window.single) - value)))
     if abs(value) > _FURTHEST_PHASE:
-        turned = abs(abs(value) - math.pi) < 0.5 * math.pi
-        why = "force or response has the wrong sign" if turned and abs(value) > math.radians(120.0) else "not near resonance"
+        turned = abs(value) > math.pi - _FURTHEST_PHASE
+        why = "force or response has the wrong sign" if turned else "not near resonance"
         return f"{where}: force and velocity are {math.degrees(value):.0f}° apart ({why}); it is left out."
     std = math.sqrt(variance)
     if abs(drift) > _SIGNIFICANT_DRIFT * math.sqrt(12.0) * std:
@@ -372,10 +371,7 @@ def _with_direction(levels: list[LockedLevel], held: str) -> list[LockedLevel]:
     size = [level.drive if held == "voltage" else level.force_n for level in levels]
     result = []
     for index, level in enumerate(levels):
-        if index > 0:
-            rising = size[index] >= size[index - 1]
-        else:
-            rising = len(levels) < 2 or size[1] >= size[0]
+        rising = size[index] >= size[index - 1] if index else len(levels) < 2 or size[1] >= size[0]
         result.append(replace(level, direction=1 if rising else -1))
     return result
 
@@ -403,12 +399,8 @@ def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int,
 
     def add(harmonic: int, part: Part, value: float, varied: FloatArray, parts: FloatArray) -> None:
         # In the unit of the channel, so that noise of the same kind compares.
-        cells.append(
-            _Cell(
-                level, channel.name, harmonic, part, value, size,
-                float(_jackknife(varied)) * size**2, float(_drift(parts)) * size, freedom,
-            )  # fmt: skip
-        )
+        variance, drift = float(_jackknife(varied)) * size**2, float(_drift(parts)) * size
+        cells.append(_Cell(level, channel.name, harmonic, part, value, size, variance, drift, freedom))
 
     if not given:
         turned = whole[1] / size

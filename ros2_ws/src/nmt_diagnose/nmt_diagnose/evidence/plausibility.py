@@ -34,8 +34,8 @@ def check_frequency(name: str, frequency_hz: Sequence[float], view: ModelView) -
     if ratios and all(max(ratio, 1.0 / ratio) > _WRONG_FREQUENCY for ratio in ratios):
         modes = ", ".join(f"{value:.4g}" for value in view.frequencies_hz)
         raise BenchError(
-            f"{name} was locked at {min(frequency_hz):.4g} Hz, but the model {view.rig.name} has its modes at {modes} Hz; "
-            "name the rig file of the rig that was tested, or the right sampling rate."
+            f"{name} was locked at {min(frequency_hz):.4g} Hz, but the model {view.rig.name} has its modes at {modes} "
+            "Hz; name the rig file of the rig that was tested, or the right sampling rate."
         )
 
 
@@ -64,9 +64,8 @@ def out_of_scale(
         names = [c.name for c in stretch.channels if c.name in channels and c.name not in stretch.faults]
         if not names or not frequency > 0.0:
             continue
-        cycles = stretch.cycles
-        if cycles is None:
-            cycles = frequency * np.arange(stretch.samples) / stretch.sample_rate
+        steady = np.asarray(frequency * np.arange(stretch.samples) / stretch.sample_rate, dtype=np.float64)
+        cycles = steady if stretch.cycles is None else stretch.cycles
         try:
             measured = np.abs(harmonic_amplitudes(cycles, np.stack([stretch.row(n) for n in names]), 1)[:, 1])
         except BenchError:
@@ -85,16 +84,17 @@ def out_of_scale(
     # The force is the least sure of all near resonance: it does not say where the middle is.
     motions = [value for channel, value in ratios.items() if channels[channel].quantity in ORDER]
     middle = float(np.median(motions or list(ratios.values())))
-    off, notes = set(), []
-    for channel, value in ratios.items():
-        kind = channels[channel].quantity
+    off: set[str] = set()
+    notes = []
+    for recorded, value in ratios.items():
+        kind = channels[recorded].quantity
         limit = math.log(_OUT_OF_SCALE if kind in ORDER else _HOPELESS_SCALE / 3.0)
         if abs(value - middle) > limit:
-            off.add(channel)
+            off.add(recorded)
             factor = math.exp(value - middle)
             notes.append(
-                f"{name}: channel {channel} ({kind.name.lower()}) is {factor:.3g} times as large as the other channels let "
-                f"expect ({_guess(factor)}) and is left out; correct its unit or scale."
+                f"{name}: channel {recorded} ({kind.name.lower()}) is {factor:.3g} times as large as the others "
+                f"let expect ({_guess(factor)}) and is left out; correct its unit or scale."
             )
     if len(off) > len(ratios) // 2:
         raise BenchError(
@@ -119,11 +119,8 @@ def _guess(factor: float) -> str:
 
 def clipped_channels(stretch: Stretch) -> list[str]:
     """Channels that stay at their extreme values again and again: a converter at its end, or a limiter."""
-    return [
-        channel.name
-        for channel in stretch.channels
-        if channel.name not in stretch.faults and channel.quantity is not Quantity.VOLTAGE and _is_clipped(stretch.row(channel.name))
-    ]
+    usable = [c.name for c in stretch.channels if c.name not in stretch.faults and c.quantity is not Quantity.VOLTAGE]
+    return [name for name in usable if _is_clipped(stretch.row(name))]
 
 
 def _is_clipped(samples: FloatArray) -> bool:
@@ -153,8 +150,8 @@ def overload_note(name: str, windows: Sequence[tuple[int, Stretch]]) -> list[str
         if stretch.flags & BlockFlag.OVERLOAD and not found:
             silent.append(level)
     notes = [
-        f"{name}: channel {channel} is clipped at level {', '.join(map(str, levels))}; its observables are kept, because "
-        "clipping is one of the effects that are looked for."
+        f"{name}: channel {channel} is clipped at level {', '.join(map(str, levels))}; its observables are kept, "
+        "because clipping is one of the effects that are looked for."
         for channel, levels in clipped.items()
     ]
     if silent:

@@ -19,10 +19,11 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.bag_samples import Stretch
 from nmt_diagnose.evidence.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.evidence.drive_hold import hold_factor, image_responses
+from nmt_diagnose.evidence.model_view import ORDER as DERIVATIVES
 from nmt_diagnose.evidence.model_view import ModelView
 from nmt_diagnose.evidence.moderated_variance import moderated
 from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.evidence.row_table import RowTable, empty
+from nmt_diagnose.evidence.row_table import Place, RowTable, empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
 
 ComplexArray = NDArray[np.complex128]
@@ -151,7 +152,7 @@ def random_evidence(
         part = _clean_part(stretch)
         length = part.stop - part.start
         if reference is None or length < stretch.samples // 2:
-            why = "; ".join(sorted({f"{channel} {fault}" for channel, fault in stretch.faults.items()})) or "no reference"
+            why = "; ".join(sorted(f"{channel} {fault}" for channel, fault in stretch.faults.items())) or "no reference"
             return empty((f"{name}: the random test is left out: {why}.",))
         notes.append(f"{name}: the longest stretch without gaps, {length} of {stretch.samples} samples, is used.")
         usable_whole = {c.name for c in stretch.channels if np.isfinite(stretch.row(c.name)[part]).all()}
@@ -175,7 +176,8 @@ def random_evidence(
     outputs = outputs - outputs.mean(axis=1, keepdims=True)
     if input_samples.size < _FEWEST_LINES * 2:
         return empty((*notes, f"{name}: the random test is left out: {input_samples.size} samples are too few."))
-    guide = next((row for row, c in enumerate(present) if c.point == view.rig.drive_point and c.quantity is not Quantity.FORCE), 0)
+    drive_point = view.rig.drive_point
+    guide = next((row for row, c in enumerate(present) if c.point == drive_point and c.quantity in DERIVATIVES), 0)
     bins = choose_bins(input_samples, outputs[guide], stretch.sample_rate, settings.lines)
     if bins.size == 0:
         return empty((*notes, f"{name}: the random test is left out: it has no driven band."))
@@ -192,7 +194,7 @@ def random_evidence(
     table = RowTable()
     drive_rms = float(np.std(input_samples))
     middle = 0.5 * (stretch.start_s + stretch.stop_s)
-    floors = settings.floors
+    bias = _bias(view, present, input_samples, reference, bins, stretch.sample_rate)
     for number, line in enumerate(lines):
         for row in range(len(present)):
             size = abs(estimate[row, number])
@@ -201,9 +203,10 @@ def random_evidence(
             std = math.sqrt(0.5 * variance[row, number]) / size
             if std > settings.largest_std:
                 continue
-            common = {"level": number, "channel": row, "time_s": middle, "frequency_hz": float(line), "amplitude": drive_rms}
-            table.add(Part.LOG_MAGNITUDE, math.log(size), std, floors.frf_log_magnitude, **common)
-            table.add(Part.PHASE, float(np.angle(estimate[row, number])), std, floors.frf_phase, **common)
+            place = Place(number, middle, float(line), drive_rms)
+            floor = math.hypot(settings.floors.frf, bias[row, number])
+            table.add(Part.LOG_MAGNITUDE, math.log(size), std, floor, place, row)
+            table.add(Part.PHASE, float(np.angle(estimate[row, number])), std, floor, place, row)
     if not len(table):
         return empty((*notes, f"{name}: the random test is left out: no line is coherent with {reference.name}."))
     start, stop = stretch.start_s + part.start / stretch.sample_rate, stretch.start_s + part.stop / stretch.sample_rate
@@ -220,6 +223,31 @@ def random_evidence(
         stop_s=stop,
     )
     return table.evidence(test, notes)
+
+
+def _bias(
+    view: ModelView,
+    channels: list[MeasuredChannel],
+    reference: FloatArray,
+    source: MeasuredChannel,
+    bins: IndexArray,
+    sample_rate: float,
+) -> FloatArray:
+    """Relative error that the local polynomials make on the model's own response, shape (channels, lines)."""
+    offsets = np.arange(-REACH, REACH + 1)
+    unique, inverse = np.unique(bins[:, np.newaxis] + offsets, return_inverse=True)
+    frequency = unique * sample_rate / reference.size
+    responses = np.stack([view.responses([*channels, source], value) for value in frequency], axis=1)
+    exact = (responses[:-1] / responses[-1])[:, inverse.reshape(bins.size, offsets.size)]
+    u = np.fft.rfft(reference - reference.mean())
+    powers = (offsets[:, np.newaxis] / REACH) ** np.arange(ORDER + 1)
+    result = np.zeros((len(channels), bins.size))
+    for number, line in enumerate(bins):
+        near = u[line + offsets]
+        design = np.concatenate((near[:, np.newaxis] * powers, powers * np.abs(near).mean()), axis=1)
+        fitted = np.linalg.lstsq(design, (exact[:, number] * near).T, rcond=None)[0][0]
+        result[:, number] = np.abs(fitted / exact[:, number, REACH] - 1.0)
+    return np.nan_to_num(result)
 
 
 def _clean_part(stretch: Stretch) -> slice:

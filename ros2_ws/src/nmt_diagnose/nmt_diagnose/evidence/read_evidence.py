@@ -17,7 +17,7 @@ from nmt_core.test_kind import TestKind
 from nmt_diagnose.evidence.bag_samples import Stretch, read_stretches
 from nmt_diagnose.evidence.conditions import MeasuredChannel
 from nmt_diagnose.evidence.floors import repeatability
-from nmt_diagnose.evidence.model_view import ModelView, matched
+from nmt_diagnose.evidence.model_view import ORDER, ModelView, matched
 from nmt_diagnose.evidence.observables import Evidence, joined
 from nmt_diagnose.evidence.phase_resonance_evidence import phase_resonance_evidence
 from nmt_diagnose.evidence.plausibility import check_frequency, out_of_scale, overload_note
@@ -45,9 +45,9 @@ def read_evidence(
 ) -> Evidence:
     """All observables of a real side.
 
-    Locked windows, random tests, ring-downs, records and reduced tables become tests; stepped sines near resonance count
-    as locked windows whose phase nobody controlled; sweeps are passed over with a note, because no steady state of the
-    model says what they must look like. What cannot be used is left out, with a sentence in ``notes``.
+    Locked windows, random tests, ring-downs, records and reduced tables become tests; stepped sines near resonance
+    count as locked windows whose phase nobody controlled; sweeps are passed over with a note, because no steady state
+    of the model says what they must look like. What cannot be used is left out, with a sentence in ``notes``.
 
     Args:
         bags: bags of one rig: recorded runs or imports.
@@ -124,8 +124,8 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: EvidenceSettings) -> Evi
     sweeps = sum(segment.kind is TestKind.SWEEP for segment in found)
     if sweeps:
         notes.append(
-            f"{name}: {sweeps} sweep{'s are' if sweeps > 1 else ' is'} passed over; a swept response is not a steady state "
-            "that the model could be compared with: use stepped sines or phase resonance."
+            f"{name}: {sweeps} sweep{'s are' if sweeps > 1 else ' is'} passed over; a swept response is no steady "
+            "state that the model could be compared with: use phase resonance or stepped sines near resonance."
         )
     if usable:
         parts += _signals(bag, name, usable, run, model, settings, notes)
@@ -173,10 +173,10 @@ def _signals(
     view = ModelView.of(model, drive_point)
     channels, more = matched(recorded, view)
     notes += [f"{name}: {note}" for note in more]
-    if not any(channel.quantity in (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION) for channel in channels.values()):
+    if not any(channel.quantity in ORDER for channel in channels.values()):
         raise BenchError(
-            f"{name} has no response channel that the model {model.name} has too; name the rig file of the rig that was "
-            "tested, or add its sensors."
+            f"{name} has no response channel that the model {model.name} has too; name the rig file of the rig that "
+            "was tested, or add its sensors."
         )
     rate = _hold_rate(run, windows[0].stretch.sample_rate)
     response = _response_quantity(run)
@@ -193,10 +193,10 @@ def _signals(
                 levels = len(getattr(parts[-1].tests[0], "levels", ())) if parts[-1].tests else 0
                 if 0 < levels < _FEW_LEVELS:
                     notes.append(
-                        f"{own}: {levels} level{'s' if levels > 1 else ''} cannot tell effects apart by how they grow with "
-                        "amplitude; measure five or more."
+                        f"{own}: {levels} level{'s' if levels > 1 else ''} cannot tell effects apart by how they grow "
+                        "with amplitude; measure five or more."
                     )
-    for kind, reader in ((TestKind.RANDOM, random_evidence), (TestKind.RING_DOWN, ring_down_evidence)):
+    for kind in (TestKind.RANDOM, TestKind.RING_DOWN):
         mine_windows = [window for window in windows if window.segment.kind is kind]
         for window in mine_windows:
             own = f"{name}/{kind.label}" if len(windows) > len(mine_windows) else name
@@ -273,10 +273,8 @@ def bag_digest(path: Path) -> str:
     Raises:
         BenchError: a file cannot be read.
     """
-    if path.is_file():
-        files = [path]
-    else:
-        files = sorted(item for item in path.rglob("*") if item.suffix in (".mcap", ".db3"))
+    found = sorted(item for item in path.rglob("*") if item.suffix in (".mcap", ".db3"))
+    files = [path] if path.is_file() else found
     digest = hashlib.sha256()
     try:
         for file in files:

@@ -1,8 +1,8 @@
 """Observables of records: samples of the responses to any measured input.
 
-The model is driven by the whole input, but only a part of the samples become observables. What a right model leaves is
-the noise of the sensors, which is taken as white: any choice of samples then has the right likelihood, and fewer samples
-only make it less sharp. They are spread with the golden ratio, so that no period of the excitation meets them in step.
+The model is driven by the whole input, but only a part of the samples become observables. What a right model leaves
+is the noise of the sensors, which is taken as white: any choice of samples then has the right likelihood, and fewer
+samples only make it less sharp. They are spread with the golden ratio, in step with no period of the excitation.
 The noise is the lowest level of the response's spectrum; nonlinear distortions must not count as noise here, because
 they are what is looked for.
 """
@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import welch
 
 from nmt_core.blocks import FloatArray, Quantity
@@ -20,7 +22,7 @@ from nmt_diagnose.evidence.bag_samples import Stretch
 from nmt_diagnose.evidence.conditions import MeasuredChannel, RecordTest
 from nmt_diagnose.evidence.model_view import ModelView
 from nmt_diagnose.evidence.observables import Evidence, Part, joined
-from nmt_diagnose.evidence.row_table import RowTable, empty
+from nmt_diagnose.evidence.row_table import Place, RowTable, empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
 from nmt_plant.model.linear_modes import damped_modes
 
@@ -31,7 +33,7 @@ _FEWEST_SAMPLES = 200
 _LOWEST = 0.05
 
 
-def spread_samples(start: int, stop: int, count: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def spread_samples(start: int, stop: int, count: int) -> NDArray[np.int64]:
     """Up to ``count`` different indices from start to stop − 1, ascending, in step with nothing."""
     length = stop - start
     if count >= length:
@@ -81,12 +83,11 @@ def _one(
     settings: EvidenceSettings,
     budget: int,
 ) -> Evidence:
-    notes = [
-        f"{name}: channel {channel} is left out: {fault}." for channel, fault in stretch.faults.items() if channel in channels
-    ]
+    lost = [(channel, fault) for channel, fault in stretch.faults.items() if channel in channels]
+    notes = [f"{name}: channel {channel} is left out: {fault}." for channel, fault in lost]
     source = stretch.find(Quantity.VOLTAGE) or stretch.find(Quantity.FORCE)
     if source is None or source.name in stretch.faults:
-        why = "no input (voltage or force) was recorded" if source is None else f"its input {stretch.faults[source.name]}"
+        why = "no voltage or force was recorded" if source is None else f"its input {stretch.faults[source.name]}"
         return empty((f"{name}: the record is left out: {why}.",))
     recorded = {own.name: theirs for theirs, own in channels.items()}
     present = [
@@ -104,7 +105,7 @@ def _one(
     bounds = np.linspace(start, stretch.samples, count + 1).round().astype(np.int64)
     level = np.searchsorted(bounds, indices, side="right") - 1
     source_samples = stretch.row(source.name)
-    amplitude = [float(np.std(source_samples[low:high])) for low, high in zip(bounds[:-1], bounds[1:], strict=True)]
+    amplitude = [float(np.std(source_samples[low:high])) for low, high in pairwise(bounds)]
     table = RowTable()
     for row, channel in enumerate(present):
         samples = stretch.row(recorded[channel.name])
@@ -113,9 +114,9 @@ def _one(
         floor = settings.floors.record * float(np.std(samples))
         for index, segment in zip(indices, level, strict=True):
             table.add(
-                Part.SAMPLE, float(samples[index]), noise, floor, level=int(segment), channel=row,
-                time_s=(stretch.first_sample + int(index)) / stretch.sample_rate, frequency_hz=0.0,
-                amplitude=amplitude[int(segment)],
+                Part.SAMPLE, float(samples[index]), noise, floor,
+                Place(int(segment), (stretch.first_sample + int(index)) / stretch.sample_rate, 0.0, amplitude[segment]),
+                row,
             )  # fmt: skip
     own = channels.get(source.name, source)
     test = RecordTest(

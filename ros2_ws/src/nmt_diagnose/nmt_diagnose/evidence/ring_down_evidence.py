@@ -20,7 +20,7 @@ from nmt_diagnose.evidence.bag_samples import Stretch
 from nmt_diagnose.evidence.conditions import MeasuredChannel, RingDownTest
 from nmt_diagnose.evidence.model_view import ModelView
 from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.evidence.row_table import RowTable, empty
+from nmt_diagnose.evidence.row_table import Place, RowTable, empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
 from nmt_extract.harmonics import resolvable_harmonics, segment_moments, solve_moments
 
@@ -46,7 +46,7 @@ def period_fundamentals(
     Returns:
         Complex amplitudes, shape (periods,), and the index of each middle in samples, shape (periods,).
     """
-    periods = int(math.floor(cycles[-1] - cycles[0]))
+    periods = math.floor(cycles[-1] - cycles[0])
     bounds = np.searchsorted(cycles, cycles[0] + np.arange(periods + 1) - 1e-9).astype(np.int64)
     amplitudes = solve_moments(segment_moments(cycles, samples[np.newaxis], harmonics, bounds))[:, 0, 1]
     middle = np.interp(cycles[0] + np.arange(periods) + 0.5, cycles, np.arange(cycles.size))
@@ -70,7 +70,7 @@ def decay_of(
         BenchError: less than a few periods.
     """
     index = np.arange(samples.size)
-    cycles = frequency_hz / sample_rate * index
+    cycles: FloatArray = frequency_hz / sample_rate * index.astype(np.float64)
     harmonics = resolvable_harmonics(3, sample_rate / frequency_hz)
     if harmonics < 1 or cycles[-1] < _FEWEST_PERIODS:
         raise BenchError(f"{cycles[-1]:.3g} periods of decay are too few; {_FEWEST_PERIODS} are needed")
@@ -93,7 +93,7 @@ def decay_of(
         smooth = np.convolve(own, np.full(3, 1.0 / 3.0), mode="valid")
         smooth = np.concatenate((own[:1], smooth, own[-1:]))
         new = np.interp(index, middle[:last], smooth)
-        ends = (smooth[1] - smooth[0]) / (middle[1] - middle[0]), (smooth[-1] - smooth[-2]) / (middle[last - 1] - middle[last - 2])
+        ends = np.diff(smooth)[[0, -1]] / np.diff(middle[:last])[[0, -1]]
         before, after = index < middle[0], index > middle[last - 1]
         new[before] = smooth[0] + (index[before] - middle[0]) * ends[0]
         new[after] = smooth[-1] + (index[after] - middle[last - 1]) * ends[1]
@@ -136,8 +136,9 @@ def ring_down_evidence(
         response_quantity: preferred quantity of the drive-point response.
     """
     order: Sequence[Quantity] = ((response_quantity,) if response_quantity is not None else ()) + _ORDER
+    usable = set(channels) - set(stretch.faults)
     candidates = [stretch.find(quantity, view.rig.drive_point) for quantity in order]
-    channel = next((c for c in candidates if c is not None and c.name in channels and c.name not in stretch.faults), None)
+    channel = next((c for c in candidates if c is not None and c.name in usable), None)
     if channel is None:
         return empty((f"{name}: the ring-down is left out: there is no usable response at the drive point.",))
     samples = stretch.row(channel.name)
@@ -148,7 +149,7 @@ def ring_down_evidence(
         return empty((f"{name}: the ring-down is left out: {error}.",))
     nodes = _nodes(log, settings.decay_points)
     table = RowTable()
-    amplitudes = []
+    amplitudes: list[float] = []
     floors = settings.floors
     for node in nodes:
         level, rate, rate_std = local_slopes(time, log, node)
@@ -158,16 +159,11 @@ def ring_down_evidence(
         damping = -rate / omega
         if not rate_std / omega < max(_WORST_DAMPING * abs(damping), 1e-5):
             break
-        common = {
-            "level": len(amplitudes),
-            "channel": 0,
-            "harmonic": 1,
-            "time_s": stretch.start_s + float(time[node]),
-            "frequency_hz": omega / (2.0 * math.pi),
-            "amplitude": math.exp(level),
-        }
-        table.add(Part.LOG_FREQUENCY, math.log(omega), omega_std / omega, floors.decay_log_frequency, **common)
-        table.add(Part.DAMPING, damping, rate_std / omega, floors.decay_damping * abs(damping), **common)
+        place = Place(
+            len(amplitudes), stretch.start_s + float(time[node]), omega / (2.0 * math.pi), math.exp(level)
+        )
+        table.add(Part.LOG_FREQUENCY, math.log(omega), omega_std / omega, floors.decay_log_frequency, place, 0, 1)
+        table.add(Part.DAMPING, damping, rate_std / omega, floors.decay_damping * abs(damping), place, 0, 1)
         amplitudes.append(math.exp(level))
     if not amplitudes:
         return empty((f"{name}: the ring-down is left out: the decay does not stand out of the noise.",))

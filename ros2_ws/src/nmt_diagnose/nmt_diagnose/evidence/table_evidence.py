@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.conditions import BackboneTable, MeasuredChannel, RandomTest
 from nmt_diagnose.evidence.model_view import ORDER, ModelView, nearest_ratio
 from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.evidence.row_table import RowTable, empty
+from nmt_diagnose.evidence.row_table import Place, RowTable, empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
 from nmt_plant.rig import Rig
 from nmt_record.observables import ObservableTable
@@ -31,8 +32,8 @@ def table_evidence(name: str, table: ObservableTable, model: Rig, settings: Evid
     if table.quantity not in ORDER:
         return empty(
             (
-                f"{name}: left out: its amplitude is modal ({table.units.get('amplitude', 'no unit')}); the model predicts "
-                "amplitudes of a point in m, m/s or m/s^2.",
+                f"{name}: left out: its amplitude is modal ({table.units.get('amplitude', 'no unit')}); the model "
+                "predicts amplitudes of a point in m, m/s or m/s^2.",
             )
         )
     letter = {Quantity.DISPLACEMENT: "x", Quantity.VELOCITY: "v", Quantity.ACCELERATION: "a"}[table.quantity]
@@ -66,26 +67,19 @@ def _backbone(
     where = np.flatnonzero(good)
     notes = [] if good.all() else [f"{name}: {int((~good).sum())} of {good.size} rows have no value and are left out."]
     for level, index in enumerate(where):
-        common = {
-            "level": level,
-            "channel": 0,
-            "harmonic": 1,
-            "time_s": 0.0,
-            "frequency_hz": float(frequency[index]),
-            "amplitude": float(amplitude[index]),
-        }
+        place = Place(level, 0.0, float(frequency[index]), float(amplitude[index]))
         stated = frequency_std[index] / frequency[index]
         known = math.isfinite(stated) and stated > 0.0
         rows.add(
             Part.LOG_FREQUENCY, math.log(2.0 * math.pi * frequency[index]), stated if known else 0.0,
-            floors.log_frequency if known else floors.table_log_frequency, **common,
+            floors.log_frequency if known else floors.table_log_frequency, place, 0, 1,
         )  # fmt: skip
         if math.isfinite(damping[index]):
             known = math.isfinite(damping_std[index]) and damping_std[index] > 0.0
             share = floors.decay_damping if known else floors.table_damping
             rows.add(
                 Part.DAMPING, float(damping[index]), float(damping_std[index]) if known else 0.0,
-                share * abs(float(damping[index])), **common,
+                share * abs(float(damping[index])), place, 0, 1,
             )  # fmt: skip
     test = BackboneTable(name, view.rig.drive_point, channel, amplitude[where].copy())
     return rows.evidence(test, notes)
@@ -100,7 +94,8 @@ def _responses(
     good = np.isfinite(size) & (size > 0.0) & (frequency > 0.0)
     if not good.any():
         return empty((f"{name}: left out: it has no usable line.",))
-    std = np.sqrt(0.5 * (_column(table, "real_std") ** 2 + _column(table, "imag_std") ** 2)) / np.where(size > 0.0, size, 1.0)
+    scatter = np.sqrt(0.5 * (_column(table, "real_std") ** 2 + _column(table, "imag_std") ** 2))
+    std = scatter / np.where(size > 0.0, size, 1.0)
     stated = np.isfinite(std)
     std = np.where(stated, std, _WITHOUT_STD)
     # Without uncertainties a coherence says something, but not how much was averaged: the line counts for less below 1.
@@ -119,11 +114,11 @@ def _responses(
     rows = RowTable()
     level = table.level if math.isfinite(table.level) else 0.0
     for number, index in enumerate(chosen):
-        common = {"level": number, "channel": 0, "time_s": 0.0, "frequency_hz": float(frequency[index]), "amplitude": level}
+        place = Place(number, 0.0, float(frequency[index]), level)
         value = float(std[index])
         floors = settings.floors
-        rows.add(Part.LOG_MAGNITUDE, math.log(float(size[index])), value, floors.frf_log_magnitude, **common)
-        rows.add(Part.PHASE, float(np.angle(response[index])), value, floors.frf_phase, **common)
+        rows.add(Part.LOG_MAGNITUDE, math.log(float(size[index])), value, floors.frf, place, 0)
+        rows.add(Part.PHASE, float(np.angle(response[index])), value, floors.frf, place, 0)
     steps = np.diff(np.sort(frequency))
     test = RandomTest(
         name=name,
@@ -140,10 +135,11 @@ def _responses(
     return rows.evidence(test, notes)
 
 
-def _spread(frequency: FloatArray, response: np.ndarray[tuple[int], np.dtype[np.complex128]], wanted: int) -> FloatArray:
+def _spread(frequency: FloatArray, response: NDArray[np.complex128], wanted: int) -> NDArray[np.int64]:
     """Indices evenly spread over decades and turns of the phase."""
     if frequency.size <= wanted:
-        return np.arange(frequency.size)
+        return np.arange(frequency.size, dtype=np.int64)
     turns = np.concatenate(([0.0], np.cumsum(np.abs(np.angle(response[1:] * np.conj(response[:-1]))))))
     way = np.log(frequency / frequency[0]) + turns * math.log(4.0) / math.pi
-    return np.unique(np.searchsorted(way, np.linspace(way[0], way[-1], wanted)).clip(0, way.size - 1))
+    picked = np.searchsorted(way, np.linspace(way[0], way[-1], wanted)).clip(0, way.size - 1)
+    return np.unique(picked.astype(np.int64))

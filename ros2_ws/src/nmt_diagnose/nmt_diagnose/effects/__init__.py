@@ -1,1 +1,1 @@
-"""The library of effects: one small module each."""
+"""The library of effects: each is a change of the rig file that the plant can simulate."""

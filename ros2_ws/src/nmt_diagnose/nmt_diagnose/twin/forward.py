@@ -28,6 +28,10 @@ class Parameters(Protocol):
     def names(self) -> tuple[str, ...]:
         """Name of each entry of θ."""
 
+    @property
+    def prior_std(self) -> FloatArray:
+        """Prior standard deviation of each entry."""
+
     def rig(self, theta: FloatArray) -> Rig:
         """Rig of parameters θ."""
 
@@ -116,7 +120,7 @@ class Forward:
         theta: FloatArray,
         prediction: Prediction,
         which: Sequence[int] | None = None,
-        step: float = 1e-4,
+        step: float = 3e-4,
     ) -> FloatArray:
         """∂(observables)/∂θ, (m, n), or of the columns ``which``.
 
@@ -128,7 +132,7 @@ class Forward:
             theta: (n,) where ``prediction`` was made.
             prediction: of ``parametrisation.rig(theta)``.
             which: columns; all when None.
-            step: in units of θ (prior standard deviations).
+            step: in prior standard deviations.
         """
         columns = range(len(parametrisation.names)) if which is None else which
         result = np.empty((len(self.rows), len(columns)))
@@ -136,8 +140,10 @@ class Forward:
         base = self._stepped(parametrisation.rig(theta), prediction)
         for position, column in enumerate(columns):
             moved = np.array(theta, dtype=np.float64)
-            moved[column] += step
-            result[:, position] = self.difference(self._stepped(parametrisation.rig(moved), prediction), base) / step
+            size = step * parametrisation.prior_std[column]
+            moved[column] += size
+            stepped = self._stepped(parametrisation.rig(moved), prediction)
+            result[:, position] = self.difference(stepped, base) / size
         return result
 
     def difference(self, a: FloatArray, b: FloatArray) -> FloatArray:

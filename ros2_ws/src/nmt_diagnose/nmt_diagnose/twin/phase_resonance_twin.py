@@ -364,6 +364,7 @@ class PhaseResonanceTwin:
         for kind, values in choices.items():
             which = part == kind
             result[which] = values[which]
+        result[np.isinf(result)] = np.nan
         return result
 
 

@@ -103,6 +103,7 @@ class RandomTwin:
             ):
                 which = rows.part == kind
                 result[which] = values[which]
+        result[np.isinf(result)] = np.nan
         return result
 
 

@@ -17,7 +17,7 @@ from nmt_plant.model.assembly import ElectromechanicalSystem
 from nmt_plant.model.fourier_basis import FourierBasis, IntArray
 from nmt_plant.model.local_elements import LinearDamper, LinearSpring, LocalElement
 from nmt_plant.rig import BeamSection, ForceSection, Rig, SensorSection, ShakerSection
-from nmt_plant.rig_model import build_elements, build_structure, build_system
+from nmt_plant.rig_model import build_elements, build_exciter_elements, build_structure, build_system
 
 from .linear_model import LinearModel, OutputRows, linear_model
 from .settings import TwinSettings
@@ -142,20 +142,24 @@ def rig_parts(
                 f"the diagnosis' model does not cover local element {section.kind}; leave it out of the model."
             )
         assert structure is not None
-        for element in build_elements(rig.model_copy(update={"local_elements": [section]}), structure):
+        behind = section.side == "exciter"
+        # A moment is no part of the lateral force that the sensor measures.
+        measured = behind and not section.rotation
+        build = build_exciter_elements if behind else build_elements
+        for element in build(rig.model_copy(update={"local_elements": [section]}), structure):
             direction = np.zeros(size)
             direction[: element.direction.shape[0]] = element.direction
             if isinstance(element, LinearSpring | LinearDamper):
                 outer = np.outer(direction, direction)
                 stiffness = stiffness + element.linear_stiffness * outer
                 damping = damping + element.linear_damping * outer
-                if section.side == "exciter":
+                if measured:
                     force_displacement = force_displacement - element.linear_stiffness * direction
                     force_velocity = force_velocity - element.linear_damping * direction
                 continue
             if slip != 1.0 and hasattr(element, "slip_force"):
                 element = replace(element, slip_force=element.slip_force * slip)  # type: ignore[call-arg]
-            (outside if section.side == "exciter" else inside).append(element.along(direction))
+            (outside if measured else inside).append(element.along(direction))
     system = replace(system, stiffness=stiffness, damping=damping)
 
     tables, directions, first_outside = _gathered(inside, outside, basis, settings.samples, system)

@@ -1,0 +1,169 @@
+"""Effects of the clamp and of the joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from nmt_plant.rig import BeamSection, ChainSection, IwanSection, JenkinsSection, Rig
+
+from .effect import Effect, EffectParameter, Placement, Reported
+from .operating_range import OperatingRange
+from .rig_edit import with_element, with_value
+from .structure_effects import spots
+
+# Slip displacement as multiples of the largest amplitude: above 1 the contact sticks and is a spring.
+SLIP_GRID = (0.03, 0.1, 0.3, 0.7)
+FRICTION = (
+    EffectParameter("kt", "N/m"),
+    EffectParameter("slip_displacement", "m", "shape", grid=SLIP_GRID),
+)
+CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp_lateral_stiffness_n_m"}
+
+
+def _compliance_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+    beam = rig.structure
+    if not isinstance(beam, BeamSection):
+        return ()
+    bending = beam.youngs_modulus_pa * beam.width_m * beam.height_m**3 / 12.0
+    # 1 % of the static compliance of the tip.
+    scales = {"rotation": 0.01 * beam.length_m / bending, "lateral": 0.01 * beam.length_m**3 / (3.0 * bending)}
+    return tuple(
+        Placement(option, {"compliance": scale}, option=option)
+        for option, scale in scales.items()
+        if getattr(beam, CLAMP_KEYS[option]) is None
+    )
+
+
+def _with_compliance(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+    return with_value(rig, ("structure", CLAMP_KEYS[placement.option]), 1.0 / values["compliance"])
+
+
+def _clamp_friction_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+    if not isinstance(rig.structure, BeamSection):
+        return ()
+    lateral = Placement(
+        "lateral",
+        {"kt": 0.05 * operating.effective_stiffness(1), "slip_displacement": operating.displacement[1]},
+        1,
+        option="lateral",
+    )
+    rotation = Placement(
+        "rotation",
+        {
+            "kt": 0.05 * operating.omega**2 * operating.effective_inertia[1],
+            "slip_displacement": operating.rotation[1],
+        },
+        1,
+        option="rotation",
+    )
+    return lateral, rotation
+
+
+def _contact_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+    beam = isinstance(rig.structure, BeamSection)
+    return tuple(
+        Placement(label, {"kt": 0.05 * stiffness, "slip_displacement": amplitude}, point, other)
+        for label, point, other, amplitude, stiffness in spots(rig, operating)
+        if not (beam and point == 1)
+    )
+
+
+def _with_friction(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+    settings: dict[str, Any] = {"point": placement.point}
+    if placement.other_point:
+        settings["other_point"] = placement.other_point
+    if placement.option == "rotation":
+        settings["rotation"] = True
+    element = JenkinsSection.model_construct(
+        kind="jenkins",
+        tangential_stiffness_n_m=values["kt"],
+        slip_force_n=values["kt"] * values["slip_displacement"],
+        **settings,
+    )
+    return with_element(rig, element)
+
+
+def _friction_report(values: Mapping[str, float]) -> Reported:
+    return {"kt": (values["kt"], "N/m"), "slip_force": (values["kt"] * values["slip_displacement"], "N")}
+
+
+def _microslip_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+    return tuple(
+        Placement(element.name or str(element.point), {"spread": 0.3}, element.point, index=index)
+        for index, element in enumerate(rig.local_elements)
+        if isinstance(element, JenkinsSection)
+    )
+
+
+def _with_microslip(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+    jenkins = rig.local_elements[placement.index]
+    assert isinstance(jenkins, JenkinsSection)
+    kept = {key: getattr(jenkins, key) for key in type(jenkins).model_fields if key != "kind"}
+    # The share of the power law grows from 0 (one slider); χ = 0 spreads the slip evenly from 0 to its largest.
+    joint = IwanSection.model_construct(
+        kind="iwan", exponent=0.0, stiffness_ratio=1.0 / values["spread"], onset_ratio=0.0, sliders=12, **kept
+    )
+    return with_value(rig, ("local_elements", placement.index), joint)
+
+
+def _microslip_report(values: Mapping[str, float]) -> Reported:
+    return {
+        "spread": (values["spread"], "1"),
+        "chi": (0.0, "1"),
+        "beta": (1.0 / values["spread"] if values["spread"] else float("inf"), "1"),
+    }
+
+
+
+BOUNDARY_EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        name="clamp_compliance",
+        place="boundary",
+        equation="rotational (or lateral) spring k = 1/compliance at the clamp",
+        reference="Ewins, Modal Testing (2000), section 3.2; Gorman, Free Vibration Analysis of Beams (1975)",
+        keys="structure.clamp_rotational_stiffness_nm_rad, structure.clamp_lateral_stiffness_n_m",
+        parameters=(EffectParameter("compliance", "rad/(N m) or m/N"),),
+        placements=_compliance_placements,
+        change=_with_compliance,
+        report=lambda values: {"k": (1.0 / values["compliance"] if values["compliance"] else float("inf"),
+                                     "N m/rad or N/m")},
+        equivalents={"stinger_stiffness": "a second drive point"},
+    ),
+    Effect(
+        name="clamp_friction",
+        place="boundary",
+        equation="Jenkins element between the ground and the point next to the clamp (displacement or rotation)",
+        reference="Jenkins, J. Appl. Mech. 29 (1962); Iwan, J. Appl. Mech. 33 (1966) 893",
+        keys="local_elements: jenkins at point 1, with or without rotation",
+        parameters=FRICTION,
+        placements=_clamp_friction_placements,
+        change=_with_friction,
+        report=_friction_report,
+    ),
+)  # fmt: skip
+
+JOINT_EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        name="microslip",
+        place="joint",
+        equation="Iwan distribution of sliders, β = 1/spread, χ = 0, instead of one slider",
+        reference="Segalman, J. Appl. Mech. 72 (2005) 752",
+        keys="local_elements: iwan instead of jenkins",
+        parameters=(EffectParameter("spread", "1", grid=(0.3, 1.0, 3.0)),),
+        placements=_microslip_placements,
+        change=_with_microslip,
+        report=_microslip_report,
+    ),
+    Effect(
+        name="second_friction_contact",
+        place="joint",
+        equation="another Jenkins element, kt and slip_force = kt slip_displacement",
+        reference="Jenkins, J. Appl. Mech. 29 (1962); Iwan, J. Appl. Mech. 33 (1966) 893",
+        keys="local_elements: jenkins",
+        parameters=FRICTION,
+        placements=_contact_placements,
+        change=_with_friction,
+        report=_friction_report,
+    ),
+)

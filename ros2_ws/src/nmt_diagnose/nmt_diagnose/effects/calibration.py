@@ -1,0 +1,161 @@
+"""Parameters that a model already has, with the priors under which they may be re-fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, log
+
+from nmt_plant.rig import (
+    BeamSection,
+    ChainSection,
+    CubicSpringSection,
+    ElementSection,
+    IwanSection,
+    JenkinsSection,
+    LinearDamperSection,
+    LinearSpringSection,
+    QuadraticDragSection,
+    QuadraticSpringSection,
+    QuinticSpringSection,
+    Rig,
+    ShakerSection,
+    TanhFrictionSection,
+    TwoSidedGapSection,
+    UnilateralStopSection,
+)
+
+from .effect import Place
+from .rig_edit import Path, value_at, with_value
+
+
+@dataclass(frozen=True)
+class CalibrationParameter:
+    """A key of the rig that is fitted: value · exp(std θ), θ of prior N(0, 1).
+
+    Attributes:
+        name: dotted path of the key.
+        unit: of its value.
+        path: key.
+        std: relative prior standard deviation.
+        place: place it belongs to.
+        value: value in the model.
+    """
+
+    name: str
+    unit: str
+    path: Path
+    std: float
+    place: Place
+    value: float
+
+    def apply(self, rig: Rig, theta: float) -> Rig:
+        """Rig with the parameter at θ."""
+        return rig if theta == 0.0 else with_value(rig, self.path, self.at(theta))
+
+    def at(self, theta: float) -> float:
+        """Value at θ."""
+        return self.value * exp(self.std * theta)
+
+    def theta_of(self, value: float) -> float:
+        """θ of a value of the same sign."""
+        return log(value / self.value) / self.std
+
+
+# Relative standard deviations and why: what a data sheet or a ruler leaves open.
+PRIORS: dict[str, tuple[float, str]] = {
+    "youngs_modulus_pa": (0.01, "alloy tables agree within 1 to 2 %"),
+    "density_kg_m3": (0.01, "weighing a beam of ruler accuracy; stands for the cross-section too"),
+    "stiffness_damping_s": (0.2, "material damping is known within tens of percent only"),
+    "clamp_rotational_stiffness_nm_rad": (0.2, "estimated from a static test at best"),
+    "clamp_lateral_stiffness_n_m": (0.2, "estimated from a static test at best"),
+    "masses_kg": (0.01, "weighed, but screws, cables and adhesive come on top"),
+    "springs_n_m": (0.03, "leaf springs: thickness enters cubed"),
+    "dampers_ns_m": (0.2, "material and joint damping"),
+    "ground_springs_n_m": (0.2, "suspension cords"),
+    "ground_dampers_ns_m": (0.3, "suspension cords"),
+    "tangential_stiffness_n_m": (0.1, "contact stiffness, repeatability of assembly"),
+    "slip_force_n": (0.1, "friction coefficient and preload"),
+    "exponent": (0.1, "fitted to a few loops of the joint"),
+    "onset_ratio": (0.2, "fitted to a few loops of the joint"),
+    "stiffness_ratio": (0.2, "fitted to a few loops of the joint"),
+    "remaining_stiffness_n_m": (0.03, "elastic path beside the joint"),
+    "stiffness_n_m": (0.05, "static test of a spring or stop"),
+    "stiffness_n_m2": (0.1, "fit of a static curve"),
+    "stiffness_n_m3": (0.1, "fit of a static curve"),
+    "stiffness_n_m5": (0.2, "fit of a static curve"),
+    "gap_m": (0.1, "feeler gauge"),
+    "damping_ns_m": (0.2, "damping"),
+    "drag_ns2_m2": (0.2, "drag coefficient"),
+    "reference_velocity_m_s": (0.3, "fit of a friction curve"),
+    "table_mass_kg": (0.05, "data sheet, plus fixture and stinger"),
+    "table_stiffness_n_m": (0.05, "data sheet; changes with temperature"),
+    "table_damping_ns_m": (0.1, "data sheet, if at all"),
+    "coil_mass_kg": (0.03, "data sheet"),
+    "force_factor_n_a": (0.03, "data sheet"),
+    "resistance_ohm": (0.03, "copper changes by 0.4 % per kelvin"),
+    "inductance_h": (0.1, "changes with frequency"),
+}
+# Coil suspension: so stiff that no test of the bench sees it.
+_UNITS = {"_pa": "Pa", "_kg_m3": "kg/m³", "_kg": "kg", "_ns_m": "N s/m", "_ns2_m2": "N s²/m²", "_nm_rad": "N m/rad",
+          "_n_m": "N/m", "_n_m2": "N/m²", "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_a": "N/A", "_ohm": "Ω", "_n": "N",
+          "_m_s": "m/s", "_m": "m", "_h": "H", "_s": "s"}  # fmt: skip
+_ELEMENT_KEYS: dict[type[ElementSection], tuple[str, ...]] = {
+    JenkinsSection: ("tangential_stiffness_n_m", "slip_force_n"),
+    IwanSection: (
+        "tangential_stiffness_n_m", "slip_force_n", "exponent", "stiffness_ratio", "onset_ratio",
+        "remaining_stiffness_n_m",
+    ),
+    CubicSpringSection: ("stiffness_n_m3",),
+    QuinticSpringSection: ("stiffness_n_m5",),
+    QuadraticSpringSection: ("stiffness_n_m2",),
+    UnilateralStopSection: ("stiffness_n_m", "gap_m"),
+    TwoSidedGapSection: ("stiffness_n_m", "gap_m"),
+    QuadraticDragSection: ("drag_ns2_m2",),
+    LinearSpringSection: ("stiffness_n_m",),
+    LinearDamperSection: ("damping_ns_m",),
+    TanhFrictionSection: ("slip_force_n", "reference_velocity_m_s"),
+}  # fmt: skip
+_SHAKER_KEYS = (
+    "table_mass_kg", "table_stiffness_n_m", "table_damping_ns_m", "coil_mass_kg", "force_factor_n_a",
+    "resistance_ohm", "inductance_h",
+)  # fmt: skip
+
+
+def unit_of(key: str) -> str:
+    """Unit that the name of a key carries; 1 where there is none."""
+    for ending in sorted(_UNITS, key=len, reverse=True):
+        if key.endswith(ending):
+            return _UNITS[ending]
+    return "1"
+
+
+def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
+    """Parameters that the model of a rig has; keys that are zero or left out are no part of the model."""
+    found: list[CalibrationParameter] = []
+
+    def add(path: Path, place: Place) -> None:
+        value = value_at(rig, path)
+        key = next(str(part) for part in reversed(path) if isinstance(part, str))
+        if isinstance(value, int | float) and value != 0.0:
+            name = ".".join(str(part) for part in path)
+            found.append(CalibrationParameter(name, unit_of(key), path, PRIORS[key][0], place, float(value)))
+
+    structure = rig.structure
+    if isinstance(structure, BeamSection):
+        for key in ("youngs_modulus_pa", "density_kg_m3", "stiffness_damping_s"):
+            add(("structure", key), "structure")
+        for key in ("clamp_rotational_stiffness_nm_rad", "clamp_lateral_stiffness_n_m"):
+            add(("structure", key), "boundary")
+    elif isinstance(structure, ChainSection):
+        for key in ("masses_kg", "springs_n_m", "dampers_ns_m", "ground_springs_n_m", "ground_dampers_ns_m"):
+            for index in range(len(getattr(structure, key) or ())):
+                add(("structure", key, index), "boundary" if key.startswith("ground") else "structure")
+    for index, element in enumerate(rig.local_elements):
+        friction = isinstance(element, JenkinsSection | IwanSection | TanhFrictionSection)
+        place: Place = "exciter" if element.side == "exciter" else "joint" if friction else "structure"
+        for key in _ELEMENT_KEYS.get(type(element), ()):
+            add(("local_elements", index, key), place)
+    if isinstance(rig.exciter, ShakerSection):
+        for key in _SHAKER_KEYS:
+            add(("exciter", key), "exciter")
+    return tuple(found)

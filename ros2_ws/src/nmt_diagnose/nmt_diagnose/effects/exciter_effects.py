@@ -1,0 +1,140 @@
+"""Effects of the exciter: stinger, amplifier, suspension, force factor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from nmt_plant.rig import BeamSection, CubicSpringSection, LinearSpringSection, Rig, ShakerSection
+
+from .effect import Effect, EffectParameter, Placement, Reported
+from .operating_range import OperatingRange
+from .rig_edit import value_at, with_element, with_value
+
+LARGE_SIGNAL = "Klippel, J. Audio Eng. Soc. 54 (2006) 907 (large-signal parameters of electrodynamic transducers)"
+
+
+def _stinger_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+    point = rig.drive_point
+    lateral = Placement(
+        "lateral", {"k": 0.02 * operating.effective_stiffness(point)}, point, option="lateral"
+    )
+    if not isinstance(rig.structure, BeamSection):
+        return (lateral,)
+    inertia = operating.effective_inertia[point]
+    return lateral, Placement("rotation", {"k": 0.02 * operating.omega**2 * inertia}, point, option="rotation")
+
+
+def _with_stinger(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+    settings = {"rotation": True} if placement.option == "rotation" else {}
+    spring = LinearSpringSection.model_construct(
+        kind="linear_spring", point=rig.drive_point, side="exciter", stiffness_n_m=values["k"], **settings
+    )
+    return with_element(rig, spring)
+
+
+def _suspension_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+    if not isinstance(rig.exciter, ShakerSection):
+        return ()
+    amplitude = operating.displacement[rig.drive_point]
+    size = max(rig.exciter.table_stiffness_n_m, 0.1 * operating.effective_stiffness(rig.drive_point))
+    return (Placement("", {"k": 0.05 * size / amplitude**2}, rig.drive_point),)
+
+
+def _with_suspension(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+    spring = CubicSpringSection.model_construct(
+        kind="cubic_spring", point=rig.drive_point, side="exciter", stiffness_n_m3=values["k"]
+    )
+    return with_element(rig, spring)
+
+
+def _shaker(scale: Callable[[ShakerSection, OperatingRange], float], name: str) -> Callable[..., tuple[Placement, ...]]:
+    def placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+        if not isinstance(rig.exciter, ShakerSection):
+            return ()
+        return (Placement("", {name: scale(rig.exciter, operating)}),)
+
+    return placements
+
+
+def _added_to(name: str, key: str) -> Callable[[Rig, Placement, Mapping[str, float]], Rig]:
+    def change(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+        return with_value(rig, ("exciter", key), value_at(rig, ("exciter", key)) + values[name])
+
+    return change
+
+
+def _with_saturation(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+    return with_value(rig, ("exciter", "amplifier_saturation_v"), values["inverse_square"] ** -0.5)
+
+
+def _saturation_report(values: Mapping[str, float]) -> Reported:
+    strength = values["inverse_square"]
+    return {"V": (strength**-0.5 if strength > 0.0 else float("inf"), "V")}
+
+
+EXCITER_EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        name="stinger_stiffness",
+        place="exciter",
+        equation="k x or k θ at the drive point, on the exciter's side of the force sensor",
+        reference="Ewins, Modal Testing (2000), section 3.3; Hieber, Sound Vib. 22 (1988)",
+        keys="local_elements: linear_spring, side exciter, with or without rotation",
+        parameters=(EffectParameter("k", "N/m or N m/rad"),),
+        placements=_stinger_placements,
+        change=_with_stinger,
+        equivalents={"clamp_compliance": "a second drive point", "added_mass": "a second drive point"},
+    ),
+    Effect(
+        name="amplifier_saturation",
+        place="exciter",
+        equation="V tanh(u/V) instead of u, strength 1/V²",
+        reference="Rapp (1991), class of memoryless amplifier models",
+        keys="exciter.amplifier_saturation_v",
+        parameters=(EffectParameter("inverse_square", "1/V²"),),
+        placements=_shaker(lambda shaker, operating: 0.03 / operating.voltage**2, "inverse_square"),
+        change=_with_saturation,
+        report=_saturation_report,
+    ),
+    Effect(
+        name="source_impedance",
+        place="exciter",
+        equation="R + R_s in the coil's circuit",
+        reference="McConnell and Varoto, Vibration Testing (2008), chapter 6",
+        keys="exciter.source_resistance_ohm",
+        parameters=(EffectParameter("R", "Ω"),),
+        placements=_shaker(lambda shaker, operating: 0.1 * shaker.resistance_ohm, "R"),
+        change=_added_to("R", "source_resistance_ohm"),
+    ),
+    Effect(
+        name="suspension_cubic",
+        place="exciter",
+        equation="k_T3 x³ of the table's suspension",
+        reference=LARGE_SIGNAL,
+        keys="local_elements: cubic_spring, side exciter",
+        parameters=(EffectParameter("k", "N/m³", signed=True),),
+        placements=_suspension_placements,
+        change=_with_suspension,
+        equivalents={"force_factor_symmetric": "a second drive point"},
+    ),
+    Effect(
+        name="force_factor_symmetric",
+        place="exciter",
+        equation="G (1 + b₂ x²) in force and back-EMF",
+        reference=LARGE_SIGNAL,
+        keys="exciter.force_factor_quadratic_per_m2",
+        parameters=(EffectParameter("b2", "1/m²", signed=True),),
+        placements=_shaker(lambda shaker, operating: 0.05 / operating.coil_displacement**2, "b2"),
+        change=_added_to("b2", "force_factor_quadratic_per_m2"),
+        equivalents={"suspension_cubic": "a second drive point"},
+    ),
+    Effect(
+        name="force_factor_asymmetric",
+        place="exciter",
+        equation="G (1 + b₁ x) in force and back-EMF",
+        reference=LARGE_SIGNAL,
+        keys="exciter.force_factor_linear_per_m",
+        parameters=(EffectParameter("b1", "1/m", signed=True),),
+        placements=_shaker(lambda shaker, operating: 0.05 / operating.coil_displacement, "b1"),
+        change=_added_to("b1", "force_factor_linear_per_m"),
+    ),
+)

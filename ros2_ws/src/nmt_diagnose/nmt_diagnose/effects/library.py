@@ -1,0 +1,52 @@
+"""All effects that the diagnosis knows."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from nmt_core.errors import BenchError
+from nmt_plant.rig import Rig
+
+from .boundary_effects import BOUNDARY_EFFECTS, JOINT_EFFECTS
+from .effect import Candidate, Effect
+from .exciter_effects import EXCITER_EFFECTS
+from .operating_range import OperatingRange
+from .sensor_effects import SENSOR_EFFECTS
+from .structure_effects import STRUCTURE_EFFECTS
+from .time_effects import CONTROLLER_EFFECTS, TIME_EFFECTS
+
+
+@cache
+def library() -> tuple[Effect, ...]:
+    """All effects, place by place."""
+    return (
+        *STRUCTURE_EFFECTS,
+        *BOUNDARY_EFFECTS,
+        *JOINT_EFFECTS,
+        *TIME_EFFECTS,
+        *EXCITER_EFFECTS,
+        *SENSOR_EFFECTS,
+        *CONTROLLER_EFFECTS,
+    )
+
+
+def effect_named(name: str) -> Effect:
+    """Effect of a name.
+
+    Raises:
+        BenchError: there is none.
+    """
+    for effect in library():
+        if effect.name == name:
+            return effect
+    raise BenchError(f"there is no effect {name}; known are {', '.join(effect.name for effect in library())}.")
+
+
+def candidates(rig: Rig, operating: OperatingRange, without: tuple[str, ...] = ()) -> tuple[Candidate, ...]:
+    """All effects at all their places on a rig, except those named in ``without``."""
+    return tuple(
+        Candidate(effect, placement)
+        for effect in library()
+        if effect.name not in without
+        for placement in effect.placements(rig, operating)
+    )

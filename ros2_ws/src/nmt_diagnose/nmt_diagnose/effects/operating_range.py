@@ -1,0 +1,55 @@
+"""How large the motion of a set of tests is, from the model: typical sizes of effects follow from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class OperatingRange:
+    """Largest amplitudes over all tests.
+
+    Attributes:
+        omega: frequency of the largest motion, rad/s.
+        displacement: amplitude of each point, m.
+        rotation: amplitude of the cross-section at each point of a beam, rad (empty for a chain).
+        effective_mass: mass of the resonant mode as seen from each point, 1/φ², kg.
+        effective_inertia: the same seen from the rotation of each point, kg m² (empty for a chain).
+        pairs: amplitude (m) and effective mass (kg) across neighbouring points of a chain.
+        coil_displacement: amplitude of the coil (of the drive point without a shaker), m.
+        total_mass: of the structure, kg.
+        voltage: largest drive, V.
+        force: fundamental of the force at the drive point, N.
+        channels: largest fundamental amplitude of each channel by name, before its gain.
+        channels_low: the same at the lowest level.
+        duration_s: bench time from the first to the last window, s.
+        cycles: drive periods in that time.
+    """
+
+    omega: float
+    displacement: Mapping[int, float]
+    rotation: Mapping[int, float]
+    effective_mass: Mapping[int, float]
+    effective_inertia: Mapping[int, float]
+    pairs: Mapping[tuple[int, int], tuple[float, float]]
+    coil_displacement: float
+    total_mass: float
+    voltage: float
+    force: float
+    channels: Mapping[str, float]
+    channels_low: Mapping[str, float]
+    duration_s: float
+    cycles: float
+
+    def typical_mass(self, point: int) -> float:
+        """1 % of what moves at a point, kg: of the mode's mass there or of the structure, whichever is less."""
+        return 0.01 * min(self.effective_mass[point], self.total_mass)
+
+    def effective_stiffness(self, point: int) -> float:
+        """ω² times the effective mass, N/m."""
+        return self.omega**2 * self.effective_mass[point]
+
+    def pair(self, point: int, other: int) -> tuple[float, float] | None:
+        """Amplitude (m) and effective mass (kg) across two points; None where they are no neighbours in a chain."""
+        return self.pairs.get((point, other))

@@ -1,0 +1,126 @@
+"""Dimensionless parameters θ of a fit, and the rigs they stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from math import exp
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_plant.rig import Rig
+
+from .calibration import CalibrationParameter
+from .effect import Candidate, EffectParameter
+
+# Prior standard deviations of θ: a strength of three scales is still ordinary.
+STRENGTH_STD = 3.0
+SHAPE_STD = 1.0
+# Beyond this a shape is as good as anywhere: keeps trial steps of a fit finite.
+LARGEST_LOG_SHAPE = 20.0
+
+
+@dataclass(frozen=True)
+class Parametrisation:
+    """θ = [calibration parameters, then the parameters of each candidate].
+
+    Calibration: value · exp(std θ), prior N(0, 1). Strength: scale · θ, prior N(0, 3²); one that cannot be negative
+    is absent for θ ≤ 0. Shape: scale · exp(θ), prior N(0, 1).
+
+    Attributes:
+        base: the model as given.
+        calibration: parameters of the model that are free.
+        candidates: effects that are added.
+    """
+
+    base: Rig
+    calibration: tuple[CalibrationParameter, ...]
+    candidates: tuple[Candidate, ...] = ()
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Name of each entry of θ."""
+        return (
+            *(parameter.name for parameter in self.calibration),
+            *(f"{candidate.label}.{p.name}" for candidate, p in self._effect_parameters),
+        )
+
+    @cached_property
+    def _effect_parameters(self) -> tuple[tuple[Candidate, EffectParameter], ...]:
+        return tuple((candidate, p) for candidate in self.candidates for p in candidate.effect.parameters)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters n."""
+        return len(self.calibration) + len(self._effect_parameters)
+
+    @cached_property
+    def prior_std(self) -> FloatArray:
+        """Prior standard deviations of θ, (n,)."""
+        return np.array(
+            [1.0] * len(self.calibration)
+            + [STRENGTH_STD if p.kind == "strength" else SHAPE_STD for _, p in self._effect_parameters]
+        )
+
+    @cached_property
+    def lower(self) -> FloatArray:
+        """Lower bounds of θ, (n,): 0 for strengths that cannot be negative."""
+        return np.array(
+            [-np.inf] * len(self.calibration)
+            + [0.0 if p.kind == "strength" and not p.signed else -np.inf for _, p in self._effect_parameters]
+        )
+
+    @property
+    def zero(self) -> FloatArray:
+        """θ of the model as given, (n,)."""
+        return np.zeros(self.size)
+
+    def index_of(self, candidate: int) -> slice:
+        """Entries of θ of one candidate."""
+        first = len(self.calibration) + sum(len(c.effect.parameters) for c in self.candidates[:candidate])
+        return slice(first, first + len(self.candidates[candidate].effect.parameters))
+
+    def values(self, theta: FloatArray, candidate: int) -> dict[str, float]:
+        """Parameters of a candidate, in their units."""
+        own = self.candidates[candidate]
+        return {
+            p.name: _value(p, own.placement.scales[p.name], float(entry))
+            for p, entry in zip(own.effect.parameters, theta[self.index_of(candidate)], strict=True)
+        }
+
+    def rig(self, theta: FloatArray) -> Rig:
+        """Rig of parameters θ; the base itself at zero."""
+        rig = self.base
+        for parameter, entry in zip(self.calibration, theta[: len(self.calibration)], strict=True):
+            rig = parameter.apply(rig, float(entry))
+        for index, candidate in enumerate(self.candidates):
+            rig = candidate.effect.apply(rig, candidate.placement, self.values(theta, index))
+        return rig
+
+    def physical(self, theta: FloatArray) -> dict[str, dict[str, tuple[float, str, float]]]:
+        """Values, units and scales: calibration parameters under ``calibration``, each candidate under its label.
+
+        The scale of a calibration parameter is its prior standard deviation; the parameters of a candidate are those it
+        is reported by, with the scale of a fitted one (NaN of a derived one).
+        """
+        fitted = zip(self.calibration, theta[: len(self.calibration)], strict=True)
+        result: dict[str, dict[str, tuple[float, str, float]]] = {
+            "calibration": {p.name: (p.at(float(entry)), p.unit, abs(p.value) * p.std) for p, entry in fitted}
+        }
+        for index, candidate in enumerate(self.candidates):
+            reported = candidate.effect.reported(self.values(theta, index))
+            scales: Mapping[str, float] = candidate.placement.scales
+            result[candidate.label] = {
+                name: (value, unit, scales.get(name, float("nan"))) for name, (value, unit) in reported.items()
+            }
+        return result
+
+
+def _value(parameter: EffectParameter, scale: float, theta: float) -> float:
+    if parameter.kind == "shape":
+        return scale * exp(min(max(theta, -LARGEST_LOG_SHAPE), LARGEST_LOG_SHAPE))
+    if not parameter.signed and theta <= 0.0:
+        return 0.0
+    return scale * theta

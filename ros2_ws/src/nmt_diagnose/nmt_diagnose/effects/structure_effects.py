@@ -1,0 +1,155 @@
+"""Effects of the structure: springs, drag, damping, mass and stops at its points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import Any
+
+from nmt_plant.rig import (
+    AddedMassSection,
+    ChainSection,
+    CubicSpringSection,
+    ElementSection,
+    LinearDamperSection,
+    QuadraticDragSection,
+    QuadraticSpringSection,
+    QuinticSpringSection,
+    Rig,
+    TwoSidedGapSection,
+    UnilateralStopSection,
+)
+
+from .effect import Effect, EffectParameter, Placement
+from .operating_range import OperatingRange
+from .rig_edit import with_element, with_value
+
+# Gaps as multiples of the largest amplitude at their point: a stop that is not reached does nothing.
+GAP_GRID = (0.1, 0.3, 0.5, 0.7, 0.9)
+Sizes = Callable[[float, float, float], Mapping[str, float]]
+
+
+def spots(rig: Rig, operating: OperatingRange) -> Iterator[tuple[str, int, int, float, float]]:
+    """Label, point, other point (0 = ground), amplitude (m) and effective stiffness (N/m) where an element may sit.
+
+    Every point to the ground; in a chain also neighbours to one another. Points that hardly move are left out.
+    """
+    largest = max(operating.displacement.values())
+    for point in rig.structure.points:
+        amplitude = operating.displacement[point]
+        if amplitude > 1e-3 * largest:
+            yield str(point), point, 0, amplitude, operating.effective_stiffness(point)
+    if isinstance(rig.structure, ChainSection):
+        for point in list(rig.structure.points)[:-1]:
+            pair = operating.pair(point, point + 1)
+            if pair is not None and pair[0] > 1e-3 * largest:
+                yield f"{point}-{point + 1}", point, point + 1, pair[0], operating.omega**2 * pair[1]
+
+
+def local_placements(rig: Rig, operating: OperatingRange, sizes: Sizes) -> tuple[Placement, ...]:
+    """A placement for each spot; ``sizes`` gives the scales from amplitude, effective stiffness and ω."""
+    return tuple(
+        Placement(label, sizes(amplitude, stiffness, operating.omega), point, other)
+        for label, point, other, amplitude, stiffness in spots(rig, operating)
+    )
+
+
+def local_element(section: type[ElementSection], keys: Mapping[str, str]) -> Callable[..., Rig]:
+    """Change that adds one local element; ``keys`` maps parameters to keys of its section."""
+
+    def change(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+        settings: dict[str, Any] = {key: values[name] for name, key in keys.items()}
+        settings["point"] = placement.point
+        if placement.other_point:
+            settings["other_point"] = placement.other_point
+        kind = section.model_fields["kind"].annotation.__args__[0]  # type: ignore[union-attr]
+        return with_element(rig, section.model_construct(kind=kind, **settings))  # type: ignore[arg-type]
+
+    return change
+
+
+def _single(
+    name: str, equation: str, parameter: EffectParameter, section: type[ElementSection], key: str, size: Sizes,
+    reference: str, equivalents: Mapping[str, str] | None = None,
+) -> Effect:  # fmt: skip
+    return Effect(
+        name=name,
+        place="structure",
+        equation=equation,
+        reference=reference,
+        keys=f"local_elements: {section.model_fields['kind'].annotation.__args__[0]}",  # type: ignore[union-attr]
+        parameters=(parameter,),
+        placements=partial(local_placements, sizes=size),
+        change=local_element(section, {parameter.name: key}),
+        equivalents=equivalents or {},
+    )
+
+
+def _stop(name: str, equation: str, section: type[ElementSection]) -> Effect:
+    return Effect(
+        name=name,
+        place="structure",
+        equation=equation,
+        reference="Kerschen et al., Mech. Syst. Signal Process. 20 (2006), section 2",
+        keys=f"local_elements: {section.model_fields['kind'].annotation.__args__[0]}",  # type: ignore[union-attr]
+        parameters=(EffectParameter("k", "N/m"), EffectParameter("gap", "m", "shape", grid=GAP_GRID)),
+        placements=partial(local_placements, sizes=lambda a, k, w: {"k": 0.1 * k, "gap": a}),
+        change=local_element(section, {"k": "stiffness_n_m", "gap": "gap_m"}),
+    )
+
+
+def _mass_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+    return tuple(
+        Placement(str(point), {"m": operating.typical_mass(point)}, point)
+        for point in rig.structure.points
+        if operating.displacement[point] > 1e-3 * max(operating.displacement.values())
+    )
+
+
+def _with_mass(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+    added = AddedMassSection.model_construct(point=placement.point, mass_kg=values["m"])
+    return with_value(rig, ("structure", "added_masses"), [*rig.structure.added_masses, added])
+
+
+def _with_loss(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+    return with_value(rig, ("structure", "loss_factor"), rig.structure.loss_factor + values["eta"])
+
+
+STRUCTURE_EFFECTS: tuple[Effect, ...] = (
+    _single(
+        "cubic_stiffness", "k x³", EffectParameter("k", "N/m³", signed=True), CubicSpringSection, "stiffness_n_m3",
+        lambda a, k, w: {"k": 0.02 * k / a**2}, "Nayfeh and Mook, Nonlinear Oscillations (1979), chapter 4",
+    ),
+    _single(
+        "quintic_stiffness", "k x⁵", EffectParameter("k", "N/m⁵", signed=True), QuinticSpringSection,
+        "stiffness_n_m5", lambda a, k, w: {"k": 0.02 * k / a**4}, "Nayfeh and Mook (1979), chapter 4",
+    ),
+    _single(
+        "quadratic_stiffness", "k x²", EffectParameter("k", "N/m²", signed=True), QuadraticSpringSection,
+        "stiffness_n_m2", lambda a, k, w: {"k": 0.05 * k / a}, "Nayfeh and Mook (1979), section 4.1",
+    ),
+    _single(
+        "air_drag", "c₂ v |v|", EffectParameter("c2", "N s²/m²", signed=True), QuadraticDragSection, "drag_ns2_m2",
+        lambda a, k, w: {"c2": 0.005 * k / (w**2 * a)}, "Baker et al., J. Acoust. Soc. Am. 41 (1967) 798",
+    ),
+    Effect(
+        name="structural_damping", place="structure", equation="K (1 + iη)",
+        reference="Crandall, J. Sound Vib. 11 (1970) 3; as modal viscous damping ζ_r = η/2, exact at each resonance",
+        keys="structure.loss_factor", parameters=(EffectParameter("eta", "1"),),
+        placements=lambda rig, operating: (Placement("", {"eta": 0.005}),), change=_with_loss,
+        equivalents={"viscous_damping": "several modes in a random test"},
+    ),
+    _single(
+        "viscous_damping", "c v", EffectParameter("c", "N s/m", signed=True), LinearDamperSection, "damping_ns_m",
+        lambda a, k, w: {"c": 0.005 * k / w}, "linear damper",
+        {"structural_damping": "several modes in a random test"},
+    ),
+    Effect(
+        name="added_mass", place="structure", equation="m a", reference="Ewins, Modal Testing (2000), section 3.2",
+        keys="structure.added_masses", parameters=(EffectParameter("m", "kg", signed=True),),
+        placements=_mass_placements, change=_with_mass,
+        equivalents={"sensor_mass": "a test with the sensor taken off", "stinger_stiffness": "a second drive point"},
+    ),
+    _stop("one_sided_stop", "k max(x − g, 0)", UnilateralStopSection),
+    _stop("two_sided_gap", "k (x ∓ g) beyond ±g", TwoSidedGapSection),
+)  # fmt: skip

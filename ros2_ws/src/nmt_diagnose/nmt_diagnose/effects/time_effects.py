@@ -1,0 +1,85 @@
+"""Effects over time: what drifts while the tests go on, and how the loop stands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from nmt_plant.rig import IwanSection, JenkinsSection, Rig, TanhFrictionSection
+
+from .effect import Effect, EffectParameter, Placement
+from .operating_range import OperatingRange
+from .rig_edit import value_at, with_value
+
+
+def _preload_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+    if not any(isinstance(e, JenkinsSection | IwanSection | TanhFrictionSection) for e in rig.local_elements):
+        return ()
+    return (
+        Placement("time", {"rate": 0.05 / max(operating.duration_s, 1.0)}, option="slip_force_per_s"),
+        Placement("cycles", {"rate": 0.05 / max(operating.cycles, 1.0)}, option="slip_force_per_cycle"),
+    )
+
+
+def _temperature_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+    return (Placement("", {"rate": 0.005 / max(operating.duration_s, 1.0)}, option="stiffness_per_s"),)
+
+
+def _with_drift(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+    path = ("drift", placement.option)
+    return with_value(rig, path, value_at(rig, path) + values["rate"])
+
+
+def _with_setting(name: str, key: str) -> Callable[[Rig, Placement, Mapping[str, float]], Rig]:
+    def change(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+        return with_value(rig, ("pll", key), float(value_at(rig, ("pll", key)) or 0.0) + values[name])
+
+    return change
+
+
+TIME_EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        name="preload_loss",
+        place="time",
+        equation="slip force times (1 + rate t), t in s or drive periods",
+        reference="Eriten et al., Exp. Mech. 51 (2011) 1405; Brake (ed.), The Mechanics of Jointed Structures (2018)",
+        keys="drift.slip_force_per_s, drift.slip_force_per_cycle",
+        parameters=(EffectParameter("rate", "1/s or 1/period", signed=True),),
+        placements=_preload_placements,
+        change=_with_drift,
+    ),
+    Effect(
+        name="temperature_drift",
+        place="time",
+        equation="K (1 + rate t)",
+        reference="Xia et al., J. Civ. Struct. Health Monit. 2 (2012) 29",
+        keys="drift.stiffness_per_s",
+        parameters=(EffectParameter("rate", "1/s", signed=True),),
+        placements=_temperature_placements,
+        change=_with_drift,
+    ),
+)
+
+CONTROLLER_EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        name="phase_offset",
+        place="controller",
+        equation="the loop holds arg F − arg v = φ₀",
+        reference="Peter and Leine, Mech. Syst. Signal Process. 96 (2017) 139",
+        keys="pll.phase_offset_rad",
+        parameters=(EffectParameter("phi0", "rad", signed=True),),
+        placements=lambda rig, operating: (Placement("", {"phi0": 0.02}),),
+        change=_with_setting("phi0", "phase_offset_rad"),
+        equivalents={"loop_latency": "a phase-locked test on another mode"},
+    ),
+    Effect(
+        name="loop_latency",
+        place="controller",
+        equation="the loop holds arg F − arg v = ω τ",
+        reference="Peter and Leine, Mech. Syst. Signal Process. 96 (2017) 139",
+        keys="pll.loop_latency_s",
+        parameters=(EffectParameter("tau", "s", signed=True),),
+        placements=lambda rig, operating: (Placement("", {"tau": 0.02 / operating.omega}),),
+        change=_with_setting("tau", "loop_latency_s"),
+        equivalents={"phase_offset": "a phase-locked test on another mode"},
+    ),
+)

@@ -1,0 +1,234 @@
+"""Operating range of a set of tests, computed by the twin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import eigh
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.evidence.conditions import MeasuredChannel, PhaseResonanceTest, RandomTest, RecordTest, Test
+from nmt_diagnose.evidence.observables import Rows
+from nmt_plant.model.fourier_basis import FourierBasis
+from nmt_plant.rig import BeamSection, ChainSection, Rig
+from nmt_plant.rig_model import build_system
+
+from .parts_cache import PartsCache
+from .phase_resonance_twin import PhaseResonanceTwin, resting_tangent
+from .rig_parts import RigParts
+from .settings import TwinSettings
+
+
+
+
+def operating_range(rig: Rig, tests: Sequence[Test], settings: TwinSettings | None = None) -> OperatingRange:
+    """Largest motion over the tests, by the model as it is.
+
+    Phase-resonant tests by their highest and lowest level; a random test or a record by its rms through the system
+    linearised at rest. Without any test that excites, a displacement of 1 mm.
+
+    Raises:
+        BenchError: the rig does not fit the tests.
+    """
+    settings = TwinSettings(mesh_refinement=1) if settings is None else settings
+    channels = tuple(
+        MeasuredChannel(rig.sensor_channel(s), Quantity[s.quantity.upper()], rig.sensor_point(s)) for s in rig.sensors
+    )
+    points = list(rig.structure.points)
+    probes = tuple(MeasuredChannel(f"probe {point}", Quantity.DISPLACEMENT, point) for point in points)
+    # Without a drift: its rates are per duration, which is not known yet.
+    largest: dict[str, float] = {}
+    lowest: dict[str, float] = {}
+    displacement = dict.fromkeys(points, 0.0)
+    pairs: dict[tuple[int, int], float] = {}
+    omega, force, voltage, coil, best = 0.0, 0.0, 0.0, 0.0, -1.0
+    rotation = dict.fromkeys(points, 0.0)
+    for test in tests:
+        motions = _motions(rig, test, (*channels, *probes), settings)
+        for parts, frequency, drive, amplitudes, unknowns in motions:
+            values = {c.name: abs(a) for c, a in zip((*channels, *probes), amplitudes, strict=True)}
+            for channel, (gain, *_rest) in zip(channels, parts.channels, strict=False):
+                size = values[channel.name] / abs(gain)
+                largest[channel.name] = max(largest.get(channel.name, 0.0), size)
+                lowest[channel.name] = min(lowest.get(channel.name, np.inf), size)
+                if channel.quantity == Quantity.FORCE:
+                    force = max(force, size)
+            own = np.array([values[f"probe {point}"] for point in points])
+            complex_own = amplitudes[len(channels) :]
+            for point, value in zip(points, own, strict=True):
+                displacement[point] = max(displacement[point], float(value))
+            for i in range(len(points) - 1):
+                key = (points[i], points[i + 1])
+                pairs[key] = max(pairs.get(key, 0.0), float(abs(complex_own[i + 1] - complex_own[i])))
+            voltage = max(voltage, drive)
+            system = parts.system
+            if system.coil is not None:
+                coil = max(coil, float(abs(unknowns[system.coil])))
+            if isinstance(rig.structure, BeamSection):
+                for point in points:
+                    rotation[point] = max(rotation[point], float(abs(unknowns[system.points[point] + 1])))
+            if own.max() > best:
+                best, omega = float(own.max()), frequency
+    if best <= 0.0:
+        displacement = dict.fromkeys(points, 1e-3)
+        omega = 2.0 * np.pi * 100.0
+    mass, inertia, pair_mass = _effective_masses(rig, omega)
+    start = [test.levels[0].start_s if isinstance(test, PhaseResonanceTest) else getattr(test, "start_s", 0.0)
+             for test in tests if not (isinstance(test, PhaseResonanceTest) and not test.levels)]  # fmt: skip
+    stop = [max((level.stop_s for level in test.levels), default=0.0) if isinstance(test, PhaseResonanceTest)
+            else getattr(test, "stop_s", 0.0) for test in tests]  # fmt: skip
+    cycles = [level.cycles_before for test in tests if isinstance(test, PhaseResonanceTest) for level in test.levels]
+    return OperatingRange(
+        omega=omega,
+        displacement=displacement,
+        rotation=rotation if isinstance(rig.structure, BeamSection) else {},
+        effective_mass=mass,
+        effective_inertia=inertia,
+        pairs={key: (pairs.get(key, 1e-3), pair_mass[key]) for key in pair_mass},
+        coil_displacement=coil if coil > 0.0 else displacement[rig.drive_point],
+        total_mass=_total_mass(rig),
+        voltage=float(voltage) if voltage > 0.0 else 1.0,
+        force=float(force),
+        channels={name: float(value) for name, value in largest.items()},
+        channels_low={name: float(value) for name, value in lowest.items() if np.isfinite(value)},
+        duration_s=max(max(stop, default=0.0) - min(start, default=0.0), 1.0),
+        cycles=max(max(cycles, default=0.0), 1.0),
+    )
+
+
+Found = tuple[RigParts, float, float, np.ndarray, np.ndarray]
+
+
+def _motions(
+    rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
+) -> list[Found]:
+    """Parts, ω, drive, channel amplitudes and unknowns at the ends of a test."""
+    if isinstance(test, PhaseResonanceTest):
+        return _resonant(rig, test, channels, settings)
+    if isinstance(test, RandomTest):
+        return _noise(rig, test.drive_point, channels, settings, 2.0 * np.pi * test.lines_hz, test.drive_rms,
+                      test.reference == "force")  # fmt: skip
+    if isinstance(test, RecordTest):
+        lines = 2.0 * np.pi * np.geomspace(1e-3, 0.4, 200) * test.sample_rate
+        ideal = test.input_channel.quantity == Quantity.FORCE
+        return _noise(rig, test.drive_point, channels, settings, lines, float(np.std(test.input)), ideal)
+    return []
+
+
+def _resonant(
+    rig: Rig, test: PhaseResonanceTest, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
+) -> list[Found]:
+    wider = PhaseResonanceTest(
+        test.name, test.drive_point, test.response_channel,
+        (*(c for c in channels), *(c for c in test.channels if c.name not in {k.name for k in channels})),
+        test.harmonics, test.held, test.levels,
+    )  # fmt: skip
+    nothing = np.zeros(0, dtype=np.int64)
+    empty = Rows(nothing, nothing, nothing, nothing, nothing, np.zeros(0), np.zeros(0), np.zeros(0))
+    twin = PhaseResonanceTwin(wider, empty, settings)
+    cache = PartsCache(settings)
+    found: list[Found] = []
+    solved = [
+        (level, state)
+        for level, state in zip(twin.levels, twin.solve(rig, cache, None), strict=True)
+        if state is not None
+    ]
+    solved.sort(key=lambda pair: pair[1].drive)
+    for level, state in {id(s): (lv, s) for lv, s in (solved[:1] + solved[-1:])}.values():
+        parts = twin.parts(rig, cache, level)
+        unknowns = _unknowns(parts, state.omega, state.channels[: len(channels), 1], channels)
+        found.append((parts, state.omega, state.drive, state.channels[: len(channels), 1], unknowns))
+    return found
+
+
+def _unknowns(
+    parts: RigParts, omega: float, amplitudes: np.ndarray, channels: tuple[MeasuredChannel, ...]
+) -> np.ndarray:
+    """All unknowns, from the linearised system scaled to the largest probe."""
+    system = parts.system
+    tangent = np.abs(resting_tangent(parts, 1j * omega))
+    impedance = system.stiffness + 1j * omega * system.damping - omega**2 * system.mass
+    for value, direction in zip(tangent, parts.inputs.T[:-1], strict=True):
+        impedance = impedance + value * np.outer(direction, direction)
+    q = np.linalg.solve(impedance, system.input_vector.astype(complex))
+    probe = max(
+        (i for i, channel in enumerate(channels) if channel.name.startswith("probe ")),
+        key=lambda i: abs(amplitudes[i]),
+    )
+    return np.asarray(q * abs(amplitudes[probe]) / abs(q[system.points[channels[probe].point]]))
+
+
+def _noise(
+    rig: Rig,
+    drive_point: int,
+    channels: tuple[MeasuredChannel, ...],
+    settings: TwinSettings,
+    omega: FloatArray,
+    rms: float,
+    ideal_force: bool,
+) -> list[Found]:
+    """Rms of flat noise over the lines through the system linearised at rest."""
+    cache = PartsCache(settings)
+    parts = cache.parts(rig, drive_point, channels, FourierBasis.up_to(1), ideal_force=ideal_force)
+    system = parts.system
+    squares = np.zeros(len(channels))
+    q_squares = np.zeros(system.size)
+    tangent = resting_tangent(parts, 0j).real
+    stiffness = system.stiffness + sum(
+        value * np.outer(direction, direction) for value, direction in zip(tangent, parts.inputs.T[:-1], strict=True)
+    )
+    weights = np.gradient(omega) if omega.size > 1 else np.ones(1)
+    weights = weights / weights.sum()
+    peak, top = omega[0], -1.0
+    rows, r = parts.rows, parts.coordinates
+    for w, weight in zip(omega, weights, strict=True):
+        q = np.linalg.solve(stiffness + 1j * w * system.damping - w**2 * system.mass, system.input_vector + 0j)
+        s = 1j * w
+        y = (rows.displacement + s * rows.velocity + s * s * rows.acceleration)[r:] @ q + rows.feedthrough[r:, -1]
+        y = y * parts.channels[:, 0]
+        squares += weight * np.abs(y) ** 2
+        q_squares += weight * np.abs(q) ** 2
+        largest = float(np.max(np.abs(q[: system.structure_size])))
+        if largest > top:
+            top, peak = largest, w
+    scale = rms * parts.input_per_volt
+    amplitudes = np.sqrt(squares).astype(complex) * scale
+    return [(parts, float(peak), rms, amplitudes, np.sqrt(q_squares) * scale)]
+
+
+def _total_mass(rig: Rig) -> float:
+    structure = rig.structure
+    if isinstance(structure, BeamSection):
+        return structure.density_kg_m3 * structure.length_m * structure.width_m * structure.height_m
+    return float(sum(structure.masses_kg))
+
+
+def _effective_masses(
+    rig: Rig, omega: float
+) -> tuple[dict[int, float], dict[int, float], dict[tuple[int, int], float]]:
+    """1/φ² of the mode nearest to ω, as seen from points, rotations and pairs of neighbours (at rest, with exciter)."""
+    system = build_system(rig)
+    n = system.mechanical_size
+    stiffness = system.sticking_stiffness()[:n, :n]
+    squares, shapes = eigh(0.5 * (stiffness + stiffness.T), system.mass[:n, :n])
+    nearest = int(np.argmin(np.abs(np.sqrt(np.maximum(squares, 0.0)) - omega)))
+    shape = shapes[:, nearest]
+    # A point at a node has no mass of its own: limited to a thousand times that of the largest.
+    floor = 1e-3 * float(np.max(np.abs(shape[list(system.points.values())]))) ** 2
+
+    def seen(value: float, least: float) -> float:
+        return float(1.0 / max(value**2, least))
+
+    mass = {point: seen(shape[index], floor) for point, index in system.points.items()}
+    inertia: dict[int, float] = {}
+    if isinstance(rig.structure, BeamSection):
+        least = 1e-3 * max(shape[index + 1] ** 2 for index in system.points.values())
+        inertia = {point: seen(shape[index + 1], least) for point, index in system.points.items()}
+    pairs: dict[tuple[int, int], float] = {}
+    if isinstance(rig.structure, ChainSection):
+        points = sorted(system.points)
+        for a, b in zip(points[:-1], points[1:], strict=True):
+            pairs[(a, b)] = seen(shape[system.points[b]] - shape[system.points[a]], floor)
+    return mass, inertia, pairs

@@ -10,18 +10,25 @@ import pytest
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import check_values
-from nmt_pll.settings import LoopSettings, setting_parameters, settings_from
+from nmt_pll.settings import SIGNED_SETTINGS, LoopSettings, setting_parameters, settings_from
 
 LINEAR = LinearDescription(
     "test", 2, 1, (2,), (100.0, 700.0), (0.01, 0.02), ((1.0, 2.0),), 2.0, 690.0, 0.05, 0.04
 )
 
 
-@pytest.mark.parametrize("name", [item.name for item in fields(LoopSettings)])
+@pytest.mark.parametrize("name", sorted({item.name for item in fields(LoopSettings)} - SIGNED_SETTINGS))
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1.0])
 def test_every_setting_must_be_finite_and_not_negative(name, value):
     with pytest.raises(BenchError, match=f"^PLL setting '{name}' must be finite and not negative, got"):
         settings_from({name: value})
+
+
+@pytest.mark.parametrize("name", sorted(SIGNED_SETTINGS))
+def test_what_the_loop_holds_may_be_negative_but_must_be_finite(name):
+    assert getattr(settings_from({name: -0.1}), name) == -0.1
+    with pytest.raises(BenchError, match=f"^PLL setting '{name}' must be finite, got"):
+        settings_from({name: math.nan})
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -78,6 +79,7 @@ def report_data_from_bag(
         else:
             recorded.append(modal_point_from_message(message))
     envelopes, excerpts, sample_rate, end_sample = _signals(bag, linear, locks)
+    excerpts = _with_frequency(excerpts, recorded if points is None else points)
     return RunReportData(
         points=recorded if points is None else points,
         sample_rate=sample_rate,
@@ -216,6 +218,21 @@ def _signals(
         rates[0] if rates else math.nan,
         end_sample,
     )
+
+
+def _with_frequency(excerpts: Sequence[Excerpt], points: Sequence[ModalPoint]) -> list[Excerpt]:
+    """Imported windows need not name their frequency: it is then that of the modal point."""
+    known = {point.level_index: point.frequency_hz for point in points if math.isfinite(point.frequency_hz)}
+    complete = []
+    for excerpt in excerpts:
+        frequency = known.get(excerpt.level_index, math.nan)
+        if math.isfinite(excerpt.frequency_hz):
+            complete.append(excerpt)
+        elif frequency > 0.0:
+            stop = round(EXCERPT_PERIODS * excerpt.sample_rate / frequency)
+            force, response = excerpt.force[:stop], excerpt.response[:stop]
+            complete.append(dataclasses.replace(excerpt, frequency_hz=frequency, force=force, response=response))
+    return complete
 
 
 def _excerpt_samples(lock: LockMark) -> int:

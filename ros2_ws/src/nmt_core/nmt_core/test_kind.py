@@ -17,6 +17,7 @@ class TestKind(IntEnum):
         SWEEP: frequency moves at a given rate with an amplitude held; the window is the whole sweep.
         STEPPED_SINE: fixed frequency with an amplitude held; one window of whole periods.
         RING_DOWN: phase-locked excitation that is switched off at the lock; the window is the free decay.
+        RECORD: any excitation, in imported data only; the bench does no such test.
     """
 
     UNKNOWN = 0
@@ -25,6 +26,7 @@ class TestKind(IntEnum):
     SWEEP = 3
     STEPPED_SINE = 4
     RING_DOWN = 5
+    RECORD = 6
 
     @classmethod
     def of(cls, value: int) -> TestKind:
@@ -45,7 +47,7 @@ class TestKind(IntEnum):
         Raises:
             BenchError: no such kind.
         """
-        kinds = {kind.label: kind for kind in cls if kind is not cls.UNKNOWN}
+        kinds = {kind.label: kind for kind in cls if kind not in (cls.UNKNOWN, cls.RECORD)}
         if name not in kinds:
             raise BenchError(f"Test '{name}' is not known; use {', '.join(kinds)}.")
         return kinds[name]

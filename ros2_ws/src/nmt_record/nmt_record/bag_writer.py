@@ -54,6 +54,7 @@ class BagWriter:
         flush_interval: s of wall time after which :meth:`write` and :meth:`flush_if_due` close a chunk.
         records: write start and stop record; off for copies, which have them already.
         open_file: opens the MCAP file; must return an unbuffered file.
+        clock: time of reception of messages that come without one, ns; None = the wall clock.
 
     Attributes:
         state: ``open``, ``closed`` or ``failed``.
@@ -74,6 +75,7 @@ class BagWriter:
         flush_interval: float = 0.5,
         records: bool = True,
         open_file: Callable[[Path], Any] = open_unbuffered,
+        clock: Callable[[], int] | None = None,
     ) -> None:
         self.path = Path(path)
         self.file_path = self.path / f"{self.path.name}_0.mcap"
@@ -84,6 +86,7 @@ class BagWriter:
         self._custom = {RUN_JSON_KEY: run_json, RIG_YAML_KEY: rig_yaml}
         self._custom = {key: text for key, text in self._custom.items() if text}
         self._records = records
+        self._clock = clock or (lambda: time.time_ns())
         self._chunk_messages = chunk_messages
         self._flush_interval = flush_interval
         self._channels: dict[str, int] = {}
@@ -162,7 +165,7 @@ class BagWriter:
             )
         if receive_time_ns is None:
             # The wall clock may be set back; the order of the file must stay the order of reception.
-            receive_time_ns = max(time.time_ns(), self._newest)
+            receive_time_ns = max(self._clock(), self._newest)
         if receive_time_ns > self._newest:
             self._newest = receive_time_ns
         try:

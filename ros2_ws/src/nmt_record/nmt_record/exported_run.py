@@ -1,0 +1,416 @@
+"""From a bag to files that others read, with the sidecar that imports them again without loss."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity
+from nmt_core.errors import BenchError
+from nmt_core.test_kind import TestKind
+from nmt_core.whole_file import write_whole
+from nmt_core.wire import BlockReader, LoopStatus, read_status
+from nmt_record import uff
+from nmt_record.bag_reader import Bag
+from nmt_record.bench_topics import SAMPLE_BLOCK
+from nmt_record.cdr_peek import peek_block
+from nmt_record.frf_table import read_frf_table
+from nmt_record.segments import Segment, Signals, read_signals, segments
+from nmt_record.side_tables import BlockRow, write_block_table, write_loop_table
+
+FORMATS = ("uff", "csv", "npz")
+LATERAL = 3
+"""Direction of every channel with a point: +z."""
+
+_LEVEL_UNITS = {1: "V", 3: "N"}
+_SPECIFIC = {
+    Quantity.FORCE: (uff.FORCE, "Force"),
+    Quantity.DISPLACEMENT: (uff.DISPLACEMENT, "Displacement"),
+    Quantity.VELOCITY: (uff.VELOCITY, "Velocity"),
+    Quantity.ACCELERATION: (uff.ACCELERATION, "Acceleration"),
+    Quantity.VOLTAGE: (uff.GENERAL, "Voltage"),
+    Quantity.CURRENT: (uff.GENERAL, "Current"),
+}
+_CSV_ROWS = 50_000
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Samples from ``first`` to before ``stop``."""
+
+    first: int
+    stop: int
+
+    @property
+    def samples(self) -> int:
+        """How many."""
+        return self.stop - self.first
+
+
+def recorded_extent(bag: Bag) -> Extent:
+    """First sample of the bag and the one after the last.
+
+    Raises:
+        BenchError: the bag has no samples.
+    """
+    names = [name for name, (kind, count) in bag.topics.items() if kind == SAMPLE_BLOCK and count]
+    first, stop = None, 0
+    for _, _, _, raw in bag.raw_messages(names) if names else ():
+        try:
+            extent = peek_block(raw)
+        except ValueError:
+            continue
+        first = extent.first_sample if first is None else min(first, extent.first_sample)
+        stop = max(stop, extent.end_sample)
+    if first is None:
+        raise BenchError(f"The bag {bag.path} holds no samples to export.")
+    return Extent(first, stop)
+
+
+@dataclass(frozen=True)
+class LevelSpan:
+    """A level of the plan, and the window it led to."""
+
+    index: int
+    test: TestKind
+    level: float
+    unit: str
+    first: int
+    stop: int
+    message: Any
+    locks: tuple[tuple[Segment, Any], ...]
+
+
+def level_spans(bag: Bag, extent: Extent) -> list[LevelSpan]:
+    """Levels in the order of time with the lock events that belong to them.
+
+    Bags without level messages (imported ones without levels) give one span for each lock event.
+    """
+    events = bag.lock_events()
+    windows = list(zip(segments(bag), events, strict=True))
+    messages = [message for _, _, message in bag.messages(["level"]) if float(message.amplitude) > 0.0]
+    starts = [int(message.apply_at_sample) for message in messages]
+    quiet = [
+        int(message.apply_at_sample) for _, _, message in bag.messages(["level"]) if not float(message.amplitude) > 0.0
+    ]
+    spans: list[LevelSpan] = []
+    known = {int(message.index) for message in messages}
+    for number, message in enumerate(messages):
+        first = max(starts[number], extent.first)
+        later = [start for start in (*starts[number + 1 :], *quiet) if start > starts[number]]
+        stop = min([*later, extent.stop])
+        own = tuple(pair for pair in windows if pair[0].level_index == int(message.index))
+        stop = min(max([stop, *(segment.end_sample for segment, _ in own)]), extent.stop)
+        unit = own[0][0].level_unit if own else _LEVEL_UNITS.get(int(message.control), "")
+        spans.append(
+            LevelSpan(
+                int(message.index),
+                TestKind.of(int(getattr(message, "test", 0))),
+                float(message.amplitude),
+                unit,
+                first,
+                stop,
+                message,
+                own,
+            )
+        )
+    for segment, event in windows:
+        if segment.level_index not in known:
+            first, stop = segment.first_sample, segment.end_sample
+            spans.append(
+                LevelSpan(
+                    segment.level_index,
+                    segment.kind,
+                    segment.level,
+                    segment.level_unit,
+                    first,
+                    stop,
+                    None,
+                    ((segment, event),),
+                )
+            )
+    return sorted(spans, key=lambda span: span.first)
+
+
+def export_bag(
+    bag: Bag, folder: Path, form: str, extent: Extent, ascii_uff: bool = False, rig: str = "", linear: str = ""
+) -> list[str]:
+    """Write data, side files and sidecar of a stretch of a bag.
+
+    Args:
+        bag: the bag.
+        folder: exists.
+        form: ``uff``, ``csv`` or ``npz``.
+        extent: the stretch.
+        ascii_uff: UFF in ASCII (13 digits) instead of 58b (all bits).
+        rig: text of the rig file; empty = none.
+        linear: ``linear.json`` to put beside; empty = none.
+
+    Returns:
+        Names of the files.
+
+    Raises:
+        BenchError: nothing to export, channels that change, or the disk refuses.
+    """
+    signals = read_signals(bag, extent.first, extent.samples)
+    sidecar: dict[str, Any] = {}
+    if bag.run_start and bag.run_start.get("run_id"):
+        sidecar["run_id"] = str(bag.run_start["run_id"])
+    files = []
+    if rig:
+        _write_text(folder / "rig.yaml", rig)
+        sidecar["rig"] = "rig.yaml"
+        files.append("rig.yaml")
+    elif bag.run_start and bag.run_start.get("rig"):
+        sidecar["rig"] = str(bag.run_start["rig"])
+    sidecar["sample_rate"] = signals.sample_rate
+    sidecar["file"] = f"data.{form}"
+    sidecar["first_sample"] = extent.first
+    if form == "uff":
+        write_time_uff(folder / "data.uff", signals, not ascii_uff)
+    elif form == "npz":
+        _write_npz(folder / "data.npz", signals)
+    else:
+        _write_csv(folder / "data.csv", signals)
+    files.append(sidecar["file"])
+    sidecar["channels"] = [_channel(name, signals) for name in signals.channels]
+    sidecar["segments"] = _segment_entries(bag, extent, signals.sample_rate)
+    if linear:
+        _write_text(folder / "linear.json", linear)
+        sidecar["linear"] = "linear.json"
+        files.append("linear.json")
+    extraction = (bag.run_start or {}).get("extraction")
+    if isinstance(extraction, dict) and extraction:
+        sidecar["extraction"] = extraction
+    blocks = _block_rows(bag, extent)
+    write_block_table(folder / "oscillator.csv", blocks)
+    sidecar["oscillator"] = "oscillator.csv"
+    files.append("oscillator.csv")
+    states = _states(bag, extent)
+    if states:
+        write_loop_table(folder / "loop.csv", states)
+        sidecar["loop"] = "loop.csv"
+        files.append("loop.csv")
+    text = yaml.safe_dump(sidecar, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
+    _write_text(folder / "sidecar.yaml", "# ./nmt import sidecar.yaml --out DIR\n" + text)
+    return [*files, "sidecar.yaml"]
+
+
+def _channel(name: str, signals: Signals) -> dict[str, Any]:
+    quantity = signals.quantities[name]
+    entry = {"column": name, "quantity": quantity.topic, "unit": signals.units[name], "scale": 1.0}
+    if signals.points[name]:
+        entry["point"] = signals.points[name]
+    return {**entry, "name": name}
+
+
+def _segment_entries(bag: Bag, extent: Extent, rate: float) -> list[dict[str, Any]]:
+    entries: list[dict[str, Any]] = []
+    for span in level_spans(bag, extent):
+        first, stop = max(span.first, extent.first), min(span.stop, extent.stop)
+        locks = [
+            pair for pair in span.locks if extent.first <= pair[0].first_sample and pair[0].end_sample <= extent.stop
+        ]
+        if stop <= first or (span.locks and not locks):
+            continue
+        head: dict[str, Any] = {"kind": span.test.label}
+        if math.isfinite(span.level):
+            head["level"] = span.level
+        if span.unit in ("V", "N", "m", "m/s", "m/s^2"):
+            head["level_unit"] = span.unit
+        head["index"] = span.index
+        message = span.message
+        if message is not None and span.test is TestKind.RANDOM and message.band_high_hz > 0.0:
+            head["band_hz"] = [float(message.band_low_hz), float(message.band_high_hz)]
+        if message is not None and span.test is TestKind.SWEEP:
+            head["rate_hz_s"] = float(message.rate_hz_s)
+            if message.frequency_end_hz > 0.0:
+                head["frequency_end_hz"] = float(message.frequency_end_hz)
+        if not locks:
+            entries.append({**head, "start": first / rate, "stop": stop / rate, "locked": False})
+            continue
+        # Several windows of one level (slow ramps) become consecutive segments of that level.
+        edges = [first, *(segment.end_sample for segment, _ in locks[:-1]), stop]
+        for number, (segment, event) in enumerate(locks):
+            entry = {**head, "start": edges[number] / rate, "stop": edges[number + 1] / rate}
+            entry["window"] = [segment.first_sample / rate, segment.end_sample / rate]
+            if segment.periods:
+                entry["periods"] = segment.periods
+            if segment.frequency_hz > 0.0:
+                entry["frequency_hz"] = segment.frequency_hz
+            if int(event.sample) >= extent.first:
+                entry["lock_time"] = int(event.sample) / rate
+            if math.isfinite(float(event.phase_error)):
+                entry["phase_error"] = float(event.phase_error)
+            entries.append(entry)
+    return entries
+
+
+def write_time_uff(path: Path, signals: Signals, binary: bool = True) -> None:
+    """Write every channel as a dataset 58 of function type 1; node = point, direction +z.
+
+    Raises:
+        BenchError: the file cannot be written.
+    """
+    functions = []
+    for name, data in signals.channels.items():
+        quantity, point = signals.quantities[name], signals.points[name]
+        kind, label = _SPECIFIC[quantity]
+        functions.append(
+            uff.UffFunction(
+                uff.TIME_RESPONSE,
+                data,
+                signals.first_sample / signals.sample_rate,
+                1.0 / signals.sample_rate,
+                lines=(name, f"sample rate {signals.sample_rate!r} Hz, first sample {signals.first_sample}"),
+                response_node=point,
+                response_direction=LATERAL if point else 0,
+                abscissa_axis=uff.Axis(uff.TIME, "Time", "s"),
+                ordinate_axis=uff.Axis(kind, label, signals.units[name]),
+            )
+        )
+    uff.write_uff(path, functions, binary)
+
+
+def _write_npz(path: Path, signals: Signals) -> None:
+    arrays: dict[str, Any] = {**signals.channels, "sample_rate": np.array(signals.sample_rate)}
+    try:
+        np.savez(path, **arrays)
+    except OSError as error:
+        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
+
+
+def _write_csv(path: Path, signals: Signals) -> None:
+    time = (signals.first_sample + np.arange(signals.samples)) / signals.sample_rate
+    names = ["time [s]", *(f"{name} [{signals.units[name]}]" for name in signals.channels)]
+    columns: list[FloatArray] = [time, *signals.channels.values()]
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            file.write(",".join(names) + "\n")
+            for first in range(0, signals.samples, _CSV_ROWS):
+                part = [column[first : first + _CSV_ROWS].tolist() for column in columns]
+                # repr gives the shortest digits that read back to the same bits.
+                file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*part, strict=True))
+    except OSError as error:
+        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
+
+
+def _block_rows(bag: Bag, extent: Extent) -> list[BlockRow]:
+    """Blocks of the topic whose phase the extraction uses; cut blocks keep the phase of their first sample."""
+    names = [name for name, (kind, count) in bag.topics.items() if kind == SAMPLE_BLOCK and count]
+    leading = "force" if "force" in names else names[0]
+    readers = {name: BlockReader() for name in names}
+    rows: dict[int, BlockRow] = {}
+    flags: list[tuple[str, int, int, int]] = []
+    for topic, _, _, raw in bag.raw_messages(names):
+        try:
+            block = readers[topic].read(raw)
+        except ValueError:
+            continue
+        first, stop = max(block.first_sample, extent.first), min(block.end_sample, extent.stop)
+        if stop <= first:
+            continue
+        if block.flags:
+            flags.append((topic, first, stop, block.flags))
+        if topic == leading:
+            skipped = (first - block.first_sample) / block.sample_rate
+            phase = block.oscillator
+            if skipped > 0.0:
+                cycles = phase.cycles + skipped * (phase.frequency_hz + 0.5 * phase.rate_hz_s * skipped)
+                phase = OscillatorPhase(cycles % 1.0, phase.frequency_hz + phase.rate_hz_s * skipped, phase.rate_hz_s)
+            rows[first] = BlockRow(first, stop - first, phase)
+    for topic, first, stop, value in flags:
+        for row in rows.values():
+            if row.first_sample < stop and first < row.first_sample + row.samples:
+                row.flags[topic] = row.flags.get(topic, 0) | value
+    return [rows[first] for first in sorted(rows)]
+
+
+def _states(bag: Bag, extent: Extent) -> list[LoopStatus]:
+    found = []
+    for _, _, _, raw in bag.raw_messages(["frequency"]) if "frequency" in bag.topics else ():
+        try:
+            status = read_status(raw)
+        except ValueError:
+            continue
+        if extent.first <= status.last_sample < extent.stop:
+            found.append(status)
+    return found
+
+
+def export_frf(table: Path, path: Path, drive_point: int, binary: bool = True) -> int:
+    """Write the frequency responses of ``frf.csv`` as datasets 58 of function type 4.
+
+    Node = response point, reference node = drive point, both in +z; SI units.
+
+    Args:
+        table: ``frf.csv``.
+        path: of the UFF file.
+        drive_point: of the force; 0 = not known.
+        binary: 58b, else ASCII.
+
+    Returns:
+        Number of functions.
+
+    Raises:
+        BenchError: the table is not one of frequency responses or the file cannot be written.
+    """
+    functions = []
+    for response in read_frf_table(table, drive_point):
+        kind, label = _SPECIFIC[response.quantity]
+        even = _even(response.frequency_hz)
+        functions.append(
+            uff.UffFunction(
+                uff.FREQUENCY_RESPONSE,
+                response.values,
+                float(response.frequency_hz[0]),
+                float(response.frequency_hz[-1] - response.frequency_hz[0]) / max(1, response.frequency_hz.size - 1),
+                None if even else response.frequency_hz,
+                (response.name, "response over force", response.estimator),
+                response.point,
+                LATERAL,
+                response.drive_point,
+                LATERAL,
+                uff.Axis(uff.FREQUENCY, "Frequency", "Hz"),
+                uff.Axis(kind, label, response.quantity.unit),
+                uff.Axis(uff.FORCE, "Force", "N"),
+            )
+        )
+    uff.write_uff(path, functions, binary)
+    return len(functions)
+
+
+def _even(frequency: FloatArray) -> bool:
+    steps = np.diff(frequency)
+    return bool(steps.size and np.abs(steps - steps.mean()).max() <= 1e-6 * steps.mean())
+
+
+def linear_text(bag: Bag) -> str:
+    """The linear description in a bag as ``linear.json``; empty if it has none."""
+    linear = (bag.run_start or {}).get("linear")
+    return json.dumps(linear) if isinstance(linear, dict) else ""
+
+
+def _write_text(path: Path, text: str) -> None:
+    try:
+        write_whole(path, text)
+    except OSError as error:
+        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
+
+
+__all__ = [
+    "FORMATS",
+    "Extent",
+    "export_bag",
+    "export_frf",
+    "level_spans",
+    "linear_text",
+    "recorded_extent",
+    "write_time_uff",
+]

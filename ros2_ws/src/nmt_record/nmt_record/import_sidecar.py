@@ -1,0 +1,389 @@
+"""The sidecar of an import: what the columns of someone else's data are.
+
+Keys beyond those that a measurement needs (``linear``, ``extraction``, ``oscillator``, ``loop`` and the like) are
+written by ``./nmt export``, so that an exported run can be imported and extracted again without loss.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
+from nmt_core.yaml_document import KeyPath, YamlDocument, read_document
+
+Positive = Annotated[float, Field(gt=0)]
+Span = Annotated[list[float], Field(min_length=2, max_length=2)]
+QuantityName = Literal["force", "displacement", "velocity", "acceleration", "voltage", "current"]
+SignalKind = Literal["phase_resonance", "random", "sweep", "ring_down", "stepped_sine", "record"]
+TableKind = Literal["backbone", "frf"]
+TABLE_KINDS = ("backbone", "frf")
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class ChannelSection(_Section):
+    """One column of the data.
+
+    Attributes:
+        column: its name (CSV header, NPZ array, first ID line of a UFF dataset), or its number from 1.
+        quantity: what it measures.
+        unit: unit of the values after ``scale``.
+        point: measurement point; left out where it belongs to none (drive voltage).
+        scale: factor of the values before the unit applies: N per count, −1 for a sensor mounted the other way round.
+        name: channel name in the bag; left out = letter of the quantity and point, such as a2.
+    """
+
+    column: str | int
+    quantity: QuantityName
+    unit: str
+    point: Annotated[int, Field(ge=0)] = 0
+    scale: float = 1.0
+    name: Annotated[str, Field(min_length=1, max_length=60)] | None = None
+
+    @property
+    def measures(self) -> Quantity:
+        """The quantity."""
+        return Quantity[self.quantity.upper()]
+
+    @property
+    def channel(self) -> str:
+        """Name of the channel in the bag."""
+        if self.name is not None:
+            return self.name
+        letter = {
+            "force": "f",
+            "displacement": "x",
+            "velocity": "v",
+            "acceleration": "a",
+            "voltage": "u",
+            "current": "i",
+        }
+        return letter[self.quantity] + (str(self.point) if self.point else "")
+
+
+class SignalSection(_Section):
+    """A stretch of the data in which one thing was done.
+
+    Attributes:
+        kind: what was done.
+        start: begin, s on the time axis of the file: that of its time column, else from the first sample.
+        stop: end, s.
+        level: amplitude that was asked for; in ``level_unit``.
+        level_unit: V, N, m or m/s^2.
+        window: begin and end of the steady part of a phase_resonance or stepped_sine, s; of others the part to use.
+        locked: false = a level that did not lock; it has no window.
+        reason: why it did not lock.
+        frequency_hz: excitation frequency; start frequency of a sweep; left out = found in the force.
+        periods: whole periods in the window; left out = as many as there are.
+        band_hz: random: lower and upper edge.
+        rate_hz_s: sweep: Hz/s, sign = direction.
+        frequency_end_hz: sweep: last frequency.
+        switch_off: ring_down: when the drive was switched off, s; left out = ``start``.
+        index: number of the level in the plan, from 0; left out = counted.
+        lock_time: when the lock was confirmed, s.
+        phase_error: rad, at the lock.
+    """
+
+    kind: SignalKind
+    start: Annotated[float, Field(ge=0)]
+    stop: Positive
+    level: float | None = None
+    level_unit: Literal["V", "N", "m", "m/s", "m/s^2"] = "V"
+    window: Span | None = None
+    locked: bool = True
+    reason: str = ""
+    frequency_hz: Positive | None = None
+    periods: Annotated[int, Field(ge=0)] = 0
+    band_hz: Span | None = None
+    rate_hz_s: float | None = None
+    frequency_end_hz: Positive | None = None
+    switch_off: Annotated[float, Field(ge=0)] | None = None
+    index: Annotated[int, Field(ge=0)] | None = None
+    lock_time: Annotated[float, Field(ge=0)] | None = None
+    phase_error: float | None = None
+
+
+class TableSection(_Section):
+    """A table that someone else has already reduced.
+
+    Attributes:
+        kind: backbone (frequency_hz, amplitude, [damping_ratio], […_std]) or frf (frequency_hz, real and imag or
+            magnitude and phase, [level], […_std]).
+        file: left out = the sidecar's file.
+        columns: column of the file for each name, if it is called otherwise.
+        unit: of the amplitude (m, mm, m/s^2, g, … or m*sqrt(kg) for a modal amplitude) or of the frequency response
+            (m/s^2/N).
+        units: of other columns, if not Hz, 1, rad: ``{frequency_hz: rad/s, damping_ratio: '%', phase: deg}``.
+        point: point of the response.
+        drive_point: point of the force.
+        level: of the whole table, if it has no such column.
+        level_unit: unit of the level.
+        name: for reports.
+    """
+
+    kind: TableKind
+    unit: str
+    file: str | None = None
+    columns: dict[str, str | int] = {}
+    units: dict[str, str] = {}
+    point: Annotated[int, Field(ge=0)] = 0
+    drive_point: Annotated[int, Field(ge=0)] = 0
+    level: float | None = None
+    level_unit: Literal["V", "N", "m", "m/s", "m/s^2", ""] = ""
+    name: str = ""
+
+
+class Sidecar(_Section):
+    """All of it.
+
+    Attributes:
+        rig: what the data is a test of: name or path of a rig file, or any name.
+        file: the data: csv, npz or uff, beside the sidecar.
+        sample_rate: Hz; left out if there is a time column.
+        time: the time column, if there is one that is not called time or t.
+        time_unit: its unit.
+        channels: the columns to import.
+        segments: what was done when, and tables of others.
+        linear: linear.json with the linear modes.
+        extraction: settings of the extraction.
+        oscillator: table of the excitation's phase block by block.
+        loop: table of the loop's state block by block.
+        first_sample: index of the first sample of the file.
+        run_id: of the run it was exported from.
+        note: anything.
+    """
+
+    file: str
+    rig: str | None = None
+    sample_rate: Positive | None = None
+    time: str | int | None = None
+    time_unit: Literal["s", "ms", "us", "ns", "min"] = "s"
+    channels: list[ChannelSection] = []
+    segments: list[SignalSection | TableSection] = []
+    linear: str | None = None
+    extraction: dict[str, Any] | None = None
+    oscillator: str | None = None
+    loop: str | None = None
+    first_sample: Annotated[int, Field(ge=0)] = 0
+    run_id: str | None = None
+    note: str = ""
+
+    @model_validator(mode="after")
+    def _has_something(self) -> Sidecar:
+        if not self.channels and not self.tables:
+            raise ValueError("has neither channels nor a backbone or frf table; say what the columns of the file are")
+        return self
+
+    @property
+    def tables(self) -> list[TableSection]:
+        """Tables of others."""
+        return [section for section in self.segments if isinstance(section, TableSection)]
+
+    @property
+    def signals(self) -> list[SignalSection]:
+        """Stretches of the data."""
+        return [section for section in self.segments if isinstance(section, SignalSection)]
+
+
+def read_sidecar(path: Path) -> tuple[Sidecar, YamlDocument]:
+    """Read and check a sidecar.
+
+    Returns:
+        The sidecar, and the document with the line of every key.
+
+    Raises:
+        BenchError: not there, not YAML, or the first thing that is wrong in it, with its line.
+    """
+    document = read_document(path, "sidecar", "file and channels")
+    values = _normalised(document.values)
+    try:
+        sidecar = Sidecar.model_validate(values)
+    except ValidationError as failure:
+        errors = [error for error in failure.errors(include_url=False) if _concerns(error, values)]
+        errors = sorted(errors or failure.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
+        more = f" ({len(errors) - 1} more like this)" if len(errors) > 1 else ""
+        raise BenchError(_sentence(errors[0], document, values) + more) from failure
+    return sidecar, document
+
+
+def _normalised(values: dict[str, Any]) -> dict[str, Any]:
+    """A file that is one table may say so at the top; ``kind: observables`` may name its kind as ``table``."""
+    result = dict(values)
+    if result.get("kind") in (*TABLE_KINDS, "observables") and "segments" not in result:
+        own = {
+            key: result.pop(key)
+            for key in list(result)
+            if key in (*TableSection.model_fields, "table") and key != "file"
+        }
+        result["segments"] = [own]
+    segments = result.get("segments")
+    if isinstance(segments, list):
+        result["segments"] = [_table_named(item) for item in segments]
+    return result
+
+
+def _table_named(item: Any) -> Any:
+    if isinstance(item, dict) and item.get("kind") == "observables" and item.get("table") in TABLE_KINDS:
+        return {**{key: value for key, value in item.items() if key != "table"}, "kind": item["table"]}
+    return item
+
+
+def _concerns(error: ErrorDetails, values: dict[str, Any]) -> bool:
+    """Whether an error is one of the kind of segment that was meant, not of the other alternative."""
+    location = error["loc"]
+    if len(location) < 3 or location[0] != "segments":
+        return True
+    try:
+        kind = values["segments"][location[1]]["kind"]
+    except (KeyError, TypeError, IndexError):
+        return location[2] == "SignalSection"
+    return location[2] == ("TableSection" if kind in TABLE_KINDS else "SignalSection")
+
+
+_PLAIN = {
+    "float_type": "must be a number",
+    "int_type": "must be a whole number",
+    "string_type": "must be a text",
+    "list_type": "must be a list",
+    "dict_type": "must be a mapping",
+    "model_type": "must be a mapping of keys to values",
+    "bool_type": "must be true or false",
+    "finite_number": "must be finite",
+    "too_short": "has too few entries",
+    "too_long": "has too many entries",
+}
+
+
+def _sentence(error: ErrorDetails, document: YamlDocument, values: dict[str, Any]) -> str:
+    path: KeyPath = tuple(part for part in error["loc"] if part not in ("SignalSection", "TableSection", "str", "int"))
+    place, name, given = document.place(path), ".".join(map(str, path)) or "the sidecar", error["input"]
+    context = error.get("ctx", {})
+    if error["type"] == "extra_forbidden":
+        known = _known_keys(path, values)
+        close = difflib.get_close_matches(str(path[-1]), known, n=1, cutoff=0.5)
+        hint = f"did you mean {close[0]}?" if close else f"known keys are {', '.join(known)}."
+        return f"{place}: unknown key {name}; {hint}"
+    if error["type"] == "missing":
+        hint = " (for example unit: N; without it the numbers mean nothing)" if path[-1:] == ("unit",) else ""
+        return f"{place}: {name} is missing; add it{hint}."
+    if error["type"] == "value_error":
+        return f"{place}: {name} {context.get('error', error['msg'])}."
+    shown = repr(given) if isinstance(given, str) else "null" if given is None else str(given)
+    shown = shown if len(shown) < 60 else shown[:57] + "..."
+    if error["type"] == "literal_error":
+        return f"{place}: {name} must be {context['expected']}, got {shown}."
+    if error["type"] == "greater_than":
+        return f"{place}: {name} must be greater than {context['gt']:g}, got {shown}."
+    if error["type"] == "greater_than_equal":
+        return f"{place}: {name} must be at least {context['ge']:g}, got {shown}."
+    what = _PLAIN.get(error["type"], error["msg"][:1].lower() + error["msg"][1:])
+    comma = (
+        isinstance(given, str)
+        and given.replace(",", ".", 1).replace(".", "", 1).strip("-+ ").isdigit()
+        and "," in given
+    )
+    return f"{place}: {name} {what}, got {shown}" + ("; write the decimal sign as a point." if comma else ".")
+
+
+def _known_keys(path: KeyPath, values: dict[str, Any]) -> list[str]:
+    if len(path) == 1:
+        return list(Sidecar.model_fields)
+    if path[0] == "channels":
+        return list(ChannelSection.model_fields)
+    try:
+        kind = values["segments"][path[1]]["kind"]
+    except (KeyError, TypeError, IndexError):
+        kind = ""
+    return list((TableSection if kind in TABLE_KINDS else SignalSection).model_fields)
+
+
+def check_sidecar(sidecar: Sidecar, document: YamlDocument) -> None:
+    """Contradictions within a sidecar that do not need the data to be seen.
+
+    Raises:
+        BenchError: the first one, with its line.
+    """
+    _check_channels(sidecar, document)
+    reached, last = -math.inf, ""
+    order = sorted(
+        ((i, s) for i, s in enumerate(sidecar.segments) if isinstance(s, SignalSection)), key=lambda pair: pair[1].start
+    )
+    if order and not sidecar.channels:
+        raise BenchError(
+            f"{document.place(('segments',))}: there are segments of time data but no channels; list the columns."
+        )
+    for number, segment in order:
+        place = document.place(("segments", number))
+        name = f"segment {number + 1} ({segment.kind})"
+        if segment.stop <= segment.start:
+            raise BenchError(f"{place}: {name} ends at {segment.stop:g} s, not after its start at {segment.start:g} s.")
+        if segment.start < reached:
+            raise BenchError(
+                f"{place}: {name} starts at {segment.start:g} s, before {last} ends at {reached:g} s; segments must "
+                f"not overlap."
+            )
+        _check_segment(segment, name, place)
+        reached, last = segment.stop, name
+
+
+def _check_channels(sidecar: Sidecar, document: YamlDocument) -> None:
+    columns: dict[str | int, int] = {}
+    meanings: dict[tuple[str, int], int] = {}
+    names: dict[str, int] = {}
+    for number, channel in enumerate(sidecar.channels):
+        place = document.place(("channels", number))
+        if channel.scale == 0.0:
+            raise BenchError(f"{place}: the scale of column {channel.column} is zero; give the factor or leave it out.")
+        if isinstance(channel.column, int) and channel.column < 1:
+            raise BenchError(f"{place}: columns are counted from 1, got {channel.column}.")
+        if channel.column in columns:
+            raise BenchError(
+                f"{place}: column {channel.column} is given twice (channels {columns[channel.column] + 1} and "
+                f"{number + 1})."
+            )
+        meaning = (channel.quantity, channel.point)
+        if meaning in meanings:
+            raise BenchError(
+                f"{place}: channels {meanings[meaning] + 1} and {number + 1} both measure {channel.quantity} at point "
+                f"{channel.point}; give each its own point."
+            )
+        if channel.channel in names:
+            raise BenchError(f"{place}: two channels are named {channel.channel}; rename one.")
+        columns[channel.column] = meanings[meaning] = names[channel.channel] = number
+
+
+def _check_segment(segment: SignalSection, name: str, place: str) -> None:
+    needs_window = segment.kind in ("phase_resonance", "stepped_sine")
+    if needs_window and segment.locked and segment.window is None:
+        raise BenchError(
+            f"{place}: {name} needs window: [begin, end], its steady part in s, or locked: false if it never became "
+            f"steady."
+        )
+    if segment.window is not None:
+        begin, end = segment.window
+        if not end > begin:
+            raise BenchError(f"{place}: the window of {name} ends at {end:g} s, not after its begin at {begin:g} s.")
+        if begin < segment.start or end > segment.stop:
+            raise BenchError(
+                f"{place}: the window {begin:g} to {end:g} s of {name} is not within its {segment.start:g} to "
+                f"{segment.stop:g} s."
+            )
+    if (
+        segment.kind == "ring_down"
+        and segment.switch_off is not None
+        and not segment.start <= segment.switch_off < segment.stop
+    ):
+        raise BenchError(f"{place}: switch_off {segment.switch_off:g} s of {name} is not within the segment.")
+    if segment.band_hz is not None and not 0.0 <= segment.band_hz[0] < segment.band_hz[1]:
+        raise BenchError(f"{place}: band_hz of {name} must be two ascending frequencies, got {segment.band_hz}.")
+    if segment.level is not None and segment.level < 0.0:
+        raise BenchError(f"{place}: the level of {name} must not be negative, got {segment.level:g}.")

@@ -1,0 +1,470 @@
+"""Columns of numbers from CSV, NPZ and UFF files, strictly: what cannot be read for certain is refused by line."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_record import uff
+from nmt_record.unit_table import plain_unit, quantity_of_unit
+
+_SUFFIXES = {
+    ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv", ".asc": "csv",
+    ".npz": "npz",
+    ".uff": "uff", ".unv": "uff", ".uf": "uff", ".ufb": "uff", ".58": "uff",
+}  # fmt: skip
+_FOREIGN = (
+    (b"PK\x03\x04", "a zip archive or spreadsheet", "save the table as CSV"),
+    (b"\xd0\xcf\x11\xe0", "an old spreadsheet", "save the table as CSV"),
+    (b"\x89HDF", "an HDF5 or MATLAB 7.3 file", "save the columns as NPZ or CSV"),
+    (b"MATLAB 5.0", "a MATLAB file", "save the columns as NPZ or CSV"),
+    (b"\x93NUMPY", "a single NumPy array", "save the columns with numpy.savez"),
+    (b"\x1f\x8b", "a gzip archive", "unpack it"),
+    (b"TDSm", "a TDMS file", "save the columns as CSV"),
+    (b"\x89MCAP0", "a bag", "it needs no import, give it to './nmt extract'"),
+    (b"%PDF", "a PDF", "save the table as CSV"),
+)
+_MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none"})
+_NUMBER = {
+    ".": re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$"),
+    ",": re.compile(r"[-+]?(\d+,?\d*|,\d+)([eEdD][-+]?\d+)?$"),
+}
+_INFINITE = re.compile(r"[-+]?inf(inity)?$", re.I)
+_FORMS: tuple[tuple[str | None, str], ...] = (
+    (";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (None, "."), (None, ","),
+)  # fmt: skip
+_UNIT_IN_NAME = re.compile(r"^(.*?)\s*[\[({]\s*([^\[\](){}]*)\s*[\])}]\s*$")
+
+
+@dataclass(eq=False)
+class SourceTable:
+    """Columns as they are in the file.
+
+    Attributes:
+        file: name of the file, for messages.
+        names: of the columns; empty where they have none.
+        columns: numbers, NaN where the file has none; all of one length.
+        units: what the file itself says, empty if nothing.
+        quantities: what the file itself says, ``UNKNOWN`` if nothing.
+        notes: sentences on what was mended.
+        start: abscissa of the first row, if the file states an even one.
+        step: its increment.
+        abscissa: the file's uneven abscissa (UFF).
+        sample_rate: what the file itself says (NPZ), Hz.
+        lines: line of each row in the file; None = not a text file.
+        breaks: rows before which the header was repeated.
+    """
+
+    file: str
+    names: tuple[str, ...]
+    columns: tuple[FloatArray, ...]
+    units: tuple[str, ...] = ()
+    quantities: tuple[Quantity, ...] = ()
+    notes: list[str] = field(default_factory=list)
+    start: float | None = None
+    step: float | None = None
+    abscissa: FloatArray | None = None
+    sample_rate: float | None = None
+    lines: Callable[[int], int] | None = None
+    breaks: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.units = self.units or ("",) * len(self.columns)
+        self.quantities = self.quantities or (Quantity.UNKNOWN,) * len(self.columns)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return int(self.columns[0].shape[0])
+
+    def place(self, row: int) -> str:
+        """Where a row is, for messages."""
+        return f"line {self.lines(row)} of {self.file}" if self.lines else f"sample {row} of {self.file}"
+
+    def index(self, column: str | int, where: str) -> int:
+        """Position of a column given by name or by number from 1.
+
+        Raises:
+            BenchError: there is none, or more than one of that name.
+        """
+        if isinstance(column, int):
+            if column > len(self.columns):
+                raise BenchError(
+                    f"{where}: {self.file} has {len(self.columns)} columns, so there is no column {column}."
+                )
+            return column - 1
+        for candidates in (self.names, tuple(_without_unit(name) for name in self.names)):
+            found = [index for index, name in enumerate(candidates) if name == column]
+            if len(found) > 1:
+                raise BenchError(
+                    f"{where}: {self.file} has {len(found)} columns named {column} (numbers "
+                    f"{', '.join(str(i + 1) for i in found)}); give the number of the one that is meant."
+                )
+            if found:
+                return found[0]
+        named = [name for name in self.names if name]
+        has = (
+            ", ".join(named[:20]) + (", …" if len(named) > 20 else "") if named else "no names, so give numbers from 1"
+        )
+        raise BenchError(f"{where}: {self.file} has no column {column}; it has {has}.")
+
+
+def read_table(path: Path) -> SourceTable:
+    """Read a file of columns by the kind that its name and first bytes say.
+
+    Raises:
+        BenchError: not there, of another kind, or malformed.
+    """
+    kind = kind_of(path)
+    return {"csv": _read_csv, "npz": _read_npz, "uff": _read_uff}[kind](path)
+
+
+def kind_of(path: Path) -> str:
+    """``csv``, ``npz`` or ``uff``.
+
+    Raises:
+        BenchError: not there, empty, or a file of another kind.
+    """
+    try:
+        if path.is_dir():
+            raise BenchError(f"{path} is a folder; name the file with the data.")
+        with path.open("rb") as file:
+            head = file.read(512)
+    except OSError as error:
+        raise BenchError(f"The data file {path} cannot be read: {(error.strerror or str(error)).lower()}.") from error
+    if not head.strip():
+        raise BenchError(f"{path.name} is empty; name the file with the data.")
+    kind = _SUFFIXES.get(path.suffix.lower(), "")
+    for magic, what, mend in _FOREIGN:
+        if head.startswith(magic) and not (magic == b"PK\x03\x04" and kind == "npz"):
+            raise BenchError(f"{path.name} is {what}; {mend}.")
+    if uff.is_universal_file(head):
+        kind = "uff"
+    elif not kind or (kind == "npz" and not head.startswith(b"PK")) or kind == "uff":
+        wanted = {"npz": "an NPZ file (numpy.savez)", "uff": "a universal file (it does not begin with '    -1')"}
+        what = f"is not {wanted[kind]}" if kind else f"has the unknown ending '{path.suffix}'"
+        raise BenchError(f"{path.name} {what}; import csv, npz or uff.")
+    return kind
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """Name of a column and the unit in brackets behind it, empty if there is none."""
+    match = _UNIT_IN_NAME.match(name)
+    return (match.group(1).strip(), match.group(2).strip()) if match else (name, "")
+
+
+def _without_unit(name: str) -> str:
+    return split_name(name)[0]
+
+
+# --- CSV -------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Form:
+    delimiter: str | None
+    decimal: str
+
+    def cells(self, line: str) -> list[str]:
+        parts = line.split() if self.delimiter is None else line.split(self.delimiter)
+        return [part.strip().strip('"').strip() for part in parts]
+
+    def is_number(self, cell: str) -> bool:
+        return bool(_NUMBER[self.decimal].match(cell))
+
+    def numeric(self, line: str) -> bool:
+        cells = self.cells(line)
+        numbers = [cell for cell in cells if cell.lower() not in _MISSING and not _INFINITE.match(cell)]
+        return bool(numbers) and all(map(self.is_number, numbers))
+
+
+def _decoded(data: bytes, name: str, notes: list[str]) -> str:
+    for mark, encoding in ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig")):
+        if data.startswith(mark):
+            try:
+                text = data.decode(encoding)
+            except UnicodeDecodeError:
+                raise BenchError(f"{name} is not whole text in {encoding}; save it as plain CSV in UTF-8.") from None
+            if encoding == "utf-16":
+                notes.append(f"{name} is encoded in UTF-16; it was read as such.")
+            return text
+    if b"\0" in data[:65536]:
+        raise BenchError(f"{name} is not a text file (it has zero bytes); save the table as CSV in UTF-8.")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        notes.append(f"{name} is not in UTF-8; its names were read as Windows-1252.")
+        return data.decode("cp1252", "replace")
+
+
+def _read_csv(path: Path) -> SourceTable:
+    name = path.name
+    notes: list[str] = []
+    text = _decoded(path.read_bytes(), name, notes)
+    everything = re.split(r"\r\n|\n|\r", text)
+    numbers = [
+        i for i, line in enumerate(everything) if line.strip() and not line.lstrip().startswith(("#", "%", "//"))
+    ]
+    lines = [everything[i] for i in numbers]
+    if not lines:
+        raise BenchError(f"{name} has no lines with values; name the file with the data.")
+    form = _form_of(lines, name)
+    first = next(row for row, line in enumerate(lines) if form.numeric(line))
+    if form.decimal == ",":
+        notes.append(f"{name} writes decimals with a comma; they were read as points.")
+    header, lines = lines[:first], lines[first:]
+    width = len(form.cells(lines[0]))
+    heads = [form.cells(line) for line in header]
+    if width > 1 and not form.cells(lines[0])[-1] and (not heads or len(heads[-1]) < width or not heads[-1][-1]):
+        # A delimiter at the end of every line.
+        width -= 1
+        heads = [cells[:-1] if len(cells) == width + 1 and not cells[-1] else cells for cells in heads]
+        lines = [line.rstrip().removesuffix(form.delimiter or "") for line in lines]
+    names, units = _heading(heads, width, form, name, notes)
+    _refuse_split_decimals(heads, lines, width, form, name)
+    start = first
+    table, kept, breaks = _values(lines, width, form, names, header, lambda row: numbers[start + row] + 1, name)
+    place = [numbers[start + row] + 1 for row in kept] if kept is not None else None
+    for row in breaks:
+        before = f"after line {place[row - 1]}" if place is not None and row else "at its begin"
+        notes.append(f"The header of {name} is repeated {before}; that line was left out.")
+
+    def line_of(row: int) -> int:
+        return place[row] if place is not None else numbers[start + row] + 1
+
+    columns = tuple(np.ascontiguousarray(column) for column in table.T)
+    return SourceTable(name, names, columns, units, notes=notes, lines=line_of, breaks=breaks)
+
+
+def _form_of(lines: Sequence[str], name: str) -> _Form:
+    """Delimiter and decimal sign under which most lines are numbers."""
+    sample = list(lines[:200]) + list(lines[200:4000:97])
+    best, score = None, 0
+    for delimiter, decimal in _FORMS:
+        form = _Form(delimiter, decimal)
+        rows = [line for line in sample if form.numeric(line) and (delimiter is None or delimiter in line)]
+        if len(rows) > score * 1.5:
+            best, score = form, len(rows)
+    if best is None:
+        raise BenchError(
+            f"{name} has no line of numbers; a CSV needs columns of numbers separated by ; or tab or comma, decimals "
+            f"with a point."
+        )
+    return best
+
+
+def _heading(
+    heads: list[list[str]], width: int, form: _Form, name: str, notes: list[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    fitting = [cells for cells in heads[-2:] if len(cells) == width]
+    if heads and not fitting and len(heads[-1]) > 1:
+        hint = ""
+        if form.delimiter == "," and len(heads[-1]) * 2 >= width > len(heads[-1]):
+            hint = " (decimal commas in a comma-separated file? save it with ; as separator or with decimal points)"
+        raise BenchError(f"{name} has {len(heads[-1])} column names but {width} values in its first row{hint}.")
+    if not fitting:
+        return ("",) * width, ("",) * width
+    units = ("",) * width
+    if len(fitting) == 2 and all(_is_unit(cell) for cell in fitting[1]):
+        units = tuple(cell.strip("[](){} ") for cell in fitting[1])
+        notes.append(f"The second line of the heading of {name} was read as units ({', '.join(filter(None, units))}).")
+        names = tuple(fitting[0])
+    else:
+        names = tuple(fitting[-1])
+    own = tuple(split_name(column)[1] for column in names)
+    return names, tuple(unit or other for unit, other in zip(units, own, strict=True))
+
+
+def _is_unit(cell: str) -> bool:
+    plain = plain_unit(cell.strip("[](){} "))
+    return (
+        not plain
+        or plain in ("s", "ms", "us", "Hz", "rad/s", "1", "%", "deg", "rad")
+        or (quantity_of_unit(plain) is not Quantity.UNKNOWN)
+    )
+
+
+def _refuse_split_decimals(heads: list[list[str]], lines: Sequence[str], width: int, form: _Form, name: str) -> None:
+    """A comma-separated file without one decimal point, but with cells like 05, was written with decimal commas."""
+    if form.delimiter != "," or any("." in line for line in lines[:200]):
+        return
+    cells = [cell for line in lines[:200] for cell in form.cells(line)]
+    if any(re.match(r"0\d", cell) for cell in cells):
+        raise BenchError(
+            f"{name} separates columns by commas and seems to write decimals with commas too (a cell reads "
+            f"'{next(cell for cell in cells if re.match(r'0[0-9]', cell))}'); save it with ; as separator or with "
+            f"decimal points."
+        )
+
+
+def _values(
+    lines: list[str],
+    width: int,
+    form: _Form,
+    names: tuple[str, ...],
+    header: list[str],
+    line_of: Callable[[int], int],
+    name: str,
+) -> tuple[FloatArray, list[int] | None, tuple[int, ...]]:
+    """Numbers, rows kept (None = all) and rows before which the header was repeated."""
+    plain = [line.replace(",", ".") for line in lines] if form.decimal == "," else lines
+    try:
+        table = np.loadtxt(plain, dtype=np.float64, delimiter=form.delimiter, ndmin=2, comments=None, encoding=None)
+        if table.shape == (len(lines), width) and not np.isinf(table).any():
+            return table, None, ()
+    except (ValueError, IndexError):
+        pass
+    rows: list[list[float]] = []
+    kept: list[int] = []
+    breaks: list[int] = []
+    heads = {line.strip() for line in header}
+    for row, line in enumerate(lines):
+        if line.strip() in heads:
+            breaks.append(len(rows))
+            continue
+        cells = form.cells(line)
+        where = f"{name} line {line_of(row)}"
+        if len(cells) != width:
+            more = (
+                "cut off"
+                if row == len(lines) - 1 and len(cells) < width
+                else "columns of unequal length or a stray separator"
+            )
+            raise BenchError(f"{where} has {len(cells)} values instead of {width} ({more}); mend the line.")
+        rows.append([_cell(cell, form, where, names[i] or str(i + 1)) for i, cell in enumerate(cells)])
+        kept.append(row)
+    return np.array(rows, dtype=np.float64).reshape(-1, width), kept, tuple(breaks)
+
+
+def _cell(cell: str, form: _Form, where: str, column: str) -> float:
+    if cell.lower() in _MISSING:
+        return np.nan
+    if form.is_number(cell):
+        return float(cell.replace(",", ".").replace("D", "e").replace("d", "e"))
+    if _INFINITE.match(cell):
+        raise BenchError(
+            f"{where}: column {column} is infinite ({cell}); leave the cell empty if the value is missing."
+        )
+    comma = form.decimal == "." and _NUMBER[","].match(cell) is not None
+    hint = "decimal comma among decimal points" if comma else "text in a column of numbers"
+    raise BenchError(
+        f"{where}: column {column} has '{cell[:30]}' ({hint}); mend it or leave it empty if it is missing."
+    )
+
+
+# --- NPZ and UFF -----------------------------------------------------------------------------------------------------
+
+
+def _read_npz(path: Path) -> SourceTable:
+    name = path.name
+    arrays: dict[str, Any] = {}
+    try:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            for key in file.files:
+                arrays[key] = file[key]
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError) as error:
+        raise BenchError(f"{name} is cut off or damaged ({_first_line(error)}); save it again.") from error
+    except ValueError as error:
+        raise BenchError(
+            f"{name} holds arrays that are not plain numbers ({_first_line(error)}); save float arrays with "
+            f"numpy.savez."
+        ) from error
+    rate = None
+    for key in ("sample_rate", "fs", "Fs"):
+        if key in arrays and arrays[key].size == 1 and np.issubdtype(arrays[key].dtype, np.number):
+            rate = float(np.real(arrays.pop(key).reshape(-1)[0]))
+            break
+    columns: dict[str, FloatArray] = {}
+    for key, array in arrays.items():
+        if array.ndim == 0:
+            continue
+        if array.dtype.kind not in "iufb" or array.dtype.kind == "b":
+            raise BenchError(f"Array {key} of {name} is of type {array.dtype}; real numbers are needed.")
+        if array.ndim > 2 or (array.ndim == 2 and 1 not in array.shape):
+            shape = " × ".join(map(str, array.shape))
+            raise BenchError(f"Array {key} of {name} has the shape {shape}; save each channel as an array of its own.")
+        columns[key] = array.reshape(-1).astype(np.float64)
+    if not columns or not next(iter(columns.values())).size:
+        raise BenchError(f"{name} is empty of arrays; save the columns with numpy.savez.")
+    lengths = {key: column.shape[0] for key, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{key} {length}" for key, length in list(lengths.items())[:6])
+        raise BenchError(f"The arrays of {name} have unequal lengths ({listed}); save columns of one recording.")
+    for key, column in columns.items():
+        if np.isinf(column).any():
+            raise BenchError(
+                f"Array {key} of {name} is infinite at sample {int(np.argmax(np.isinf(column)))}; use NaN where "
+                f"values are missing."
+            )
+    return SourceTable(name, tuple(columns), tuple(columns.values()), sample_rate=rate)
+
+
+_UFF_QUANTITIES = {
+    uff.DISPLACEMENT: Quantity.DISPLACEMENT,
+    uff.VELOCITY: Quantity.VELOCITY,
+    uff.ACCELERATION: Quantity.ACCELERATION,
+    uff.FORCE: Quantity.FORCE,
+    9: Quantity.FORCE,
+}
+
+
+def _read_uff(path: Path) -> SourceTable:
+    name = path.name
+    functions = uff.read_uff(path)
+    times = [f for f in functions if f.function_type in (0, uff.TIME_RESPONSE) and not np.iscomplexobj(f.values)]
+    times = [f for f in times if f.abscissa_axis.data_type in (0, 1, uff.TIME)]
+    notes = []
+    if not times:
+        kinds = sorted({uff.FUNCTION_NAMES.get(f.function_type, f"type {f.function_type}") for f in functions})
+        raise BenchError(
+            f"{name} holds no time data but {', '.join(kinds)}; name it in a segment of 'kind: frf', or export time "
+            f"responses."
+        )
+    if len(times) < len(functions):
+        others = [f for f in functions if f not in times]
+        kinds = sorted({uff.FUNCTION_NAMES.get(f.function_type, f"type {f.function_type}") for f in others})
+        notes.append(f"{name} also holds {', '.join(kinds)} ({len(others)} datasets); they were left out.")
+    head = times[0]
+    for function in times[1:]:
+        if function.values.shape != head.values.shape:
+            raise BenchError(
+                f"Datasets {head.number} and {function.number} of {name} have {head.values.shape[0]} and "
+                f"{function.values.shape[0]} values; one recording has equal lengths."
+            )
+        if not np.allclose(function.x[[0, -1]], head.x[[0, -1]], rtol=1e-5, atol=1e-12):
+            raise BenchError(
+                f"Datasets {head.number} and {function.number} of {name} have different time axes (two clocks); "
+                "import them one by one."
+            )
+    for function in times:
+        if np.isinf(function.values).any():
+            raise BenchError(f"Dataset {function.number} of {name} holds infinite values; export it again.")
+    if head.abscissa is None and not head.abscissa_increment > 0.0:
+        raise BenchError(
+            f"Dataset {head.number} of {name} has the time step {head.abscissa_increment:g} s; export it again."
+        )
+    units = tuple("" if f.ordinate_axis.unit.upper() == "NONE" else f.ordinate_axis.unit for f in times)
+    return SourceTable(
+        name,
+        tuple(f.name for f in times),
+        tuple(np.ascontiguousarray(f.values, dtype=np.float64) for f in times),
+        tuple(unit if quantity_of_unit(unit) is not Quantity.UNKNOWN else "" for unit in units),
+        tuple(_UFF_QUANTITIES.get(f.ordinate_axis.data_type, Quantity.UNKNOWN) for f in times),
+        notes,
+        None if head.abscissa is not None else head.abscissa_minimum,
+        None if head.abscissa is not None else head.abscissa_increment,
+        head.abscissa,
+    )
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")

@@ -1,0 +1,462 @@
+"""From a sidecar and its files to a bag of the bench."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import UNKNOWN_PHASE, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+from nmt_core.test_kind import TestKind
+from nmt_core.wire import BlockWriter, LoopStatus, write_status
+from nmt_core.yaml_document import YamlDocument
+from nmt_record.bag_writer import BagWriter
+from nmt_record.bench_topics import BENCH_TOPICS
+from nmt_record.import_checks import ImportedChannel, check_columns, check_names, check_physics
+from nmt_record.import_clock import Clock, find_clock
+from nmt_record.import_sidecar import Sidecar, SignalSection, TableSection, check_sidecar, read_sidecar
+from nmt_record.import_table import read_table
+from nmt_record.message_definitions import local_definitions
+from nmt_record.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, ObservableTable, read_observables
+from nmt_record.side_tables import BlockRow, read_block_table, read_loop_table
+from nmt_record.unit_table import factor_to_si
+
+FIXED, ACQUIRING, LOCKED, LOCK_LOST = 1, 2, 3, 4
+_BLOCK_SECONDS = 0.02
+_CONTROLS = {"V": 1, "m": 2, "m/s": 2, "m/s^2": 2, "N": 3}
+
+
+@dataclass(frozen=True)
+class ImportedSegment:
+    """A segment on the sample grid of the bag.
+
+    Attributes:
+        section: what the sidecar says.
+        name: for messages.
+        index: level number.
+        first_sample: first sample of the segment.
+        stop_sample: sample after its last one.
+        window: first sample and sample after the last one of the window; None = there is none.
+    """
+
+    section: SignalSection
+    name: str
+    index: int
+    first_sample: int
+    stop_sample: int
+    window: tuple[int, int] | None
+
+    @property
+    def test(self) -> TestKind:
+        """Kind of test."""
+        return TestKind[self.section.kind.upper()]
+
+
+@dataclass(eq=False)
+class ImportedRun:
+    """All that goes into the bag.
+
+    Attributes:
+        path: of the sidecar.
+        sidecar: what it says.
+        sample_rate: Hz; NaN if there is no time data.
+        first_sample: index of the first sample.
+        channels: in SI units on one grid.
+        segments: in the order of time.
+        tables: tables of others.
+        blocks: phase of the excitation block by block; empty = not known.
+        loop: states of the loop; empty = not known.
+        linear: linear modes; None = not known.
+        notes: sentences on what was mended, marked or is unusual.
+        files: name and SHA-256 of every file read.
+    """
+
+    path: Path
+    sidecar: Sidecar
+    sample_rate: float = math.nan
+    first_sample: int = 0
+    channels: list[ImportedChannel] = field(default_factory=list)
+    segments: list[ImportedSegment] = field(default_factory=list)
+    tables: list[ObservableTable] = field(default_factory=list)
+    blocks: list[BlockRow] = field(default_factory=list)
+    loop: list[LoopStatus] = field(default_factory=list)
+    linear: LinearDescription | None = None
+    notes: list[str] = field(default_factory=list)
+    files: list[dict[str, str]] = field(default_factory=list)
+
+    @property
+    def samples(self) -> int:
+        """Length of the time data."""
+        return int(self.channels[0].data.shape[0]) if self.channels else 0
+
+
+def read_import(
+    path: Path, describe: Callable[[Sidecar], LinearDescription | None] = lambda sidecar: None
+) -> ImportedRun:
+    """Read a sidecar and everything that it names, and check all of it.
+
+    Args:
+        path: of the sidecar.
+        describe: gives the linear modes if the sidecar names no ``linear.json``; None = not known.
+
+    Raises:
+        BenchError: the first thing that is wrong, where, and how to mend it.
+    """
+    sidecar, document = read_sidecar(path)
+    check_sidecar(sidecar, document)
+    run = ImportedRun(path, sidecar)
+    run.files.append(_digest(path))
+    if sidecar.linear is None:
+        run.linear = describe(sidecar)
+    else:
+        run.linear = _read_linear(_beside(path, sidecar.linear, document.place(("linear",))))
+        run.files.append(_digest(_beside(path, sidecar.linear, "")))
+    if sidecar.channels:
+        _read_signals(run, document)
+    for number, section in enumerate(sidecar.segments):
+        if isinstance(section, TableSection):
+            place = document.place(("segments", number))
+            file = _beside(path, section.file or sidecar.file, place)
+            tables = read_observables(section, file, place)
+            run.tables += tables
+            run.notes += [note for table in tables for note in table.notes]
+            run.files.append(_digest(file))
+    run.files = list({entry["name"]: entry for entry in run.files}.values())
+    return run
+
+
+def write_import(run: ImportedRun, folder: Path, rig: str, rig_yaml: str, versions: dict[str, str]) -> Path:
+    """Write the bag.
+
+    Args:
+        run: from :func:`read_import`.
+        folder: of the bag; must not exist.
+        rig: name of the rig.
+        rig_yaml: rig file; empty = none.
+        versions: what a result depends on.
+
+    Raises:
+        BenchError: the disk refuses.
+    """
+    writer = BagWriter(
+        folder,
+        run_json=json.dumps(_description(run, rig, versions)),
+        rig_yaml=rig_yaml,
+        flush_interval=math.inf,
+        # The same import gives the same file.
+        clock=lambda: 0,
+    )
+    try:
+        for topic in BENCH_TOPICS:
+            if topic.name != "run_record":
+                writer.add_topic(topic.name, topic.message_type, topic.service)
+        writer.add_topic(OBSERVABLES_TOPIC, OBSERVABLES_TYPE)
+        string = local_definitions().typestore.types[OBSERVABLES_TYPE]
+        for number, table in enumerate(run.tables):
+            writer.write_message(OBSERVABLES_TOPIC, string(data=table.to_json()), number, number)
+        if run.channels:
+            _Messages(run, writer, rig).write()
+        end = round((run.first_sample + run.samples) / run.sample_rate * 1e9) if run.channels else 0
+        writer.close("done", "imported", end)
+    except BaseException:
+        writer.close_quietly()
+        raise
+    return folder
+
+
+def _description(run: ImportedRun, rig: str, versions: dict[str, str]) -> dict[str, Any]:
+    levels = [segment.section.level for segment in run.segments if segment.section.level is not None]
+    return {
+        "run_id": run.sidecar.run_id or run.path.stem,
+        "rig": rig,
+        "plan": {"levels": levels, "pacing": "imported"},
+        "linear": None if run.linear is None else json.loads(run.linear.to_json()),
+        "extraction": run.sidecar.extraction or {},
+        "versions": versions,
+        "imported": {
+            "sidecar": run.sidecar.model_dump(mode="json", exclude_unset=True),
+            "files": run.files,
+            "notes": run.notes,
+        },
+    }
+
+
+# --- reading ---------------------------------------------------------------------------------------------------------
+
+
+def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
+    sidecar = run.sidecar
+    file = _beside(run.path, sidecar.file, document.place(("file",)))
+    table = read_table(file)
+    run.files.append(_digest(file))
+    places = [document.place(("channels", number)) for number in range(len(sidecar.channels))]
+    factors = [
+        factor_to_si(channel.measures, channel.unit, f"{place}: column {channel.column}")
+        for channel, place in zip(sidecar.channels, places, strict=True)
+    ]
+    check_names(sidecar.channels, table, places)
+    clock = find_clock(table, sidecar, document.name)
+    indices = [table.index(channel.column, place) for channel, place in zip(sidecar.channels, places, strict=True)]
+    _refuse_shared_columns(indices, places, table.names)
+    for channel, index, factor in zip(sidecar.channels, indices, factors, strict=True):
+        values = table.columns[index]
+        # Multiplying by one would be exact too, but this keeps the bits visibly untouched.
+        scaled = values if channel.scale * factor == 1.0 else values * (channel.scale * factor)
+        source = table.names[index] or str(index + 1)
+        run.channels.append(ImportedChannel(channel, channel.channel, source, clock.spread(scaled)))
+    run.sample_rate = clock.sample_rate
+    run.first_sample = sidecar.first_sample
+    run.notes += [*table.notes, *clock.notes]
+    run.segments = _segments(run, clock, document)
+    run.notes += check_columns(run.channels, table, places)
+    stretches = [
+        (s.section, s.name, window[0] - run.first_sample, window[1] - run.first_sample)
+        for s in run.segments
+        for window in [s.window or (s.first_sample, s.stop_sample)]
+        if s.section.locked
+    ]
+    if not run.sidecar.loop:
+        run.loop = _made_states(run)
+    run.notes += check_physics(run.channels, stretches, run.sample_rate, run.linear)
+    if sidecar.oscillator is not None:
+        side = _beside(run.path, sidecar.oscillator, document.place(("oscillator",)))
+        run.blocks = read_block_table(side, run.first_sample, run.samples)
+        run.files.append(_digest(side))
+    if sidecar.loop is not None:
+        side = _beside(run.path, sidecar.loop, document.place(("loop",)))
+        run.loop = read_loop_table(side)
+        run.files.append(_digest(side))
+
+
+def _made_states(run: ImportedRun) -> list[LoopStatus]:
+    """States that tell which levels did not lock, if some did not; one at the end of each stretch of 20 ms."""
+    if all(segment.section.locked for segment in run.segments):
+        return []
+    size = max(1, round(_BLOCK_SECONDS * run.sample_rate))
+    ends = np.arange(run.first_sample + size - 1, run.first_sample + run.samples + size - 1, size)
+    ends = np.minimum(ends, run.first_sample + run.samples - 1)
+    states = []
+    for end in ends.tolist():
+        segment = next((s for s in run.segments if s.first_sample <= end < s.stop_sample), None)
+        state, reason, index = FIXED, "", 0
+        if segment is not None:
+            index = segment.index
+            over = end + size >= segment.stop_sample
+            state = LOCKED if segment.section.locked else LOCK_LOST if over else ACQUIRING
+            reason = (segment.section.reason or "the sidecar says so") if state == LOCK_LOST else ""
+        states.append(
+            LoopStatus(end, index, index + 1, state, 0.0, math.nan, math.nan, math.nan, "", math.nan, 0, reason)
+        )
+    return states
+
+
+def _refuse_shared_columns(indices: list[int], places: list[str], names: tuple[str, ...]) -> None:
+    for number, index in enumerate(indices):
+        if index in indices[:number]:
+            raise BenchError(
+                f"{places[number]}: channels {indices.index(index) + 1} and {number + 1} both take column "
+                f"{names[index] or index + 1}; each column is one channel."
+            )
+
+
+def _segments(run: ImportedRun, clock: Clock, document: YamlDocument) -> list[ImportedSegment]:
+    found = []
+    end = clock.start + run.samples / clock.sample_rate
+    half = 0.5 / clock.sample_rate
+    sections = [(n, s) for n, s in enumerate(run.sidecar.segments) if isinstance(s, SignalSection)]
+    for count, (number, section) in enumerate(sorted(sections, key=lambda pair: pair[1].start)):
+        name = f"segment {number + 1} ({section.kind})"
+        place = document.place(("segments", number))
+        if section.start < clock.start - half or section.stop > end + half:
+            raise BenchError(
+                f"{place}: {name} reaches from {section.start:g} to {section.stop:g} s, but the data from "
+                f"{clock.start:g} to "
+                f"{end:g} s; correct it (or the sampling rate)."
+            )
+
+        def sample(time: float) -> int:
+            return run.first_sample + clock.sample(time)
+
+        first, stop = sample(section.start), sample(section.stop)
+        window: tuple[int, int] | None = None
+        if section.window is not None:
+            window = sample(section.window[0]), sample(section.window[1])
+        elif section.kind == "ring_down" and section.switch_off is not None:
+            window = sample(section.switch_off), stop
+        elif section.kind not in ("phase_resonance", "stepped_sine"):
+            window = first, stop
+        if window is not None and window[1] - window[0] < 2:
+            raise BenchError(f"{place}: the window of {name} holds fewer than two samples; correct its times.")
+        index = section.index if section.index is not None else count
+        found.append(ImportedSegment(section, name, index, first, stop, window if section.locked else None))
+    return found
+
+
+def _beside(sidecar: Path, name: str, place: str) -> Path:
+    path = sidecar.parent / name
+    if place and not path.is_file():
+        raise BenchError(f"{place}: there is no file {path}; names are relative to the sidecar.")
+    return path
+
+
+def _read_linear(path: Path) -> LinearDescription:
+    try:
+        return LinearDescription.from_json(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise BenchError(f"The linear description {path} cannot be read; give a linear.json file.") from error
+    except BenchError as error:
+        raise BenchError(f"{path}: {error}") from error
+
+
+def _digest(path: Path) -> dict[str, str]:
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while piece := file.read(2**20):
+                digest.update(piece)
+    except OSError as error:
+        raise BenchError(f"{path} cannot be read: {error.strerror or error}.") from error
+    return {"name": path.name, "sha256": digest.hexdigest()}
+
+
+# --- writing ---------------------------------------------------------------------------------------------------------
+
+
+class _Messages:
+    """The messages of a run in the order of bench time, as a recorder would have taken them down."""
+
+    def __init__(self, run: ImportedRun, writer: BagWriter, rig: str) -> None:
+        self._run = run
+        self._writer = writer
+        self._types = local_definitions().typestore.types
+        self._groups = {
+            quantity: [channel for channel in run.channels if channel.quantity is quantity]
+            for quantity in Quantity
+            if any(channel.quantity is quantity for channel in run.channels)
+        }
+        self._codecs = {quantity: BlockWriter(rig) for quantity in self._groups}
+        self._stacks = {
+            quantity: np.array([channel.data for channel in group]) for quantity, group in self._groups.items()
+        }
+
+    def write(self) -> None:
+        """Blocks, and between them levels, locks and loop states where they belong."""
+        run = self._run
+        levels = _by_time((segment.first_sample, segment) for segment in run.segments)
+        locks = _by_time((self._lock_sample(s), s) for s in run.segments if s.window is not None)
+        states = _by_time((state.last_sample, state) for state in run.loop)
+        for block in run.blocks or self._even_blocks():
+            end = block.first_sample + block.samples
+            while levels and levels[-1][0] < end:
+                self._put_level(levels.pop()[1])
+            self._put_block(block)
+            while states and states[-1][0] < end:
+                self._put_state(states.pop()[1])
+            while locks and locks[-1][0] < end:
+                self._put_lock(*locks.pop())
+        # A lock event may name a window whose blocks are missing.
+        while locks:
+            self._put_lock(*locks.pop())
+
+    def _even_blocks(self) -> list[BlockRow]:
+        run = self._run
+        size = max(1, round(_BLOCK_SECONDS * run.sample_rate))
+        return [
+            BlockRow(run.first_sample + first, min(size, run.samples - first), UNKNOWN_PHASE, {})
+            for first in range(0, run.samples, size)
+        ]
+
+    def _time(self, sample: int) -> int:
+        return round(sample / self._run.sample_rate * 1e9)
+
+    def _put_block(self, row: BlockRow) -> None:
+        first = row.first_sample - self._run.first_sample
+        phase: OscillatorPhase = row.oscillator
+        for quantity, group in self._groups.items():
+            block = SampleBlock(
+                row.first_sample,
+                self._run.sample_rate,
+                quantity,
+                quantity.unit,
+                tuple(channel.name for channel in group),
+                tuple(channel.point for channel in group),
+                self._stacks[quantity][:, first : first + row.samples],
+                phase,
+                row.flags.get(quantity.topic, 0),
+            )
+            raw = self._codecs[quantity].write(block)
+            self._writer.write(
+                quantity.topic, raw, self._time(row.first_sample + row.samples), self._time(row.first_sample)
+            )
+
+    def _put_level(self, segment: ImportedSegment) -> None:
+        section = segment.section
+        if section.level is None:
+            return
+        low, high = section.band_hz or (0.0, 0.0)
+        message = self._types["nmt_msgs/msg/Level"](
+            sequence=segment.index + 1,
+            index=segment.index,
+            control=_CONTROLS[section.level_unit],
+            amplitude=section.level,
+            apply_at_sample=segment.first_sample,
+            ramp=0.0,
+            frequency_hz=section.frequency_hz or 0.0,
+            window_periods=section.periods,
+            timeout=0.0,
+            test=int(segment.test),
+            band_low_hz=low,
+            band_high_hz=high,
+            rate_hz_s=section.rate_hz_s or 0.0,
+            frequency_end_hz=section.frequency_end_hz or 0.0,
+            duration=(segment.stop_sample - segment.first_sample) / self._run.sample_rate,
+        )
+        self._writer.write_message("level", message, self._time(segment.first_sample))
+
+    def _lock_sample(self, segment: ImportedSegment) -> int:
+        assert segment.window is not None
+        if segment.section.lock_time is not None:
+            return round(segment.section.lock_time * self._run.sample_rate)
+        return max(segment.first_sample, segment.window[0] - 1)
+
+    def _put_lock(self, sample: int, segment: ImportedSegment) -> None:
+        section, window = segment.section, segment.window
+        assert window is not None
+        stamp = self._time(sample)
+        message = self._types["nmt_msgs/msg/LockEvent"](
+            stamp=self._types["builtin_interfaces/msg/Time"](stamp // 1_000_000_000, stamp % 1_000_000_000),
+            level_index=segment.index,
+            level=math.nan if section.level is None else section.level,
+            level_unit=section.level_unit,
+            sample=sample,
+            frequency_hz=self._frequency(section),
+            phase_error=math.nan if section.phase_error is None else section.phase_error,
+            window_first_sample=window[0],
+            window_samples=window[1] - window[0],
+            window_periods=section.periods,
+            test=int(segment.test),
+        )
+        self._writer.write_message("lock", message, stamp, stamp)
+
+    @staticmethod
+    def _frequency(section: SignalSection) -> float:
+        if section.frequency_hz is not None:
+            return section.frequency_hz
+        return 0.0 if section.kind in ("random", "record") else math.nan
+
+    def _put_state(self, status: LoopStatus) -> None:
+        time = self._time(status.last_sample)
+        self._writer.write("frequency", write_status(status, self._run.sample_rate), time, time)
+
+
+def _by_time(items: Any) -> list[Any]:
+    """Sorted so that ``pop()`` gives the earliest; equal times in the given order."""
+    return sorted(items, key=lambda item: item[0])[::-1] if not isinstance(items, list) else items

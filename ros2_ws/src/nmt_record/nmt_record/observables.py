@@ -1,0 +1,338 @@
+"""Tables that others have reduced: backbones and frequency responses, on their way into a bag and out of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_record import uff
+from nmt_record.bag_reader import Bag
+from nmt_record.import_sidecar import TableSection
+from nmt_record.import_table import SourceTable, kind_of, read_table, split_name
+from nmt_record.unit_table import other_factor, plain_unit, response_per_force, response_unit
+
+OBSERVABLES_TOPIC = "observables"
+OBSERVABLES_TYPE = "std_msgs/msg/String"
+FORMAT = "nmt observable table 1"
+
+_REQUIRED = {"backbone": ("frequency_hz", "amplitude"), "frf": ("frequency_hz",)}
+_OPTIONAL = {
+    "backbone": ("damping_ratio", "level", "force_n", "phase"),
+    "frf": ("real", "imag", "magnitude", "phase", "level", "coherence"),
+}
+_KINDS = {"frequency_hz": "frequency", "damping_ratio": "ratio", "phase": "phase", "coherence": "ratio"}
+
+
+@dataclass(frozen=True, eq=False)
+class ObservableTable:
+    """One table in SI units.
+
+    Attributes:
+        kind: ``backbone`` or ``frf``.
+        columns: name -> values, all of one length. Backbone: frequency_hz, amplitude, and as far as given
+            damping_ratio, level, force_n, phase; frf: frequency_hz, real, imag, and as far as given level, coherence.
+            ``<name>_std`` is a standard uncertainty.
+        units: name -> unit, SI (Hz for frequencies).
+        quantity: of the response; UNKNOWN for a modal amplitude.
+        level: of the whole table; NaN if not given.
+        level_unit: its unit.
+        point: point of the response; 0 = not given.
+        drive_point: point of the force; 0 = not given.
+        name: what it was called.
+        source: file it came from.
+    """
+
+    kind: str
+    columns: dict[str, FloatArray]
+    units: dict[str, str]
+    quantity: Quantity = Quantity.UNKNOWN
+    level: float = math.nan
+    level_unit: str = ""
+    point: int = 0
+    drive_point: int = 0
+    name: str = ""
+    source: str = ""
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return int(self.columns["frequency_hz"].shape[0])
+
+    def to_json(self) -> str:
+        """As it is stored in a bag; NaN becomes null."""
+        return json.dumps(
+            {
+                "format": FORMAT,
+                "kind": self.kind,
+                "name": self.name,
+                "source": self.source,
+                "quantity": self.quantity.name.lower(),
+                "level": None if math.isnan(self.level) else self.level,
+                "level_unit": self.level_unit,
+                "point": self.point,
+                "drive_point": self.drive_point,
+                "units": self.units,
+                "columns": {
+                    key: [float(value) if math.isfinite(value) else None for value in column]
+                    for key, column in self.columns.items()
+                },
+            }
+        )
+
+    @classmethod
+    def from_json(cls, text: str) -> ObservableTable:
+        """The inverse of :meth:`to_json`.
+
+        Raises:
+            BenchError: not such a text.
+        """
+        try:
+            values: Mapping[str, Any] = json.loads(text)
+            if values["format"] != FORMAT:
+                raise ValueError(f"format {values['format']}")
+            return cls(
+                kind=values["kind"],
+                columns={
+                    key: np.array([math.nan if value is None else value for value in column], dtype=np.float64)
+                    for key, column in values["columns"].items()
+                },
+                units=dict(values["units"]),
+                quantity=Quantity[values["quantity"].upper()],
+                level=math.nan if values["level"] is None else float(values["level"]),
+                level_unit=values["level_unit"],
+                point=int(values["point"]),
+                drive_point=int(values["drive_point"]),
+                name=values["name"],
+                source=values["source"],
+            )
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise BenchError(
+                f"A table on topic '{OBSERVABLES_TOPIC}' is not of the form '{FORMAT}': {error}."
+            ) from error
+
+
+def observable_tables(bag: Bag) -> list[ObservableTable]:
+    """Tables of others in an imported bag, in the order of its sidecar; empty for recordings.
+
+    Raises:
+        BenchError: the bag is damaged or a table in it is malformed.
+    """
+    return [ObservableTable.from_json(message.data) for _, _, message in bag.messages([OBSERVABLES_TOPIC])]
+
+
+def read_observables(section: TableSection, path: Path, place: str) -> list[ObservableTable]:
+    """Read the table that a sidecar's segment names; a UFF file gives one for each frequency response in it.
+
+    Args:
+        section: what the columns are.
+        path: the file.
+        place: of the segment in the sidecar, for messages.
+
+    Raises:
+        BenchError: the file or a column is missing, malformed, without unit or implausible.
+    """
+    if kind_of(path) == "uff":
+        return _from_uff(section, path, place)
+    table = read_table(path)
+    columns = _columns(section, table, place)
+    units = {name: "Hz" if name.startswith("frequency") else "1" for name in columns}
+    quantity = Quantity.UNKNOWN
+    notes = list(table.notes)
+    if section.kind == "backbone":
+        quantity, factor, unit = _amplitude_unit(section, table, place)
+        for name in ("amplitude", "amplitude_std"):
+            if name in columns:
+                columns[name], units[name] = columns[name] * factor, unit
+    else:
+        quantity, factor = response_per_force(section.unit or _own_unit(table, section, "real", "magnitude"), place)
+        columns = _complex(section, columns, table, place)
+        unit = f"{quantity.unit}/N"
+        for name in ("real", "imag", "real_std", "imag_std"):
+            if name in columns:
+                columns[name], units[name] = columns[name] * factor, unit
+    units = {name: units.get(name, "1") for name in columns}
+    if "level" in units:
+        units["level"] = section.level_unit or "1"
+    if "phase" in units:
+        units["phase"] = "rad"
+    _plausible(columns, table, place)
+    return [_table(section, columns, units, quantity, path.name, tuple(notes))]
+
+
+def _table(
+    section: TableSection,
+    columns: dict[str, FloatArray],
+    units: dict[str, str],
+    quantity: Quantity,
+    source: str,
+    notes: tuple[str, ...] = (),
+    **values: Any,
+) -> ObservableTable:
+    values = {"point": section.point, "drive_point": section.drive_point, "name": section.name, **values}
+    level = math.nan if section.level is None else section.level
+    return ObservableTable(
+        section.kind, columns, units, quantity, level, section.level_unit, source=source, notes=notes, **values
+    )
+
+
+def _known(kind: str) -> list[str]:
+    names = [*_REQUIRED[kind], *_OPTIONAL[kind]]
+    return [*names, *(f"{name}_std" for name in names)]
+
+
+def _columns(section: TableSection, table: SourceTable, place: str) -> dict[str, FloatArray]:
+    known = _known(section.kind)
+    for group, what in ((section.columns, "columns"), (section.units, "units")):
+        wrong = [name for name in group if name not in known]
+        if wrong:
+            raise BenchError(
+                f"{place}: {what} names '{wrong[0]}', which a {section.kind} does not have; it has {', '.join(known)}."
+            )
+    found: dict[str, FloatArray] = {}
+    names = [split_name(name)[0] for name in table.names]
+    for name in known:
+        if name in section.columns:
+            index = table.index(section.columns[name], f"{place}: {name}")
+        elif name in names:
+            index = table.index(name, place)
+        elif name in _REQUIRED[section.kind]:
+            has = ", ".join(filter(None, table.names)) or "no names"
+            raise BenchError(
+                f"{place}: {table.file} has no column {name} (it has {has}); name it under 'columns: {{{name}: …}}'."
+            )
+        else:
+            continue
+        base = name.removesuffix("_std")
+        values = table.columns[index]
+        if base in _KINDS:
+            default = {"frequency": "Hz", "ratio": "1", "phase": "rad"}[_KINDS[base]]
+            own = plain_unit(table.units[index]) if table.units[index] else ""
+            given = section.units.get(name, section.units.get(base, ""))
+            if given and own and plain_unit(given) != own:
+                raise BenchError(
+                    f"{place}: {name} has the unit {own} by {table.file}, but {given} by the sidecar; correct one."
+                )
+            values = values * other_factor(_KINDS[base], given or own or default, f"{place}: {name}")
+        found[name] = values
+    return found
+
+
+def _own_unit(table: SourceTable, section: TableSection, *names: str) -> str:
+    for name in names:
+        for index, column in enumerate(table.names):
+            if split_name(column)[0] == section.columns.get(name, name) and table.units[index]:
+                return table.units[index]
+    return ""
+
+
+def _amplitude_unit(section: TableSection, table: SourceTable, place: str) -> tuple[Quantity, float, str]:
+    text = section.unit or _own_unit(table, section, "amplitude")
+    if "kg" in plain_unit(text):
+        return Quantity.UNKNOWN, other_factor("modal amplitude", text, place), "m*sqrt(kg)"
+    quantity, factor = response_unit(text, place)
+    return quantity, factor, quantity.unit
+
+
+def _complex(
+    section: TableSection, columns: dict[str, FloatArray], table: SourceTable, place: str
+) -> dict[str, FloatArray]:
+    """Real and imaginary part from what the table has."""
+    polar, plain = {"magnitude", "phase"} <= set(columns), {"real", "imag"} <= set(columns)
+    if polar == plain:
+        what = (
+            "both real and imag and magnitude and phase" if polar else "neither real and imag nor magnitude and phase"
+        )
+        raise BenchError(f"{place}: {table.file} has {what}; one of the two is needed.")
+    if plain:
+        return columns
+    if (columns["magnitude"] < 0.0).any():
+        row = int(np.argmax(columns["magnitude"] < 0.0))
+        raise BenchError(f"{place}: the magnitude is negative at {table.place(row)}; is it in dB? give it linear.")
+    unstated = "phase" not in section.units and not _own_unit(table, section, "phase")
+    if unstated and np.nanmax(np.abs(columns["phase"])) > 7.0:
+        raise BenchError(
+            f"{place}: the phase reaches {np.nanmax(np.abs(columns['phase'])):.4g}, more than a turn in rad; say "
+            f"units: "
+            "{phase: deg} or {phase: rad}."
+        )
+    response = columns["magnitude"] * np.exp(1j * columns["phase"])
+    result = {name: values for name, values in columns.items() if name.split("_std")[0] not in ("magnitude", "phase")}
+    result["real"], result["imag"] = response.real, response.imag
+    if "magnitude_std" in columns:
+        # Standard uncertainty of a circular scatter of that size.
+        result["real_std"] = result["imag_std"] = columns["magnitude_std"]
+    return result
+
+
+def _plausible(columns: dict[str, FloatArray], table: SourceTable, place: str) -> None:
+    if not columns["frequency_hz"].size:
+        raise BenchError(f"{place}: {table.file} has no rows.")
+    for name, values in columns.items():
+        bad = ~np.isfinite(values)
+        if name in ("frequency_hz", "amplitude", "real", "imag") and bad.any():
+            raise BenchError(f"{place}: {name} is missing at {table.place(int(np.argmax(bad)))}; leave such rows out.")
+        if name.endswith("_std") and (values < 0.0).any():
+            raise BenchError(f"{place}: {name} is negative at {table.place(int(np.argmax(values < 0.0)))}.")
+    if (columns["frequency_hz"] < 0.0).any() or not (columns["frequency_hz"] > 0.0).any():
+        raise BenchError(f"{place}: frequency_hz must be positive, got {columns['frequency_hz'].min():g}.")
+    if "amplitude" in columns and not (columns["amplitude"] > 0.0).all():
+        row = int(np.argmin(columns["amplitude"] > 0.0))
+        raise BenchError(f"{place}: the amplitude is not positive at {table.place(row)}.")
+    damping = columns.get("damping_ratio")
+    if damping is not None and (np.nanmax(damping) > 1.0 or np.nanmin(damping) < -1.0):
+        raise BenchError(
+            f"{place}: damping_ratio reaches {np.nanmax(damping):.3g}; if it is in percent say units: "
+            f"{{damping_ratio: '%'}}."
+        )
+
+
+_UFF_RESPONSES = {
+    uff.DISPLACEMENT: Quantity.DISPLACEMENT,
+    uff.VELOCITY: Quantity.VELOCITY,
+    uff.ACCELERATION: Quantity.ACCELERATION,
+}
+
+
+def _from_uff(section: TableSection, path: Path, place: str) -> list[ObservableTable]:
+    if section.kind != "frf":
+        raise BenchError(f"{place}: {path.name} is a universal file; only 'kind: frf' is read from those.")
+    functions = [f for f in uff.read_uff(path) if f.function_type == uff.FREQUENCY_RESPONSE]
+    if not functions:
+        raise BenchError(f"{place}: {path.name} has no frequency response (function type 4).")
+    tables = []
+    for function in functions:
+        where = f"{place}: dataset {function.number} of {path.name}"
+        quantity, factor = response_per_force(section.unit, where)
+        own = _UFF_RESPONSES.get(function.ordinate_axis.data_type)
+        if own is not None and own is not quantity:
+            raise BenchError(f"{where} holds {own.name.lower()} per force, but the sidecar says {section.unit}.")
+        if function.denominator_axis.data_type not in (0, uff.GENERAL, uff.FORCE, 9):
+            raise BenchError(f"{where} is not referred to a force; leave it out.")
+        values = np.asarray(function.values, dtype=np.complex128) * factor
+        if not np.isfinite(values).all() or not np.isfinite(function.x).all():
+            raise BenchError(f"{where} holds values that are not finite; export it again.")
+        columns = {"frequency_hz": function.x, "real": values.real, "imag": values.imag}
+        unit = f"{quantity.unit}/N"
+        units = {"frequency_hz": "Hz", "real": unit, "imag": unit}
+        tables.append(
+            _table(
+                section,
+                columns,
+                units,
+                quantity,
+                path.name,
+                point=function.response_node,
+                drive_point=function.reference_node,
+                name=function.name or section.name,
+            )
+        )
+    return tables

@@ -1,0 +1,435 @@
+"""Universal file format, dataset 58 (function at nodal DOF): ASCII and binary (58b), strictly read and written.
+
+Layout after the UC-SDRL text of datasets 58 and 58b: eleven header records of 80 columns, then the values (20 columns
+and 13 digits in ASCII double precision). The header holds the abscissa's increment with six digits only, so a sampling
+rate like 51200 Hz does not survive in it; whoever needs it exactly writes it elsewhere.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
+
+TIME_RESPONSE = 1
+FREQUENCY_RESPONSE = 4
+FUNCTION_NAMES = {
+    0: "general function", 1: "time response", 2: "auto spectrum", 3: "cross spectrum", 4: "frequency response",
+    5: "transmissibility", 6: "coherence", 7: "auto correlation", 8: "cross correlation", 9: "power spectral density",
+    10: "energy spectral density", 11: "probability density", 12: "spectrum", 13: "cumulative distribution",
+    18: "mode indicator function", 19: "force pattern", 22: "eigenvalue", 23: "eigenvector", 24: "shock response",
+    25: "impulse response filter", 26: "multiple coherence", 27: "order function",
+}  # fmt: skip
+"""Function types by number, as far as vibration tests have them."""
+
+GENERAL, DISPLACEMENT, VELOCITY, ACCELERATION, FORCE, TIME, FREQUENCY = 1, 8, 11, 12, 13, 17, 18
+"""Specific data types."""
+
+_DELIMITER = b"    -1"
+_HEADER_RECORDS = 11
+_LINE_END = re.compile(rb"\r\n|\n|\r")
+_CLOSING = re.compile(rb"(?:(?<=\n)|(?<=\r))    -1[ \t]*(?:\r\n|\n|\r|\Z)")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Characteristics of abscissa or ordinate (records 8 to 11).
+
+    Attributes:
+        data_type: specific data type, see the constants of this module; 0 = unknown.
+        label: name, at most 20 characters.
+        unit: at most 20 characters.
+    """
+
+    data_type: int = 0
+    label: str = "NONE"
+    unit: str = "NONE"
+
+
+@dataclass(frozen=True, eq=False)
+class UffFunction:
+    """One dataset 58.
+
+    Attributes:
+        function_type: see ``FUNCTION_NAMES``.
+        values: ordinate, real or complex, shape ``(samples,)``.
+        abscissa_minimum: first abscissa; ignored if ``abscissa`` is given.
+        abscissa_increment: step; ignored if ``abscissa`` is given.
+        abscissa: uneven abscissa, shape ``(samples,)``; None = even.
+        lines: the five ID lines.
+        response_node: node of the response; 0 = none.
+        response_direction: ±1, ±2, ±3 = x, y, z; 0 = scalar.
+        reference_node: node of the excitation.
+        reference_direction: as ``response_direction``.
+        abscissa_axis: what the abscissa is.
+        ordinate_axis: what the ordinate (or its numerator) is.
+        denominator_axis: what the ordinate's denominator is.
+        number: position in the file, from 1; 0 = not read from a file.
+    """
+
+    function_type: int
+    values: NDArray[Any]
+    abscissa_minimum: float = 0.0
+    abscissa_increment: float = 0.0
+    abscissa: FloatArray | None = None
+    lines: tuple[str, ...] = ("NONE",) * 5
+    response_node: int = 0
+    response_direction: int = 0
+    reference_node: int = 0
+    reference_direction: int = 0
+    abscissa_axis: Axis = field(default_factory=Axis)
+    ordinate_axis: Axis = field(default_factory=Axis)
+    denominator_axis: Axis = field(default_factory=Axis)
+    number: int = 0
+
+    @property
+    def x(self) -> FloatArray:
+        """Abscissa of every value, shape ``(samples,)``."""
+        if self.abscissa is not None:
+            return self.abscissa
+        return self.abscissa_minimum + self.abscissa_increment * np.arange(self.values.shape[0], dtype=np.float64)
+
+    @property
+    def name(self) -> str:
+        """First ID line, stripped; empty if it says NONE."""
+        return "" if self.lines[0].strip().upper() == "NONE" else self.lines[0].strip()
+
+
+def write_uff(path: Path, functions: Sequence[UffFunction], binary: bool = True) -> None:
+    """Write a file of datasets 58, double precision.
+
+    Args:
+        path: the file; replaced if it is there.
+        functions: in the order of the file.
+        binary: 58b with little-endian IEEE numbers, else ASCII.
+
+    Raises:
+        BenchError: the file cannot be written.
+    """
+    try:
+        with path.open("wb") as file:
+            for function in functions:
+                _write_function(file, function, binary)
+    except OSError as error:
+        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
+
+
+def read_uff(path: Path) -> list[UffFunction]:
+    """Read all datasets 58 of a file; other datasets (units, geometry) are passed over.
+
+    Raises:
+        BenchError: not a universal file, cut off, or a dataset 58 that is not whole or not of this form.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise BenchError(f"{path} cannot be read: {error.strerror or error}.") from error
+    functions = [_read_function(dataset, path.name) for dataset in _datasets(data, path.name) if dataset.kind == 58]
+    if not functions:
+        raise BenchError(f"{path.name} has no dataset 58 (time data or frequency responses); export those as UFF58.")
+    return functions
+
+
+def _text(value: str, width: int) -> str:
+    """Printable ASCII of at most ``width`` characters; ``NONE`` for nothing."""
+    plain = value.replace("²", "^2").replace("µ", "u").encode("ascii", "replace").decode()
+    plain = "".join(letter if letter.isprintable() else " " for letter in plain).strip()[:width]
+    return plain or "NONE"
+
+
+def _write_function(file: Any, function: UffFunction, binary: bool) -> None:
+    values = np.asarray(function.values)
+    is_complex = np.iscomplexobj(values)
+    even = function.abscissa is None
+    columns: list[FloatArray] = [] if function.abscissa is None else [function.abscissa]
+    columns += [values.real, values.imag] if is_complex else [values]
+    table = np.ascontiguousarray(np.column_stack(columns), dtype="<f8")
+    if binary:
+        size = _payload_bytes(table, even)
+        identifier = f"{58:6d}b{1:6d}{2:6d}{_HEADER_RECORDS:12d}{size:12d}{0:6d}{0:6d}{0:12d}{0:12d}"
+    else:
+        identifier = f"{58:6d}"
+    minimum, increment = (function.abscissa_minimum, function.abscissa_increment) if even else (0.0, 0.0)
+    lines = (*function.lines, *("NONE",) * 5)[:5]
+    records = [
+        "    -1",
+        identifier,
+        *(_text(line, 80) for line in lines),
+        f"{function.function_type:5d}{0:10d}{0:5d}{0:10d}"
+        f" {'NONE':<10}{function.response_node:10d}{function.response_direction:4d}"
+        f" {'NONE':<10}{function.reference_node:10d}{function.reference_direction:4d}",
+        f"{6 if is_complex else 4:10d}{values.shape[0]:10d}{int(even):10d}"
+        f"{minimum:13.5E}{increment:13.5E}{0.0:13.5E}",
+        *(
+            f"{axis.data_type:10d}{0:5d}{0:5d}{0:5d} {_text(axis.label, 20):<20} {_text(axis.unit, 20):<20}"
+            for axis in (function.abscissa_axis, function.ordinate_axis, function.denominator_axis, Axis())
+        ),
+    ]
+    file.write("".join(f"{record:<80}\n" for record in records).encode("ascii"))
+    if binary:
+        file.write(_payload(table, even))
+        file.write(b"    -1" + b" " * 74 + b"\n")
+        return
+    _write_ascii(file, table, even)
+    file.write(b"    -1" + b" " * 74 + b"\n")
+
+
+def _payload_bytes(table: NDArray[Any], even: bool) -> int:
+    rows, columns = int(table.shape[0]), int(table.shape[1])
+    return rows * (8 * columns if even else 8 * (columns - 1) + 4)
+
+
+def _payload(table: NDArray[Any], even: bool) -> bytes:
+    """Values as they lie in a 58b; the abscissa is single precision by definition of the format."""
+    if even:
+        return table.tobytes()
+    kind = np.dtype([("x", "<f4")] + [(f"y{i}", "<f8") for i in range(table.shape[1] - 1)])
+    packed = np.empty(table.shape[0], dtype=kind)
+    for name, column in zip(kind.names or (), table.T, strict=True):
+        packed[name] = column
+    return packed.tobytes()
+
+
+def _write_ascii(file: Any, table: NDArray[Any], even: bool) -> None:
+    if even:
+        flat = table.ravel()
+        whole = flat.shape[0] // 4 * 4
+        np.savetxt(file, flat[:whole].reshape(-1, 4), fmt="%20.12E", delimiter="")
+        if whole < flat.shape[0]:
+            np.savetxt(file, flat[whole:][np.newaxis], fmt="%20.12E", delimiter="")
+        return
+    form = "%13.5E" + "%20.12E" * (table.shape[1] - 1)
+    per_line = 2 if table.shape[1] == 2 else 1
+    whole = table.shape[0] // per_line * per_line
+    np.savetxt(file, table[:whole].reshape(-1, per_line * table.shape[1]), fmt=form * per_line)
+    if whole < table.shape[0]:
+        np.savetxt(file, table[whole:], fmt=form)
+
+
+@dataclass(frozen=True)
+class _Dataset:
+    number: int
+    kind: int
+    binary: bool
+    identifier: str
+    records: list[str]
+    payload: bytes
+
+
+class _Cursor:
+    """Lines of a file that may hold binary stretches; knows LF, CR LF and CR."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.position = 0
+
+    def at_end(self) -> bool:
+        return self.position >= len(self.data)
+
+    def line(self) -> bytes:
+        end = _LINE_END.search(self.data, self.position)
+        line = self.data[self.position : end.start() if end else len(self.data)]
+        self.position = end.end() if end else len(self.data) + 1
+        return line
+
+
+def _is_delimiter(line: bytes) -> bool:
+    return line.startswith(_DELIMITER) and not line[6:].strip()
+
+
+def _datasets(data: bytes, name: str) -> Iterator[_Dataset]:
+    cursor = _Cursor(data)
+    number = 0
+    while not cursor.at_end():
+        line = cursor.line()
+        if not line.strip():
+            continue
+        if not _is_delimiter(line):
+            what = "text stands between its datasets" if number else "it does not begin with '    -1'"
+            raise BenchError(f"{name} is not a universal file: {what}.")
+        if cursor.at_end():
+            return
+        identifier = cursor.line().decode("ascii", "replace")
+        number += 1
+        where = f"Dataset {number} of {name}"
+        try:
+            kind = int(identifier[:6])
+        except ValueError:
+            raise BenchError(f"{where} has no number in columns 1 to 6; the file is not a universal file.") from None
+        binary = identifier[6:7].lower() == "b"
+        records: list[str] = []
+        if binary:
+            try:
+                ascii_lines, size = int(identifier[19:31]), int(identifier[31:43])
+            except ValueError:
+                raise BenchError(f"{where} has no line and byte counts in its first record (58b).") from None
+            records = [cursor.line().decode("ascii", "replace") for _ in range(min(max(ascii_lines, 0), 100))]
+            size = _true_size(records, size, memoryview(data)[cursor.position :])
+            payload = data[cursor.position : cursor.position + size]
+            cursor.position += size
+            if len(payload) < size or cursor.at_end():
+                raise BenchError(
+                    f"{where} is cut off: {len(payload)} of {size} bytes are there; copy or export the file again."
+                )
+            end = cursor.line()
+            if not _is_delimiter(end if end else cursor.line()):
+                raise BenchError(f"{where} does not end after its {size} bytes; the file is damaged, export it again.")
+        else:
+            payload, ended = _ascii_part(cursor, records, kind)
+            if not ended:
+                raise BenchError(f"{where} is cut off: its closing '-1' is missing; copy or export the file again.")
+        yield _Dataset(number, kind, binary, identifier, records, payload)
+    if not number:
+        raise BenchError(f"{name} is empty; a universal file with datasets 58 is needed.")
+
+
+def _true_size(records: list[str], stated: int, rest: memoryview) -> int:
+    """Bytes of the values by their type and count; some writers state others, or write the abscissa in double "
+    "precision."""
+    try:
+        kind, count, even = (int(records[6][at : at + 10]) for at in (0, 10, 20))
+    except (IndexError, ValueError):
+        return max(stated, 0)
+    ordinate = {2: 4, 4: 8, 5: 8, 6: 16}.get(kind, 0) * max(count, 0)
+    sizes = [ordinate] if even else [ordinate + 4 * count, ordinate + 8 * count]
+    return next(
+        (size for size in sizes if bytes(rest[size : size + 8]).lstrip(b"\r\n").startswith(_DELIMITER)), sizes[0]
+    )
+
+
+def _ascii_part(cursor: _Cursor, records: list[str], kind: int) -> tuple[bytes, bool]:
+    wanted = _HEADER_RECORDS if kind == 58 else 0
+    while len(records) < wanted and not cursor.at_end():
+        line = cursor.line()
+        if _is_delimiter(line):
+            return b"", True
+        records.append(line.decode("ascii", "replace"))
+    start = cursor.position
+    end = _CLOSING.search(cursor.data, max(0, start - 1))
+    if end is None:
+        cursor.position = len(cursor.data)
+        return cursor.data[start:], False
+    cursor.position = end.end()
+    return cursor.data[start : max(start, end.start())], True
+
+
+def _read_function(dataset: _Dataset, name: str) -> UffFunction:
+    where = f"Dataset {dataset.number} of {name}"
+    records = dataset.records
+    if len(records) < _HEADER_RECORDS:
+        raise BenchError(f"{where} has {len(records)} header records instead of {_HEADER_RECORDS}; export it again.")
+    try:
+        head = records[5].ljust(80)
+        function_type = int(head[0:5])
+        response = int(head[41:51]), int(head[51:55])
+        reference = int(head[66:76]), int(head[76:80])
+        form = records[6].ljust(80)
+        value_type, count, even = int(form[0:10]), int(form[10:20]), int(form[20:30])
+        minimum, increment = _number(form[30:43]), _number(form[43:56])
+        axes = [_read_axis(record) for record in records[7:10]]
+    except ValueError:
+        raise BenchError(f"{where} has a header that is not of the form of UFF58; export it again.") from None
+    if value_type not in (2, 4, 5, 6) or even not in (0, 1) or count < 1:
+        raise BenchError(
+            f"{where} has {count} values of ordinate type {value_type} and spacing {even}; UFF58 knows types 2, 4, "
+            f"5, 6."
+        )
+    columns = (1 if value_type < 5 else 2) + (0 if even else 1)
+    table = (
+        _binary_values(dataset, value_type, count, even, columns, where)
+        if dataset.binary
+        else _ascii_values(dataset.payload, value_type, count, even, columns, where)
+    )
+    ordinate = table[:, columns - 2] + 1j * table[:, columns - 1] if value_type >= 5 else table[:, columns - 1]
+    return UffFunction(
+        function_type,
+        np.ascontiguousarray(ordinate),
+        minimum,
+        increment,
+        None if even else np.ascontiguousarray(table[:, 0]),
+        tuple(record.rstrip() for record in records[:5]),
+        response[0],
+        response[1],
+        reference[0],
+        reference[1],
+        axes[0],
+        axes[1],
+        axes[2],
+        dataset.number,
+    )
+
+
+def _read_axis(record: str) -> Axis:
+    record = record.ljust(80)
+    return Axis(int(record[0:10]), record[26:46].strip() or "NONE", record[47:67].strip() or "NONE")
+
+
+def _number(text: str) -> float:
+    return float(text.strip().replace("D", "E").replace("d", "e") or "nan")
+
+
+def _binary_values(dataset: _Dataset, value_type: int, count: int, even: int, columns: int, where: str) -> FloatArray:
+    try:
+        order, form = int(dataset.identifier[7:13]), int(dataset.identifier[13:19])
+    except ValueError:
+        order, form = 0, 0
+    if order not in (1, 2) or form != 2:
+        raise BenchError(
+            f"{where} has byte order {order} and number format {form}; IEEE numbers (format 2) are needed."
+        )
+    sign = "<" if order == 1 else ">"
+    double = value_type in (4, 6)
+    size = 8 if double else 4
+    width = len(dataset.payload) // count
+    abscissa = width - size * (columns - (0 if even else 1))
+    kinds = [] if even else [("x", f"{sign}f{abscissa}")]
+    kinds += [(f"y{i}", f"{sign}f{size}") for i in range(columns - (0 if even else 1))]
+    packed = np.frombuffer(dataset.payload, dtype=np.dtype(kinds), count=count)
+    return np.column_stack([packed[name].astype(np.float64) for name in packed.dtype.names or ()])
+
+
+def _ascii_values(payload: bytes, value_type: int, count: int, even: int, columns: int, where: str) -> FloatArray:
+    text = payload.replace(b"D", b"E").replace(b"d", b"e")
+    total = count * columns
+    try:
+        values = np.array(text.split(), dtype=np.float64)
+    except ValueError:
+        values = np.empty(0)
+    if values.shape[0] != total:
+        # Numbers that fill their columns run into each other: cut by the widths of the format.
+        values = np.array(list(_by_width(text, value_type, even, columns, where)), dtype=np.float64)
+    if values.shape[0] != total:
+        raise BenchError(
+            f"{where} holds {values.shape[0]} numbers instead of {total}; it is cut off or damaged, export it again."
+        )
+    return values.reshape(count, columns)
+
+
+def _by_width(text: bytes, value_type: int, even: int, columns: int, where: str) -> Iterator[float]:
+    wide = 20 if value_type in (4, 6) else 13
+    widths = [wide] * (4 if wide == 20 else 6) if even else ([13] + [wide] * (columns - 1)) * (6 // columns)
+    for line in text.decode("ascii", "replace").splitlines():
+        at = 0
+        for width in widths:
+            cell = line[at : at + width].strip()
+            at += width
+            if not cell:
+                break
+            try:
+                value = float(cell)
+            except ValueError:
+                raise BenchError(f"{where} has '{cell[:20]}' in the place of a number; the file is damaged.") from None
+            yield value
+
+
+def is_universal_file(head: bytes) -> bool:
+    """Whether a file that begins with these bytes may be a universal file."""
+    return any(_is_delimiter(line) for line in head.replace(b"\r", b"\n").split(b"\n")[:3])

@@ -1,0 +1,157 @@
+"""Units of recorded data and their factors to SI."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+
+from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
+
+STANDARD_GRAVITY = 9.80665
+"""m/s², by definition (CGPM 1901)."""
+
+_POUND = 0.45359237
+_INCH = 0.0254
+
+_FACTORS: dict[Quantity, dict[str, float]] = {
+    Quantity.FORCE: {
+        "N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "daN": 10.0, "dyn": 1e-5,
+        "kgf": STANDARD_GRAVITY, "kp": STANDARD_GRAVITY, "gf": 1e-3 * STANDARD_GRAVITY,
+        "lbf": _POUND * STANDARD_GRAVITY, "ozf": _POUND * STANDARD_GRAVITY / 16.0,
+    },
+    Quantity.ACCELERATION: {
+        "m/s^2": 1.0, "mm/s^2": 1e-3, "cm/s^2": 1e-2, "um/s^2": 1e-6, "km/s^2": 1e3, "Gal": 1e-2,
+        "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "ug": 1e-6 * STANDARD_GRAVITY,
+        "in/s^2": _INCH, "ft/s^2": 12.0 * _INCH,
+    },
+    Quantity.VELOCITY: {
+        "m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "um/s": 1e-6, "nm/s": 1e-9, "km/h": 1.0 / 3.6,
+        "in/s": _INCH, "ft/s": 12.0 * _INCH,
+    },
+    Quantity.DISPLACEMENT: {
+        "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12,
+        "in": _INCH, "mil": 1e-3 * _INCH, "ft": 12.0 * _INCH,
+    },
+    Quantity.VOLTAGE: {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3},
+    Quantity.CURRENT: {"A": 1.0, "mA": 1e-3, "uA": 1e-6, "kA": 1e3},
+}  # fmt: skip
+
+_OTHER = {
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "mHz": 1e-3, "rad/s": 1.0 / (2.0 * math.pi), "rpm": 1.0 / 60.0},
+    "ratio": {"1": 1.0, "%": 1e-2},
+    "phase": {"rad": 1.0, "deg": math.pi / 180.0, "cycles": 2.0 * math.pi},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "modal amplitude": {"m*sqrt(kg)": 1.0, "mm*sqrt(kg)": 1e-3, "um*sqrt(kg)": 1e-6},
+}
+
+_COUNTS = frozenset({"counts", "count", "lsb", "raw", "adc", "digits", "bits", "int", "int16", "int24", "int32"})
+_SPELLINGS = (
+    ("µ", "u"), ("μ", "u"), ("²", "^2"), ("**", "^"), ("·", "*"), ("−", "-"), ("°", "deg"), ("√kg", "*sqrt(kg)"),
+    ("(m/s)/s", "m/s^2"), ("m/s/s", "m/s^2"), ("s^-2", "/s^2"), ("s^-1", "/s"), ("m/s2", "m/s^2"),
+)  # fmt: skip
+_NAMES = {
+    "newton": "N", "newtons": "N", "volt": "V", "volts": "V", "metre": "m", "meter": "m", "ampere": "A", "amp": "A",
+    "gn": "g", "g0": "g", "micron": "um", "inch": "in", "ips": "in/s", "degree": "deg", "degrees": "deg",
+    "sec": "s", "hertz": "Hz", "hz": "Hz", "percent": "%", "-": "1", "none": "1", "m*kg^(1/2)": "m*sqrt(kg)",
+}  # fmt: skip
+
+
+def plain_unit(text: str) -> str:
+    """A unit as the table spells it: no spaces or brackets, ``um`` for micrometre, ``^2`` for squares."""
+    unit = re.sub(r"\s+", "", text).strip("[]")
+    for spelling, plain in _SPELLINGS:
+        unit = unit.replace(spelling, plain)
+    unit = unit.replace("**", "*").replace("*/", "/")
+    return _NAMES.get(unit.lower(), unit)
+
+
+def factor_to_si(quantity: Quantity, unit: str, where: str) -> float:
+    """Factor from a unit to the SI unit of its quantity.
+
+    Args:
+        quantity: what is measured.
+        unit: as the user wrote it.
+        where: of what, for the message.
+
+    Raises:
+        BenchError: the unit is empty, raw counts, one of another quantity, or not known.
+    """
+    plain = plain_unit(unit)
+    own = _FACTORS[quantity]
+    if plain in own:
+        return own[plain]
+    name = quantity.name.lower()
+    known = ", ".join(own)
+    if not plain:
+        raise BenchError(f"{where} has no unit; say which one its {name} has ({known}).")
+    if plain.lower() in _COUNTS:
+        raise BenchError(
+            f"{where} is in raw {unit.strip()}; give 'scale: …' ({quantity.unit} per count) and 'unit: "
+            f"{quantity.unit}'."
+        )
+    others = [other for other, units in _FACTORS.items() if plain in units]
+    if others:
+        hint = "check the quantity"
+        if others[0] in (Quantity.VOLTAGE, Quantity.CURRENT):
+            scale = f"'scale: …' ({quantity.unit} per {plain}) and 'unit: {quantity.unit}'"
+            hint = f"or, if it is a sensor's output, give {scale}"
+        raise BenchError(
+            f"{where} measures {name}, but its unit {unit.strip()} is one of {others[0].name.lower()}; {hint}."
+        )
+    raise BenchError(f"{where} has the unknown unit '{unit.strip()}'{_close(plain, own)}; {name} may be in {known}.")
+
+
+def other_factor(kind: str, unit: str, where: str) -> float:
+    """Factor to SI (Hz for frequencies) of a unit that no channel has: frequency, ratio, phase, time, modal amplitude.
+
+    Raises:
+        BenchError: the unit is not known.
+    """
+    own = _OTHER[kind]
+    plain = plain_unit(unit)
+    if plain not in own:
+        raise BenchError(f"{where} has the unknown unit '{unit.strip()}'{_close(plain, own)}; use {', '.join(own)}.")
+    return own[plain]
+
+
+def quantity_of_unit(unit: str) -> Quantity:
+    """The quantity that a unit belongs to; ``UNKNOWN`` if none."""
+    plain = plain_unit(unit)
+    return next((quantity for quantity, units in _FACTORS.items() if plain in units), Quantity.UNKNOWN)
+
+
+def response_unit(unit: str, where: str) -> tuple[Quantity, float]:
+    """Quantity and factor to SI of the unit of a response amplitude (m, m/s, m/s^2 or a multiple).
+
+    Raises:
+        BenchError: not the unit of a displacement, velocity or acceleration.
+    """
+    quantity = quantity_of_unit(unit)
+    if quantity not in (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION):
+        given = f"'{unit.strip()}' is not" if unit.strip() else "it is missing, which must be"
+        raise BenchError(f"{where}: the unit of the response must be given, such as mm, m/s or g; {given} one.")
+    return quantity, _FACTORS[quantity][plain_unit(unit)]
+
+
+def response_per_force(unit: str, where: str) -> tuple[Quantity, float]:
+    """Response quantity and factor to SI of the unit of a frequency response such as ``m/s^2/N`` or ``g/N``.
+
+    Raises:
+        BenchError: not a response divided by a force.
+    """
+    plain = plain_unit(unit)
+    numerator, _, denominator = plain.rpartition("/")
+    numerator = numerator[1:-1] if numerator.startswith("(") and numerator.endswith(")") else numerator
+    quantity = quantity_of_unit(numerator) if numerator else Quantity.UNKNOWN
+    responses = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
+    if quantity not in responses or denominator not in _FACTORS[Quantity.FORCE]:
+        given = f"'{unit.strip()}' is not" if unit.strip() else "it is missing"
+        raise BenchError(f"{where}: the unit must be a response per force, such as m/N or m/s^2/N or g/N; {given}.")
+    return quantity, _FACTORS[quantity][numerator] / _FACTORS[Quantity.FORCE][denominator]
+
+
+def _close(unit: str, known: dict[str, float]) -> str:
+    close = difflib.get_close_matches(unit, known, n=1, cutoff=0.6)
+    return f" (did you mean {close[0]}?)" if close else ""

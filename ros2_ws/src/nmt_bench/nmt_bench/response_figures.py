@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nmt_bench.quantity_format import significant
-from nmt_bench.report_svg import INK, MUTED, ReportFigure, level_colours, svg_text
+from nmt_bench.report_svg import MUTED, RED, ReportFigure, level_colours, svg_text
 from nmt_core.blocks import FloatArray
 from nmt_extract.harmonics import ComplexArray
 from nmt_extract.swept_response import FrequencyResponseTable
@@ -67,7 +67,7 @@ def response_figure(
         values = overlay.responses[row]
         shown = once(overlay.label)
         for axes, data in ((top, np.abs(values)), (bottom, _degrees(values))):
-            axes.plot(overlay.frequency_hz, data, color=INK, linewidth=1.1, linestyle=dashes, label=shown)
+            axes.plot(overlay.frequency_hz, data, color=RED, linewidth=1.2, linestyle=dashes, label=shown)
             shown = None
     shown_hz = np.concatenate([table.frequency_hz for table in tables])
     top.set_xlim(float(shown_hz.min()), float(shown_hz.max()))
@@ -75,7 +75,7 @@ def response_figure(
     top.set_ylabel(f"{title.split(' ')[0]} / ({unit})" if "/" in unit else f"{title.split(' ')[0]} / {unit}")
     bottom.set_ylabel("phase to force / °")
     bottom.set_xlabel("frequency / Hz")
-    top.legend(loc="upper left")
+    top.legend(loc="upper right")
     return ReportFigure(
         f"response-{channel}", title[:1].upper() + title[1:], caption, svg_text(figure, f"response-{channel}", title)
     )
@@ -98,7 +98,7 @@ def synthesis_figure(overlays: Sequence[Overlay], row: int, channel: str) -> Rep
     bottom.set_ylabel("phase to force / °")
     bottom.set_xlabel("frequency / Hz")
     if overlays:
-        top.legend(loc="upper left")
+        top.legend(loc="upper right")
     name = f"synthesis-{channel}"
     caption = "Synthesis from the backbone alone."
     return ReportFigure(name, title[:1].upper() + title[1:], caption, svg_text(figure, name, title))
@@ -135,7 +135,7 @@ def force_figure(tables: Sequence[FrequencyResponseTable]) -> ReportFigure:
     bottom.set_ylabel("drive voltage / V")
     bottom.set_xlabel("frequency / Hz")
     bottom.set_ylim(bottom=0.0)
-    top.legend(loc="upper left")
+    top.legend(loc="upper right")
     caption = (
         "Above: amplitude of the force’s fundamental against its target. Below: the voltage that keeps it; near the "
         "resonance the motion takes most of the exciter’s force."

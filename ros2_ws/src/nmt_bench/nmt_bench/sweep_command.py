@@ -64,7 +64,9 @@ def add_parser(subparsers: Subparsers) -> None:
         default="force",
         help="amplitude that is held (default: force)",
     )
-    parser.add_argument("--periods", metavar="N", type=int, help="--stepped: whole periods a window (default: the rig's)")
+    parser.add_argument(
+        "--periods", metavar="N", type=int, help="--stepped: whole periods a window (default: the rig's)"
+    )
     parser.add_argument("--ramp", metavar="S", type=float, help="half-cosine to the amplitude, s (default: the rig's)")
     parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
     parser.add_argument("--seed", metavar="N", type=int, help="seed of all noise (default: the rig's)")
@@ -289,7 +291,8 @@ def comparison_lines(
 
 
 DEFINITIONS = (
-    "Peak: largest value, by a parabola through 1/modulus² of five points (three where the band has fewer than 40). Half-power band: where the measured modulus is at least "
+    "Peak: largest value, by a parabola through 1/modulus² of five points (three where the band has fewer than 40). "
+    "Half-power band: where the measured modulus is at least "
     "its peak over √2. Rms: root mean square of the complex difference over that band, divided by the measured peak; "
     "(moduli): of the difference of the moduli."
 )

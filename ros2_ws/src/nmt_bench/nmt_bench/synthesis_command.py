@@ -53,9 +53,13 @@ def add_parser(subparsers: Subparsers) -> None:
         help="results folder of './nmt sweep', or a frf.csv, to compare with; may be repeated",
     )
     parser.add_argument("--levels", metavar="F[,F2…]", help="forces, N (default: those of the sweeps)")
-    parser.add_argument("--from", dest="start", metavar="f1", type=float, help="first frequency, Hz (default: the sweeps')")
-    parser.add_argument("--to", dest="stop", metavar="f2", type=float, help="last frequency, Hz (default: the sweeps')")
-    parser.add_argument("--points", metavar="N", type=int, default=801, help="frequencies of synthesis.csv (default: 801)")
+    for option, place, name, which in (("--from", "start", "f1", "first"), ("--to", "stop", "f2", "last")):
+        parser.add_argument(
+            option, dest=place, metavar=name, type=float, help=f"{which} frequency, Hz (default: that of the sweeps)"
+        )
+    parser.add_argument(
+        "--points", metavar="N", type=int, default=801, help="frequencies of synthesis.csv (default: 801)"
+    )
     add_output_options(parser, "synthesis.csv, report.html")
 
 
@@ -101,10 +105,10 @@ def run(arguments: argparse.Namespace) -> int:
     ]
     with OutputFolder(arguments.out, arguments.force) as folder:
         write_whole(folder / "synthesis.csv", _table(synthesised, frequency, backbone.points))
-        write_whole(
-            folder / "report.html",
-            _report(arguments, inputs, backbone.modal_amplitude, others, tables, overlays, comparisons, remarks, channels),
+        page = _report(
+            arguments, inputs, backbone.modal_amplitude, others, tables, overlays, comparisons, remarks, channels
         )
+        write_whole(folder / "report.html", page)
     console = make_console()
     q = backbone.modal_amplitude
     console.print(

@@ -104,7 +104,8 @@ class OrderKernel:
         size = 1 << (3 + math.ceil(math.log2(self.weights.size)))
         gain = np.abs(np.fft.rfft(self.weights, size))
         below = int(np.argmax(gain < math.sqrt(0.5)))
-        return below * self.sample_rate / size
+        share = (gain[below - 1] - math.sqrt(0.5)) / (gain[below - 1] - gain[below])
+        return float(below - 1 + share) * self.sample_rate / size
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,8 @@ class SweptResponse:
         frequency_hz: excitation frequency, Hz, shape ``(k,)``, in the order of the sweep.
         sample: sample of each, shape ``(k,)``.
         channels: channel names.
-        amplitudes: A_n relative to the oscillator's phase, unit of the channel, shape ``(channels, H, k)``, orders 1..H.
+        amplitudes: A_n relative to the oscillator's phase, shape ``(channels, H, k)``, orders 1..H,
+            unit of the channel.
         noise: standard uncertainty of either part of A_1, shape ``(channels, k)``.
         kernel: the window used.
         rate_hz_s: sweep rate, Hz/s, with sign.
@@ -192,6 +194,7 @@ def swept_response(
         raise BenchError("Phase and channels of the sweep have different lengths.")
     if samples < 16 or not np.all(np.isfinite(cycles)):
         raise BenchError("The excitation phase of the sweep is not known; a swept response needs it at every sample.")
+    data = data - data.mean(axis=1, keepdims=True)
     middle = 0.5 * (samples - 1)
     time = (np.arange(samples) - middle) / sample_rate
     scale = max(abs(time[0]), 1e-12)
@@ -205,8 +208,8 @@ def swept_response(
         )
     if samples <= kernel.weights.size:
         raise BenchError(
-            f"The sweep lasts {samples / sample_rate:.2f} s, no longer than the {kernel.duration:.2f} s of the analysis "
-            "window; sweep more slowly or over more frequencies."
+            f"The sweep lasts {samples / sample_rate:.2f} s, no longer than the {kernel.duration:.2f} s of the "
+            "analysis window; sweep more slowly or over more frequencies."
         )
     half = kernel.half
     centres = np.unique(np.linspace(half, samples - 1 - half, points).round().astype(np.int64))

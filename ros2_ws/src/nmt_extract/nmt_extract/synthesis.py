@@ -109,7 +109,7 @@ class Backbone:
             place = np.log(self.modal_amplitude)
             table = np.column_stack((self.omega_rad_s, self.damping_ratio, self.shape.real, self.shape.imag))
             object.__setattr__(self, "_interpolation", PchipInterpolator(place, table, extrapolate=False))
-        values = self._interpolation(np.log(modal_amplitude))  # type: ignore[misc]
+        values = self._interpolation(np.log(modal_amplitude))
         count = len(self.points)
         shape = values[..., 2 : 2 + count] + 1j * values[..., 2 + count :]
         return values[..., 0], values[..., 1], shape

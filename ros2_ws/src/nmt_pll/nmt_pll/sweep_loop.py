@@ -122,7 +122,7 @@ class _GivenFrequencyLoop(LevelLoop):
 
     _commanded = 0.0
 
-    def _measure(self, force: SampleBlock, data: np.ndarray) -> tuple[complex, complex]:  # type: ignore[type-arg]
+    def _measure(self, force: SampleBlock, data: np.ndarray) -> tuple[complex, complex]:
         """Complex fundamentals of force and response at the end of the block."""
         phase = force.oscillator
         if math.isnan(phase.cycles) or not phase.frequency_hz > 0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from nmt_plant.rig import BeamSection, ChainSection, IwanSection, JenkinsSection, Rig
+from nmt_plant.rig import BeamSection, IwanSection, JenkinsSection, Rig
 
 from .effect import Effect, EffectParameter, Placement, Reported
 from .operating_range import OperatingRange

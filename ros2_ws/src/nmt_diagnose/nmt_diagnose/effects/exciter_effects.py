@@ -25,9 +25,9 @@ def _stinger_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement,
 
 
 def _with_stinger(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
-    settings = {"rotation": True} if placement.option == "rotation" else {}
     spring = LinearSpringSection.model_construct(
-        kind="linear_spring", point=rig.drive_point, side="exciter", stiffness_n_m=values["k"], **settings
+        kind="linear_spring", point=rig.drive_point, side="exciter", stiffness_n_m=values["k"],
+        rotation=placement.option == "rotation",
     )
     return with_element(rig, spring)
 

@@ -23,6 +23,8 @@ def recorded_harmonics(amplitudes: ComplexArray, limits: FloatArray, basis: Four
         basis: orders.
     """
     result = amplitudes
+    if not (np.any(np.isfinite(limits[:, 0])) or np.any(limits[:, 1] > 0.0)):
+        return result
     for index, (level, step, noise) in enumerate(limits):
         peak = float(np.sum(np.abs(amplitudes[index])))
         clips = peak > level

@@ -15,7 +15,7 @@ from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest, Tes
 from nmt_diagnose.evidence.observables import Part, Rows
 from nmt_plant.rig import Rig
 
-from .parts_cache import PartsCache
+from .parts_cache import PartsCache, joint_setup
 from .phase_resonance_twin import PeriodicState, PhaseResonanceTwin
 from .random_twin import RandomTwin
 from .settings import TwinSettings
@@ -74,6 +74,18 @@ class Forward:
             self._twin(test, rows.take(where)) for test, where in zip(self.tests, self._where, strict=True)
         ]
 
+        # Tests with one drive point share one linear model.
+        drives = {(twin.setup.drive_point, twin.setup.ideal_force) for twin in self._twins if hasattr(twin, "setup")}
+        for drive in drives:
+            group = [
+                twin
+                for twin in self._twins
+                if hasattr(twin, "setup") and (twin.setup.drive_point, twin.setup.ideal_force) == drive
+            ]
+            shared = joint_setup(twin.setup for twin in group)
+            for twin in group:
+                twin.use(shared)
+
     def _twin(self, test: Test, rows: Rows) -> Any:
         if isinstance(test, PhaseResonanceTest):
             return PhaseResonanceTwin(test, rows, self.settings)
@@ -103,9 +115,8 @@ class Forward:
                 states.append(None)
         return Prediction(values, np.isfinite(values), tuple(reasons), tuple(states))
 
-    def _stepped(self, rig: Rig, prediction: Prediction) -> FloatArray:
+    def _stepped(self, rig: Rig, prediction: Prediction, cache: PartsCache) -> FloatArray:
         """Observables of a slightly different rig, one Newton step from a prediction's solutions."""
-        cache = PartsCache(self.settings)
         values = np.full(len(self.rows), np.nan)
         for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
             if isinstance(twin, PhaseResonanceTwin):
@@ -137,12 +148,13 @@ class Forward:
         columns = range(len(parametrisation.names)) if which is None else which
         result = np.empty((len(self.rows), len(columns)))
         # A step from the unchanged rig takes the rest of the iteration out of the difference.
-        base = self._stepped(parametrisation.rig(theta), prediction)
+        known = PartsCache(self.settings)
+        base = self._stepped(parametrisation.rig(theta), prediction, known)
         for position, column in enumerate(columns):
             moved = np.array(theta, dtype=np.float64)
             size = step * parametrisation.prior_std[column]
             moved[column] += size
-            stepped = self._stepped(parametrisation.rig(moved), prediction)
+            stepped = self._stepped(parametrisation.rig(moved), prediction, PartsCache(self.settings, known))
             result[:, position] = self.difference(stepped, base) / size
         return result
 

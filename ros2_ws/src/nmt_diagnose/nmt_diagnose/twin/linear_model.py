@@ -61,6 +61,40 @@ class LinearModel:
         return result
 
 
+    def partial_fractions(self, rows: NDArray[np.int64]) -> tuple[FloatArray, ...]:
+        """Some outputs as Σ_k (c_k + s e_k) / (s² − σ_k s + π_k) + rest, in real numbers.
+
+        Returns:
+            σ (k,), π (k,), c (k, rows · p), e (k, rows · p), rest (rows · p,); one k for each pair of poles.
+        """
+        order = np.argsort(np.abs(self.poles.imag) < 1e-12 * np.abs(self.poles), kind="stable")
+        poles = self.poles[order]
+        # (d + s v + s² a) b / (s − λ) = (d + λ v + λ² a) b / (s − λ) + (v + λ a) b + s a b; Σ v b and Σ a b vanish.
+        outputs = self.displacement[rows] + self.velocity[rows] * self.poles
+        outputs = (outputs + self.acceleration[rows] * self.poles**2)[:, order]
+        residues = (outputs[:, None, :] * self.inputs[order].T[None]).reshape(-1, poles.size).T
+        direct = (self.velocity[rows] + self.acceleration[rows] * self.poles) @ self.inputs
+        rest = (self.feedthrough[rows] + direct).real.ravel()
+        real = np.abs(poles.imag) < 1e-12 * np.abs(poles)
+        upper = (poles.imag > 0.0) & ~real
+        pairs, r = poles[upper], residues[upper]
+        sums, products = [2.0 * pairs.real], [np.abs(pairs) ** 2]
+        constants, slopes = [-2.0 * (r * np.conj(pairs)[:, None]).real], [2.0 * r.real]
+        # A real pole: r / (s − λ) = (r λ + r s) / (s² − λ²).
+        single, own = poles[real].real, residues[real].real
+        sums.append(np.zeros_like(single))
+        products.append(-(single**2))
+        constants.append(own * single[:, None])
+        slopes.append(own)
+        return (
+            np.concatenate(sums),
+            np.concatenate(products),
+            np.ascontiguousarray(np.concatenate(constants)),
+            np.ascontiguousarray(np.concatenate(slopes)),
+            rest,
+        )
+
+
 @njit(cache=True)
 def transfer_at(
     s: complex,
@@ -110,7 +144,7 @@ def linear_model(
     shapes = vectors if basis is None else basis @ vectors
     size = shapes.shape[1]
     damping = shapes.T @ system.damping[:mechanical, :mechanical] @ shapes
-    # A body without suspension has a double pole at zero, which has no residues: hold it by a spring too soft to be seen.
+    # A body without suspension has a double pole at zero, which has no residues: a spring too soft to be seen.
     stiffness = np.diag(np.maximum(squares, max(1e-16 * squares[-1], 1e-12)))
     electric = 0 if system.current is None else 1
     a = np.zeros((2 * size + electric, 2 * size + electric))

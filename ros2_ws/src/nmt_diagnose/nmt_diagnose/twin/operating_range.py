@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import eigh
@@ -15,7 +16,7 @@ from nmt_plant.model.fourier_basis import FourierBasis
 from nmt_plant.rig import BeamSection, ChainSection, Rig
 from nmt_plant.rig_model import build_system
 
-from .parts_cache import PartsCache
+from .parts_cache import PartsCache, Setup
 from .phase_resonance_twin import PhaseResonanceTwin, resting_tangent
 from .rig_parts import RigParts
 from .settings import TwinSettings
@@ -171,7 +172,7 @@ def _noise(
 ) -> list[Found]:
     """Rms of flat noise over the lines through the system linearised at rest."""
     cache = PartsCache(settings)
-    parts = cache.parts(rig, drive_point, channels, FourierBasis.up_to(1), ideal_force=ideal_force)
+    parts = cache.parts(rig, Setup(drive_point, ideal_force, channels, FourierBasis.up_to(1)))
     system = parts.system
     squares = np.zeros(len(channels))
     q_squares = np.zeros(system.size)
@@ -229,6 +230,6 @@ def _effective_masses(
     pairs: dict[tuple[int, int], float] = {}
     if isinstance(rig.structure, ChainSection):
         points = sorted(system.points)
-        for a, b in zip(points[:-1], points[1:], strict=True):
+        for a, b in pairwise(points):
             pairs[(a, b)] = seen(shape[system.points[b]] - shape[system.points[a]], floor)
     return mass, inertia, pairs

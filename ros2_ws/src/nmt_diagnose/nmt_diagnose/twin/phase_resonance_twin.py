@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
@@ -17,7 +18,7 @@ from nmt_plant.rig import Rig
 
 from .converter import recorded_harmonics
 from .linear_model import ComplexArray
-from .parts_cache import PartsCache
+from .parts_cache import PartsCache, Setup
 from .periodic_kernel import DRIVE_GIVEN, evaluate, newton, sensor_gain
 from .rig_parts import RigParts
 from .settings import TwinSettings
@@ -25,6 +26,8 @@ from .settings import TwinSettings
 VELOCITY_POWER = {Quantity.DISPLACEMENT: 1, Quantity.VELOCITY: 0, Quantity.ACCELERATION: -1}
 # Part of the measured frequency within which the model's resonance is looked for.
 SEARCH = 0.25
+# The fundamental of the measured force is given.
+FORCE_GIVEN = -2
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class PeriodicState:
     """
 
     z: FloatArray
-    keys: tuple[bytes, ...]
+    keys: tuple[str, ...]
     drive: float
     channels: ComplexArray
 
@@ -54,8 +57,7 @@ class LevelProblem:
     """What a level asks for: phase and amplitude.
 
     Attributes:
-        drive: commanded drive, V; NaN where it is unknown.
-        given: ``DRIVE_GIVEN`` or a channel.
+        given: ``DRIVE_GIVEN`` or ``FORCE_GIVEN``.
         amplitude: given amplitude (of the drive: V, or N).
         phase: measured arg F₁ − arg(velocity₁), rad.
         frequency_hz: start of the solution (nominal clock), Hz.
@@ -107,14 +109,27 @@ class PhaseResonanceTwin:
                 f"test {test.name}: the loop controlled the phase of {test.response_channel}, which is no motion."
             )
         self.power = VELOCITY_POWER[quantity]
-        self.voltages = [i for i, channel in enumerate(self.channels) if channel.quantity == Quantity.VOLTAGE]
+        self.use(Setup(test.drive_point, self.ideal_force, self.channels, self.basis))
+        self._parts = _by_part(rows)
+        if np.any(rows.harmonic > self.basis.orders[-1]):
+            raise BenchError(f"test {test.name} has observables beyond harmonic {test.harmonics}.")
         self.levels = tuple(self._problem(position) for position in range(len(test.levels)))
+
+    def use(self, setup: Setup) -> None:
+        """Take the parts of rigs from a setup that other tests share."""
+        self.setup, self.basis = setup, setup.basis
+        index = setup.index(self.channels)
+        self._own = index
+        self._force, self._response = index[self.force], index[self.response]
+        self._voltages = [
+            i for i, channel in enumerate(setup.channels) if channel.quantity == Quantity.VOLTAGE
+        ]
 
     def _problem(self, position: int) -> LevelProblem:
         level = self.test.levels[position]
         amplitude, given = level.drive, DRIVE_GIVEN
         if self.ideal_force:
-            given = self.force
+            given = FORCE_GIVEN
             if not math.isfinite(amplitude):
                 own = self.rows.amplitude[self.rows.level == position]
                 amplitude = float(own[0]) if own.size else math.nan
@@ -142,9 +157,7 @@ class PhaseResonanceTwin:
 
     def parts(self, rig: Rig, cache: PartsCache, level: LevelProblem) -> RigParts:
         """The rig at the time of a level."""
-        return cache.parts(
-            rig, self.test.drive_point, self.channels, self.basis, level.seconds, level.cycles, self.ideal_force
-        )
+        return cache.parts(rig, self.setup, level.seconds, level.cycles)
 
     def _level(
         self, parts: RigParts, level: LevelProblem, start: PeriodicState | None, last: PeriodicState | None
@@ -192,11 +205,11 @@ class PhaseResonanceTwin:
         drive = unit_drive(parts, amplitude, self.ideal_force)
         model = parts.linear
         return (
-            level.given,
+            self._force if level.given == FORCE_GIVEN else level.given,
             math.log(amplitude),
             level.phase,
-            self.force,
-            self.response,
+            self._force,
+            self._response,
             self.power,
             drive,
             model.poles,
@@ -213,7 +226,7 @@ class PhaseResonanceTwin:
     def _newton(self, parts: RigParts, level: LevelProblem, amplitude: float, z: FloatArray) -> PeriodicState | None:
         scale = self._scale(parts, z)
         try:
-            done, solved, _, channels, _ = newton(
+            done, solved, jacobian, channels, _ = newton(
                 z,
                 scale,
                 self.settings.iterations,
@@ -224,6 +237,8 @@ class PhaseResonanceTwin:
             return None
         # A frequency far from the start is another resonance.
         if not done or not abs(math.log(solved[-2] / (2.0 * np.pi * level.frequency_hz * parts.clock))) < 1.5 * SEARCH:
+            return None
+        if phase_slope(jacobian) <= 0.0:
             return None
         return PeriodicState(solved, parts.keys, amplitude, channels)
 
@@ -264,10 +279,10 @@ class PhaseResonanceTwin:
         s = 1j * omega
         transfer, _ = parts.linear.at(s)
         tangent = resting_tangent(parts, s)
-        w = np.linalg.solve(np.eye(r) + transfer[:r, :r] * tangent, transfer[:r, r] * drive)
+        w: ComplexArray = np.linalg.solve(np.eye(r) + transfer[:r, :r] * tangent, transfer[:r, r] * drive)
         pair = [
             sensor_gain(s, *parts.channels[k])[0] * (transfer[r + k, r] * drive - transfer[r + k, :r] @ (tangent * w))
-            for k in (self.force, self.response)
+            for k in (self._force, self._response)
         ]
         turn = np.exp(-1j * (0.5 * np.pi * self.power + level.phase))
         return w, float(np.angle(pair[0] * np.conj(pair[1]) * turn))
@@ -330,12 +345,12 @@ class PhaseResonanceTwin:
                 continue
             omega[position] = state.omega
             channels = state.channels
-            if math.isfinite(parts.saturation) and self.voltages:
+            if math.isfinite(parts.saturation) and self._voltages:
                 # The voltage is recorded before the amplifier.
                 channels = channels.copy()
-                channels[self.voltages] = 0.0
-                channels[self.voltages, self.basis.fundamental] = state.drive * parts.channels[self.voltages, 0]
-            recorded[position] = recorded_harmonics(channels, parts.limits, self.basis)
+                channels[self._voltages] = 0.0
+                channels[self._voltages, self.basis.fundamental] = state.drive * parts.channels[self._voltages, 0]
+            recorded[position] = recorded_harmonics(channels[self._own], parts.limits[self._own], self.basis)
         if self.ideal_force:
             # Without a known drive the phases refer to the measured force.
             turn = np.angle(recorded[:, self.force, self.basis.fundamental])
@@ -343,29 +358,44 @@ class PhaseResonanceTwin:
         return self._rows_of(omega, recorded, rig, 1.0 if parts is None else parts.clock)
 
     def _rows_of(self, omega: FloatArray, recorded: ComplexArray, rig: Rig, clock: float) -> FloatArray:
-        rows = self.rows
-        level, part = rows.level, rows.part
-        channel = np.maximum(rows.channel, 0)
-        order = np.where(rows.harmonic < 0, 1, rows.harmonic)
-        if np.any(order > self.basis.orders[-1]):
-            raise BenchError(f"test {self.test.name} has observables beyond harmonic {self.test.harmonics}.")
-        amplitude = recorded[level, channel, order]
-        fundamental = np.abs(recorded[level, channel, 1])
-        result = np.full(len(rows), np.nan)
+        result = np.full(len(self.rows), np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
-            choices = {
-                Part.LOG_FREQUENCY: np.log(omega[level] / clock),
-                Part.PHASE_ERROR: _aim(rig, omega[level] / clock),
-                Part.LOG_MAGNITUDE: np.log(np.abs(amplitude)),
-                Part.PHASE: np.angle(amplitude),
-                Part.REAL: amplitude.real / fundamental,
-                Part.IMAG: amplitude.imag / fundamental,
-            }
-        for kind, values in choices.items():
-            which = part == kind
-            result[which] = values[which]
+            for kind, (where, level, channel, order) in self._parts.items():
+                if kind == Part.LOG_FREQUENCY:
+                    values = np.log(omega[level] / clock)
+                elif kind == Part.PHASE_ERROR:
+                    values = _aim(rig, omega[level] / clock)
+                else:
+                    amplitude = recorded[level, channel, order]
+                    if kind == Part.LOG_MAGNITUDE:
+                        values = np.log(np.abs(amplitude))
+                    elif kind == Part.PHASE:
+                        values = np.angle(amplitude)
+                    else:
+                        own = amplitude.real if kind == Part.REAL else amplitude.imag
+                        values = own / np.abs(recorded[level, channel, 1])
+                result[where] = values
         result[np.isinf(result)] = np.nan
         return result
+
+
+def _by_part(rows: Rows) -> dict[int, tuple[NDArray[np.int64], ...]]:
+    """Positions, levels, channels and orders of the rows of each part that this test has."""
+    result: dict[int, tuple[NDArray[np.int64], ...]] = {}
+    channel = np.maximum(rows.channel, 0)
+    order = np.where(rows.harmonic < 0, 1, rows.harmonic)
+    for kind in (Part.LOG_FREQUENCY, Part.PHASE_ERROR, Part.LOG_MAGNITUDE, Part.PHASE, Part.REAL, Part.IMAG):
+        where = np.flatnonzero(rows.part == kind)
+        if where.size:
+            result[int(kind)] = (where, rows.level[where], channel[where], order[where])
+    return result
+
+
+def phase_slope(jacobian: FloatArray) -> float:
+    """d(phase)/dω at constant drive: positive at a resonance, negative at an antiresonance of the drive point."""
+    local = jacobian.shape[0] - 2
+    follow = np.linalg.solve(jacobian[:local, :local], jacobian[:local, local])
+    return float(jacobian[local, local] - jacobian[local, :local] @ follow)
 
 
 def _aim(rig: Rig, omega: FloatArray) -> FloatArray:

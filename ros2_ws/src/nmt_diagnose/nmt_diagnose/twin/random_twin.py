@@ -14,8 +14,8 @@ from nmt_diagnose.evidence.observables import Part, Rows
 from nmt_plant.model.fourier_basis import FourierBasis
 from nmt_plant.rig import Rig
 
-from .linear_model import ComplexArray, transfer_at
-from .parts_cache import PartsCache
+from .linear_model import ComplexArray
+from .parts_cache import PartsCache, Setup
 from .periodic_kernel import sensor_gain
 from .phase_resonance_twin import resting_tangent
 from .settings import TwinSettings
@@ -42,7 +42,6 @@ class RandomTwin:
         if test.reference not in ("voltage", "force"):
             raise BenchError(f"test {test.name}: reference {test.reference!r} is unknown; use voltage or force.")
         self.test, self.rows, self.settings = test, rows, settings
-        self.basis = FourierBasis.up_to(1)
         channels = [*test.channels]
         wanted = Quantity.VOLTAGE if test.reference == "voltage" else Quantity.FORCE
         name, point = ("u", 0) if wanted == Quantity.VOLTAGE else (f"f{test.drive_point}", test.drive_point)
@@ -56,28 +55,28 @@ class RandomTwin:
         _, first, inverse = np.unique(quanta.ravel(), return_index=True, return_inverse=True)
         self.frequencies = np.ascontiguousarray(frequencies.ravel()[first])
         self.index = inverse.reshape(frequencies.shape)
+        self.use(Setup(test.drive_point, False, self.channels, FourierBasis.up_to(1)))
         self.seconds = 0.5 * (test.start_s + test.stop_s)
+
+    def use(self, setup: Setup) -> None:
+        """Take the parts of rigs from a setup that other tests share."""
+        self.setup = setup
+        self._own = np.array(setup.index(self.channels), dtype=np.int64)
 
     def responses(self, rig: Rig, cache: PartsCache) -> ComplexArray:
         """Expected estimates (lines, channels)."""
-        parts = cache.parts(rig, self.test.drive_point, self.channels, self.basis, self.seconds)
+        parts = cache.parts(rig, self.setup, self.seconds)
         r = parts.coordinates
-        model = parts.linear
         stiffness = resting_tangent(parts, 0j).real.copy()
         damping = resting_tangent(parts, 1.0 + 0j).real - stiffness
-        gains = parts.channels
+        rows = np.concatenate((np.arange(r), r + self._own))
         h = linear_responses(
             2.0 * np.pi * self.frequencies * parts.clock,
             r,
             stiffness,
             damping,
-            model.poles,
-            model.displacement,
-            model.velocity,
-            model.acceleration,
-            model.inputs,
-            model.feedthrough,
-            gains,
+            *parts.linear.partial_fractions(rows),
+            parts.channels[self._own],
         )
         h *= parts.input_per_volt
         reference = h[:, -1]
@@ -120,33 +119,66 @@ def linear_responses(
     r: int,
     stiffness: FloatArray,
     damping: FloatArray,
-    poles: ComplexArray,
-    displacement_rows: ComplexArray,
-    velocity_rows: ComplexArray,
-    acceleration_rows: ComplexArray,
-    inputs: ComplexArray,
-    feedthrough: ComplexArray,
+    sums: FloatArray,
+    products: FloatArray,
+    constants: FloatArray,
+    slopes: FloatArray,
+    rest: FloatArray,
     channels: FloatArray,
 ) -> ComplexArray:
-    """Responses (lines, c) of the channels after their sensors to the drive, local forces linear: k w + d ẇ."""
+    """Responses (lines, c) of the channels after their sensors to the drive, local forces linear: k w + d ẇ.
+
+    Args:
+        omega: (lines,) rad/s.
+        r: number of local coordinates.
+        stiffness, damping: (r,) k and d.
+        sums, products, constants, slopes, rest: ``LinearModel.partial_fractions`` of coordinates and channels.
+        channels: sensor chains (c, 4).
+    """
     c = channels.shape[0]
+    entries = rest.size
+    columns = r + 1
     result = np.empty((omega.size, c), dtype=np.complex128)
-    closed = np.empty((r, r), dtype=np.complex128)
+    re = np.empty(entries)
+    im = np.empty(entries)
+    closed = np.empty((r, r + 1), dtype=np.complex128)
     for line in range(omega.size):
-        s = 1j * omega[line]
-        transfer, _ = transfer_at(
-            s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough
-        )
-        tangent = stiffness + s * damping
+        w = omega[line]
+        s = 1j * w
+        re[:] = rest
+        im[:] = 0.0
+        for k in range(sums.size):
+            a = products[k] - w * w
+            b = -sums[k] * w
+            size = 1.0 / (a * a + b * b)
+            dr = a * size
+            di = -b * size
+            wr = -w * di
+            wi = w * dr
+            for e in range(entries):
+                re[e] += constants[k, e] * dr + slopes[k, e] * wr
+                im[e] += constants[k, e] * di + slopes[k, e] * wi
         for i in range(r):
             for j in range(r):
-                closed[i, j] = transfer[i, j] * tangent[j]
+                t = stiffness[j] + s * damping[j]
+                closed[i, j] = (re[i * columns + j] + 1j * im[i * columns + j]) * t
             closed[i, i] += 1.0
-        w = np.linalg.solve(closed, np.ascontiguousarray(transfer[:r, r]))
+            closed[i, r] = re[i * columns + r] + 1j * im[i * columns + r]
+        for i in range(r):
+            # Small and close to the identity where the elements are soft; pivots do not vanish at a stable rest.
+            pivot = 1.0 / closed[i, i]
+            for row in range(r):
+                if row != i and closed[row, i] != 0.0:
+                    factor = closed[row, i] * pivot
+                    for j in range(i, r + 1):
+                        closed[row, j] -= factor * closed[i, j]
+        for i in range(r):
+            closed[i, r] *= (stiffness[i] + s * damping[i]) / closed[i, i]
         for k in range(c):
-            value = transfer[r + k, r]
+            first = (r + k) * columns
+            value = re[first + r] + 1j * im[first + r]
             for j in range(r):
-                value -= transfer[r + k, j] * tangent[j] * w[j]
+                value -= (re[first + j] + 1j * im[first + j]) * closed[j, r]
             gain, _ = sensor_gain(s, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])
             result[line, k] = gain * value
     return result

@@ -12,14 +12,15 @@ import numpy as np
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.evidence.conditions import MeasuredChannel
-from nmt_plant.model.aft import LocalForces, LocalTables
+from nmt_plant.model.aft import LocalTables
 from nmt_plant.model.assembly import ElectromechanicalSystem
-from nmt_plant.model.fourier_basis import FourierBasis, IntArray
+from nmt_plant.model.fourier_basis import FourierBasis
 from nmt_plant.model.local_elements import LinearDamper, LinearSpring, LocalElement
 from nmt_plant.rig import BeamSection, ForceSection, Rig, SensorSection, ShakerSection
 from nmt_plant.rig_model import build_elements, build_exciter_elements, build_structure, build_system
 
 from .linear_model import LinearModel, OutputRows, linear_model
+from .local_tables import local_tables
 from .settings import TwinSettings
 
 COVERED = frozenset(
@@ -72,7 +73,7 @@ class RigParts:
     system: ElectromechanicalSystem
     inputs: FloatArray
     rows: OutputRows
-    keys: tuple[bytes, ...]
+    keys: tuple[str, ...]
 
     @property
     def nonlinear_factor(self) -> bool:
@@ -134,8 +135,9 @@ def rig_parts(
     structure = build_structure(bare) if rig.local_elements else None
     stiffness, damping = system.stiffness, system.damping
     force_displacement, force_velocity, force_acceleration = _force_rows(system)
-    inside: list[LocalElement] = []
-    outside: list[LocalElement] = []
+    # Elements by the coordinate they act on; keys name coordinates across meshes and rigs.
+    inside: dict[str, list[LocalElement]] = {}
+    outside: dict[str, list[LocalElement]] = {}
     for section in rig.local_elements:
         if section.kind not in COVERED:
             raise BenchError(
@@ -159,10 +161,19 @@ def rig_parts(
                 continue
             if slip != 1.0 and hasattr(element, "slip_force"):
                 element = replace(element, slip_force=element.slip_force * slip)  # type: ignore[call-arg]
-            (outside if measured else inside).append(element.along(direction))
+            key = f"{section.point} {section.other_point} {section.rotation} {measured}"
+            (outside if measured else inside).setdefault(key, []).append(element.along(direction))
     system = replace(system, stiffness=stiffness, damping=damping)
 
-    tables, directions, first_outside = _gathered(inside, outside, basis, settings.samples, system)
+    groups = {**inside, **outside}
+    first_outside = len(inside)
+    if not groups:
+        # One coordinate without force keeps the kernels free of special cases.
+        groups, first_outside = {"idle": []}, 1
+    tables = local_tables(list(groups.values()), basis, settings.samples)
+    drive = system.selector(system.drive_point)
+    directions = np.array([group[0].direction if group else drive for group in groups.values()])
+    keys = list(groups)
     elements = directions.shape[0]
     exciter = rig.exciter
     factor = np.zeros(3)
@@ -174,6 +185,7 @@ def rig_parts(
         extra[0, cast(int, system.coil)] = 1.0
         extra[1, cast(int, system.current)] = 1.0
         directions = np.vstack((directions, extra))
+        keys += ["coil", "current"]
     r = directions.shape[0]
     inputs = np.column_stack((directions.T, system.input_vector))
 
@@ -183,7 +195,7 @@ def rig_parts(
     if factor[1] != 0.0 or factor[2] != 0.0:
         force_feed[r - 2] = 1.0
     zero = np.zeros(size)
-    sections = tuple(_sensor(rig, channel) for channel in channels)
+    sections = channel_sections(rig, channels)
     outputs: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = [
         (direction, zero, zero, np.zeros(r + 1)) for direction in directions
     ]
@@ -201,7 +213,7 @@ def rig_parts(
         coordinates=r,
         force_factor=factor,
         channels=channel_table(sections),
-        limits=_limit_table(sections, rig.sample_rate_hz),
+        limits=limit_table(sections, rig.sample_rate_hz),
         sections=sections,
         input_per_volt=volts,
         saturation=_saturation(exciter),
@@ -210,10 +222,7 @@ def rig_parts(
         system=system,
         inputs=inputs,
         rows=rows,
-        keys=tuple(
-            (b"outside" if first_outside <= i < elements else b"inside") + direction.tobytes()
-            for i, direction in enumerate(directions)
-        ),
+        keys=tuple(keys),
     )
 
 
@@ -274,40 +283,6 @@ def _force_rows(system: ElectromechanicalSystem) -> tuple[FloatArray, FloatArray
     )
 
 
-def _gathered(
-    inside: list[LocalElement],
-    outside: list[LocalElement],
-    basis: FourierBasis,
-    samples: int | None,
-    system: ElectromechanicalSystem,
-) -> tuple[LocalTables, FloatArray, int]:
-    """Tables and directions of all nonlinear elements, those behind the force sensor last; index of the first of
-    these."""
-    size = system.size
-    first = LocalForces.gather(inside, basis, samples, np.zeros(size)) if inside or not outside else None
-    second = LocalForces.gather(outside, basis, samples) if outside else None
-    if first is not None and second is None:
-        if not inside:
-            # One coordinate without force keeps the kernels free of special cases.
-            idle = LocalForces.gather([], basis, samples, system.selector(system.drive_point))
-            return idle.tables, idle.directions, 1
-        return first.tables, first.directions, first.coordinates
-    assert second is not None
-    if first is None:
-        return second.tables, second.directions, 0
-    count = max(first.samples, second.samples)
-    a, b = first.with_samples(count).tables, second.with_samples(count).tables
-
-    def starts(i: int) -> IntArray:
-        return np.concatenate((a[i], a[i][-1] + b[i][1:]))  # type: ignore[misc]
-
-    tables: LocalTables = (
-        a[0], a[1], a[2], np.vstack((a[3], b[3])), starts(4), np.vstack((a[5], b[5])), starts(6),
-        np.concatenate((a[7], b[7])), np.vstack((a[8], b[8])), starts(9), a[10], a[11],
-    )  # fmt: skip
-    return tables, np.vstack((first.directions, second.directions)), first.coordinates
-
-
 def _sensor(rig: Rig, channel: MeasuredChannel) -> SensorSection | None:
     """The rig's sensor of a channel: by name, else by quantity and point."""
     for sensor in rig.sensors:
@@ -319,6 +294,11 @@ def _sensor(rig: Rig, channel: MeasuredChannel) -> SensorSection | None:
         ):
             return sensor
     return None
+
+
+def channel_sections(rig: Rig, channels: Sequence[MeasuredChannel]) -> tuple[SensorSection | None, ...]:
+    """The rig's sensor of each channel; None where it has none."""
+    return tuple(_sensor(rig, channel) for channel in channels)
 
 
 def channel_table(sections: Sequence[SensorSection | None]) -> FloatArray:
@@ -340,7 +320,8 @@ def channel_table(sections: Sequence[SensorSection | None]) -> FloatArray:
     return table
 
 
-def _limit_table(sections: Sequence[SensorSection | None], sample_rate: float) -> FloatArray:
+def limit_table(sections: Sequence[SensorSection | None], sample_rate: float) -> FloatArray:
+    """Clipping level, quantisation step and noise deviation of each channel (c, 3)."""
     table = np.zeros((len(sections), 3))
     table[:, 0] = np.inf
     for row, sensor in zip(table, sections, strict=True):

@@ -25,6 +25,6 @@ class TwinSettings:
     mesh_refinement: int = 2
     samples: int | None = None
     kept_modes: int = 10
-    full_size: int = 20
+    full_size: int = 40
     iterations: int = 30
     tolerance: float = 1e-9

@@ -56,6 +56,77 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "extraction": "what the modal properties are computed from",
         "pll": "settings of the loop by name, see [parameters](parameters.md#pll), and `loop: adaptive` or "
         "`paper`; empty = derived from the linear modes",
+        "clock_error": "relative error e of the clock: real rates are (1 + e) times the nominal, so whatever happens "
+        "at f appears at f / (1 + e)",
+        "drift": "slow changes with bench time",
+    },
+    "StructureSection": {
+        "added_masses": "masses fixed to points",
+        "loss_factor": "η of hysteretic damping K (1 + iη), as ζ = η / 2 of every undamped mode of the structure with "
+        "its masses",
+    },
+    "AddedMassSection": {
+        "point": "where it is",
+        "mass_kg": "mass; negative where the model has too much",
+    },
+    "DriftSection": {
+        "slip_force_per_s": "relative change of all slip forces (`jenkins`, `iwan`, `tanh_friction`) per second",
+        "slip_force_per_cycle": "the same per period of the drive",
+        "stiffness_per_s": "relative change of the structure's stiffness per second, in steps of 4e-6",
+    },
+    "TransverseSection": {
+        "point": "point whose motion is recorded as well",
+        "fraction": "share of it",
+    },
+    "EddyBrakeSection": {
+        "kind": "g = c v / (1 + (v / v_c)²)",
+        "damping_ns_m": "c",
+        "critical_velocity_m_s": "v_c, where the force is largest",
+    },
+    "BacklashDamperSection": {
+        "kind": "spring and damper behind a gap to both sides: |g| = max(e (k + λ ė), 0), e = |w| − gap",
+        "stiffness_n_m": "k",
+        "damping_ns_m2": "λ; the force grows with the penetration, so it does not jump at contact",
+        "gap_m": "free play to each side",
+    },
+    "BoucWenSection": {
+        "kind": "g = k (a w + (1 − a) z), ż = v (1 − |z / z_y|ⁿ (b sign(v z) + 1 − b))",
+        "stiffness_n_m": "k at rest",
+        "yield_displacement_m": "z_y, largest z",
+        "exponent": "n, sharpness of the yield",
+        "post_yield_ratio": "a, stiffness after yield by that at rest",
+        "shape": "b; ½ = straight unloading",
+    },
+    "LuGreSection": {
+        "kind": "g = σ₀ z + σ₁ ż + σ₂ v, ż = v − σ₀ |v| z / s(v), s = F_C + (F_S − F_C) exp(−(v / v_S)²)",
+        "bristle_stiffness_n_m": "σ₀",
+        "bristle_damping_ns_m": "σ₁",
+        "viscous_damping_ns_m": "σ₂",
+        "coulomb_force_n": "F_C",
+        "static_force_n": "F_S, not smaller than F_C",
+        "stribeck_velocity_m_s": "v_S",
+    },
+    "FractionalDamperSection": {
+        "kind": "g = c dᵅw/dtᵅ in a band, within 0.1 %, as a ladder of Maxwell elements",
+        "coefficient_n_sa_m": "c, N sᵅ/m",
+        "order": "α",
+        "low_hz": "lower end of the band",
+        "high_hz": "upper end of the band",
+    },
+    "TunedMassQuadraticSection": {
+        "kind": "oscillator y with the coupling energy κ w² y: m ÿ + 2ζω₀ m ẏ + m ω₀² y + κ w² = 0, g = 2 κ w y",
+        "mass_kg": "m",
+        "frequency_hz": "ω₀ / 2π; near twice the mode's frequency for a 1:2 resonance",
+        "damping_ratio": "ζ",
+        "coupling_n_m2": "κ",
+    },
+    "RattlingMassSection": {
+        "kind": "loose mass y that strikes where |w − y| exceeds its gap (contact as `backlash_damper`)",
+        "mass_kg": "mass",
+        "gap_m": "free play to each side",
+        "contact_stiffness_n_m": "k of the contact",
+        "contact_damping_ns_m2": "λ of the contact",
+        "friction_ns_m": "viscous friction that carries the mass between strokes",
     },
     "BeamSection": {
         "kind": "Euler–Bernoulli cantilever, clamped at the left end",
@@ -66,6 +137,9 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "density_kg_m3": "density",
         "elements": "finite elements of equal length; point i is the outer end of element i",
         "stiffness_damping_s": "β of the damping matrix β K of the beam alone",
+        "mesh_refinement": "finite elements between two points; the points stay as they are",
+        "clamp_rotational_stiffness_nm_rad": "rotational spring that the clamp is; left out = rigid",
+        "clamp_lateral_stiffness_n_m": "lateral spring that the clamp is; left out = rigid",
     },
     "ChainSection": {
         "kind": "masses in a row",
@@ -79,6 +153,9 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "name": "name for `--set` and messages",
         "point": "point the element acts on",
         "other_point": "second point; left out = the ground",
+        "side": "`exciter`: at the drive point behind the force sensor, so that the measured force contains it; it is "
+        "then no part of the structure",
+        "rotation": "acts on the rotation of a beam's cross-section: N m, rad and their products for N, m and theirs",
     },
     "JenkinsSection": {
         "kind": "elastic Coulomb element: a spring in series with a slider",
@@ -128,6 +205,11 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "force_factor_n_a": "force per current, equal to voltage per velocity",
         "inductance_h": "inductance of the coil",
         "resistance_ohm": "resistance of the coil",
+        "source_resistance_ohm": "output resistance of the amplifier, in series with the coil's",
+        "amplifier_saturation_v": "V of u = V tanh(command / V); a voltage sensor sees the command; left out = linear",
+        "force_factor_linear_per_m": "b₁ of the force factor G (1 + b₁ x + b₂ x²), x = displacement of the coil; in "
+        "the force as in the induced voltage",
+        "force_factor_quadratic_per_m2": "b₂ of the same",
     },
     "ForceSection": {
         "kind": "ideal force without mass or stiffness",
@@ -143,6 +225,18 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "noise_correlation_time_s": "time over which a noise value is held; 0 = one sample",
         "range": "full scale of the converter, in recorded units; left out = unlimited",
         "bits": "resolution of the converter, step 2 range / 2^bits; needs `range`",
+        "mass_kg": "mass of the sensor: added to its point; of a force cell: between sensor and structure, it measures "
+        "F + m a",
+        "transverse": "share of the motion of another point that is recorded as well (`point`, `fraction`)",
+        "dead_zone": "a loose sensor: sign(y) max(|y| − d, 0); SI units",
+        "low_pass_hz": "corner of 1 / (1 + iω/ω_c)",
+        "high_pass_hz": "corner of iω / (iω + ω_h)",
+        "delay_s": "delay of the channel; negative: it leads, by one sampling interval at most",
+        "hum_amplitude": "mains hum, recorded units, of one phase in all channels",
+        "hum_hz": "its frequency",
+        "crosstalk_per_volt": "recorded units per volt of the drive command",
+        "clip": "recorded values are cut off at ±clip, without `FLAG_OVERLOAD`; left out = never",
+        "dropped_fraction": "share of samples that are lost; the one before is recorded again",
     },
     "LimitSection": {
         "voltage_v": "largest drive voltage; commands beyond it are refused",
@@ -180,6 +274,7 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
 _UNITS = {
     "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_m2": "N/m²", "_ns2_m2": "N s²/m²", "_ns_m": "N s/m", "_n_m": "N/m",
     "_kg_m3": "kg/m³", "_m_s2": "m/s²", "_m_s": "m/s", "_n_a": "N/A", "_kg": "kg", "_pa": "Pa", "_hz": "Hz",
+    "_nm_rad": "N m/rad", "_ns_m2": "N s/m²", "_n_sa_m": "N sᵅ/m", "_per_s": "1/s", "_per_m": "1/m", "_per_m2": "1/m²",
     "_ohm": "Ω", "_h": "H", "_n": "N", "_m": "m", "_s": "s", "_v": "V", "_volt": "N/V",
 }  # fmt: skip
 
@@ -236,11 +331,11 @@ def rig_table(name: str) -> str:
     from nmt_plant import rig
 
     model = getattr(rig, name)
-    inherited = set(rig.ElementSection.model_fields) if name != "ElementSection" else set()
-    shown = issubclass(model, rig.ElementSection)
+    bases = [base for base in (rig.ElementSection, rig.StructureSection) if issubclass(model, base) and base != model]
+    inherited = {key for base in bases for key in base.model_fields}
     lines = ["| key | type | unit | range | default | meaning |", "|---|---|---|---|---|---|"]
     for key, field in model.model_fields.items():
-        if shown and key in inherited:
+        if key in inherited:
             continue
         kind, bounds = _type_and_range(key, field)
         value = field.get_default(call_default_factory=True)
@@ -300,6 +395,8 @@ def _cell(text: str) -> str:
 def _unit(key: str) -> str:
     if key == "newton_per_volt":
         return "N/V"
+    if key == "crosstalk_per_volt":  # of the channel's unit
+        return ""
     suffix = max((s for s in _UNITS if key.endswith(s)), key=len, default="")
     return _UNITS.get(suffix, "")
 

@@ -18,7 +18,7 @@ from nmt_core.blocks import FloatArray
 from nmt_diagnose.evidence.conditions import MeasuredChannel
 from nmt_diagnose.evidence.model_view import ModelView
 
-_IMAGES = (-1, 1, -2, 2)
+_IMAGES = (-1, 1, -2, 2, -3, 3, -4, 4)
 
 
 def hold_factor(frequency_hz: FloatArray | float, rate_hz: float) -> FloatArray:
@@ -35,9 +35,8 @@ def image_responses(
     result = np.zeros((len(channels), frequency_hz.size), dtype=np.complex128)
     if math.isinf(rate_hz):
         return result
-    for number, frequency in enumerate(frequency_hz):
-        for order in _IMAGES:
-            place = frequency + order * rate_hz
-            values = view.responses(channels, abs(place)) * np.sinc(place / rate_hz) ** 2
-            result[:, number] += values if place > 0.0 else np.conj(values)
+    for order in _IMAGES:
+        place = frequency_hz + order * rate_hz
+        values = view.responses(channels, np.abs(place)) * np.sinc(place / rate_hz) ** 2
+        result += np.where(place > 0.0, values, np.conj(values))
     return np.nan_to_num(result)

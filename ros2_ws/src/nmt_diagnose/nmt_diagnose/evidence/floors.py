@@ -44,7 +44,7 @@ class Floors:
     model_harmonics: int = 7
     frf: float = 5e-5
     decay_log_frequency: float = 2e-4
-    decay_damping: float = 1e-2
+    decay_damping: float = 3e-3
     table_log_frequency: float = 1e-3
     table_damping: float = 5e-2
     record: float = 5e-3

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.blocks import Quantity
+from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.conditions import MeasuredChannel
 from nmt_plant.linear_description import linear_description
 from nmt_plant.model.assembly import ElectromechanicalSystem
@@ -55,22 +55,30 @@ class ModelView:
             for sensor in rig.sensors
         )
 
-    def responses(self, channels: Sequence[MeasuredChannel], frequency_hz: float) -> ComplexArray:
-        """Linear response of channels to 1 V of drive, sensors ideal, shape (channels,); NaN where there is none."""
-        omega = 2.0 * math.pi * frequency_hz
-        motion, force = self.system.response(omega)
-        values = np.full(len(channels), complex(math.nan))
+    def responses(self, channels: Sequence[MeasuredChannel], frequency_hz: FloatArray) -> ComplexArray:
+        """Linear responses to 1 V of drive, sensors ideal, shape (channels, frequencies); NaN where there is none."""
+        system = self.system
+        s = 2j * math.pi * np.asarray(frequency_hz, dtype=np.float64)[:, np.newaxis, np.newaxis]
+        stiffness, damping = system.sticking_stiffness(), system.resting_damping()
+        impedance = stiffness + s * damping + s * s * system.mass
+        unit = np.broadcast_to(system.input_vector.astype(complex)[:, np.newaxis], (*impedance.shape[:2], 1))
+        motion = np.linalg.solve(impedance, unit)[:, :, 0].T
+        s = s[:, 0, 0]
+        row = system.force
+        force = (s * s * (row.acceleration @ motion) + s * (row.velocity @ motion) + row.displacement @ motion) + (
+            row.feedthrough
+        )
+        values = np.full((len(channels), s.size), complex(math.nan))
         scale = input_per_volt(self.rig)
         for index, channel in enumerate(channels):
             if channel.quantity is Quantity.VOLTAGE:
                 values[index] = 1.0
             elif channel.quantity is Quantity.FORCE:
                 values[index] = scale * force
-            elif channel.quantity is Quantity.CURRENT and self.system.current is not None:
-                values[index] = scale * motion[self.system.current]
-            elif channel.quantity in ORDER and channel.point in self.system.points:
-                place = self.system.points[channel.point]
-                values[index] = scale * motion[place] * (1j * omega) ** ORDER[channel.quantity]
+            elif channel.quantity is Quantity.CURRENT and system.current is not None:
+                values[index] = scale * motion[system.current]
+            elif channel.quantity in ORDER and channel.point in system.points:
+                values[index] = scale * motion[system.points[channel.point]] * s ** ORDER[channel.quantity]
         return values
 
 

@@ -16,7 +16,7 @@ from nmt_extract.harmonics import harmonic_amplitudes
 
 # No sensor's error makes a channel this many times too large beside the others; a wrong unit does.
 _OUT_OF_SCALE = 5.0
-_HOPELESS_SCALE = 100.0
+_OUT_OF_SCALE_FORCE = 30.0
 _WRONG_FREQUENCY = 1.6
 # Channels whose response the model puts this far below the largest of their quantity are near a node.
 _NODE = 0.1
@@ -44,7 +44,7 @@ def out_of_scale(
 ) -> tuple[set[str], list[str]]:
     """Channels whose size can only be a wrong unit, from windows of nearly one frequency.
 
-    Every channel is compared with the model's linear response; the ratio of one channel to the median over channels
+    Every channel is compared with the model's linear response; the ratio of one channel to the median over quantities
     tells a wrong scale, however nonlinear the rig is.
 
     Args:
@@ -71,35 +71,40 @@ def out_of_scale(
         except BenchError:
             continue
         own = [channels[n] for n in names]
-        expected = np.abs(view.responses(own, frequency))
+        expected = np.abs(view.responses(own, np.array([frequency]))[:, 0])
         largest: dict[Quantity, float] = {}
         for channel, value in zip(own, expected, strict=True):
             largest[channel.quantity] = max(largest.get(channel.quantity, 0.0), float(value))
         for index, channel in enumerate(own):
             if expected[index] > _NODE * largest[channel.quantity] and measured[index] > 0.0:
                 logs.setdefault(names[index], []).append(math.log(measured[index] / expected[index]))
-    ratios = {channel: float(np.median(values)) for channel, values in logs.items()}
+    ratios = {recorded: float(np.median(values)) for recorded, values in logs.items()}
     if len(ratios) < 3:
         return set(), []
-    # The force is the least sure of all near resonance: it does not say where the middle is.
-    motions = [value for channel, value in ratios.items() if channels[channel].quantity in ORDER]
-    middle = float(np.median(motions or list(ratios.values())))
+    # One vote per quantity: the channels of one converter are often wrong together.
+    by_quantity: dict[Quantity, list[float]] = {}
+    for recorded, value in ratios.items():
+        by_quantity.setdefault(channels[recorded].quantity, []).append(value)
+    middle = float(np.median([np.median(values) for values in by_quantity.values()]))
     off: set[str] = set()
     notes = []
     for recorded, value in ratios.items():
         kind = channels[recorded].quantity
-        limit = math.log(_OUT_OF_SCALE if kind in ORDER else _HOPELESS_SCALE / 3.0)
-        if abs(value - middle) > limit:
+        # The force depends much on how near resonance is, and on the damping there.
+        limit = _OUT_OF_SCALE_FORCE if kind is Quantity.FORCE else _OUT_OF_SCALE
+        if abs(value - middle) > math.log(limit):
             off.add(recorded)
             factor = math.exp(value - middle)
             notes.append(
                 f"{name}: channel {recorded} ({kind.name.lower()}) is {factor:.3g} times as large as the others "
                 f"let expect ({_guess(factor)}) and is left out; correct its unit or scale."
             )
-    if len(off) > len(ratios) // 2:
+    trusted = [recorded for recorded in ratios if recorded not in off and channels[recorded].quantity in ORDER]
+    if not trusted or len({channels[recorded].quantity for recorded in off}) > 0.5 * len(by_quantity):
         raise BenchError(
             f"{name}: the channels do not agree on their scale with the model {view.rig.name} "
-            f"({', '.join(sorted(off))} differ by factors of more than {_OUT_OF_SCALE:g}); correct units and points."
+            f"({', '.join(sorted(off))} differ from the rest by factors of more than {_OUT_OF_SCALE:g}); correct units and "
+            "points, or name the rig file of the rig that was tested."
         )
     return off, notes
 

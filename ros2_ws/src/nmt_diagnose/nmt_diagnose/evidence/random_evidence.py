@@ -34,7 +34,7 @@ ORDER = 4
 REACH = 10
 """Lines on either side that a local fit uses."""
 _FEWEST_LINES = 200
-_DRIVEN = 1e-2
+_DRIVEN = 0.25
 _HIGHEST = 0.4
 
 
@@ -237,7 +237,7 @@ def _bias(
     offsets = np.arange(-REACH, REACH + 1)
     unique, inverse = np.unique(bins[:, np.newaxis] + offsets, return_inverse=True)
     frequency = unique * sample_rate / reference.size
-    responses = np.stack([view.responses([*channels, source], value) for value in frequency], axis=1)
+    responses = view.responses([*channels, source], frequency)
     exact = (responses[:-1] / responses[-1])[:, inverse.reshape(bins.size, offsets.size)]
     u = np.fft.rfft(reference - reference.mean())
     powers = (offsets[:, np.newaxis] / REACH) ** np.arange(ORDER + 1)

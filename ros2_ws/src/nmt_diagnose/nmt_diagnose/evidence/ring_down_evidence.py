@@ -23,10 +23,13 @@ from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.row_table import Place, RowTable, empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
 from nmt_extract.harmonics import resolvable_harmonics, segment_moments, solve_moments
+from nmt_plant.model.linear_modes import damped_modes
 
-_SKIPPED_PERIODS = 4
-_HALF_WIDTH = 4
-_FEWEST_PERIODS = 3 * _HALF_WIDTH + _SKIPPED_PERIODS
+_HALF_WIDTH = 3
+_FEWEST_PERIODS = 12
+_LONGEST_SKIP = 10
+_SWITCH_OFF = 1  # periods within which the drive goes to zero
+_OTHER_MODES = 5.0
 _SMALLEST = 1e-3
 _WORST_DAMPING = 0.3
 _PASSES = 3
@@ -103,9 +106,10 @@ def decay_of(
     return middle / sample_rate, phase, log
 
 
-def local_slopes(time: FloatArray, values: FloatArray, centre: int) -> tuple[float, float, float]:
-    """Value, slope and standard uncertainty of the slope of a parabola around one of several values."""
-    near = slice(max(0, centre - _HALF_WIDTH), centre + _HALF_WIDTH + 1)
+def local_slopes(time: FloatArray, values: FloatArray, centre: int, first: int) -> tuple[float, float, float]:
+    """Value, slope and standard uncertainty of the slope of a parabola around one value, of those from ``first`` on."""
+    start = max(first, centre - _HALF_WIDTH)
+    near = slice(start, start + 2 * _HALF_WIDTH + 1)
     t = time[near] - time[centre]
     design = np.stack((np.ones_like(t), t, t * t), axis=1)
     solution, *_ = np.linalg.lstsq(design, values[near], rcond=None)
@@ -113,6 +117,17 @@ def local_slopes(time: FloatArray, values: FloatArray, centre: int) -> tuple[flo
     freedom = t.size - 3
     covariance = np.linalg.inv(design.T @ design) * float(residual @ residual) / freedom
     return float(solution[0]), float(solution[1]), math.sqrt(float(covariance[1, 1]))
+
+
+def _skipped(view: ModelView, frequency_hz: float) -> int:
+    """Periods after which the drive is off and the other modes have decayed."""
+    values = damped_modes(view.system).eigenvalues
+    others = values[np.abs(np.abs(values) - 2.0 * math.pi * frequency_hz).argsort()[1:]]
+    if others.size == 0:
+        return _SWITCH_OFF
+    slowest = float(np.min(-others.real))
+    periods = _OTHER_MODES / slowest * frequency_hz if slowest > 0.0 else _LONGEST_SKIP
+    return _SWITCH_OFF + int(np.clip(math.ceil(periods), 1, _LONGEST_SKIP))
 
 
 def ring_down_evidence(
@@ -147,13 +162,14 @@ def ring_down_evidence(
         time, phase, log = decay_of(samples, stretch.sample_rate, guess)
     except BenchError as error:
         return empty((f"{name}: the ring-down is left out: {error}.",))
-    nodes = _nodes(log, settings.decay_points)
+    first = _skipped(view, guess)
+    nodes = _nodes(log, settings.decay_points, first)
     table = RowTable()
     amplitudes: list[float] = []
     floors = settings.floors
     for node in nodes:
-        level, rate, rate_std = local_slopes(time, log, node)
-        _, omega, omega_std = local_slopes(time, phase, node)
+        level, rate, rate_std = local_slopes(time, log, node, first)
+        _, omega, omega_std = local_slopes(time, phase, node, first)
         if not omega > 0.0:
             continue
         damping = -rate / omega
@@ -171,21 +187,18 @@ def ring_down_evidence(
     return table.evidence(test)
 
 
-def _nodes(log: FloatArray, wanted: int) -> list[int]:
-    """Periods evenly spread over the logarithm of the amplitude, far enough apart to be independent."""
-    first = _SKIPPED_PERIODS + _HALF_WIDTH
-    last = log.size - _HALF_WIDTH - 1
-    usable = np.flatnonzero(log[first : last + 1] > log[: first + 1].max() + math.log(_SMALLEST)) + first
-    if usable.size == 0:
-        return []
+def _nodes(log: FloatArray, wanted: int, skipped: int) -> list[int]:
+    """Periods evenly spread over the logarithm of the amplitude, far enough apart to be nearly independent."""
+    first, last = skipped + 1, log.size - _HALF_WIDTH - 1
+    strong = log[first : last + 1] > log[: first + 1].max() + math.log(_SMALLEST)
     # Once the decay has reached the noise it is not used again.
-    stop = int(usable[0]) + int(np.argmin(np.diff(np.append(usable, usable[-1] + 2)) == 1)) + 1
-    falling = np.arange(usable[0], min(stop, last + 1))
-    count = max(1, min(wanted, falling.size // (_HALF_WIDTH + 1) + 1))
-    marks = np.linspace(log[falling[0]], log[falling[-1]], count)
-    picked = [int(falling[np.argmin(np.abs(log[falling] - mark))]) for mark in marks]
+    stop = first + (int(np.argmin(strong)) if not strong.all() else strong.size)
+    falling = np.arange(first, stop)
+    if falling.size == 0:
+        return []
+    marks = np.linspace(log[falling[0]], log[falling[-1]], max(1, min(wanted, falling.size)))
     result: list[int] = []
-    for node in sorted(set(picked)):
-        if not result or node - result[-1] > _HALF_WIDTH:
+    for node in sorted({int(falling[np.argmin(np.abs(log[falling] - mark))]) for mark in marks}):
+        if not result or node - result[-1] >= _HALF_WIDTH:
             result.append(node)
     return result

@@ -1,0 +1,315 @@
+"""Malformed and hostile real sides: a sentence each, and no observable of what is broken."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from unit.diagnose.evidence_bags import LEVELS, altered, record, rig_with_noise, with_data
+
+from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.errors import BenchError
+from nmt_core.test_kind import TestKind
+from nmt_diagnose.evidence.conditions import PhaseResonanceTest
+from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.evidence.read_evidence import read_evidence
+from nmt_plant.rig import load_rig
+
+RIG = rig_with_noise()
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("clean") / "run", RIG)
+
+
+def rows_of(evidence: Evidence, channel: str) -> np.ndarray:
+    names = [c.name for c in evidence.tests[0].channels]
+    return evidence.rows.channel == (names.index(channel) if channel in names else -2)
+
+
+def said(evidence: Evidence, *words: str) -> str:
+    """The note with all the words."""
+    found = [note for note in evidence.notes if all(word in note for word in words)]
+    assert found, f"no note with {words} in {evidence.notes}"
+    return found[0]
+
+
+def one_sentence(failure: pytest.ExceptionInfo[BenchError], *words: str) -> None:
+    text = str(failure.value)
+    assert "\n" not in text
+    assert text.endswith(".")
+    for word in words:
+        assert word in text
+
+
+def test_a_clean_bag_says_nothing(clean: Path) -> None:
+    evidence = read_evidence([clean], RIG)
+    assert evidence.notes == ()
+    assert len(evidence.tests) == 1
+    assert np.unique(evidence.rows.level).tolist() == list(range(len(LEVELS)))
+
+
+def test_nan_in_one_channel_of_one_level(clean: Path, tmp_path: Path) -> None:
+    whole = read_evidence([clean], RIG)
+    test = whole.tests[0]
+    assert isinstance(test, PhaseResonanceTest)
+    hit = int(test.levels[2].start_s * RIG.sample_rate_hz) + 1000
+
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        if block.quantity is Quantity.DISPLACEMENT and block.first_sample <= hit < block.end_sample:
+            data = block.data.copy()
+            data[block.channels.index("x5"), hit - block.first_sample] = np.nan
+            block = with_data(block, data)
+        yield block
+
+    evidence = read_evidence([altered(clean, tmp_path / "nan", change)], RIG)
+    note = said(evidence, "x5", "level 2", "NaN")
+    assert str(hit) in note
+    lost = rows_of(whole, "x5") & (whole.rows.level == 2)
+    assert len(evidence.rows) == len(whole.rows) - int(lost.sum())
+    np.testing.assert_array_equal(evidence.values, whole.values[~lost])
+
+
+def test_nan_in_the_force_spoils_the_level(clean: Path, tmp_path: Path) -> None:
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        if block.quantity is Quantity.FORCE:
+            data = block.data.copy()
+            data[0, 7] = np.nan
+            block = with_data(block, data)
+        yield block
+
+    with pytest.raises(BenchError) as failure:
+        read_evidence([altered(clean, tmp_path / "nan", change)], RIG)
+    one_sentence(failure, "Nothing in", "force", "NaN")
+
+
+def test_missing_channels_are_named(clean: Path, tmp_path: Path) -> None:
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        if block.quantity is Quantity.ACCELERATION:
+            return
+        yield block
+
+    evidence = read_evidence([altered(clean, tmp_path / "bare", change)], RIG)
+    said(evidence, "a2", "not recorded")
+    assert not rows_of(evidence, "a2").any()
+    assert rows_of(evidence, "x2").any()
+
+
+def test_without_the_force_there_is_no_evidence(clean: Path, tmp_path: Path) -> None:
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        if block.quantity is not Quantity.FORCE:
+            yield block
+
+    with pytest.raises(BenchError) as failure:
+        read_evidence([altered(clean, tmp_path / "bare", change)], RIG)
+    one_sentence(failure, "no force channel")
+
+
+def test_a_channel_that_the_model_does_not_have(clean: Path) -> None:
+    fewer = RIG.model_copy(update={"sensors": [s for s in RIG.sensors if s.point != 6]})
+    evidence = read_evidence([clean], fewer)
+    said(evidence, "x6", "no counterpart")
+    assert not rows_of(evidence, "x6").any()
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3, 9.80665])
+def test_wrong_units_of_a_channel(clean: Path, tmp_path: Path, factor: float) -> None:
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        if block.quantity is Quantity.DISPLACEMENT:
+            data = block.data.copy()
+            data[block.channels.index("x4")] *= factor
+            block = with_data(block, data)
+        yield block
+
+    evidence = read_evidence([altered(clean, tmp_path / "units", change)], RIG)
+    assert "?" in said(evidence, "x4", "unit or scale")
+    assert not rows_of(evidence, "x4").any()
+    assert rows_of(evidence, "x5").any()
+
+
+def test_wrong_units_of_all_displacements(clean: Path, tmp_path: Path) -> None:
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        yield with_data(block, block.data * 1e3) if block.quantity is Quantity.DISPLACEMENT else block
+
+    # One vote per quantity: voltage, force and acceleration agree.
+    evidence = read_evidence([altered(clean, tmp_path / "units", change)], RIG)
+    for channel in ("x2", "x4", "x5", "x6"):
+        said(evidence, channel, "unit or scale")
+        assert not rows_of(evidence, channel).any()
+    assert rows_of(evidence, "a2").any()
+
+
+def test_scales_that_contradict_each_other(clean: Path, tmp_path: Path) -> None:
+    factors = {Quantity.DISPLACEMENT: 1e3, Quantity.ACCELERATION: 1e-3, Quantity.FORCE: 1e3}
+
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        yield with_data(block, block.data * factors.get(block.quantity, 1.0))
+
+    with pytest.raises(BenchError) as failure:
+        read_evidence([altered(clean, tmp_path / "units", change)], RIG)
+    one_sentence(failure, "do not agree on their scale")
+
+
+def test_a_wrong_sign_is_no_phase_of_the_loop(clean: Path, tmp_path: Path) -> None:
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        yield with_data(block, -block.data) if block.quantity is Quantity.FORCE else block
+
+    with pytest.raises(BenchError) as failure:
+        read_evidence([altered(clean, tmp_path / "sign", change)], RIG)
+    one_sentence(failure, "wrong sign")
+
+
+def test_time_going_backwards(clean: Path, tmp_path: Path) -> None:
+    test = read_evidence([clean], RIG).tests[0]
+    assert isinstance(test, PhaseResonanceTest)
+    turn = int(test.levels[1].start_s * RIG.sample_rate_hz) + 2000
+
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        yield block
+        if block.first_sample <= turn < block.end_sample:
+            yield dataclasses.replace(block, first_sample=block.first_sample - 400)
+
+    evidence = read_evidence([altered(clean, tmp_path / "back", change)], RIG)
+    said(evidence, "Level 1", "backwards")
+    kept = evidence.tests[0]
+    assert isinstance(kept, PhaseResonanceTest)
+    assert [level.index for level in kept.levels] == [0, 2, 3]
+
+
+def test_a_gap_spoils_its_window_only(clean: Path, tmp_path: Path) -> None:
+    test = read_evidence([clean], RIG).tests[0]
+    assert isinstance(test, PhaseResonanceTest)
+    hole = int(test.levels[3].start_s * RIG.sample_rate_hz) + 2000
+
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        if not block.first_sample <= hole < block.end_sample:
+            yield block
+
+    evidence = read_evidence([altered(clean, tmp_path / "gap", change)], RIG)
+    kept = evidence.tests[0]
+    assert isinstance(kept, PhaseResonanceTest)
+    assert [level.index for level in kept.levels] == [0, 1, 2]
+    said(evidence, "Level 3", "missing")
+
+
+def test_a_jump_of_the_phase_spoils_its_window(clean: Path, tmp_path: Path) -> None:
+    test = read_evidence([clean], RIG).tests[0]
+    assert isinstance(test, PhaseResonanceTest)
+    hit = int(test.levels[0].start_s * RIG.sample_rate_hz) + 2000
+
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        if block.first_sample <= hit < block.end_sample:
+            own = block.oscillator
+            moved = OscillatorPhase((own.cycles + 0.1) % 1.0, own.frequency_hz, own.rate_hz_s)
+            block = dataclasses.replace(block, oscillator=moved)
+        yield block
+
+    said(read_evidence([altered(clean, tmp_path / "jump", change)], RIG), "Level 0", "phase", "jumps")
+
+
+def test_a_saturated_converter_is_evidence(clean: Path, tmp_path: Path) -> None:
+    whole = read_evidence([clean], RIG)
+
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        if block.quantity is Quantity.ACCELERATION:
+            full = 1.0
+            flags = block.flags | (BlockFlag.OVERLOAD if np.abs(block.data).max() >= full else 0)
+            block = dataclasses.replace(block, data=np.clip(block.data, -full, full), flags=flags)
+        yield block
+
+    evidence = read_evidence([altered(clean, tmp_path / "clip", change)], RIG)
+    assert "kept" in said(evidence, "a2", "clipped")
+    assert len(evidence.rows) == len(whole.rows)
+    thirds = rows_of(evidence, "a2") & (evidence.rows.harmonic == 3) & (evidence.rows.level == len(LEVELS) - 1)
+    assert np.hypot(*evidence.values[thirds]) > 3.0 * np.hypot(*whole.values[thirds])
+
+
+def test_three_periods_are_too_few(clean: Path, tmp_path: Path) -> None:
+    def events(message: Any) -> Any:
+        return dataclasses.replace(message, window_samples=round(3.0 * 1e4 / message.frequency_hz), window_periods=3)
+
+    with pytest.raises(BenchError) as failure:
+        read_evidence([altered(clean, tmp_path / "short", events=events)], RIG)
+    one_sentence(failure, "3 whole periods")
+
+
+def test_no_locked_window_at_all(clean: Path, tmp_path: Path) -> None:
+    with pytest.raises(BenchError) as failure:
+        read_evidence([altered(clean, tmp_path / "none", events=lambda _: None)], RIG)
+    one_sentence(failure, "no level was locked")
+
+
+def test_too_few_levels_are_said(clean: Path, tmp_path: Path) -> None:
+    def events(message: Any) -> Any:
+        return message if message.level_index == 1 else None
+
+    said(read_evidence([altered(clean, tmp_path / "one", events=events)], RIG), "1 level cannot tell")
+
+
+def test_bag_of_another_rig(clean: Path, tmp_path: Path) -> None:
+    with pytest.raises(BenchError) as failure:
+        read_evidence([clean], load_rig("joint_resonator"))
+    one_sentence(failure, "name the rig file of the rig that was tested")
+    renamed = altered(clean, tmp_path / "name", run={"rig": "elsewhere"})
+    said(read_evidence([renamed], RIG), "elsewhere", "beam")
+
+
+def test_wrong_sampling_rate(clean: Path, tmp_path: Path) -> None:
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        own = block.oscillator
+        phase = OscillatorPhase(own.cycles, own.frequency_hz * 2.5, own.rate_hz_s)
+        yield dataclasses.replace(block, sample_rate=2.5 * block.sample_rate, oscillator=phase)
+
+    with pytest.raises(BenchError) as failure:
+        read_evidence([altered(clean, tmp_path / "rate", change)], RIG)
+    one_sentence(failure, "modes at")
+
+
+def test_unknown_unit_of_a_channel(clean: Path, tmp_path: Path) -> None:
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        yield dataclasses.replace(block, unit="mm") if block.quantity is Quantity.DISPLACEMENT else block
+
+    evidence = read_evidence([altered(clean, tmp_path / "unit", change)], RIG)
+    said(evidence, "x2", "'mm'")
+    assert not rows_of(evidence, "x2").any()
+
+
+def test_the_same_bag_twice_counts_once(clean: Path) -> None:
+    evidence = read_evidence([clean, clean], RIG)
+    assert len(evidence.tests) == 1
+    said(evidence, "is the same as")
+
+
+def test_a_random_test_with_a_gap_uses_the_longer_part(tmp_path: Path) -> None:
+    whole = record(tmp_path / "whole", RIG, TestKind.RANDOM, (0.05,), duration=4.0)
+
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        if not block.first_sample <= 35_000 < block.end_sample:
+            yield block
+
+    evidence = read_evidence([altered(whole, tmp_path / "gap", change)], RIG)
+    said(evidence, "longest stretch without gaps")
+    assert (evidence.rows.part == Part.LOG_MAGNITUDE).any()
+
+
+def test_a_silent_random_test_is_left_out(tmp_path: Path) -> None:
+    whole = record(tmp_path / "whole", RIG, TestKind.RANDOM, (0.05,), duration=2.0)
+
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        yield with_data(block, 0.0 * block.data) if block.quantity is Quantity.VOLTAGE else block
+
+    with pytest.raises(BenchError) as failure:
+        read_evidence([altered(whole, tmp_path / "silent", change)], RIG)
+    one_sentence(failure, "constant")
+
+
+def test_no_bag_at_all(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match="at least one bag"):
+        read_evidence([], RIG)
+    with pytest.raises(BenchError, match="There is no bag"):
+        read_evidence([tmp_path / "nothing"], RIG)

@@ -5,22 +5,18 @@ It makes real bags where ROS is absent, and shows how much of the bench's time i
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from nmt_core.blocks import Quantity, SampleBlock
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
     from nmt_plant.rig import Rig
-    from nmt_pll.level_loop import LoopOutput
     from nmt_pll.settings import LevelCommand
 
 _LOCK_LOST = 4
@@ -69,6 +65,7 @@ def record_sample_run(bag: Path, rig: Rig, levels: Sequence[float], window_perio
     from nmt_pll.loop import PhaseLockedLoop
     from nmt_pll.settings import LevelCommand, settings_from
     from nmt_record.bag_writer import BagWriter
+    from nmt_record.run_messages import RunMessages
 
     linear = linear_description(rig)
     device = SimulatedRig(rig)
@@ -85,7 +82,7 @@ def record_sample_run(bag: Path, rig: Rig, levels: Sequence[float], window_perio
     }
     # JSON is YAML, so that the rig travels without a second writer.
     writer = BagWriter(bag, run_json=json.dumps(run), rig_yaml=rig.model_dump_json(indent=1))
-    messages = _Messages(writer, rig.name)
+    messages = RunMessages(writer, rig.name)
     response_quantity = Quantity[rig.extraction.quantity.upper()]
 
     def start(index: int, sample: int) -> LevelCommand:
@@ -156,82 +153,3 @@ def record_sample_run(bag: Path, rig: Rig, levels: Sequence[float], window_perio
         write_seconds=spent["write"],
         locked=locked,
     )
-
-
-class _Messages:
-    """Messages of the local type store, straight into a bag."""
-
-    def __init__(self, writer: Any, rig: str) -> None:
-        from nmt_record.bench_topics import BENCH_TOPICS
-        from nmt_record.message_definitions import local_definitions
-
-        for topic in BENCH_TOPICS:
-            writer.add_topic(topic.name, topic.message_type, topic.service)
-        self._types = local_definitions().typestore.types
-        self._writer = writer
-        self._header = self._types["std_msgs/msg/Header"](self._stamp(), rig)
-
-    def put_level(self, level: LevelCommand) -> None:
-        self._put("level", "Level", **dataclasses.asdict(level))
-
-    def put_block(self, block: SampleBlock) -> None:
-        self._put(
-            block.quantity.topic,
-            "SampleBlock",
-            header=self._header,
-            first_sample=block.first_sample,
-            sample_rate=block.sample_rate,
-            quantity=int(block.quantity),
-            unit=block.unit,
-            channels=list(block.channels),
-            points=np.array(block.points, dtype=np.uint32),
-            data=np.ascontiguousarray(block.data).ravel(),
-            oscillator_cycles=block.oscillator.cycles,
-            oscillator_frequency_hz=block.oscillator.frequency_hz,
-            oscillator_rate_hz_s=block.oscillator.rate_hz_s,
-            flags=block.flags,
-        )
-
-    def put_output(self, output: LoopOutput, response_unit: str) -> None:
-        level = output.level
-        self._put(
-            "frequency",
-            "Frequency",
-            last_sample=output.last_sample,
-            level_index=level.index if level is not None else 0,
-            level_sequence=level.sequence if level is not None else 0,
-            state=int(output.state),
-            frequency_hz=output.frequency_hz,
-            phase_error=output.phase_error,
-            force_amplitude=output.force_amplitude,
-            response_amplitude=output.response_amplitude,
-            response_unit=response_unit,
-            drive_amplitude=output.amplitude,
-            flags=output.flags,
-            reason=output.transition.reason if output.transition is not None else "",
-        )
-        if output.lock is not None:
-            lock = output.lock
-            self._put(
-                "lock",
-                "LockEvent",
-                level_index=lock.level.index,
-                level=lock.level.amplitude,
-                level_unit="V",
-                sample=lock.sample,
-                frequency_hz=lock.frequency_hz,
-                phase_error=lock.phase_error,
-                window_first_sample=lock.first_sample,
-                window_samples=lock.samples,
-                window_periods=lock.periods,
-                test=int(lock.level.test),
-            )
-
-    def _put(self, topic: str, kind: str, **values: Any) -> None:
-        message_type = self._types[f"nmt_msgs/msg/{kind}"]
-        if "stamp" in message_type.__dataclass_fields__:
-            values["stamp"] = self._stamp()
-        self._writer.write_message(topic, message_type(**values))
-
-    def _stamp(self) -> Any:
-        return self._types["builtin_interfaces/msg/Time"](0, 0)

@@ -249,7 +249,25 @@ def _segment_entries(bag: Bag, extent: Extent, rate: float) -> list[dict[str, An
             if math.isfinite(float(event.phase_error)):
                 entry["phase_error"] = float(event.phase_error)
             entries.append(entry)
-    return entries
+    return _without_overlap(entries)
+
+
+def _without_overlap(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A window may outlast its level; the next segment then begins where it ends."""
+    kept: list[dict[str, Any]] = []
+    for entry in sorted(entries, key=lambda item: float(item["start"])):
+        if kept and entry["start"] < kept[-1]["stop"]:
+            reached = kept[-1]["window"][1] if "window" in kept[-1] else entry["start"]
+            kept[-1]["stop"] = max(reached, entry["start"])
+            entry["start"] = kept[-1]["stop"]
+            if "window" in entry and entry["window"][0] < entry["start"]:
+                raise BenchError(
+                    f"The windows of levels {kept[-1]['index']} and {entry['index']} overlap; export them one by one "
+                    "with --segment."
+                )
+        if entry["start"] < entry["stop"]:
+            kept.append(entry)
+    return kept
 
 
 def write_time_uff(path: Path, signals: Signals, binary: bool = True) -> None:

@@ -204,6 +204,7 @@ def phi_functions(z: NDArray[np.complex128], count: int) -> NDArray[np.complex12
     result[0] = np.exp(z)
     small = np.abs(z) < 1.0
     safe = np.where(small, 1.0, z)
+    tiny = np.where(small, z, 0.0)
     factorial = 1.0
     for k in range(count):
         result[k + 1] = (result[k] - 1.0 / factorial) / safe
@@ -214,7 +215,7 @@ def phi_functions(z: NDArray[np.complex128], count: int) -> NDArray[np.complex12
         term = np.full(z.shape, 1.0 / factorial, dtype=complex)
         total = term.copy()
         for j in range(1, 26):
-            term = term * np.where(small, z, 0.0) / (k + j)
+            term = term * tiny / (k + j)
             total += term
         result[k] = np.where(small, total, result[k])
     return result
@@ -275,10 +276,13 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
         dense = np.zeros((levels + 1, size, size))
 
     weights = [np.zeros((levels + 1, size, 1 + ports)) for _ in range(6)]
+    if modal:
+        steps = step / 2.0 ** np.arange(levels + 1)
+        phi_of_levels = phi_functions(np.asarray(values * steps[:, None], dtype=complex), 4)
     for level in range(levels + 1):
         h = step / 2.0**level
         if modal:
-            phi = phi_functions(np.asarray(values * h, dtype=complex), 4)
+            phi = phi_of_levels[:, level]
             e = phi[0]
             pair[level, 0, :u], pair[level, 1, :u] = e[upper].real, -e[upper].imag
             pair[level, 2, :u], pair[level, 3, :u] = e[upper].imag, e[upper].real

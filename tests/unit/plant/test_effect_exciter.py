@@ -11,7 +11,8 @@ from nmt_core.errors import BenchError
 from nmt_plant.linear_description import linear_description
 from nmt_plant.model.assembly import current_output, displacement_output, velocity_output
 from nmt_plant.model.time_integration import TimeIntegrator
-from nmt_plant.reference import compute_reference, single_point_reference
+from nmt_plant.reference import compute_reference, single_point_reference, with_exciter_at
+from nmt_plant.rig import find_rig, load_rig
 from nmt_plant.rig_model import build_system
 
 SHAKER = {
@@ -222,3 +223,16 @@ def test_the_backbone_of_the_structure_does_not_mind_its_exciter(override, cover
     else:
         with pytest.raises(BenchError, match="harmonic balance does not cover"):
             compute_reference(beam(override), harmonics=3, points=3)
+
+
+def test_elements_on_the_side_of_the_exciter_go_with_it(tmp_path):
+    text = find_rig("beam").read_text(encoding="utf-8").replace(
+        "local_elements:\n",
+        "local_elements:\n  - {kind: cubic_spring, point: 2, side: exciter, stiffness_n_m3: 1e9}\n",
+    )
+    path = tmp_path / "rig.yaml"
+    path.write_text(text, encoding="utf-8")
+    assert [element.point for element in load_rig(path).local_elements] == [2, 3]
+    moved = load_rig(path, ["exciter.point=5"])
+    assert [element.point for element in moved.local_elements] == [5, 3]
+    assert [element.point for element in with_exciter_at(load_rig(path), 6).local_elements] == [6, 3]

@@ -10,6 +10,7 @@ from nmt_extract.offline import extract_bag
 from nmt_plant.linear_description import linear_description
 from nmt_plant.reference import compute_reference, single_point_reference
 from nmt_plant.rig import load_rig
+from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings
 
@@ -24,6 +25,12 @@ def warm_up() -> None:
     compute_reference(rig, harmonics=3, points=5)
     single_point_reference(rig, levels=[0.1, 0.6], harmonics=3)
     PaperLoop(linear_description(rig), PaperSettings(), rig.sample_rate_hz, rig.block_samples)
+    # Forces of two arguments have a time loop of their own, slow channels a filter.
+    further = SimulatedRig(load_rig("beam", ["exciter.force_factor_linear_per_m=1.0", "sensors.0.delay_s=1e-5"]))
+    further.configure()
+    further.start()
+    further.read()
+    further.close()
 
 
 if __name__ == "__main__":

@@ -161,7 +161,7 @@ def _level_range(levels: str) -> list[float]:
 
 
 def with_exciter_at(rig: Rig, point: int | None) -> Rig:
-    """The rig with its exciter at another point; unchanged when ``point`` is None.
+    """The rig with its exciter, and what is on its side, at another point; unchanged when ``point`` is None.
 
     Raises:
         BenchError: the structure has no such point.
@@ -173,7 +173,13 @@ def with_exciter_at(rig: Rig, point: int | None) -> Rig:
             f"exciter point {point} does not exist: rig {rig.name} has points 1 to "
             f"{rig.structure.points[-1]}; choose one of them."
         )
-    return rig.model_copy(update={"exciter": rig.exciter.model_copy(update={"point": point})})
+    moved = [
+        section.model_copy(update={"point": point}) if section.side == "exciter" else section
+        for section in rig.local_elements
+    ]
+    return rig.model_copy(
+        update={"exciter": rig.exciter.model_copy(update={"point": point}), "local_elements": moved}
+    )
 
 
 def single_point_reference(

@@ -781,9 +781,24 @@ def load_rig(path_or_name: str | Path, overrides: Sequence[str] = ()) -> Rig:
 
     Args:
         path_or_name: path of a YAML file, or the name of a shipped rig.
-        overrides: `a.b.c=value`, validated like the file itself.
+        overrides: `a.b.c=value`, validated like the file itself; `exciter.point` takes the elements on its side along.
 
     Raises:
         BenchError: no such rig, or anything wrong in it or in an override, with the line.
     """
-    return validate_rig(apply_overrides(read_document(find_rig(path_or_name)), overrides))
+    document = read_document(find_rig(path_or_name))
+    changed = apply_overrides(document, overrides)
+    _move_exciter_elements(document.values, changed.values)
+    return validate_rig(changed)
+
+
+def _move_exciter_elements(before: Any, after: Any) -> None:
+    """Elements on the side of the exciter go with it where an override moves its point; `after` is changed."""
+    try:
+        old, new = before["exciter"]["point"], after["exciter"]["point"]
+        elements = after.get("local_elements") or []
+        for element in elements:
+            if element.get("side") == "exciter" and element.get("point") == old:
+                element["point"] = new
+    except (AttributeError, KeyError, TypeError):
+        return  # not a rig: validation says what is wrong

@@ -133,6 +133,14 @@ def test_frequency_responses_of_a_sweep_and_of_a_linear_test(run: Path, tmp_path
     assert np.allclose(item["data"], [4 + 5j, 4.5 + 5j])
 
 
+def test_uneven_frequencies_are_written_in_ascii(run: Path, tmp_path: Path) -> None:
+    (run / "frf.csv").write_text("frequency_hz,a2_f1_hv_real,a2_f1_hv_imag\n1,4,5\n2.5,4.5,5\n3,1,2\n")
+    done(["export", run, "--out", tmp_path / "out"])
+    item = pyuff.UFF(str(tmp_path / "out" / "frf.uff")).read_sets()
+    assert (item["binary"], item["x"].tolist()) == (0, [1.0, 2.5, 3.0])
+    assert np.allclose(item["data"], [4 + 5j, 4.5 + 5j, 1 + 2j])
+
+
 def test_exported_frequency_responses_come_back_as_tables(run: Path, tmp_path: Path) -> None:
     (run / "frf.csv").write_text("frequency_hz,a2_f1_hv_real,a2_f1_hv_imag\n1,4,5\n2,4.5,5\n3,1,2\n")
     done(["export", run, "--out", tmp_path / "out"])

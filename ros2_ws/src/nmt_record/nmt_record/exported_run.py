@@ -371,7 +371,7 @@ def export_frf(table: Path, path: Path, drive_point: int, binary: bool = True) -
         table: ``frf.csv``.
         path: of the UFF file.
         drive_point: of the force; 0 = not known.
-        binary: 58b, else ASCII.
+        binary: 58b where the frequencies are even, else ASCII.
 
     Returns:
         Number of functions.
@@ -400,13 +400,14 @@ def export_frf(table: Path, path: Path, drive_point: int, binary: bool = True) -
                 uff.Axis(uff.FORCE, "Force", "N"),
             )
         )
-    uff.write_uff(path, functions, binary)
+    # In 58b readers differ on the precision of an uneven abscissa; in ASCII there is one form.
+    uff.write_uff(path, functions, binary and all(function.abscissa is None for function in functions))
     return len(functions)
 
 
 def _even(frequency: FloatArray) -> bool:
     steps = np.diff(frequency)
-    return bool(steps.size and np.abs(steps - steps.mean()).max() <= 1e-6 * steps.mean())
+    return bool(steps.size and np.abs(steps - steps.mean()).max() <= 1e-3 * steps.mean())
 
 
 def linear_text(bag: Bag) -> str:

@@ -180,19 +180,32 @@ class Contest:
             # Half of what the scan says: a step too far may leave the range where the level has a solution.
             limit = 2.0 * parametrisation.prior_std[base.fit.theta.size + position]
             start[position] = np.clip(0.5 * score.strength, -limit, limit)
+        theta = np.concatenate([base.fit.theta, start])
+        own = range(base.fit.theta.size, theta.size)
         try:
-            result = fit(
-                self.problem, parametrisation, np.concatenate([base.fit.theta, start]), used, base.fit.prediction
-            )
+            rig = parametrisation.rig(theta)
+            prediction = self.problem.forward.predict(rig, base.fit.prediction)
+            columns = self.problem.forward.jacobian(parametrisation, theta, prediction, own)
+            added = np.nan_to_num(columns / self.problem.evidence.sigma[:, None], posinf=0.0, neginf=0.0)
+            jacobian = np.column_stack([base.fit.jacobian, added])
+            result = fit(self.problem, parametrisation, theta, used, prediction, jacobian, exact=False)
         except FitError:
             return None
         return Contender((*base.candidates, candidate), result, score)
+
+    def polished(self, contender: Contender) -> Contender:
+        """The same fit with sensitivities at its estimate, for uncertainties that are reported."""
+        own = contender.fit
+        result = fit(self.problem, own.parametrisation, own.theta, own.used, own.prediction)
+        return Contender(contender.candidates, result, contender.score)
 
     def refit(self, contender: Contender, used: BoolArray) -> Contender | None:
         """The same explanation fitted to other rows; None where that fails."""
         start = contender.fit
         try:
-            result = fit(self.problem, start.parametrisation, start.theta, used, start.prediction)
+            result = fit(
+                self.problem, start.parametrisation, start.theta, used, start.prediction, start.jacobian, exact=False
+            )
         except FitError:
             return None
         return Contender(contender.candidates, result, contender.score)
@@ -229,9 +242,12 @@ class Contest:
         settings = self.settings
         result: list[Contender] = []
         tried: set[tuple[str, ...]] = set()
-        for single in _best_by_effect(singles)[: settings.first_of_pairs]:
+        for rank, single in enumerate(_best_by_effect(singles)[: settings.first_of_pairs]):
             count = 0
-            for score in self.scan(single):
+            found = self.scan(single)
+            if rank == 0 and (not found or found[0].gain < settings.pair_gain):
+                break  # the best single explanation leaves nothing for a second one
+            for score in found:
                 if score.gain < settings.pair_gain or count == settings.second_of_pairs:
                     break
                 label = self.candidates[score.direction.candidate].label

@@ -11,6 +11,7 @@ from nmt_diagnose.inference.problem import BoolArray, ParametrisationLike, Predi
 
 _STEPS = 25
 _TRIALS = 10
+_SMALL = 0.02  # fall of χ² that is not worth a step
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,16 @@ class Fit:
         result: FloatArray = np.sqrt(np.diag(self.covariance))
         return result
 
+    @property
+    def predictive_std(self) -> FloatArray:
+        """Standard deviation of a whitened residual that was not fitted: noise (1) and what the estimate leaves open.
+
+        shape (m,)
+        """
+        root = np.linalg.cholesky(self.covariance + 1e-12 * np.eye(self.theta.size))
+        result: FloatArray = np.sqrt(1.0 + np.sum((self.jacobian @ root) ** 2, axis=1))
+        return result
+
 
 class FitError(ArithmeticError):
     """The model has no solution where the fit would have to start."""
@@ -60,9 +71,14 @@ def fit(
     theta: FloatArray,
     used: BoolArray | None = None,
     start: PredictionLike | None = None,
+    jacobian: FloatArray | None = None,
     steps: int = _STEPS,
+    exact: bool = True,
 ) -> Fit:
     """Fit by Levenberg's damping, within bounds.
+
+    Sensitivities cost more than a solution of the model and change little near the optimum, so they are computed anew
+    only where a step does not do what they promised.
 
     Args:
         problem: evidence and model.
@@ -70,7 +86,9 @@ def fit(
         theta: where to start, shape (n,).
         used: rows to fit; None = all.
         start: a solution to start from.
-        steps: most Gauss–Newton steps.
+        jacobian: whitened sensitivities near the start, shape (m, n); None = computed.
+        steps: most steps.
+        exact: compute the sensitivities anew at the estimate.
 
     Raises:
         FitError: the model cannot be solved at the start.
@@ -85,36 +103,48 @@ def fit(
     if not np.any(solvable & rows):
         raise FitError("the model has no solution for any of the observables")
     rows = rows & solvable
-    damping, converged = 1e-3, False
+    damping, converged = 1e-4, False
     cost = _cost(residual, rows, theta, std)
-    jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
+    fresh = jacobian is None
+    if jacobian is None:
+        jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
     for _ in range(steps):
-        used_jacobian, used_residual = jacobian[rows], residual[rows]
+        used_jacobian = jacobian[rows]
         normal = used_jacobian.T @ used_jacobian + np.diag(std**-2.0)
-        gradient = used_jacobian.T @ used_residual - theta / std**2
-        accepted = False
+        gradient = used_jacobian.T @ residual[rows] - theta / std**2
+        trial = None
         for _ in range(_TRIALS):
             step = _bounded_step(normal, gradient, damping, theta, lower)
             # A step beyond a few prior deviations leaves the range in which the linearisation means anything.
-            step *= min(1.0, 3.0 / max(float(np.max(np.abs(step) / np.maximum(std, 1e-12))), 1e-300))
-            trial = np.maximum(theta + step, lower)
-            trial_prediction = problem.forward.predict(parametrisation.rig(trial), prediction)
-            trial_residual = problem.residual(trial_prediction)
-            trial_cost = _cost(trial_residual, rows, trial, std)
+            step *= min(1.0, 3.0 / max(float(np.max(np.abs(step) / np.maximum(std, 1e-12), initial=0.0)), 1e-300))
+            moved = np.maximum(theta + step, lower)
+            step = moved - theta
+            promised = float(2.0 * gradient @ step - step @ normal @ step)
+            if promised < _SMALL + 1e-7 * cost:
+                break
+            trial = problem.forward.predict(parametrisation.rig(moved), prediction)
+            trial_residual = problem.residual(trial)
+            trial_cost = _cost(trial_residual, rows, moved, std)
             if trial_cost <= cost:
-                accepted = True
+                break
+            trial = None
+            if not fresh:
                 break
             damping = max(damping, 1e-6) * 8.0
-        if not accepted:
-            converged = bool(np.max(np.abs(step)) < 1e-3) if step.size else True
-            break
-        change = cost - trial_cost
-        theta, prediction, residual, cost = trial, trial_prediction, trial_residual, trial_cost
-        jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
+        if trial is None:
+            if fresh or promised < _SMALL + 1e-7 * cost:
+                converged = promised < 1.0
+                break
+            jacobian, fresh = _whitened_jacobian(problem, parametrisation, theta, prediction), True
+            continue
+        kept = cost - trial_cost > 0.5 * promised
+        theta, prediction, residual, cost = moved, trial, trial_residual, trial_cost
         damping *= 0.1
-        if change < 1e-2 + 1e-7 * cost:
-            converged = True
-            break
+        fresh = False
+        if not kept:
+            jacobian, fresh = _whitened_jacobian(problem, parametrisation, theta, prediction), True
+    if exact and not fresh:
+        jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
     return _finished(problem, parametrisation, theta, rows, prediction, residual, jacobian, converged)
 
 

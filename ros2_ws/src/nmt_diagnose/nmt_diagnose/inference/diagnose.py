@@ -1,0 +1,441 @@
+"""The whole diagnosis: from bags and a rig file to a verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
+from nmt_diagnose.effects.calibration import calibration_parameters
+from nmt_diagnose.effects.library import candidates as library_candidates
+from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.evidence.observables import Evidence
+from nmt_diagnose.evidence.read_evidence import read_evidence
+from nmt_diagnose.inference.confidence import Confidence, confidence, confidence_digest
+from nmt_diagnose.inference.contest import Contender, Contest, ContestSettings
+from nmt_diagnose.inference.diagnosis import (
+    Diagnosis,
+    Gap,
+    NextTest,
+    PlaceShare,
+    Ranked,
+    Recalibrated,
+    Share,
+    Value,
+    Verdict,
+)
+from nmt_diagnose.inference.fit import FitError
+from nmt_diagnose.inference.gap import Closed, closed, rms
+from nmt_diagnose.inference.generic_source import SourceScore
+from nmt_diagnose.inference.held_out import Split, splits
+from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, place_of
+from nmt_diagnose.inference.next_test import next_tests
+from nmt_diagnose.inference.problem import ForwardLike, Problem
+from nmt_diagnose.inference.residual_map import per_observable, residual_map
+from nmt_diagnose.inference.residual_tests import residual_tests
+from nmt_diagnose.inference.sentences import sentences
+from nmt_diagnose.inference.sources import generic_sources
+from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.twin.operating_range import operating_range
+from nmt_plant.rig import Rig, load_rig
+
+Progress = Callable[[str], None]
+_RANKED = 8
+_JUDGED = 3
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """How a diagnosis goes about.
+
+    Attributes:
+        withheld: effects that are left out of the library.
+        contest: how far the contest of explanations goes.
+        seed: of the bootstrap.
+        look_ahead: whether tests that would decide between what is left are sought.
+    """
+
+    withheld: tuple[str, ...] = ()
+    contest: ContestSettings = field(default_factory=ContestSettings)
+    seed: int = 0
+    look_ahead: bool = True
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A diagnosis and what a report draws.
+
+    Attributes:
+        diagnosis: the result.
+        evidence: the real side.
+        given: the model as given.
+        model: the model with its parameters re-fitted and the accepted effect added; the given one where there is no
+            gap.
+        as_given, refitted, final: observables of the given model, of the re-fitted one and of ``model``, (m,).
+    """
+
+    diagnosis: Diagnosis
+    evidence: Evidence
+    given: Rig
+    model: Rig
+    as_given: FloatArray
+    refitted: FloatArray
+    final: FloatArray
+
+
+def diagnose_bags(
+    model: Path | str | Rig,
+    bags: Sequence[Path | str],
+    floor_bags: Sequence[Path | str] = (),
+    settings: DiagnosisSettings | None = None,
+    progress: Progress | None = None,
+) -> Outcome:
+    """Diagnose the gap between a rig file and bags of the real side.
+
+    Args:
+        model: rig file, its name, or a loaded rig.
+        bags: runs or imports of the real side.
+        floor_bags: repeats of tests among ``bags``.
+        settings: None = defaults.
+        progress: called with a sentence as the work goes on.
+
+    Raises:
+        BenchError: bags or rig cannot be used, with a sentence.
+    """
+    rig = model if isinstance(model, Rig) else load_rig(str(model))
+    evidence = read_evidence(bags, rig, floor_bags, progress=progress)
+    return diagnose_evidence(rig, evidence, settings, progress)
+
+
+def diagnose_evidence(
+    rig: Rig, evidence: Evidence, settings: DiagnosisSettings | None = None, progress: Progress | None = None
+) -> Outcome:
+    """Diagnose evidence that has been read already; see :func:`diagnose_bags`.
+
+    Raises:
+        BenchError: the model has no solution for any of the evidence.
+    """
+    return _Diagnoser(rig, evidence, settings or DiagnosisSettings(), progress or (lambda _: None)).run()
+
+
+class _Diagnoser:
+    def __init__(self, rig: Rig, evidence: Evidence, settings: DiagnosisSettings, progress: Progress) -> None:
+        self.rig, self.evidence, self.settings, self.progress = rig, evidence, settings, progress
+        self.confidence: Confidence = confidence()
+        self.forward = Forward(evidence.tests, evidence.rows)
+        self.problem = Problem(evidence, cast(ForwardLike, self.forward))
+        self.candidates = library_candidates(rig, operating_range(rig, evidence.tests), settings.withheld)
+        self.contest = Contest(
+            self.problem, rig, calibration_parameters(rig), self.candidates, settings.contest, progress
+        )
+
+    def run(self) -> Outcome:
+        self.progress("re-fitting the model's own parameters")
+        given = self.forward.predict(self.rig)
+        try:
+            null = self.contest.polished(self.contest.null())
+        except FitError as error:
+            raise BenchError(f"The model cannot be compared with the evidence: {error}.") from error
+        self.progress(f"scanning {len(self.candidates)} candidates")
+        scan = self.contest.scan(null)
+        singles = self.contest.singles(null, scan)
+        pairs = self.contest.pairs(singles)
+        self.progress("weighing the explanations")
+        sources = generic_sources(self.forward, self.rig, null, self.evidence)
+        leftovers = generic_sources(self.forward, self.rig, singles[0], self.evidence) if singles else []
+        judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.rig, self.confidence)
+        as_given = self.problem.residual(given)
+        shares = self._closed(null, [group.head for group in judgement.classes[:_JUDGED]], as_given)
+        accepted = self._accepted(judgement, shares)
+        verdict = self._verdict(judgement, accepted, null, as_given)
+        best = self.contest.polished(accepted.head) if accepted is not None and verdict is Verdict.EFFECT else null
+        gap = self._gap(verdict, null, best, as_given)
+        ranking = self._ranking(judgement, shares)
+        where = self._where(judgement, sources, verdict)
+        self.progress("looking for the test that would decide")
+        ahead = self._next(judgement, verdict, null)
+        calibration = self._calibration(best)
+        tests = residual_tests(self.evidence, best.fit.residual, best.fit.used)
+        final = null if verdict is not Verdict.EFFECT else best
+        model = self.rig if verdict is Verdict.NONE else final.fit.parametrisation.rig(final.fit.theta)
+        diagnosis = Diagnosis(
+            verdict=verdict,
+            sentences=sentences(verdict, where, ranking, gap, ahead, calibration, self.evidence),
+            where=where,
+            ranking=ranking,
+            probabilities=judgement.by_label,
+            gap=gap,
+            next_test=ahead,
+            calibration=calibration,
+            inputs=self._inputs(),
+            notes=self.evidence.notes + tuple(getattr(given, "reasons", ())),
+            residual_map=residual_map(self.evidence, as_given, null.fit.residual, best.fit.residual),
+            residual_tests=tuple(test.to_mapping() for test in tests),
+            candidates=tuple(self._candidate(contender, null) for contender in [null, *singles, *pairs]),
+            features=self._features(judgement, null, singles, pairs, scan, sources, leftovers, as_given),
+        )
+        return Outcome(
+            diagnosis,
+            self.evidence,
+            self.rig,
+            model,
+            given.values,
+            null.fit.prediction.values,
+            final.fit.prediction.values,
+        )
+
+    # -- judging -------------------------------------------------------------------------------------------------
+
+    def _closed(self, null: Contender, heads: Sequence[Contender], as_given: FloatArray) -> dict[str, Closed]:
+        """Share of the held-out gap that each explanation closes, by label; ``none`` for the re-fitted model."""
+        before = self._refitted(null)
+        result = {
+            "none": closed(
+                self.evidence,
+                [(as_given / base.fit.predictive_std, _fresh(base, base), split.held_out) for split, base in before],
+                self.settings.seed,
+            )
+        }
+        for head in heads:
+            pairs = []
+            for split, base in before:
+                top = self.contest.refit(head, split.fitted)
+                if top is not None:
+                    pairs.append((_fresh(base, base), _fresh(top, base), split.held_out))
+            result[head.label] = closed(self.evidence, pairs, self.settings.seed)
+        return result
+
+    def _refitted(self, null: Contender) -> list[tuple[Split, Contender]]:
+        """The model without effect, re-fitted without what each split holds out."""
+        found = [(split, self.contest.refit(null, split.fitted)) for split in splits(self.evidence)]
+        return [(split, base) for split, base in found if base is not None]
+
+    def _accepted(self, judgement: Judgement, shares: dict[str, Closed]) -> ExplanationClass | None:
+        """The most probable explanation that predicts held-out data no worse than the model without it."""
+        for group in judgement.classes[:_JUDGED]:
+            share = shares.get(group.head.label)
+            if share is None or not math.isfinite(share.before) or share.after <= share.before * 1.002:
+                return group
+        return None
+
+    def _verdict(
+        self, judgement: Judgement, accepted: ExplanationClass | None, null: Contender, as_given: FloatArray
+    ) -> Verdict:
+        if judgement.log_odds < self.confidence.alarm:
+            return Verdict.CALIBRATION if self._recalibrated(null, as_given) else Verdict.NONE
+        given_gap = judgement.unknown / max(1e-300, 1.0 - judgement.none)
+        if accepted is None or given_gap > self.confidence.unknown:
+            return Verdict.UNKNOWN
+        return Verdict.EFFECT
+
+    def _recalibrated(self, null: Contender, as_given: FloatArray) -> bool:
+        """Whether re-fitting the model's own parameters closed a gap that was there."""
+        used = null.fit.used & np.isfinite(as_given)
+        fall = float(as_given[used] @ as_given[used]) - null.fit.chi_square - null.fit.penalty
+        return fall > self.confidence.recalibration
+
+    def _gap(self, verdict: Verdict, null: Contender, best: Contender, as_given: FloatArray) -> Gap:
+        held = self._refitted(null)
+        pairs = []
+        union = np.zeros(len(self.evidence.rows), dtype=bool)
+        before_residual, after_residual = null.fit.residual.copy(), best.fit.residual.copy()
+        for split, base in held:
+            top = base if best is null else self.contest.refit(best, split.fitted)
+            if top is None:
+                continue
+            given = verdict is Verdict.CALIBRATION
+            start, after = (as_given if given else base.fit.residual), top.fit.residual
+            pairs.append((start / base.fit.predictive_std, _fresh(top, base), split.held_out))
+            new = split.held_out & ~union
+            before_residual[new], after_residual[new] = start[new], after[new]
+            union |= split.held_out
+        whole = closed(self.evidence, pairs, self.settings.seed)
+        where = union if union.any() else null.fit.used
+        return Gap(
+            whole.before if pairs else rms(null.fit.residual[where]),
+            whole.after if pairs else rms(best.fit.residual[where]),
+            whole.floor,
+            rms(as_given[where]),
+            whole.value,
+            whole.low,
+            whole.high,
+            per_observable(self.evidence, before_residual, after_residual, where),
+            tuple(split.name for split, _ in held),
+        )
+
+    # -- telling -------------------------------------------------------------------------------------------------
+
+    def _ranking(self, judgement: Judgement, shares: dict[str, Closed]) -> tuple[Ranked, ...]:
+        result = []
+        for group in judgement.classes[:_RANKED]:
+            head = group.head
+            places = [place_of(candidate, self.rig) for candidate in head.candidates]
+            share = shares.get(head.label)
+            result.append(
+                Ranked(
+                    effect=" + ".join(candidate.effect.name for candidate in head.candidates),
+                    place=" + ".join(dict.fromkeys(place for place, _ in places)),
+                    detail=" + ".join(detail for _, detail in places if detail),
+                    probability=group.probability,
+                    equivalents=tuple(" + ".join(effects) for effects in group.effects[1:]),
+                    parameters=_parameters(head),
+                    closed=Share(share.value, share.low, share.high) if share else Share(*[math.nan] * 3),
+                    sigmas=head.sigmas,
+                )
+            )
+        return tuple(result)
+
+    def _where(self, judgement: Judgement, sources: Sequence[SourceScore], verdict: Verdict) -> tuple[PlaceShare, ...]:
+        if verdict in (Verdict.NONE, Verdict.CALIBRATION):
+            return ()
+        by_place: dict[str, float] = {}
+        detail: dict[str, tuple[float, str]] = {}
+        for (place, what), p in judgement.places.items():
+            by_place[place] = by_place.get(place, 0.0) + p
+            if p > detail.get(place, (0.0, ""))[0]:
+                detail[place] = (p, what)
+        explained: dict[str, float] = {}
+        for source in sources:
+            size = max(0.0, source.explained - source.freedom)
+            explained[source.place] = max(explained.get(source.place, 0.0), size)
+        weights = {place: explained.get(place, 0.0) * p for place, p in by_place.items()}
+        total = sum(weights.values())
+        return tuple(
+            PlaceShare(place, detail[place][1], weights[place] / total if total > 0.0 else p, p)
+            for place, p in sorted(by_place.items(), key=lambda item: -item[1])
+            if p > 0.005
+        )
+
+    def _calibration(self, best: Contender) -> tuple[Recalibrated, ...]:
+        parametrisation = best.fit.parametrisation
+        assert isinstance(parametrisation, Parametrisation)
+        result = []
+        for k, parameter in enumerate(parametrisation.calibration):
+            theta, std = float(best.fit.theta[k]), float(best.fit.std[k])
+            value = parameter.at(theta)
+            result.append(
+                Recalibrated(
+                    parameter.name,
+                    parameter.value,
+                    value,
+                    abs(value) * parameter.std * std,
+                    parameter.unit,
+                    parameter.std,
+                    theta / std if std > 0.0 else 0.0,
+                )
+            )
+        return tuple(result)
+
+    def _next(self, judgement: Judgement, verdict: Verdict, null: Contender) -> tuple[NextTest, ...]:
+        if not self.settings.look_ahead or verdict in (Verdict.NONE, Verdict.CALIBRATION):
+            return ()
+        return next_tests(self.rig, self.evidence, null, judgement.classes, self.contest)
+
+    def _inputs(self) -> dict[str, Any]:
+        tests = []
+        for number, test in enumerate(self.evidence.tests):
+            mine = self.evidence.rows.test == number
+            tests.append(
+                {
+                    "name": test.name,
+                    "kind": type(test).__name__,
+                    "drive_point": test.drive_point,
+                    "levels": int(np.unique(self.evidence.rows.level[mine]).size),
+                    "observables": int(mine.sum()),
+                }
+            )
+        return {
+            "bags": [{"path": path, "sha256": digest} for path, digest in self.evidence.inputs],
+            "tests": tests,
+            "held_out": [split.name for split in splits(self.evidence)],
+            "model": self.rig.name,
+            "withheld": list(self.settings.withheld),
+            "seed": self.settings.seed,
+            "confidence_sha256": confidence_digest(),
+        }
+
+    def _candidate(self, contender: Contender, null: Contender) -> dict[str, Any]:
+        return {
+            "label": contender.label,
+            "effect": " + ".join(contender.effects) or "none",
+            "place": " + ".join(dict.fromkeys(place_of(c, self.rig)[0] for c in contender.candidates)),
+            "chi_square": contender.fit.chi_square,
+            "penalty": contender.fit.penalty,
+            "rows": int(contender.fit.used.sum()),
+            "parameters": int(contender.fit.theta.size - null.fit.theta.size),
+            "log_evidence": contender.fit.log_evidence - null.fit.log_evidence,
+            "sigmas": contender.sigmas,
+            "converged": contender.fit.converged,
+        }
+
+    def _features(
+        self,
+        judgement: Judgement,
+        null: Contender,
+        singles: Sequence[Contender],
+        pairs: Sequence[Contender],
+        scan: Sequence[Any],
+        sources: Sequence[SourceScore],
+        leftovers: Sequence[SourceScore],
+        as_given: FloatArray,
+    ) -> dict[str, float]:
+        """Numbers from which verdicts follow; baselines are trained on them."""
+        used = null.fit.used & np.isfinite(as_given)
+        best = singles[0].fit if singles else null.fit
+        found = {
+            "rows": float(null.fit.used.sum()),
+            "chi_square_given": float(as_given[used] @ as_given[used]),
+            "chi_square_null": null.fit.chi_square,
+            "penalty_null": null.fit.penalty,
+            "chi_square_best": best.chi_square,
+            "log_evidence_best": best.log_evidence - null.fit.log_evidence,
+            "log_evidence_second": singles[1].fit.log_evidence - null.fit.log_evidence if len(singles) > 1 else 0.0,
+            "log_evidence_pair": pairs[0].fit.log_evidence - null.fit.log_evidence if pairs else 0.0,
+            "scan_best": scan[0].gain if scan else 0.0,
+            "source_best": max((source.gain for source in sources), default=0.0),
+            "leftover_best": max((source.gain for source in leftovers), default=0.0),
+            "log_odds": judgement.log_odds,
+            "unknown_odds": judgement.unknown_odds,
+            "none": judgement.none,
+            "unknown": judgement.unknown,
+        }
+        for name in {self.candidates[score.direction.candidate].effect.name for score in scan}:
+            gains = [s.gain for s in scan if self.candidates[s.direction.candidate].effect.name == name]
+            found[f"scan:{name}"] = max(gains)
+        for source in sources:
+            key = f"source:{source.place}"
+            found[key] = max(found.get(key, -math.inf), source.gain)
+        return found
+
+
+def _fresh(contender: Contender, base: Contender) -> FloatArray:
+    """Residuals of rows that were not fitted, over what noise and the open parameters of the base make of them."""
+    result: FloatArray = contender.fit.residual / base.fit.predictive_std
+    return result
+
+
+def _parameters(contender: Contender) -> dict[str, Value]:
+    """Reported parameters of a contender with standard uncertainties, carried through by differences."""
+    parametrisation = contender.fit.parametrisation
+    assert isinstance(parametrisation, Parametrisation)
+    theta, std = contender.fit.theta, contender.fit.std
+    middle = parametrisation.physical(theta)
+    result: dict[str, Value] = {}
+    several = len(contender.candidates) > 1
+    for index, candidate in enumerate(contender.candidates):
+        own = parametrisation.index_of(index)
+        for name, (value, unit, _) in middle[candidate.label].items():
+            variance = 0.0
+            for k in range(own.start, own.stop):
+                moved = theta.copy()
+                moved[k] += 0.1 * std[k]
+                change = parametrisation.physical(moved)[candidate.label][name][0] - value
+                variance += (10.0 * change) ** 2 if math.isfinite(change) else math.inf
+            result[f"{candidate.label}.{name}" if several else name] = Value(value, math.sqrt(variance), unit)
+    return result

@@ -1,0 +1,284 @@
+"""Which test would decide: every test that the rig allows is computed ahead under the explanations that are left.
+
+For two explanations a and b, fitted to what has been measured, the predictions of a new test differ by Δ. What b can
+still adapt within its posterior covariance C (sensitivities J_b of the new test) does not count:
+
+    d² = Δᵀ Σ^(-½) (1 + J_b C J_bᵀ)⁻¹ Σ^(-½) Δ,
+
+with uncertainties Σ as they were in the tests at hand. d is the expected number of standard deviations by which the
+test tells a from b, a being true.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from scipy.linalg import eigh
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_diagnose.evidence.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
+from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.evidence.row_table import Place, RowTable
+from nmt_diagnose.inference.contest import Contender, Contest
+from nmt_diagnose.inference.diagnosis import NextTest
+from nmt_diagnose.inference.judgement import ExplanationClass
+from nmt_diagnose.inference.problem import ForwardLike, Problem
+from nmt_diagnose.inference.scan import Projector
+from nmt_diagnose.twin.forward import Forward
+from nmt_plant.rig import Rig
+from nmt_plant.rig_model import build_elements, build_structure
+
+_LEAST = 3.0
+_LINES = 80
+# Uncertainties of a kind of observable of which the tests at hand hold none.
+_TYPICAL = {
+    Part.LOG_FREQUENCY: 3e-5,
+    Part.PHASE_ERROR: 3e-3,
+    Part.LOG_MAGNITUDE: 1e-3,
+    Part.PHASE: 1e-3,
+    Part.REAL: 1e-3,
+    Part.IMAG: 1e-3,
+}
+_TYPICAL_RESPONSE = 5e-3
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A test that could be made.
+
+    Attributes:
+        text: what to do.
+        command: the command that does it.
+        evidence: its observables with expected uncertainties; values are not set.
+    """
+
+    text: str
+    command: str
+    evidence: Evidence
+
+
+def next_tests(
+    rig: Rig,
+    evidence: Evidence,
+    null: Contender,
+    classes: Sequence[ExplanationClass],
+    contest: Contest,
+    most: int = 3,
+) -> tuple[NextTest, ...]:
+    """Tests that would tell the explanations that are left apart, best first.
+
+    Args:
+        rig: the model.
+        evidence: what has been measured.
+        null: the model with its parameters re-fitted; the rival where there is only one explanation.
+        classes: explanations, most probable first.
+        contest: the contest that they were fitted in.
+        most: tests to name.
+    """
+    rivals = _rivals(classes, null)
+    if len(rivals) < 2:
+        return ()
+    found: list[NextTest] = []
+    for proposal in proposals(rig, evidence):
+        sigma = _separation(proposal, rivals)
+        if sigma >= _LEAST:
+            names = tuple(" + ".join(rival.effects) or "none" for rival in rivals)
+            found.append(NextTest(proposal.text, proposal.command, names, sigma))
+    return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
+
+
+def _rivals(classes: Sequence[ExplanationClass], null: Contender) -> list[Contender]:
+    """The two explanations that most need telling apart: of one class, or the heads of the first two."""
+    if not classes:
+        return []
+    if len(classes[0].members) > 1:
+        return list(classes[0].members[:3])
+    if len(classes) > 1 and classes[1].probability > 0.02 * classes[0].probability:
+        return [classes[0].head, classes[1].head]
+    return [classes[0].head, null]
+
+
+def _separation(proposal: Proposal, rivals: Sequence[Contender]) -> float:
+    """Least expected distance over all ordered pairs of rivals, standard deviations."""
+    problem = Problem(proposal.evidence, cast(ForwardLike, Forward(proposal.evidence.tests, proposal.evidence.rows)))
+    predictions, jacobians = [], []
+    try:
+        for rival in rivals:
+            parametrisation = rival.fit.parametrisation
+            prediction = problem.forward.predict(parametrisation.rig(rival.fit.theta))
+            predictions.append(prediction)
+            jacobian = problem.forward.jacobian(parametrisation, rival.fit.theta, prediction)
+            jacobians.append(jacobian / proposal.evidence.sigma[:, None])
+    except BenchError:
+        return 0.0
+    worst = math.inf
+    for i, own in enumerate(predictions):
+        truth = Problem(replace(proposal.evidence, values=own.values), problem.forward)
+        for j, other in enumerate(rivals):
+            if i == j:
+                continue
+            difference = truth.residual(predictions[j])
+            good = np.isfinite(difference) & np.all(np.isfinite(jacobians[j]), axis=1)
+            if not good.any():
+                return 0.0
+            root = np.linalg.cholesky(other.fit.covariance + 1e-12 * np.eye(other.fit.theta.size))
+            projector = Projector(jacobians[j][good] @ root, np.ones(other.fit.theta.size))
+            worst = min(worst, math.sqrt(max(0.0, float(projector.inner(difference[good], difference[good])))))
+    return worst
+
+
+def proposals(rig: Rig, evidence: Evidence) -> list[Proposal]:
+    """Tests that the rig allows and that have not been made."""
+    result = []
+    runs = [test for test in evidence.tests if isinstance(test, PhaseResonanceTest) and test.held == "voltage"]
+    made = {test.drive_point for test in runs}
+    drives = sorted({level.drive for test in runs for level in test.levels if math.isfinite(level.drive)})
+    if not any(isinstance(test, RandomTest) for test in evidence.tests):
+        text = f"a random test at low level, driven at point {rig.drive_point}"
+        result.append(Proposal(text, f"./nmt linear {rig.name} --out random", _random(rig, evidence, drives)))
+    if not runs:
+        return result
+    frequencies = _frequencies(rig)
+    first = runs[0]
+    low, high = drives[0], drives[-1]
+    plan = f"{low:.3g}:{high:.3g}:{len(drives)}"
+    mode = rig.test.mode
+    for point in rig.structure.points:
+        if point in made:
+            continue
+        text = f"the same levels with the exciter at point {point}"
+        command = f"./nmt run {rig.name} --exciter {point} --levels {plan} --out point{point}"
+        result.append(Proposal(text, command, _run(rig, evidence, point, drives, frequencies[mode - 1])))
+    if len(frequencies) > mode:
+        text = f"the same levels on mode {mode + 1}"
+        command = f"./nmt run {rig.name} --set test.mode={mode + 1} --levels {plan} --out mode{mode + 1}"
+        result.append(Proposal(text, command, _run(rig, evidence, first.drive_point, drives, frequencies[mode])))
+    if all(level.direction >= 0 for test in runs for level in test.levels):
+        text = "the same levels downwards, after going up"
+        command = f"./nmt run {rig.name} --direction both --levels {plan} --out both"
+        found = _run(rig, evidence, first.drive_point, drives[::-1], frequencies[mode - 1], _end(runs))
+        result.append(Proposal(text, command, found))
+    limit = rig.limits.voltage_v
+    if limit is None or 2.0 * high <= limit:
+        text = f"higher levels, up to {2.0 * high:.3g} V (mind what the specimen bears)"
+        command = f"./nmt run {rig.name} --levels {high:.3g}:{2.0 * high:.3g}:6 --out high"
+        more = list(np.geomspace(high, 2.0 * high, 6))
+        result.append(Proposal(text, command, _run(rig, evidence, first.drive_point, more, frequencies[mode - 1])))
+    return result
+
+
+def _frequencies(rig: Rig) -> FloatArray:
+    """Frequencies of the model's modes with friction sticking, Hz."""
+    structure = build_structure(rig)
+    stiffness = structure.stiffness.copy()
+    for element in build_elements(rig, structure):
+        stiffness += element.linear_stiffness * np.outer(element.direction, element.direction)
+    squares = eigh(stiffness, structure.mass, eigvals_only=True)
+    result: FloatArray = np.sqrt(np.maximum(squares, 0.0)) / (2.0 * np.pi)
+    return result
+
+
+def _end(runs: Sequence[PhaseResonanceTest]) -> LockedLevel:
+    return max((level for test in runs for level in test.levels), key=lambda level: level.stop_s)
+
+
+def _channels(rig: Rig, point: int) -> tuple[MeasuredChannel, ...]:
+    """Channels of the rig with its exciter at a point."""
+    result = []
+    for sensor in rig.sensors:
+        quantity = Quantity[sensor.quantity.upper()]
+        if quantity in (Quantity.VOLTAGE, Quantity.CURRENT):
+            continue
+        where = sensor.point if isinstance(sensor.point, int) else point
+        letter = {Quantity.FORCE: "f", Quantity.DISPLACEMENT: "x", Quantity.VELOCITY: "v", Quantity.ACCELERATION: "a"}
+        result.append(MeasuredChannel(sensor.channel or f"{letter[quantity]}{where}", quantity, where))
+    return tuple(result)
+
+
+def _typical(
+    evidence: Evidence, kind: type[Test] | tuple[type, ...], part: Part, harmonic: int, fraction: float
+) -> float:
+    """Median uncertainty of a kind of observable in the tests at hand, near a level given as a fraction of all."""
+    mine = np.zeros(len(evidence.rows), dtype=bool)
+    for number, test in enumerate(evidence.tests):
+        if isinstance(test, kind):
+            mine |= evidence.rows.test == number
+    mine &= (evidence.rows.part == part) & (evidence.rows.harmonic == harmonic)
+    if not mine.any():
+        return _TYPICAL_RESPONSE if kind is RandomTest else _TYPICAL[part]
+    amplitude = evidence.rows.amplitude[mine]
+    order = np.argsort(amplitude, kind="stable")
+    sigma = evidence.sigma[mine][order]
+    middle = round(fraction * (sigma.size - 1))
+    reach = max(1, sigma.size // 6)
+    return float(np.median(sigma[max(0, middle - reach) : middle + reach + 1]))
+
+
+def _run(
+    rig: Rig,
+    evidence: Evidence,
+    point: int,
+    drives: Sequence[float],
+    frequency_hz: float,
+    after: LockedLevel | None = None,
+) -> Evidence:
+    """Observables of a run of locked levels that has not been made."""
+    channels = _channels(rig, point)
+    motions = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
+    ideal = MeasuredChannel(f"x{point}", Quantity.DISPLACEMENT, point)
+    response = next((c for c in channels if c.quantity in motions and c.point == point), ideal)
+    harmonics = max((t.harmonics for t in evidence.tests if isinstance(t, PhaseResonanceTest)), default=3)
+    start = after.stop_s if after else 0.0
+    cycles = after.cycles_before if after else 0.0
+    length = 6.0
+    if after is not None:
+        length = max(after.stop_s - after.start_s, 1.0) * 1.5
+    levels = tuple(
+        LockedLevel(
+            k, drive, 0.0, 1e-3, frequency_hz, start + k * length, start + (k + 0.7) * length,
+            cycles + (k + 0.5) * length * frequency_hz, -1 if after else 1,
+        )
+        for k, drive in enumerate(drives)
+    )  # fmt: skip
+    table = RowTable()
+    for level in levels:
+        middle = 0.5 * (level.start_s + level.stop_s)
+        place = Place(level.index, middle, frequency_hz, level.drive)
+        fraction = level.index / max(1, len(levels) - 1)
+
+        def sigma(part: Part, harmonic: int = -1, fraction: float = fraction) -> float:
+            return _typical(evidence, PhaseResonanceTest, part, harmonic, fraction)
+
+        table.add(Part.LOG_FREQUENCY, 0.0, sigma(Part.LOG_FREQUENCY), 0.0, place)
+        table.add(Part.PHASE_ERROR, 0.0, sigma(Part.PHASE_ERROR), 0.0, place)
+        for number in range(len(channels)):
+            table.add(Part.LOG_MAGNITUDE, 0.0, sigma(Part.LOG_MAGNITUDE, 1), 0.0, place, number, 1)
+            table.add(Part.PHASE, 0.0, sigma(Part.PHASE, 1), 0.0, place, number, 1)
+            for harmonic in range(2, harmonics + 1):
+                table.add(Part.REAL, 0.0, sigma(Part.REAL, harmonic), 0.0, place, number, harmonic)
+                table.add(Part.IMAG, 0.0, sigma(Part.IMAG, harmonic), 0.0, place, number, harmonic)
+    test = PhaseResonanceTest("proposed", point, response.name, channels, harmonics, "voltage", levels)
+    return table.evidence(test)
+
+
+def _random(rig: Rig, evidence: Evidence, drives: Sequence[float]) -> Evidence:
+    """Observables of a random test that has not been made."""
+    channels = _channels(rig, rig.drive_point)
+    frequencies = _frequencies(rig)
+    mode = max(1, rig.test.mode)
+    top = min(0.35 * rig.sample_rate_hz, 3.0 * frequencies[min(frequencies.size - 1, mode + 1)])
+    lines = np.geomspace(0.4 * frequencies[mode - 1], top, _LINES)
+    table = RowTable()
+    rms = drives[0] if drives else 0.05
+    for number, line in enumerate(lines):
+        place = Place(number, 0.0, float(line), rms)
+        for channel in range(len(channels)):
+            for part in (Part.LOG_MAGNITUDE, Part.PHASE):
+                table.add(part, 0.0, _TYPICAL_RESPONSE, 0.0, place, channel, 1)
+    test = RandomTest("proposed", rig.drive_point, channels, "voltage", lines, 0.1, "none", rms, 0.0, 60.0)
+    return table.evidence(test)

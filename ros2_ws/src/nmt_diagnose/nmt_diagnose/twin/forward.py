@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -11,13 +12,24 @@ from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
-from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest, Test
+from nmt_diagnose.evidence.conditions import (
+    BackboneTable,
+    PhaseResonanceTest,
+    RandomTest,
+    RecordTest,
+    RingDownTest,
+    Test,
+)
 from nmt_diagnose.evidence.observables import Part, Rows
 from nmt_plant.rig import Rig
 
+from .backbone_twin import BackboneTwin
+from .influence import Source, random_influence, resonance_influence, source_of
 from .parts_cache import PartsCache, joint_setup
-from .phase_resonance_twin import PeriodicState, PhaseResonanceTwin
+from .phase_resonance_twin import PhaseResonanceTwin
 from .random_twin import RandomTwin
+from .record_twin import RecordTwin
+from .ring_down_twin import RingDownTwin
 from .settings import TwinSettings
 
 
@@ -75,13 +87,10 @@ class Forward:
         ]
 
         # Tests with one drive point share one linear model.
-        drives = {(twin.setup.drive_point, twin.setup.ideal_force) for twin in self._twins if hasattr(twin, "setup")}
-        for drive in drives:
-            group = [
-                twin
-                for twin in self._twins
-                if hasattr(twin, "setup") and (twin.setup.drive_point, twin.setup.ideal_force) == drive
-            ]
+        groups: dict[tuple[int, bool], list[Any]] = {}
+        for twin in self._twins:
+            groups.setdefault((twin.setup.drive_point, twin.setup.ideal_force), []).append(twin)
+        for group in groups.values():
             shared = joint_setup(twin.setup for twin in group)
             for twin in group:
                 twin.use(shared)
@@ -91,6 +100,12 @@ class Forward:
             return PhaseResonanceTwin(test, rows, self.settings)
         if isinstance(test, RandomTest):
             return RandomTwin(test, rows, self.settings)
+        if isinstance(test, RingDownTest):
+            return RingDownTwin(test, rows, self.settings)
+        if isinstance(test, RecordTest):
+            return RecordTwin(test, rows, self.settings)
+        if isinstance(test, BackboneTable):
+            return BackboneTwin(test, rows, self.settings)
         raise BenchError(f"the diagnosis' model cannot predict a test of kind {type(test).__name__}.")
 
     def predict(self, rig: Rig, start: Prediction | None = None) -> Prediction:
@@ -105,7 +120,7 @@ class Forward:
         reasons: list[str] = []
         for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
             before = start.states[index] if start is not None else None
-            if isinstance(twin, PhaseResonanceTwin):
+            if hasattr(twin, "solve"):
                 solved = twin.solve(rig, cache, before)
                 values[where] = twin.values(rig, cache, solved)
                 states.append(tuple(solved))
@@ -119,7 +134,7 @@ class Forward:
         """Observables of a slightly different rig, one Newton step from a prediction's solutions."""
         values = np.full(len(self.rows), np.nan)
         for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
-            if isinstance(twin, PhaseResonanceTwin):
+            if hasattr(twin, "solve"):
                 values[where] = twin.values(rig, cache, twin.stepped(rig, cache, prediction.states[index]))
             else:
                 values[where] = twin.values(rig, cache)
@@ -158,18 +173,93 @@ class Forward:
             result[:, position] = self.difference(stepped, base) / size
         return result
 
+    def influence(
+        self, rig: Rig, prediction: Prediction, place: str, shared: bool = False
+    ) -> tuple[FloatArray, tuple[str, ...]]:
+        """Response of all rows to unit sources at a place, linearised about a prediction.
+
+        Args:
+            rig: the rig of ``prediction``.
+            prediction: solved levels.
+            place: ``structure:4`` (force at a point), ``joint:0`` (across a nonlinear coordinate), ``clamp``,
+                ``exciter`` (force from behind the force sensor), ``force_sensor``, ``response_sensor:a2`` (error of a channel),
+                ``controller`` (phase that the loop holds), ``time`` (drift of stiffness and of slip forces).
+            shared: one source for all levels of a test together (proportional to the level) instead of one for each.
+
+        Returns:
+            (m, s) and the names of the s sources. A unit is 1 % of the fundamental force, or of the channel's
+            fundamental; 1 % of phase (rad); for ``time`` a change by 1 % per 100 s.
+
+        Raises:
+            BenchError: no such place.
+        """
+        cache = PartsCache(self.settings)
+        blocks: list[FloatArray] = []
+        names: list[str] = []
+        if place == "time":
+            return self._time_influence(rig, prediction)
+        kind, _, name = place.partition(":")
+        for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
+            own: FloatArray = np.zeros((where.size, 0))
+            labels: list[str] = []
+            if kind == "controller":
+                if isinstance(twin, PhaseResonanceTwin):
+                    held = twin.rows.part == Part.PHASE_ERROR
+                    levels = range(len(twin.levels))
+                    own = np.stack([0.01 * (held & (twin.rows.level == level)) for level in levels], axis=1)
+                    labels = [f"{twin.test.name} level {level}" for level in levels]
+            elif isinstance(twin, PhaseResonanceTwin | RandomTwin):
+                if kind == "response_sensor":
+                    known = [channel.name for channel in twin.test.channels]
+                    if name not in known:
+                        continue
+                    source = Source(kind, known.index(name))
+                else:
+                    source = source_of(place)
+                if isinstance(twin, PhaseResonanceTwin):
+                    states = prediction.states[index]
+                    own, labels = resonance_influence(twin, rig, cache, states, source, self.settings)
+                else:
+                    own, labels = random_influence(twin, rig, cache, source, self.settings)
+            if shared and own.shape[1]:
+                own, labels = _shared(own, labels)
+            full = np.zeros((len(self.rows), own.shape[1]))
+            full[where] = own
+            blocks.append(self.difference(full, np.zeros_like(full)))
+            names += labels
+        return (np.hstack(blocks) if blocks else np.zeros((len(self.rows), 0))), tuple(names)
+
+    def _time_influence(self, rig: Rig, prediction: Prediction) -> tuple[FloatArray, tuple[str, ...]]:
+        known = PartsCache(self.settings)
+        base = self._stepped(rig, prediction, known)
+        columns, names = [], []
+        for key in ("stiffness_per_s", "slip_force_per_s", "slip_force_per_cycle"):
+            drift = rig.drift.model_copy(update={key: getattr(rig.drift, key) + 1e-6})
+            moved = self._stepped(rig.model_copy(update={"drift": drift}), prediction, PartsCache(self.settings))
+            columns.append(self.difference(moved, base) / 1e-6 * 1e-4)
+            names.append(key)
+        return np.column_stack(columns), tuple(names)
+
     def difference(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """a − b with phases brought into (−π, π]."""
         result = a - b
-        phases = (self.rows.part == Part.PHASE) | (self.rows.part == Part.PHASE_ERROR)
+        phases = np.isin(self.rows.part, (Part.PHASE, Part.PHASE_ERROR))
         result[phases] -= 2.0 * np.pi * np.round(result[phases] / (2.0 * np.pi))
         return result
 
 
-def _unsolved(twin: PhaseResonanceTwin, states: Sequence[PeriodicState | None]) -> list[str]:
+def _shared(columns: FloatArray, labels: Sequence[str]) -> tuple[FloatArray, list[str]]:
+    """Columns of all levels (or lines) of one order and part added up."""
+    keys = [re.sub(r"(level|line) \d+ ?", "", label) for label in labels]
+    names = list(dict.fromkeys(keys))
+    picks = [[i for i, key in enumerate(keys) if key == name] for name in names]
+    return np.stack([columns[:, pick].sum(axis=1) for pick in picks], axis=1), names
+
+
+def _unsolved(twin: Any, states: Sequence[Any]) -> list[str]:
+    what = "decay" if isinstance(twin, RingDownTwin) else "phase-resonant solution"
     return [
-        f"{twin.test.name}: the model has no phase-resonant solution at level {position} "
-        f"({level.amplitude:.3g} V, near {level.frequency_hz:.4g} Hz)."
-        for position, (level, state) in enumerate(zip(twin.levels, states, strict=True))
+        f"{twin.test.name}: the model has no {what} at level {position}."
+        for position, state in enumerate(states)
         if state is None
     ]

@@ -22,8 +22,6 @@ from .rig_parts import RigParts
 from .settings import TwinSettings
 
 
-
-
 def operating_range(rig: Rig, tests: Sequence[Test], settings: TwinSettings | None = None) -> OperatingRange:
     """Largest motion over the tests, by the model as it is.
 

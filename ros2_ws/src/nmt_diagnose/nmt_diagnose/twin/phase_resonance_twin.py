@@ -13,13 +13,14 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.evidence.conditions import MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_plant.model.aft import local_forces
 from nmt_plant.model.fourier_basis import FourierBasis
 from nmt_plant.rig import Rig
 
 from .converter import recorded_harmonics
 from .linear_model import ComplexArray
 from .parts_cache import PartsCache, Setup
-from .periodic_kernel import DRIVE_GIVEN, evaluate, newton, sensor_gain
+from .periodic_kernel import DRIVE_GIVEN, evaluate, factor_forces, newton, sensor_gain
 from .rig_parts import RigParts
 from .settings import TwinSettings
 
@@ -57,8 +58,8 @@ class LevelProblem:
     """What a level asks for: phase and amplitude.
 
     Attributes:
-        given: ``DRIVE_GIVEN`` or ``FORCE_GIVEN``.
-        amplitude: given amplitude (of the drive: V, or N).
+        given: ``DRIVE_GIVEN``, ``FORCE_GIVEN``, or a channel of the test whose fundamental has the given amplitude.
+        amplitude: given amplitude (of the drive: V; of the force: N; of the channel).
         phase: measured arg F₁ − arg(velocity₁), rad.
         frequency_hz: start of the solution (nominal clock), Hz.
         seconds, cycles: bench time of the window.
@@ -129,18 +130,13 @@ class PhaseResonanceTwin:
         level = self.test.levels[position]
         amplitude, given = level.drive, DRIVE_GIVEN
         if self.ideal_force:
-            given = FORCE_GIVEN
-            if not math.isfinite(amplitude):
-                own = self.rows.amplitude[self.rows.level == position]
-                amplitude = float(own[0]) if own.size else math.nan
+            amplitude, given = level.force_n, FORCE_GIVEN
+        elif self.test.held == "response":
+            given = 0
+        middle = 0.5 * (level.start_s + level.stop_s)
         return LevelProblem(
-            given,
-            amplitude,
-            level.phase_error,
-            level.frequency_hz,
-            0.5 * (level.start_s + level.stop_s),
-            level.cycles_before,
-        )
+            given, amplitude, level.phase_error, level.frequency_hz, middle, level.cycles_before
+        )  # fmt: skip
 
     def solve(self, rig: Rig, cache: PartsCache, start: tuple[PeriodicState | None, ...] | None) -> list[Any]:
         """One state per level; None where a level has no solution."""
@@ -202,10 +198,12 @@ class PhaseResonanceTwin:
 
     def _arguments(self, parts: RigParts, level: LevelProblem, amplitude: float) -> tuple[Any, ...]:
         """Arguments of the kernel from ``given`` on."""
-        drive = unit_drive(parts, amplitude, self.ideal_force)
+        # Saturation is followed where the drive is what is given.
+        drive = unit_drive(parts, amplitude if level.given == DRIVE_GIVEN else 0.0, self.ideal_force)
         model = parts.linear
+        given = {DRIVE_GIVEN: DRIVE_GIVEN, FORCE_GIVEN: self._force}
         return (
-            self._force if level.given == FORCE_GIVEN else level.given,
+            given[level.given] if level.given in given else self._own[level.given],
             math.log(amplitude),
             level.phase,
             self._force,
@@ -255,7 +253,8 @@ class PhaseResonanceTwin:
     def linear_start(self, parts: RigParts, level: LevelProblem, amplitude: float) -> FloatArray:
         """Unknowns of the system linearised at rest, at its phase resonance nearest to the measured frequency."""
         measured = 2.0 * np.pi * level.frequency_hz * parts.clock
-        drive = unit_drive(parts, amplitude, self.ideal_force)[self.basis.fundamental] * amplitude
+        given = level.given == DRIVE_GIVEN
+        drive = complex(unit_drive(parts, amplitude if given else 0.0, self.ideal_force)[self.basis.fundamental])
         grid = measured * np.linspace(1.0 - SEARCH, 1.0 + SEARCH, 161)
         angles = np.array([self._linear(parts, level, omega, drive)[1] for omega in grid])
         # Phase resonance is where the angle rises through zero; it falls at antiresonances and jumps at nodes.
@@ -264,28 +263,86 @@ class PhaseResonanceTwin:
         if rises.size:
             crossings = grid[rises] - angles[rises] * np.diff(grid)[rises] / np.diff(angles)[rises]
             omega = float(crossings[np.argmin(np.abs(crossings - measured))])
-        w = self._linear(parts, level, omega, drive)[0]
+        solution = self._linear(parts, level, omega, drive)
+        w, channels = solution[0], solution[2]
+        if not given:
+            index = self._force if level.given == FORCE_GIVEN else self._own[level.given]
+            size = abs(channels[index])
+            amplitude = amplitude / size if size > 0.0 else amplitude
         r, size = parts.coordinates, self.basis.size
         amplitudes = np.zeros((r, self.basis.orders.size), dtype=np.complex128)
-        amplitudes[:, self.basis.fundamental] = w
+        amplitudes[:, self.basis.fundamental] = w * amplitude
         z = np.empty(r * size + 2)
         z[:-2] = self.basis.to_real(amplitudes).ravel()
         z[-2:] = omega, math.log(amplitude)
         return z
 
-    def _linear(self, parts: RigParts, level: LevelProblem, omega: float, drive: complex) -> tuple[ComplexArray, float]:
-        """Local displacements (r,) of the linearised system and the angle of the phase condition, rad."""
+    def _linear(
+        self, parts: RigParts, level: LevelProblem, omega: float, drive: complex
+    ) -> tuple[ComplexArray, float, ComplexArray]:
+        """Local displacements (r,) of the linearised system, angle of the phase condition (rad), channels (c,)."""
         r = parts.coordinates
         s = 1j * omega
         transfer, _ = parts.linear.at(s)
         tangent = resting_tangent(parts, s)
         w: ComplexArray = np.linalg.solve(np.eye(r) + transfer[:r, :r] * tangent, transfer[:r, r] * drive)
-        pair = [
-            sensor_gain(s, *parts.channels[k])[0] * (transfer[r + k, r] * drive - transfer[r + k, :r] @ (tangent * w))
-            for k in (self._force, self._response)
-        ]
+        gains = np.array([sensor_gain(s, *chain)[0] for chain in parts.channels])
+        channels = gains * (transfer[r:, r] * drive - transfer[r:, :r] @ (tangent * w))
         turn = np.exp(-1j * (0.5 * np.pi * self.power + level.phase))
-        return w, float(np.angle(pair[0] * np.conj(pair[1]) * turn))
+        return w, float(np.angle(channels[self._force] * np.conj(channels[self._response]) * turn)), channels
+
+    def local_amplitudes(self, parts: RigParts, state: PeriodicState) -> ComplexArray:
+        """Forces g of all coordinates (r, n_orders)."""
+        r, size = parts.coordinates, self.basis.size
+        w = state.z[:-2].reshape(r, size)
+        count = parts.tables[4].size - 1
+        forces = local_forces(np.ascontiguousarray(w[:count]), state.omega, parts.tables)[0]
+        if r > count:
+            linear, quadratic = float(parts.force_factor[1]), float(parts.force_factor[2])
+            pair = factor_forces(w[r - 2], w[r - 1], state.omega, linear, quadratic, *parts.tables[10:12])[0]
+            forces = np.vstack((forces, pair))
+        return self.basis.to_complex(forces)
+
+    @property
+    def force_row(self) -> int:
+        """Row of the controlled force among the channels of a state."""
+        return self._force
+
+    @property
+    def response_row(self) -> int:
+        """Row of the controlled response."""
+        return self._response
+
+    def own_row(self, channel: int) -> int:
+        """Row of a channel of the test."""
+        return self._own[channel]
+
+    def gains(self, parts: RigParts, s: complex) -> ComplexArray:
+        """Complex gains of all sensors (c,)."""
+        return np.array([sensor_gain(s, *chain)[0] for chain in parts.channels])
+
+    def phase_change(self, row: int, relative: complex) -> float:
+        """Change of the phase condition by a relative change of one channel's fundamental."""
+        return float((complex(relative)).imag) * ((row == self._force) - (row == self._response))
+
+    def linearised(
+        self, parts: RigParts, level: LevelProblem, z: FloatArray
+    ) -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
+        """Residual, Jacobian, channels and their derivatives at z."""
+        result: tuple[FloatArray, FloatArray, ComplexArray, ComplexArray] = evaluate(
+            z, *self._arguments(parts, level, level.amplitude)
+        )
+        return result
+
+    def fundamental_unknowns(self, parts: RigParts, state: PeriodicState) -> tuple[ComplexArray, complex]:
+        """Fundamental of all unknowns (n,) and of the force at the drive point."""
+        one, omega, system = self.basis.fundamental, state.omega, parts.system
+        drive = unit_drive(parts, 0.0, self.ideal_force)[one] * math.exp(state.z[-1])
+        amplitudes = np.append(-self.local_amplitudes(parts, state)[:, one], drive)
+        impedance = system.stiffness + 1j * omega * system.damping - omega**2 * system.mass
+        chain = parts.channels[self._force]
+        force = state.channels[self._force, one] / sensor_gain(1j * omega, *chain)[0]
+        return np.linalg.solve(impedance, parts.inputs @ amplitudes), complex(force)
 
     def carried(self, parts: RigParts, level: LevelProblem, state: PeriodicState) -> FloatArray:
         """A solution's unknowns on the coordinates of ``parts``; new coordinates move as the others make them."""
@@ -412,7 +469,7 @@ def unit_drive(parts: RigParts, amplitude: float, ideal_force: bool) -> ComplexA
     if ideal_force:
         result[parts.basis.fundamental] = 1.0
         return result
-    if math.isinf(parts.saturation):
+    if math.isinf(parts.saturation) or amplitude == 0.0:
         result[parts.basis.fundamental] = parts.input_per_volt
         return result
     angles = 2.0 * np.pi * np.arange(256) / 256

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
@@ -18,6 +19,7 @@ from .linear_model import ComplexArray
 from .parts_cache import PartsCache, Setup
 from .periodic_kernel import sensor_gain
 from .phase_resonance_twin import resting_tangent
+from .rig_parts import RigParts
 from .settings import TwinSettings
 
 # |W|² of the Hann window at a line's neighbours and at itself.
@@ -62,6 +64,15 @@ class RandomTwin:
         """Take the parts of rigs from a setup that other tests share."""
         self.setup = setup
         self._own = np.array(setup.index(self.channels), dtype=np.int64)
+
+    @property
+    def channel_rows(self) -> NDArray[np.int64]:
+        """Rows of the test's channels and of the reference among the outputs of the linear model's channels."""
+        return self._own
+
+    def gain(self, parts: RigParts, row: int, s: complex) -> complex:
+        """Complex gain of one sensor."""
+        return complex(sensor_gain(s, *parts.channels[row])[0])
 
     def responses(self, rig: Rig, cache: PartsCache) -> ComplexArray:
         """Expected estimates (lines, channels)."""

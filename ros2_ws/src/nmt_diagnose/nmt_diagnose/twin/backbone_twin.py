@@ -1,0 +1,97 @@
+"""Backbone tables: phase resonance at given amplitudes of a response, and the damping ratio of its power balance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_diagnose.evidence.conditions import BackboneTable, LockedLevel, MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_plant.rig import Rig, ShakerSection
+
+from .parts_cache import PartsCache, Setup
+from .phase_resonance_twin import PeriodicState, PhaseResonanceTwin
+from .settings import TwinSettings
+
+
+class BackboneTwin:
+    """Predicts a backbone: frequency and damping over the amplitude of a response.
+
+    The damping ratio is that of the method, δ̃ = P₁ / (ω̃³ φ̃ᴴ M φ̃) with the structure's own mass matrix.
+
+    Args:
+        test: the table.
+        rows: its rows.
+        settings: of the twin.
+    """
+
+    def __init__(self, test: BackboneTable, rows: Rows, settings: TwinSettings) -> None:
+        self.test, self.rows = test, rows
+        levels = []
+        for position, amplitude in enumerate(test.amplitudes):
+            own = rows.frequency_hz[rows.level == position]
+            frequency = float(own[0]) if own.size else np.nan
+            levels.append(LockedLevel(position, float(amplitude), 0.0, 0.0, frequency, 0.0, 0.0, 0.0, 1))
+        probe = MeasuredChannel(f"x{test.drive_point}", Quantity.DISPLACEMENT, test.drive_point)
+        force = MeasuredChannel(f"f{test.drive_point}", Quantity.FORCE, test.drive_point)
+        channels = tuple(dict.fromkeys((test.channel, force, probe)))
+        inner = PhaseResonanceTest(
+            test.name, test.drive_point, probe.name, channels, settings.harmonics, "response", tuple(levels)
+        )
+        nothing = rows.take(np.zeros(0, dtype=np.int64))
+        self.inner = PhaseResonanceTwin(inner, nothing, settings)
+
+    @property
+    def setup(self) -> Setup:
+        """Setup of the phase-resonant solutions."""
+        return self.inner.setup
+
+    def use(self, setup: Setup) -> None:
+        """Take the parts of rigs from a setup that other tests share."""
+        self.inner.use(setup)
+
+    @property
+    def levels(self) -> Any:
+        """Given amplitudes."""
+        return self.inner.levels
+
+    def solve(self, rig: Rig, cache: PartsCache, start: tuple[PeriodicState | None, ...] | None) -> list[Any]:
+        """One state per amplitude; None where there is no solution."""
+        return self.inner.solve(rig, cache, start)
+
+    def stepped(
+        self, rig: Rig, cache: PartsCache, states: tuple[PeriodicState | None, ...]
+    ) -> list[PeriodicState | None]:
+        """Solutions of a slightly different rig by one Newton step."""
+        return self.inner.stepped(rig, cache, states)
+
+    def values(self, rig: Rig, cache: PartsCache, states: list[PeriodicState | None]) -> FloatArray:
+        """Observables of the test's rows."""
+        count = self.test.amplitudes.size
+        log_omega, damping = np.full(count, np.nan), np.full(count, np.nan)
+        wants = bool(np.any(self.rows.part == Part.DAMPING))
+        for position, state in enumerate(states):
+            if state is not None:
+                log_omega[position] = np.log(state.omega / (1.0 + rig.clock_error))
+                if wants:
+                    damping[position] = self._damping(rig, cache, position, state)
+        result = np.full(len(self.rows), np.nan)
+        for kind, values in ((Part.LOG_FREQUENCY, log_omega), (Part.DAMPING, damping)):
+            which = self.rows.part == kind
+            result[which] = values[self.rows.level[which]]
+        return result
+
+    def _damping(self, rig: Rig, cache: PartsCache, position: int, state: PeriodicState) -> float:
+        parts = self.inner.parts(rig, cache, self.inner.levels[position])
+        shape, force = self.inner.fundamental_unknowns(parts, state)
+        system = parts.system
+        n = system.structure_size
+        mass = system.mass[:n, :n].copy()
+        if isinstance(rig.exciter, ShakerSection):
+            drive = system.points[system.drive_point]
+            mass[drive, drive] -= rig.exciter.table_mass_kg
+        velocity = 1j * state.omega * shape[system.points[system.drive_point]]
+        power = 0.5 * float((velocity * np.conj(force)).real)
+        return power / (state.omega**3 * float((np.conj(shape[:n]) @ mass @ shape[:n]).real))

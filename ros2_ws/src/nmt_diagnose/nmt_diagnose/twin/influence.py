@@ -1,0 +1,252 @@
+"""What unit sources at a place would do to all observables, linearised about a prediction.
+
+A source is an additional force (or error) of one order at one level, or at one line. Any effect at a place, known or
+not, acts as some combination of the sources there: what they cannot explain does not lie there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_diagnose.evidence.observables import Part
+from nmt_plant.rig import BeamSection, Rig
+
+from .linear_model import ComplexArray, LinearModel, OutputRows, linear_model
+from .parts_cache import PartsCache
+from .phase_resonance_twin import PeriodicState, PhaseResonanceTwin, resting_tangent
+from .random_twin import RandomTwin
+from .rig_parts import RigParts
+from .settings import TwinSettings
+
+# Share of the fundamental force (or of a channel's fundamental) that a unit source is.
+UNIT = 0.01
+
+
+@dataclass(frozen=True)
+class Source:
+    """A place with one or several source vectors.
+
+    Attributes:
+        kind: structure, joint, clamp, exciter, force_sensor, response_sensor.
+        index: point, coordinate or channel.
+    """
+
+    kind: str
+    index: int = 0
+
+
+def source_of(place: str) -> Source:
+    """Source of ``structure:4``, ``joint:0`` (nonlinear coordinate), ``clamp``, ``exciter``, ``force_sensor``.
+
+    Raises:
+        BenchError: no such place.
+    """
+    kind, _, index = place.partition(":")
+    if kind not in ("structure", "joint", "clamp", "exciter", "force_sensor", "response_sensor"):
+        raise BenchError(f"there is no place {place} with sources.")
+    return Source(kind, int(index) if index.isdigit() else 0)
+
+
+def source_vectors(rig: Rig, parts: RigParts, source: Source) -> tuple[FloatArray, FloatArray]:
+    """Generalised forces (n, k) of a mechanical source, and whether each is part of the measured force (k,)."""
+    system = parts.system
+    if source.kind == "structure":
+        vectors = [system.selector(source.index)]
+    elif source.kind == "joint":
+        if source.index >= parts.coordinates:
+            return np.zeros((system.size, 0)), np.zeros(0)
+        vectors = [parts.inputs[:, source.index]]
+    elif source.kind == "exciter":
+        return system.selector(system.drive_point)[:, None], np.ones(1)
+    else:
+        vectors = _clamp_vectors(rig, system.size)
+    return np.array(vectors).reshape(-1, system.size).T, np.zeros(len(vectors))
+
+
+def _clamp_vectors(rig: Rig, size: int) -> list[FloatArray]:
+    """Forces of a rotation and of a displacement of the clamp, by the stiffness of the first element."""
+    beam = rig.structure
+    if not isinstance(beam, BeamSection):
+        return []
+    a = beam.length_m / (beam.elements * beam.mesh_refinement)
+    rotation, lateral = np.zeros(size), np.zeros(size)
+    if beam.clamp_rotational_stiffness_nm_rad is not None or beam.clamp_lateral_stiffness_n_m is not None:
+        rotation[0] = 1.0
+        return [rotation]
+    rotation[:2] = 6.0 * a, -2.0 * a * a
+    lateral[:2] = 12.0, 6.0 * a
+    return [rotation / np.linalg.norm(rotation), lateral / np.linalg.norm(lateral)]
+
+
+def with_sources(
+    parts: RigParts, vectors: FloatArray, measured: FloatArray, settings: TwinSettings
+) -> LinearModel:
+    """Linear model with the sources as further inputs behind the drive."""
+    feed = np.zeros((parts.rows.feedthrough.shape[0], vectors.shape[1]))
+    r = parts.coordinates
+    for row, section in enumerate(parts.sections):
+        # A force from behind the sensor passes through it.
+        if section is not None and section.quantity == "force":
+            feed[r + row] = measured
+    rows = OutputRows(
+        parts.rows.displacement, parts.rows.velocity, parts.rows.acceleration,
+        np.column_stack((parts.rows.feedthrough, feed)),
+    )  # fmt: skip
+    inputs = np.column_stack((parts.inputs, vectors))
+    return linear_model(parts.system, inputs, rows, settings.kept_modes, settings.full_size)
+
+
+def resonance_influence(
+    twin: PhaseResonanceTwin,
+    rig: Rig,
+    cache: PartsCache,
+    states: tuple[PeriodicState | None, ...],
+    source: Source,
+    settings: TwinSettings,
+) -> tuple[FloatArray, list[str]]:
+    """Columns (rows of the test, sources): one for each level, order, and real and imaginary part."""
+    base = twin.values(rig, cache, list(states))
+    columns: list[FloatArray] = []
+    names: list[str] = []
+    models: dict[int, LinearModel] = {}
+    highest = twin.test.harmonics
+    for position, (level, state) in enumerate(zip(twin.levels, states, strict=True)):
+        if state is None:
+            continue
+        parts = twin.parts(rig, cache, level)
+        z = twin.carried(parts, level, state)
+        _, jacobian, channels, slopes = twin.linearised(parts, level, z)
+        force = abs(channels[twin.force_row, 1])
+        vectors = np.zeros((parts.system.size, 0))
+        if source.kind not in ("force_sensor", "response_sensor"):
+            vectors, measured = source_vectors(rig, parts, source)
+            if id(parts) not in models:
+                models[id(parts)] = with_sources(parts, vectors, measured, settings)
+        for order in range(highest + 1):
+            for turn in (1.0, 1j) if order else (1.0,):
+                for residual, direct, label in _level_sources(
+                    twin, parts, models.get(id(parts)), vectors.shape[1], source, state, order, turn, force, channels
+                ):
+                    step = -np.linalg.solve(jacobian, residual)
+                    moved = PeriodicState(z + step, parts.keys, state.drive, channels + direct + slopes @ step)
+                    others = list(states)
+                    others[position] = moved
+                    columns.append(twin.values(rig, cache, others) - base)
+                    part = "re" if turn == 1.0 else "im"
+                    names.append(f"{twin.test.name} level {position} order {order} {part}{label}")
+    if not columns:
+        return np.zeros((base.size, 0)), []
+    return np.column_stack(columns), names
+
+
+def _level_sources(
+    twin: PhaseResonanceTwin, parts: RigParts, model: LinearModel | None, count: int, source: Source,
+    state: PeriodicState, order: int, turn: complex, force: float, channels: ComplexArray,
+) -> list[tuple[FloatArray, ComplexArray, str]]:  # fmt: skip
+    """Change of the residual, of the channels, and a label, for each source vector at one order."""
+    nz, r, basis = state.z.size, parts.coordinates, parts.basis
+    result: list[tuple[FloatArray, ComplexArray, str]] = []
+    if model is None:
+        row = twin.force_row if source.kind == "force_sensor" else twin.own_row(source.index)
+        direct = np.zeros_like(channels)
+        direct[row, order] = UNIT * turn * channels[row, 1]
+        residual = np.zeros(nz)
+        if order == 1:
+            residual[-2] = twin.phase_change(row, UNIT * turn)
+        return [(residual, direct, "")]
+    t, _ = model.at(1j * order * state.omega)
+    for k in range(count):
+        amount = UNIT * force * turn * np.exp(1j * np.angle(channels[twin.force_row, 1]))
+        size = float(np.max(np.abs(t[:r + parts.channels.shape[0], r + 1 + k]))) or 1.0
+        residual = np.zeros(nz)
+        for i in range(r):
+            own = -t[i, r + 1 + k] * amount
+            offset = i * basis.size + basis.offsets[order]
+            residual[offset] = own.real
+            if order:
+                residual[offset + 1] = -own.imag
+        direct = np.zeros_like(channels)
+        gains = twin.gains(parts, 1j * order * state.omega)
+        direct[:, order] = gains * t[r:, r + 1 + k] * amount
+        if order == 1:
+            residual[-2] = float(
+                (direct[twin.force_row, 1] / channels[twin.force_row, 1]).imag
+                - (direct[twin.response_row, 1] / channels[twin.response_row, 1]).imag
+            )
+        if size > 0.0:
+            result.append((residual, direct, f" {k}" if count > 1 else ""))
+    return result
+
+
+def random_influence(
+    twin: RandomTwin, rig: Rig, cache: PartsCache, source: Source, settings: TwinSettings
+) -> tuple[FloatArray, list[str]]:
+    """Columns (rows of the test, sources): one for each line and real and imaginary part."""
+    parts = cache.parts(rig, twin.setup, twin.seconds)
+    responses = twin.responses(rig, cache)
+    rows, r = twin.rows, parts.coordinates
+    lines = twin.test.lines_hz
+    own = twin.channel_rows
+    columns: list[FloatArray] = []
+    names: list[str] = []
+    model: LinearModel | None = None
+    count = 1
+    if source.kind not in ("force_sensor", "response_sensor"):
+        vectors, measured = source_vectors(rig, parts, source)
+        model = with_sources(parts, vectors, measured, settings)
+        count = vectors.shape[1]
+    for line in range(lines.size):
+        which = np.flatnonzero(rows.level == line)
+        if which.size == 0:
+            continue
+        omega = 2.0 * np.pi * lines[line] * parts.clock
+        changes = [_line_change(twin, parts, model, k, source, omega, responses[line], own, r) for k in range(count)]
+        for k, change in enumerate(changes):
+            for turn in (1.0, 1j):
+                relative = change * turn / responses[line]
+                column = np.zeros(len(rows))
+                channel = rows.channel[which]
+                column[which] = np.where(
+                    rows.part[which] == Part.LOG_MAGNITUDE, relative[channel].real,
+                    np.where(rows.part[which] == Part.PHASE, relative[channel].imag, 0.0),
+                )  # fmt: skip
+                columns.append(column)
+                part = "re" if turn == 1.0 else "im"
+                names.append(f"{twin.test.name} line {line} {part}" + (f" {k}" if count > 1 else ""))
+    if not columns:
+        return np.zeros((len(rows), 0)), []
+    return np.column_stack(columns), names
+
+
+def _line_change(
+    twin: RandomTwin, parts: RigParts, model: LinearModel | None, k: int, source: Source, omega: float,
+    responses: ComplexArray, own: Any, r: int,
+) -> ComplexArray:  # fmt: skip
+    """Change of the responses (channels,) by a unit source at one line."""
+    change = np.zeros(responses.size, dtype=np.complex128)
+    if model is None:
+        for index, channel in enumerate(twin.test.channels):
+            is_force = channel.quantity == Quantity.FORCE
+            if (source.kind == "force_sensor" and is_force) or (
+                source.kind == "response_sensor" and not is_force and index == source.index
+            ):
+                change[index] = UNIT * responses[index]
+        return change
+    s = 1j * omega
+    t, _ = model.at(s)
+    tangent = resting_tangent(parts, s)
+    closed = np.linalg.solve(np.eye(r) + t[:r, :r] * tangent, t[:r, [r, r + 1 + k]])
+    full = t[r:, [r, r + 1 + k]] - t[r:, :r] @ (tangent[:, None] * closed)
+    gains = np.array([twin.gain(parts, row, s) for row in range(full.shape[0])])
+    full = full * gains[:, None]
+    # Unit: a share of the force at this line; where the channels have none, of the drive.
+    force = [row for row, section in enumerate(parts.sections) if section is not None and section.quantity == "force"]
+    size = abs(full[force[0], 0]) if force else 1.0
+    drive = full[own[-1], 0]
+    result: ComplexArray = UNIT * size * full[own[:-1], 1] / drive
+    return result

@@ -1,0 +1,301 @@
+"""Records: the model driven by the measured input, stepped pole by pole with its local forces in between.
+
+Between two steps the local forces run linearly (first-order hold) while the linear part is exact; the steps are a
+hundredth of the fastest period that matters. The measured input is interpolated as the band-limited signal it is.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from scipy.signal import resample_poly
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_diagnose.evidence.conditions import RecordTest
+from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_plant.model.aft import LocalTables
+from nmt_plant.model.fourier_basis import FourierBasis
+from nmt_plant.model.local_elements import element_response
+from nmt_plant.rig import Rig
+
+from .converter import expected_quantised
+from .linear_model import ComplexArray
+from .parts_cache import PartsCache, Setup
+from .rig_parts import RigParts
+from .settings import TwinSettings
+
+STEPS_PER_PERIOD = 100.0
+MOST_SUBSTEPS = 32
+ITERATIONS = 12
+
+
+class RecordTwin:
+    """Predicts the samples of one record.
+
+    Args:
+        test: the record.
+        rows: its rows.
+        settings: of the twin.
+    """
+
+    def __init__(self, test: RecordTest, rows: Rows, settings: TwinSettings) -> None:
+        self.test, self.rows, self.settings = test, rows, settings
+        self.ideal_force = test.input_channel.quantity == Quantity.FORCE
+        self.channels = tuple(test.channels)
+        self.use(Setup(test.drive_point, self.ideal_force, self.channels, FourierBasis.up_to(1)))
+        self._sample = np.clip(
+            np.round((rows.time_s - test.start_s) * test.sample_rate).astype(np.int64), 0, test.input.size - 1
+        )
+        self._inputs: dict[int, FloatArray] = {}
+
+    def use(self, setup: Setup) -> None:
+        """Take the parts of rigs from a setup that other tests share."""
+        self.setup = setup
+        self._own = np.array(setup.index(self.channels), dtype=np.int64)
+
+    def values(self, rig: Rig, cache: PartsCache) -> FloatArray:
+        """Observables of the test's rows."""
+        responses = self.responses(rig, cache)
+        result = np.full(len(self.rows), np.nan)
+        which = self.rows.part == Part.SAMPLE
+        result[which] = responses[np.maximum(self.rows.channel[which], 0), self._sample[which]]
+        return result
+
+    def responses(self, rig: Rig, cache: PartsCache) -> FloatArray:
+        """Recorded responses without their mean (channels, samples)."""
+        test = self.test
+        middle = test.start_s + 0.5 * test.input.size / test.sample_rate
+        parts = cache.parts(rig, self.setup, middle)
+        rate = test.sample_rate * parts.clock
+        substeps = self._substeps(parts, rate)
+        drive = self._interpolated(substeps)
+        if math.isfinite(parts.saturation) and not self.ideal_force:
+            drive = parts.saturation * np.tanh(drive / parts.saturation)
+        if not self.ideal_force:
+            drive = drive * parts.input_per_volt
+        rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
+        model = stepped_model(parts, rows, 1.0 / (rate * substeps))
+        raw = step_through(drive, substeps, parts.coordinates, *model, parts.force_factor, parts.tables)
+        result = np.empty_like(raw)
+        for position, index in enumerate(self._own):
+            values = _through_sensor(raw[position], rate, parts.channels[index])
+            level, step, noise = parts.limits[index]
+            if math.isfinite(level):
+                values = np.clip(values, -level, level)
+            if step > 0.0 and noise < 0.7 * step:
+                values = expected_quantised(values, step, noise)
+            result[position] = values - values.mean()
+        return result
+
+    def _substeps(self, parts: RigParts, rate: float) -> int:
+        """Steps per sample: from the fastest oscillation below half of a tenth of the sampling rate, if any."""
+        poles = parts.linear.poles
+        oscillating = np.abs(poles.imag[(np.abs(poles.real) < 0.5 * np.abs(poles)) & (poles.imag > 0.0)])
+        seen = oscillating[oscillating < 0.5 * np.pi * rate]
+        fastest = float(seen.min()) / (2.0 * np.pi) if seen.size else 0.05 * rate
+        return int(min(max(math.ceil(STEPS_PER_PERIOD * fastest / rate), 1), MOST_SUBSTEPS))
+
+    def _interpolated(self, substeps: int) -> FloatArray:
+        if substeps not in self._inputs:
+            own = np.asarray(self.test.input, dtype=np.float64)
+            found = own if substeps == 1 else np.asarray(resample_poly(own, substeps, 1, window=("kaiser", 10.0)))
+            self._inputs[substeps] = np.ascontiguousarray(found)
+        return self._inputs[substeps]
+
+
+def _through_sensor(values: FloatArray, rate: float, chain: FloatArray) -> FloatArray:
+    """Recorded values of a channel: gain, delay and filters, in the frequency domain."""
+    gain, delay, low_pass, high_pass = (float(value) for value in chain)
+    if delay == 0.0 and low_pass == 0.0 and high_pass == 0.0:
+        return gain * values
+    s = 2j * np.pi * np.fft.rfftfreq(values.size, 1.0 / rate)
+    response = gain * np.exp(-s * delay) / (1.0 + s * low_pass)
+    if high_pass > 0.0:
+        response = response * s / (s + high_pass)
+    result: FloatArray = np.fft.irfft(response * np.fft.rfft(values), values.size)
+    return result
+
+
+SteppedModel = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, ComplexArray, FloatArray]
+
+
+def stepped_model(parts: RigParts, rows: np.ndarray, step: float) -> SteppedModel:
+    """Recursion of the poles over one step.
+
+    Returns:
+        decay (k,), shares of the inputs at the beginning and at the end of a step (k, p), outputs of coordinates and
+        channels (o, k), velocities of the coordinates (r, k), direct share of the inputs in the outputs (o, p). One k
+        for each pair of poles; real parts of the sums are meant.
+    """
+    model = parts.linear
+    keep = model.poles.imag >= 0.0
+    poles = model.poles[keep]
+    weight = np.where(np.abs(poles.imag) > 1e-12 * np.abs(poles), 2.0, 1.0)
+    z = poles * step
+    decay = np.exp(z)
+    small = np.abs(z) < 1e-4
+    safe = np.where(small, 1.0, z)
+    first = np.where(small, 1.0 + z / 2.0 + z**2 / 6.0, (decay - 1.0) / safe)
+    second = np.where(small, 0.5 + z / 6.0 + z**2 / 24.0, (decay - 1.0 - z) / safe**2)
+    inputs = model.inputs[keep]
+    p = model.poles
+    outputs = model.displacement[rows] + model.velocity[rows] * p + model.acceleration[rows] * p**2
+    r = parts.coordinates
+    direct = (model.velocity[rows] + model.acceleration[rows] * model.poles) @ model.inputs + model.feedthrough[rows]
+    return (
+        decay,
+        np.ascontiguousarray(step * (first - second)[:, None] * inputs),
+        np.ascontiguousarray(step * second[:, None] * inputs),
+        np.ascontiguousarray(outputs[:, keep] * weight),
+        np.ascontiguousarray(model.displacement[:r, keep] * poles * weight),
+        np.ascontiguousarray(direct.real),
+    )
+
+
+@njit(cache=True)
+def coordinate_forces(
+    w: FloatArray,
+    v: FloatArray,
+    sliders: FloatArray,
+    moved: FloatArray,
+    factor: FloatArray,
+    tables: LocalTables,
+    g: FloatArray,
+    by_displacement: FloatArray,
+    by_velocity: FloatArray,
+) -> None:
+    """Forces (r,) of the coordinates and their tangents (r, r), written to the last three arguments; ``moved`` gets the
+    sliders after the step."""
+    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = tables[3:10]
+    elements = jenkins_start.size - 1
+    by_displacement[:] = 0.0
+    by_velocity[:] = 0.0
+    for i in range(elements):
+        force = 0.0
+        stiffness = 0.0
+        damping = 0.0
+        for e in range(jenkins_start[i], jenkins_start[i + 1]):
+            own, k, _, slider = element_response(1, jenkins[e], w[i], v[i], sliders[e])
+            moved[e] = slider
+            force += own
+            stiffness += k
+        for e in range(contacts_start[i], contacts_start[i + 1]):
+            side = contacts[e, 2]
+            overlap = side * w[i] - contacts[e, 1]
+            if overlap > 0.0:
+                force += side * contacts[e, 0] * overlap
+                stiffness += contacts[e, 0]
+        for e in range(sampled_start[i], sampled_start[i + 1]):
+            own, k, c, _ = element_response(kinds[e], parameters[e], w[i], v[i], 0.0)
+            force += own
+            stiffness += k
+            damping += c
+        g[i] = force
+        by_displacement[i, i] = stiffness
+        by_velocity[i, i] = damping
+    r = g.size
+    if r > elements:
+        x, current = w[r - 2], w[r - 1]
+        f = factor[1] * x + factor[2] * x * x
+        slope = factor[1] + 2.0 * factor[2] * x
+        g[r - 2] = -f * current
+        by_displacement[r - 2, r - 2] = -slope * current
+        by_displacement[r - 2, r - 1] = -f
+        g[r - 1] = f * v[r - 2]
+        by_displacement[r - 1, r - 2] = slope * v[r - 2]
+        by_velocity[r - 1, r - 2] = f
+
+
+@njit(cache=True)
+def step_through(
+    drive: FloatArray,
+    substeps: int,
+    r: int,
+    decay: ComplexArray,
+    early: ComplexArray,
+    late: ComplexArray,
+    outputs: ComplexArray,
+    velocities: ComplexArray,
+    direct: FloatArray,
+    factor: FloatArray,
+    tables: LocalTables,
+) -> FloatArray:
+    """Channels (c, samples) from rest; see ``stepped_model``."""
+    count = decay.size
+    c = outputs.shape[0] - r
+    samples = drive.size // substeps
+    result = np.empty((c, samples))
+    state = np.zeros(count, dtype=np.complex128)
+    sliders = np.zeros(tables[3].shape[0])
+    moved = np.zeros(tables[3].shape[0])
+    g = np.zeros(r)
+    trial = np.zeros(r)
+    w = np.zeros(r)
+    v = np.zeros(r)
+    free_w = np.zeros(r)
+    free_v = np.zeros(r)
+    kw = np.zeros((r, r))
+    kv = np.zeros((r, r))
+    # What a force at the end of a step does to displacement and velocity there.
+    dw = np.zeros((r, r))
+    dv = np.zeros((r, r))
+    for i in range(r):
+        for j in range(r):
+            for k in range(count):
+                dw[i, j] += (outputs[i, k] * late[k, j]).real
+                dv[i, j] += (velocities[i, k] * late[k, j]).real
+    u = drive[0]
+    previous = 0.0
+    for n in range(drive.size):
+        u = drive[n]
+        for k in range(count):
+            x = decay[k] * state[k] + early[k, r] * previous + late[k, r] * u
+            for j in range(r):
+                x -= early[k, j] * g[j]
+            state[k] = x
+        previous = u
+        for i in range(r):
+            a = 0.0
+            b = 0.0
+            for k in range(count):
+                a += (outputs[i, k] * state[k]).real
+                b += (velocities[i, k] * state[k]).real
+            free_w[i] = a
+            free_v[i] = b
+        trial[:] = g
+        for _ in range(ITERATIONS):
+            for i in range(r):
+                w[i] = free_w[i]
+                v[i] = free_v[i]
+                for j in range(r):
+                    w[i] -= dw[i, j] * trial[j]
+                    v[i] -= dv[i, j] * trial[j]
+            coordinate_forces(w, v, sliders, moved, factor, tables, g, kw, kv)
+            error = 0.0
+            size = 1e-300
+            for i in range(r):
+                error = max(error, abs(g[i] - trial[i]))
+                size = max(size, abs(g[i]))
+            if error <= 1e-12 * size:
+                break
+            if r == 1:
+                trial[0] += (g[0] - trial[0]) / (1.0 + kw[0, 0] * dw[0, 0] + kv[0, 0] * dv[0, 0])
+            else:
+                system = np.eye(r) + kw @ dw + kv @ dv
+                trial += np.linalg.solve(system, g - trial)
+        for e in range(sliders.size):
+            sliders[e] = moved[e]
+        for k in range(count):
+            for j in range(r):
+                state[k] -= late[k, j] * g[j]
+        if n % substeps == 0:
+            for o in range(c):
+                y = direct[r + o, r] * u
+                for j in range(r):
+                    y -= direct[r + o, j] * g[j]
+                for k in range(count):
+                    y += (outputs[r + o, k] * state[k]).real
+                result[o, n // substeps] = y
+    return result

@@ -1,0 +1,179 @@
+"""Free decays as the model predicts them: frequency and damping ratio over amplitude."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.evidence.conditions import RingDownTest
+from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_plant.model.fourier_basis import FourierBasis
+from nmt_plant.rig import Rig
+
+from .decay_kernel import evaluate_decay
+from .parts_cache import PartsCache, Setup
+from .periodic_kernel import sensor_gain
+from .phase_resonance_twin import resting_tangent
+from .rig_parts import RigParts
+from .settings import TwinSettings
+
+DecayState = tuple[FloatArray, tuple[str, ...], float]
+LARGEST_STEP = 0.05
+
+
+class RingDownTwin:
+    """Predicts one free decay: structure and exciter at zero volts.
+
+    Args:
+        test: the decay.
+        rows: its rows.
+        settings: of the twin.
+    """
+
+    def __init__(self, test: RingDownTest, rows: Rows, settings: TwinSettings) -> None:
+        self.test, self.rows, self.settings = test, rows, settings
+        self.channels = (test.channel,)
+        self.use(Setup(test.drive_point, False, self.channels, FourierBasis.up_to(settings.harmonics)))
+
+    def use(self, setup: Setup) -> None:
+        """Take the parts of rigs from a setup that other tests share."""
+        self.setup = setup
+        self._own = setup.index(self.channels)[0]
+
+    def solve(self, rig: Rig, cache: PartsCache, start: tuple[DecayState | None, ...] | None) -> list[Any]:
+        """One state per amplitude; None where there is no solution."""
+        parts = cache.parts(rig, self.setup)
+        states: list[DecayState | None] = [None] * self.test.amplitudes.size
+        last: DecayState | None = None
+        for position in np.argsort(self.test.amplitudes, kind="stable"):
+            amplitude = float(self.test.amplitudes[position])
+            for guess in (None if start is None else start[position], last, None):
+                z = self._linear_start(parts, amplitude) if guess is None else self._carried(parts, guess, amplitude)
+                states[position] = self._newton(parts, z, amplitude)
+                if states[position] is not None:
+                    break
+            last = states[position] or last
+        return states
+
+    def values(self, rig: Rig, cache: PartsCache, states: list[DecayState | None]) -> FloatArray:
+        """Observables of the test's rows."""
+        clock = 1.0 + rig.clock_error
+        log_omega = np.array([math.nan if s is None else math.log(s[0][-2] / clock) for s in states])
+        ratio = np.array([math.nan if s is None else s[0][-1] for s in states])
+        result = np.full(len(self.rows), np.nan)
+        for kind, values in ((Part.LOG_FREQUENCY, log_omega), (Part.DAMPING, ratio)):
+            which = self.rows.part == kind
+            result[which] = values[self.rows.level[which]]
+        return result
+
+    def stepped(self, rig: Rig, cache: PartsCache, states: tuple[DecayState | None, ...]) -> list[DecayState | None]:
+        """Solutions of a slightly different rig by one Newton step."""
+        parts = cache.parts(rig, self.setup)
+        result: list[DecayState | None] = []
+        for state in states:
+            if state is None:
+                result.append(None)
+                continue
+            z = self._carried(parts, state, state[2])
+            residual, jacobian = evaluate_decay(z, *self._arguments(parts, z, state[2]))
+            result.append((z - self._solved(jacobian, residual, z), parts.keys, state[2]))
+        return result
+
+    def _arguments(self, parts: RigParts, z: FloatArray, amplitude: float) -> tuple[Any, ...]:
+        model = parts.linear
+        output = parts.coordinates + self._own
+        gain, _ = sensor_gain(1j * z[-2], *parts.channels[self._own])
+        true = amplitude / abs(gain)
+        # Change of 1/T per relative change of s, at the nearest pole.
+        s = z[-2] * (1j - z[-1])
+        t, slope = model.at(s * (1.0 + 1e-6))
+        size = abs(slope[output, -1] / t[output, -1] ** 2 * s) * true
+        return (
+            complex(true), 1.0 / size, output, model.poles, model.displacement, model.velocity, model.acceleration,
+            model.inputs, model.feedthrough, parts.force_factor, parts.tables,
+        )  # fmt: skip
+
+    def _solved(self, jacobian: FloatArray, residual: FloatArray, z: FloatArray) -> FloatArray:
+        size = self.setup.basis.size
+        scale = np.ones_like(z)
+        for first in range(0, z.size - 2, size):
+            largest = float(np.max(np.abs(z[first : first + size])))
+            scale[first : first + size] = largest if largest > 0.0 else 1.0
+        scale[-2] = z[-2]
+        rows = np.concatenate((1.0 / scale[:-2], [1.0, 1.0]))
+        result: FloatArray = scale * np.linalg.solve(jacobian * scale * rows[:, None], residual * rows)
+        return result
+
+    def _newton(self, parts: RigParts, z: FloatArray, amplitude: float) -> DecayState | None:
+        arguments = self._arguments(parts, z, amplitude)
+        first = z[-2]
+        for _ in range(self.settings.iterations):
+            residual, jacobian = evaluate_decay(z, *arguments)
+            if not np.all(np.isfinite(residual)):
+                return None
+            try:
+                step = self._solved(jacobian, residual, z)
+            except np.linalg.LinAlgError:
+                return None
+            moved = max(abs(step[-2]) / z[-2], abs(step[-1]))
+            z = z - step * min(1.0, LARGEST_STEP / moved if moved > 0.0 else 1.0)
+            if not 0.5 * first < z[-2] < 2.0 * first:
+                return None
+            if moved < 1e-10:
+                return z, parts.keys, amplitude
+        return None
+
+    def _linear_start(self, parts: RigParts, amplitude: float) -> FloatArray:
+        """Pole of the system at rest nearest to the frequency of the switch-off, and its shape."""
+        r, basis = parts.coordinates, self.setup.basis
+        s = 2j * np.pi * self.test.start_frequency_hz * parts.clock
+        model = parts.linear
+        output = r + self._own
+        # Newton on the closed loop's 1/T from the nearest pole of the open one.
+        s = self._resting_pole(parts, s)
+        t, _ = model.at(s * (1.0 + 1e-7))
+        tangent = resting_tangent(parts, s)
+        closed = np.linalg.solve(np.eye(r) + t[:r, :r] * tangent, t[:r, r])
+        own = t[output, r] - t[output, :r] @ (tangent * closed)
+        gain, _ = sensor_gain(1j * s.imag, *parts.channels[self._own])
+        amplitudes = np.zeros((r, basis.orders.size), dtype=np.complex128)
+        amplitudes[:, basis.fundamental] = closed / own * amplitude / abs(gain)
+        return np.concatenate((basis.to_real(amplitudes).ravel(), [s.imag, -s.real / s.imag]))
+
+    def _resting_pole(self, parts: RigParts, near: complex) -> complex:
+        system = parts.system
+        n, mechanical = system.size, system.mechanical_size
+        stiffness, damping = system.stiffness.copy(), system.damping.copy()
+        zero, one = resting_tangent(parts, 0j).real, resting_tangent(parts, 1.0 + 0j).real
+        for k, c, direction in zip(zero, one - zero, parts.inputs.T[:-1], strict=True):
+            outer = np.outer(direction, direction)
+            stiffness += k * outer
+            damping += c * outer
+        a = np.zeros((n + mechanical, n + mechanical))
+        b = np.zeros_like(a)
+        a[:n, :n], b[:n, :n], b[:n, n:] = -stiffness, damping, system.mass[:, :mechanical]
+        a[n:, n:] = b[n:, :mechanical] = np.eye(mechanical)
+        poles = np.linalg.eigvals(np.linalg.solve(b, a))
+        poles = poles[poles.imag > 0.0]
+        return complex(poles[np.argmin(np.abs(poles.imag - near.imag))])
+
+    def _carried(self, parts: RigParts, state: DecayState, amplitude: float) -> FloatArray:
+        z_old, keys, old = state
+        size = self.setup.basis.size
+        z = np.zeros(parts.coordinates * size + 2)
+        z[-2:] = z_old[-2:]
+        fresh = []
+        for i, key in enumerate(parts.keys):
+            if key in keys:
+                j = keys.index(key)
+                z[i * size : (i + 1) * size] = z_old[j * size : (j + 1) * size] * amplitude / old
+            else:
+                fresh.append(i)
+        if fresh:
+            residual = evaluate_decay(z, *self._arguments(parts, z, amplitude))[0]
+            for i in fresh:
+                z[i * size : (i + 1) * size] = -residual[i * size : (i + 1) * size]
+        return z

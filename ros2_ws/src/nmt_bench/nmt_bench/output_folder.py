@@ -129,8 +129,13 @@ class OutputFolder:
             os.replace(item, target)
 
 
-def check_output(path: Path, force: bool) -> None:
+def check_output(path: Path, force: bool, replace: str = "force") -> None:
     """Refuse an output folder that would be overwritten.
+
+    Args:
+        path: the folder.
+        force: earlier results may be replaced.
+        replace: name of the option that says so.
 
     Raises:
         BenchError: ``path`` is a file, or a folder that is not empty while ``force`` is not set.
@@ -139,8 +144,8 @@ def check_output(path: Path, force: bool) -> None:
         raise BenchError(f"The results folder {path} is a file; choose another with --out.")
     if path.is_dir() and not force and any(path.iterdir()):
         raise BenchError(
-            f"The results folder {path} is not empty; choose another with --out, or add --force to replace "
-            "its results."
+            f"The results folder {path} is not empty; choose another with --out, or add --{replace} to "
+            "replace its results."
         )
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -109,7 +110,8 @@ def responses_of_bag(bag: Bag, points: int = 400) -> tuple[list[FrequencyRespons
             continue
         try:
             signals = read_signals(bag, segment.first_sample, usable)
-            tables.append(sweep_table(signals, segment.level, segment.level_unit, points))
+            table = sweep_table(signals, segment.level, segment.level_unit, points)
+            tables.append(_until_given_up(table) if segment.fault else table)
         except BenchError as error:
             remarks.append(f"Level {segment.level_index + 1}: {error}")
     for level, windows in steps.items():
@@ -130,10 +132,26 @@ def _usable_samples(segment: Segment, remarks: list[str]) -> int:
     if not segment.fault:
         return segment.samples
     remarks.append(f"The sweep at {segment.level:g} {segment.level_unit} is not complete: {segment.fault}.")
-    for word in segment.fault.replace(":", " ").replace(",", " ").split():
-        if word.isdigit() and segment.first_sample < int(word) < segment.end_sample:
-            return int(word) - segment.first_sample
-    return 0
+    named = re.search(r"\bat sample (\d+)", segment.fault)  # both faults name the sample up to which all is well
+    return max(0, int(named[1]) - segment.first_sample) if named else 0
+
+
+def _until_given_up(table: FrequencyResponseTable) -> FrequencyResponseTable:
+    """A sweep that was not completed without its end, where the drive goes to zero."""
+    ramp = np.flatnonzero(np.abs(table.force_n / np.median(table.force_n) - 1.0) > 0.05)
+    if not ramp.size or table.level_unit != "N":
+        return table
+    # The window of the analysis looks ahead: what it has seen of the ramp goes too.
+    step = abs(float(table.frequency_hz[1] - table.frequency_hz[0]) / table.rate_hz_s)
+    kept = slice(0, max(2, int(ramp[0]) - math.ceil(0.25 / step) - 1))
+    return replace(
+        table,
+        frequency_hz=table.frequency_hz[kept],
+        force_n=table.force_n[kept],
+        frf=table.frf[:, kept],
+        frf_std=table.frf_std[:, kept],
+        voltage_v=table.voltage_v[kept],
+    )
 
 
 def held_force(table: FrequencyResponseTable) -> HeldForce | None:

@@ -107,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
         BenchError: the rig, a level or an option is refused, or the nodes do not start.
     """
     levels, start, stop = _checked(arguments)
-    check_output(arguments.out, arguments.replace)
+    check_output(arguments.out, arguments.replace, "replace")
 
     from nmt_bench.harness import Bench
     from nmt_bench.run_command import measure, terminate_as_interrupt

@@ -1,4 +1,4 @@
-"""Rational fit of whole records: exact on its own class, unbiased on simulated records, uncertainties against scatter."""
+"""Rational fit of whole records: exact on its own class, unbiased on records, uncertainties against scatter."""
 
 from __future__ import annotations
 

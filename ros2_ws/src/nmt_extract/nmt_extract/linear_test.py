@@ -16,7 +16,7 @@ from nmt_core.blocks import BlockFlag, FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_extract.frf import AveragedSpectra, ComplexArray, FrfEstimate, averaged_spectra, frf_estimate
 from nmt_extract.linear_residuals import Residuals, fit_residuals, modal_receptance
-from nmt_extract.rational_fit import RationalFit, StructureMode, fit_rational, structure_mode
+from nmt_extract.rational_fit import MOST_LINES, RationalFit, StructureMode, fit_rational, structure_mode
 from nmt_extract.stabilisation import OrderPoles, StablePole, order_poles, stable_poles
 from nmt_record.segments import Signals
 
@@ -317,14 +317,26 @@ def _check_samples(signals: Signals, channels: _Channels) -> None:
         peak = float(np.max(np.abs(values)))
         if peak == 0.0 or float(np.ptp(values)) == 0.0:
             raise BenchError(f"Channel {name} shows no signal; check its sensor and the drive.")
-        # Random signals touch their extreme once: many samples there are a clipped converter.
-        at_end = int(np.count_nonzero(np.abs(values) >= peak * (1.0 - 1e-9)))
-        if at_end > max(8, 1e-5 * values.size) and peak > 2.0 * float(np.std(values)):
-            levels = np.unique(np.abs(values)).size
-            if levels > 64:
-                raise BenchError(
-                    f"Channel {name} is clipped: {at_end} samples lie at its extreme {peak:.4g}; lower the level."
-                )
+        clipped = _clipped(values)
+        if clipped:
+            raise BenchError(
+                f"Channel {name} is clipped: {clipped} samples lie at its extreme {peak:.4g}; lower the level."
+            )
+
+
+def _clipped(values: FloatArray) -> int:
+    """Number of samples at the extreme if they are too many for a random signal, else 0.
+
+    A random signal, converted finely or coarsely, takes its largest value more rarely than the one below.
+    """
+    magnitude = np.abs(values)
+    at_end = magnitude >= magnitude.max() * (1.0 - 1e-9)
+    below = magnitude[~at_end]
+    if not below.size:
+        return 0
+    next_lower = int(np.count_nonzero(below >= below.max() * (1.0 - 1e-9)))
+    count = int(np.count_nonzero(at_end))
+    return count if count > max(8, 3 * next_lower) else 0
 
 
 def _averages(signals: Signals, channels: _Channels, settings: LinearTestSettings) -> AveragedSpectra:
@@ -415,6 +427,8 @@ class _Record:
         room = min([0.7 * gap for gap in gaps if gap > 0.0], default=math.inf)
         width = min(width, max(room, 3.0 * pole.damping_ratio * frequency))
         width = min(width, max(frequency - low, 0.02 * frequency), max(high - frequency, 0.02 * frequency))
+        spacing = float(self.frequency[1] - self.frequency[0])
+        width = min(width, max(own, 0.5 * MOST_LINES * spacing))
         within = sum(gap < width for gap in gaps)
         count = 1 + min(within, 2)
         return fit_rational(self.reference, self.spectra, self.frequency, frequency, width, count, order, start)

@@ -27,7 +27,7 @@ from nmt_core.errors import BenchError
 
 ComplexArray = NDArray[np.complex128]
 
-MOST_LINES = 4000
+MOST_LINES = 3000
 """Lines beyond which only every second, third … one is used: they are plenty."""
 _STEPS = 40
 _PRECISIONS = (1e-4, 1e-6, 1e-9)
@@ -197,7 +197,7 @@ class _Problem:
         return np.hstack([partial * self.drive[:, np.newaxis], self.driven_powers, partial, self.powers])
 
     def split(self, poles: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        q, r = np.linalg.qr(self.basis(poles))
+        q, r = _orthonormal(self.basis(poles))
         return q, r, self.data - q @ (q.conj().T @ self.data)
 
     def table(self, q: ComplexArray, r: ComplexArray) -> ComplexArray:
@@ -274,6 +274,20 @@ class _Problem:
         covariance = np.block([[pole_covariance, cross], [cross.conj().T, linear]])
         misfit = np.sqrt(np.mean(np.abs(rest) ** 2, axis=0))
         return table, np.asarray(covariance, dtype=np.complex128), np.asarray(misfit, dtype=np.float64)
+
+
+def _orthonormal(matrix: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """QR of a tall matrix by Cholesky, twice (CholeskyQR2): products of matrices only, ten times as fast."""
+    try:
+        q: ComplexArray = matrix
+        r: ComplexArray = np.eye(matrix.shape[1], dtype=np.complex128)
+        for _ in range(2):
+            factor = np.linalg.cholesky(q.conj().T @ q).conj().T
+            q = np.asarray(np.linalg.solve(factor.T, q.T).T, dtype=np.complex128)
+            r = factor @ r
+    except np.linalg.LinAlgError:  # too close to singular for the square of the matrix
+        q, r = np.linalg.qr(matrix)
+    return q, r
 
 
 def structure_mode(fit: RationalFit, near_hz: complex, force_row: int | None) -> StructureMode:

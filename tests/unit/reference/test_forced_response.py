@@ -7,6 +7,7 @@ import pytest
 
 from nmt_core.errors import BenchError
 from nmt_plant.model.assembly import OutputRow, assemble
+from nmt_plant.model.attachments import BoucWen, FractionalDamper, TunedMassQuadratic
 from nmt_plant.model.chain import lumped_chain
 from nmt_plant.model.forced_response import ForcedProblem, _DriveHeld, _ForceHeld, frequency_response
 from nmt_plant.model.fourier_basis import FourierBasis
@@ -139,6 +140,29 @@ def test_agreement_of_stop_and_mean_value_with_the_time_domain_plant() -> None:
     np.testing.assert_allclose(
         (measured[:6] - item.unknowns[:6, 0]) / abs(item.unknowns[1, 0]), 0.0, atol=1e-5
     )
+
+
+def test_agreement_of_attachments_with_the_time_domain_plant() -> None:
+    """A fractional damper and an oscillator at twice the frequency, quadratically coupled: harmonics 0 to 5."""
+    structure = lumped_chain([1.0], [], None, [400.0], [0.5])
+    attachments = [FractionalDamper(ONE, 2.0, 0.5, 5.0, 500.0), TunedMassQuadratic(ONE, 0.1, 43.0, 0.02, 600.0)]
+    system = assemble(structure, [], 1, None, attachments)
+    omega = 20.8
+    measured = steady_state(system, [displacement_row(system, 0)], 2.0, omega, 120, 2048)[0]
+    problem = ForcedProblem(system, FourierBasis.up_to(12), 20.0)
+    found = frequency_response(problem, 2.0, 10.0, 24.0, points=80).at(omega)
+    nearest = min(np.abs(measured[:6] - item.unknowns[:6, 0]).max() for item in found)
+    assert nearest < 1e-5 * abs(measured[1])
+    assert abs(measured[3]) > 1e-3 * abs(measured[1])
+
+
+def test_what_harmonic_balance_does_not_cover_is_refused() -> None:
+    structure = lumped_chain([1.0], [], None, [400.0], [0.5])
+    with pytest.raises(BenchError, match="forces of two arguments"):
+        ForcedProblem(assemble(structure, [], 1, None, [BoucWen(ONE, 10.0, 1e-3)]), BASIS, 20.0)
+    behind = assemble(structure, [], 1, None, [], [CubicSpring(ONE, 1e3)])
+    with pytest.raises(BenchError, match="side of the exciter"):
+        ForcedProblem(behind, BASIS, 20.0)
 
 
 def test_dissipated_power_equals_the_drive_power(beam, joint) -> None:

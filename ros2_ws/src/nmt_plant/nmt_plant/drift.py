@@ -24,7 +24,7 @@ _STIFFNESS_STEP = 4e-6
 
 
 class Drift:
-    """Relative changes since the start: of slip forces a t + b N, of the structure's stiffness c t.
+    """Factors since the start: (1 + a t) (1 + b N) on slip forces, 1 + c t on the structure's stiffness.
 
     t is the bench time and N the number of periods of the drive since the start of the test, both at the start of the
     present step of ``STEP_S``; periods count while the oscillator runs with a frequency.
@@ -84,7 +84,8 @@ class Drift:
     def _apply(self, integrator: TimeIntegrator, time: float, cycles: float) -> None:
         assert self._base is not None
         rates = self._rates
-        share = max(1.0 + rates.slip_force_per_s * time + rates.slip_force_per_cycle * cycles, _SMALLEST_SHARE)
+        share = (1.0 + rates.slip_force_per_s * time) * (1.0 + rates.slip_force_per_cycle * cycles)
+        share = max(share, _SMALLEST_SHARE)
         change = _STIFFNESS_STEP * round(rates.stiffness_per_s * time / _STIFFNESS_STEP)
         integrator.change(
             replace(

@@ -55,7 +55,8 @@ class ForcedProblem:
         samples: samples per period of smooth elements (chosen when None).
 
     Raises:
-        BenchError: the reference frequency is not positive.
+        BenchError: the reference frequency is not positive, or the system has forces that harmonic balance does not
+            cover (couplings, nonlinear elements behind the force sensor).
     """
 
     def __init__(
@@ -67,6 +68,16 @@ class ForcedProblem:
     ) -> None:
         if not (np.isfinite(reference_frequency) and reference_frequency > 0.0):
             raise BenchError(f"the reference frequency must be positive, got {reference_frequency} rad/s.")
+        if system.couplings:
+            raise BenchError(
+                "harmonic balance does not cover forces of two arguments: a varying force factor, Bouc-Wen or LuGre "
+                "friction; leave them out of the model."
+            )
+        if any(system.on_exciter):
+            raise BenchError(
+                "harmonic balance does not cover nonlinear elements on the side of the exciter; put them on the side "
+                "of the structure or leave them out."
+            )
         self.system = system
         self.basis = basis
         self.reference_frequency = float(reference_frequency)

@@ -187,10 +187,16 @@ def model_responses(
     from nmt_plant.model.forced_response import ForcedProblem, frequency_response
     from nmt_plant.model.fourier_basis import FourierBasis
     from nmt_plant.model.linear_modes import sticking_modes
-    from nmt_plant.rig_model import build_elements, build_structure, build_system
+    from nmt_plant.rig_model import (
+        build_resting_elements,
+        build_structure,
+        build_system,
+        refuse_beyond_harmonic_balance,
+    )
 
+    refuse_beyond_harmonic_balance(rig, with_exciter=True)
     structure = build_structure(rig)
-    modes = sticking_modes(structure, build_elements(rig, structure), rig.test.mode)
+    modes = sticking_modes(structure, build_resting_elements(rig, structure), rig.test.mode)
     system = build_system(rig)
     problem = ForcedProblem(system, FourierBasis.up_to(harmonics), float(modes.frequencies[rig.test.mode - 1]))
     curves = []

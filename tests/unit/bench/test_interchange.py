@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +23,20 @@ from nmt_record.observables import observable_tables
 from nmt_record.segments import read_signals, segments
 
 
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of a made-up run with the beam's rig file, one level of which never locked."""
-    monkeypatch.setattr(synthetic_bag, "RIG_YAML", find_rig("beam").read_text(encoding="utf-8"))
-    synthetic_bag.write_bag(tmp_path / "run" / "bag", lost_level=1)
-    done(["extract", tmp_path / "run" / "bag", "--out", tmp_path / "run" / "results", "--no-report"])
-    return tmp_path / "run"
+    folder = tmp_path_factory.mktemp("recorded") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(synthetic_bag, "RIG_YAML", find_rig("beam").read_text(encoding="utf-8"))
+        synthetic_bag.write_bag(folder / "bag", lost_level=1, level_seconds=2.5)
+    done(["extract", folder / "bag", "--out", folder / "results", "--no-report"])
+    return folder
+
+
+@pytest.fixture
+def run(recorded: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(recorded, tmp_path / "run"))
 
 
 def done(words: list[object]) -> None:
@@ -73,7 +81,7 @@ def test_another_tool_reads_the_exported_channels(run: Path, tmp_path: Path) -> 
     done(["export", run / "bag", "--out", tmp_path / "out"])
     sets = pyuff.UFF(str(tmp_path / "out" / "data.uff")).read_sets()
     bag = Bag.open(run / "bag")
-    signals = read_signals(bag, 0, 120_000)
+    signals = read_signals(bag, 0, 75_000)
     assert [item["id1"] for item in sets] == list(signals.channels)
     for item in sets:
         assert np.array_equal(item["data"], signals.channels[item["id1"]])

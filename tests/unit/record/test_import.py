@@ -218,6 +218,30 @@ def test_a_force_out_of_phase_is_no_reason_to_refuse(tmp_path: Path) -> None:
     assert read_import(write(tmp_path, sidecar(), data)).notes == []
 
 
+def random_test(delay: int = 0) -> dict[str, np.ndarray]:
+    """White force on a mode, and its acceleration, ``delay`` samples late."""
+    force = np.random.default_rng(3).standard_normal(12000)
+    omega, natural = 2 * np.pi * np.fft.rfftfreq(12000, 1 / RATE), 2 * np.pi * FREQUENCY_HZ
+    response = np.fft.rfft(force) / (natural**2 - omega**2 + 0.04j * natural * omega) * -(omega**2)
+    acceleration = np.roll(np.fft.irfft(response, 12000), delay)
+    return {"f": force, "a2": acceleration + 1e-3 * np.random.default_rng(4).standard_normal(12000)}
+
+
+def of_random_test(**changes: object) -> dict[str, object]:
+    channels = [channel for channel in sidecar()["channels"] if channel["column"] in ("f", "a2")]
+    return sidecar(channels=channels, segments=[{"kind": "random", "start": 0.0, "stop": 6.0}], linear=None, **changes)
+
+
+def test_an_exchange_in_a_random_test_is_seen_but_a_late_channel_passes(tmp_path: Path) -> None:
+    assert read_import(write(tmp_path, of_random_test(), random_test())).notes == []
+    assert read_import(write(tmp_path, of_random_test(), random_test(2))).notes == []
+    good = random_test()
+    with pytest.raises(BenchError, match="swapped"):
+        read_import(write(tmp_path, of_random_test(), {"f": good["a2"], "a2": good["f"]}))
+    with pytest.raises(BenchError, match="wrong sign"):
+        read_import(write(tmp_path, of_random_test(), {"f": good["f"], "a2": -good["a2"]}))
+
+
 def test_a_dead_channel_is_named(tmp_path: Path) -> None:
     data = {**recording(), "a4": np.zeros(12000)}
     assert any("a4) is constant" in note for note in read_import(write(tmp_path, sidecar(), data)).notes)

@@ -37,7 +37,9 @@ _USUAL = {
 _ORDERS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 # Power factor below which the exciter would brake the structure throughout: an exchange or a sign, no phase error.
 _STEADY_POWER = -0.5
-_BROAD_POWER = -0.3
+# Over many lines most of the power is reactive; what is active must then be negative nearly everywhere.
+_BROAD_POWER = -0.01
+_BROAD_SIGN = -0.9
 _LONGEST_GAP = 0.5
 
 
@@ -247,8 +249,11 @@ def _check_power(
         steady = stretch.segment.kind in ("phase_resonance", "stepped_sine")
         if not steady and stretch.segment.kind not in ("random", "sweep"):
             continue
-        factor = _power_factor(force, response, stretch, sample_rate, steady)
-        if factor is not None and factor < (_STEADY_POWER if steady else _BROAD_POWER):
+        found = _power_factor(force, response, stretch, sample_rate, steady)
+        if found is None:
+            continue
+        factor, sign = found
+        if factor < _STEADY_POWER if steady else factor < _BROAD_POWER and sign < _BROAD_SIGN:
             raise BenchError(
                 f"In {stretch.name} the exciter would take power out of the structure at point {response.point} "
                 f"(power factor "
@@ -274,8 +279,11 @@ def _spectra(
 
 def _power_factor(
     force: ImportedChannel, response: ImportedChannel, stretch: _Stretch, sample_rate: float, steady: bool
-) -> float | None:
-    """Active over apparent power; of steady segments at the strongest line, else over all lines."""
+) -> tuple[float, float] | None:
+    """Active over apparent power, and over the sum of its magnitudes line by line (−1 = negative everywhere).
+
+    Of steady segments at the strongest line, else over all lines.
+    """
     cut = slice(stretch.first, min(stretch.stop, stretch.first + 2_000_000))
     found = _spectra([force.data[cut], response.data[cut]], sample_rate, 1 if steady else 16)
     if found is None:
@@ -286,9 +294,11 @@ def _power_factor(
     if steady:
         line = int(np.argmax(np.abs(forces[0] * velocity[0])))
         forces, velocity = forces[:, line : line + 1], velocity[:, line : line + 1]
-    power = float((velocity * forces.conj()).real.sum())
+    active = (velocity * forces.conj()).real.sum(axis=0)
     apparent = math.sqrt(float((np.abs(velocity) ** 2).sum()) * float((np.abs(forces) ** 2).sum()))
-    return power / apparent if apparent > 0.0 else None
+    if not apparent > 0.0:
+        return None
+    return float(active.sum()) / apparent, float(active.sum() / np.abs(active).sum())
 
 
 def _amplitude(channel: ImportedChannel, stretch: _Stretch, sample_rate: float) -> tuple[float, float] | None:

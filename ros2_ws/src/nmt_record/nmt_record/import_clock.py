@@ -72,9 +72,7 @@ def find_clock(table: SourceTable, sidecar: Sidecar, place: str) -> Clock:
             )
         stated = stated or table.sample_rate
     time, name = _time_axis(table, sidecar, place)
-    clock = (
-        _stated_clock(table, stated, sidecar, place) if time is None else _measured_clock(table, time, name, stated)
-    )
+    clock = _stated_clock(table, stated, sidecar, place) if time is None else _measured_clock(table, time, name, stated)
     if "first_sample" in sidecar.model_fields_set:
         # Six digits of a time axis do not name a late sample.
         start = sidecar.first_sample / clock.sample_rate

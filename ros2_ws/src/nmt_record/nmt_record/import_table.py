@@ -426,8 +426,8 @@ def _read_uff(path: Path) -> SourceTable:
     if not times:
         kinds = sorted({uff.FUNCTION_NAMES.get(f.function_type, f"type {f.function_type}") for f in functions})
         raise BenchError(
-            f"{name} holds no time data but {', '.join(kinds)}; name it in a segment of 'kind: frf', or export time "
-            f"responses."
+            f"{name} holds no time data but {', '.join(kinds)}; export time responses (frequency responses "
+            "belong into a segment of 'kind: frf')."
         )
     if len(times) < len(functions):
         others = [f for f in functions if f not in times]

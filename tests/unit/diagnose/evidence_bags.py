@@ -35,7 +35,11 @@ def rig_with_noise(name: str = "beam", noise: float = 1.0, seed: int = 1, overri
     rig = load_rig(name, overrides)
     sensors = [
         sensor.model_copy(
-            update={"noise_psd": noise * _NOISE.get(sensor.quantity, 0.0), "noise_correlation_time_s": 1e-5, "bits": None}
+            update={
+                "noise_psd": noise * _NOISE.get(sensor.quantity, 0.0),
+                "noise_correlation_time_s": 1e-5,
+                "bits": None,
+            }
         )
         for sensor in rig.sensors
     ]
@@ -88,7 +92,8 @@ def record(
             drive = {"band_low_hz": output.band_low_hz, "band_high_hz": output.band_high_hz}
         if output.amplitude > 0.0 or output.frequency_hz > 0.0:
             waveform = Waveform.RANDOM if drive else Waveform.SINE
-            device.write(DriveCommand(waveform, 0.0 if drive else output.frequency_hz, output.amplitude, output.ramp, **drive))
+            frequency = 0.0 if drive else output.frequency_hz
+            device.write(DriveCommand(waveform, frequency, output.amplitude, output.ramp, **drive))
         if output.lock is not None:
             put_lock(writer, kind, output.lock)
             end = output.lock.first_sample + output.lock.samples
@@ -165,7 +170,7 @@ def altered(
     events: Callable[[Any], Any] | None = None,
     run: dict[str, Any] | None = None,
 ) -> Path:
-    """A copy of a bag whose blocks go through ``change`` and whose lock events go through ``events`` (None = left out)."""
+    """A copy of a bag; blocks go through ``change``, lock events through ``events`` (None = left out)."""
     bag = Bag.open(source)
     writer = _writer(path, json.dumps({**(bag.run_start or {}), **(run or {})}), bag.rig_yaml or "")
     reader = {topic: BlockReader() for topic in bag.topics}

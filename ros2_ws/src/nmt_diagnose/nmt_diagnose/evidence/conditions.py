@@ -132,11 +132,12 @@ class RecordTest:
     Attributes:
         name: unique name.
         drive_point: measurement point of the exciter.
-        sample_rate: Hz.
+        sample_rate: of the input, Hz: that of the recording or a whole multiple of it, so fine that the input may be
+            taken as straight from sample to sample.
         input_channel: measured input (voltage, or force).
-        input: samples, shape (n,), V or N, mean removed if the rig's input is not meant to have one.
+        input: samples, shape (n,), V or N, without mean; the responses' means are taken off, too.
         channels: response channels, in the order of the observables.
-        segment_bounds: first sample of each scored segment and the end of the last, shape (segments + 1,).
+        segment_bounds: first input sample of each scored segment and the end of the last, shape (segments + 1,).
         start_s: time of the first sample on the clock of its bag, s: an observable of time t is sample
             (t − start_s) · sample_rate of the input.
     """

@@ -47,7 +47,7 @@ class Floors:
     decay_damping: float = 3e-3
     table_log_frequency: float = 1e-3
     table_damping: float = 5e-2
-    record: float = 5e-3
+    record: float = 1e-2
 
     def window(self, part: Part, quantity: Quantity = Quantity.UNKNOWN, harmonic: int = 1) -> float:
         """Floor of an observable of a locked window."""

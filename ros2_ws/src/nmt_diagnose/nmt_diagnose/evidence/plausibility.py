@@ -103,8 +103,8 @@ def out_of_scale(
     if not trusted or len({channels[recorded].quantity for recorded in off}) > 0.5 * len(by_quantity):
         raise BenchError(
             f"{name}: the channels do not agree on their scale with the model {view.rig.name} "
-            f"({', '.join(sorted(off))} differ from the rest by factors of more than {_OUT_OF_SCALE:g}); correct units and "
-            "points, or name the rig file of the rig that was tested."
+            f"({', '.join(sorted(off))} differ from the rest by factors of more than {_OUT_OF_SCALE:g}); correct units "
+            "and points, or name the rig file of the rig that was tested."
         )
     return off, notes
 

@@ -210,7 +210,8 @@ def _signals(
     records = [window for window in windows if window.segment.kind is TestKind.RECORD]
     if records:
         own = f"{name}/record" if len(records) < len(windows) else name
-        parts.append(record_evidence(own, [window.stretch for window in records], view, channels, settings, notes))
+        taken = [window.stretch for window in records]
+        parts.append(record_evidence(own, taken, view, channels, settings, math.isfinite(rate)))
     return parts
 
 

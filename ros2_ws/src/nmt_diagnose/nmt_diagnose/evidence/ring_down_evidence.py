@@ -107,9 +107,20 @@ def decay_of(
 
 
 def local_slopes(time: FloatArray, values: FloatArray, centre: int, first: int) -> tuple[float, float, float]:
-    """Value, slope and standard uncertainty of the slope of a parabola around one value, of those from ``first`` on."""
-    start = max(first, centre - _HALF_WIDTH)
-    near = slice(start, start + 2 * _HALF_WIDTH + 1)
+    """Value, slope and uncertainty of the slope of a parabola around one value, of those from ``first`` on.
+
+    What a narrower parabola says otherwise counts as uncertainty: near a corner of the decay neither is right.
+    """
+    value, slope, std = _parabola(time, values, centre, first, _HALF_WIDTH)
+    _, narrow, _ = _parabola(time, values, centre, first, _HALF_WIDTH - 1)
+    return value, slope, math.hypot(std, 0.5 * (slope - narrow))
+
+
+def _parabola(
+    time: FloatArray, values: FloatArray, centre: int, first: int, half_width: int
+) -> tuple[float, float, float]:
+    start = max(first, centre - half_width)
+    near = slice(start, start + 2 * half_width + 1)
     t = time[near] - time[centre]
     design = np.stack((np.ones_like(t), t, t * t), axis=1)
     solution, *_ = np.linalg.lstsq(design, values[near], rcond=None)

@@ -25,7 +25,7 @@ _KINDS: dict[type, str] = {
 }
 
 
-def tests_found(evidence: Evidence) -> list[dict[str, Any]]:
+def found_tests(evidence: Evidence) -> list[dict[str, Any]]:
     """One entry per test: name, kind, drive_point, channels, levels, observables, low, high and their unit."""
     result = []
     for number, test in enumerate(evidence.tests):
@@ -49,7 +49,7 @@ def tests_found(evidence: Evidence) -> list[dict[str, Any]]:
 
 def table_lines(evidence: Evidence) -> list[str]:
     """The same as lines of text with a head."""
-    rows = tests_found(evidence)
+    rows = found_tests(evidence)
     if not rows:
         return ["no tests"]
     width = max(4, *(len(row["name"]) for row in rows))
@@ -68,7 +68,7 @@ def as_inputs(evidence: Evidence) -> dict[str, Any]:
     """Entry ``inputs`` of ``diagnosis.json``, as far as the evidence knows it."""
     return {
         "bags": [{"path": path, "sha256": digest} for path, digest in evidence.inputs],
-        "tests": tests_found(evidence),
+        "tests": found_tests(evidence),
         "notes": list(evidence.notes),
     }
 

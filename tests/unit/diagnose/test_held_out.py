@@ -3,7 +3,7 @@ import pytest
 from unit.diagnose.linear_problem import evidence_of
 
 from nmt_diagnose.evidence.observables import joined
-from nmt_diagnose.inference.gap import closed, rms
+from nmt_diagnose.inference.gap import closed, noise_floor, rms
 from nmt_diagnose.inference.held_out import splits
 
 
@@ -38,3 +38,15 @@ def test_closed_is_the_share_of_the_reachable_gap():
     assert harm.value < 0.0
     assert np.isnan(closed(evidence, [(noise, noise, everything)]).value)
     assert np.isnan(rms(np.full(3, np.nan)))
+
+
+def test_noise_floor_is_the_scatter_whatever_a_smooth_effect_adds():
+    generator = np.random.default_rng(8)
+    evidence = evidence_of(np.zeros(3000), 1.0, np.arange(3000))
+    everything = np.ones(3000, dtype=bool)
+    smooth = 5.0 * np.sin(np.arange(3000) / 100.0)
+    for scatter in (0.5, 1.0, 2.0):
+        residual = scatter * generator.standard_normal(3000)
+        assert noise_floor(evidence, residual, everything) == pytest.approx(scatter, rel=0.08)
+        assert noise_floor(evidence, residual + smooth, everything) == pytest.approx(scatter, rel=0.08)
+    assert noise_floor(evidence.take(np.arange(10)), np.zeros(10), np.ones(10, dtype=bool)) == 1.0

@@ -31,9 +31,10 @@ from nmt_diagnose.inference.diagnosis import (
     Verdict,
 )
 from nmt_diagnose.inference.fit import FitError
-from nmt_diagnose.inference.gap import Closed, closed, rms
+from nmt_diagnose.inference.gap import Closed, rms
 from nmt_diagnose.inference.generic_source import SourceScore
-from nmt_diagnose.inference.held_out import Split, splits
+from nmt_diagnose.inference.held_out import splits
+from nmt_diagnose.inference.held_out_contest import HeldOut
 from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, place_of
 from nmt_diagnose.inference.next_test import next_tests
 from nmt_diagnose.inference.problem import ForwardLike, Problem
@@ -151,11 +152,12 @@ class _Diagnoser:
         leftovers = generic_sources(self.forward, self.rig, singles[0], self.evidence) if singles else []
         judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.rig, self.confidence)
         as_given = self.problem.residual(given)
-        shares = self._closed(null, [group.head for group in judgement.classes[:_JUDGED]], as_given)
+        held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])
+        shares = {group.head.label: held.closed(group.head.label) for group in judgement.classes[:_JUDGED]}
         accepted = self._accepted(judgement, shares)
         verdict = self._verdict(judgement, accepted, null, as_given)
         best = self.contest.polished(accepted.head) if accepted is not None and verdict is Verdict.EFFECT else null
-        gap = self._gap(verdict, null, best, as_given)
+        gap = self._gap(verdict, null, best, as_given, held)
         ranking = self._ranking(judgement, shares)
         where = self._where(judgement, sources, verdict)
         self.progress("looking for the test that would decide")
@@ -192,29 +194,14 @@ class _Diagnoser:
 
     # -- judging -------------------------------------------------------------------------------------------------
 
-    def _closed(self, null: Contender, heads: Sequence[Contender], as_given: FloatArray) -> dict[str, Closed]:
-        """Share of the held-out gap that each explanation closes, by label; ``none`` for the re-fitted model."""
-        before = self._refitted(null)
-        result = {
-            "none": closed(
-                self.evidence,
-                [(as_given / base.fit.predictive_std, _fresh(base, base), split.held_out) for split, base in before],
-                self.settings.seed,
-            )
-        }
-        for head in heads:
-            pairs = []
-            for split, base in before:
-                top = self.contest.refit(head, split.fitted)
-                if top is not None:
-                    pairs.append((_fresh(base, base), _fresh(top, base), split.held_out))
-            result[head.label] = closed(self.evidence, pairs, self.settings.seed)
-        return result
-
-    def _refitted(self, null: Contender) -> list[tuple[Split, Contender]]:
-        """The model without effect, re-fitted without what each split holds out."""
-        found = [(split, self.contest.refit(null, split.fitted)) for split in splits(self.evidence)]
-        return [(split, base) for split, base in found if base is not None]
+    def _held(self, null: Contender, heads: Sequence[Contender]) -> HeldOut:
+        """Everything that competes to the end, re-fitted without what each split holds out."""
+        found = []
+        for split in splits(self.evidence):
+            base = self.contest.refit(null, split.fitted)
+            if base is not None:
+                found.append((split, base, {head.label: self.contest.refit(head, split.fitted) for head in heads}))
+        return HeldOut(self.evidence, found, self.settings.seed)
 
     def _accepted(self, judgement: Judgement, shares: dict[str, Closed]) -> ExplanationClass | None:
         """The most probable explanation that predicts held-out data no worse than the model without it."""
@@ -240,33 +227,21 @@ class _Diagnoser:
         fall = float(as_given[used] @ as_given[used]) - null.fit.chi_square - null.fit.penalty
         return fall > self.confidence.recalibration
 
-    def _gap(self, verdict: Verdict, null: Contender, best: Contender, as_given: FloatArray) -> Gap:
-        held = self._refitted(null)
-        pairs = []
-        union = np.zeros(len(self.evidence.rows), dtype=bool)
-        before_residual, after_residual = null.fit.residual.copy(), best.fit.residual.copy()
-        for split, base in held:
-            top = base if best is null else self.contest.refit(best, split.fitted)
-            if top is None:
-                continue
-            given = verdict is Verdict.CALIBRATION
-            start, after = (as_given if given else base.fit.residual), top.fit.residual
-            pairs.append((start / base.fit.predictive_std, _fresh(top, base), split.held_out))
-            new = split.held_out & ~union
-            before_residual[new], after_residual[new] = start[new], after[new]
-            union |= split.held_out
-        whole = closed(self.evidence, pairs, self.settings.seed)
-        where = union if union.any() else null.fit.used
+    def _gap(self, verdict: Verdict, null: Contender, best: Contender, as_given: FloatArray, held: HeldOut) -> Gap:
+        given = verdict is Verdict.CALIBRATION
+        whole = held.closed(best.label, as_given if given else None)
+        rows, start, after = held.pooled(best.label, null, best, as_given if given else None)
+        judged = held.splits != ()
         return Gap(
-            whole.before if pairs else rms(null.fit.residual[where]),
-            whole.after if pairs else rms(best.fit.residual[where]),
+            whole.before if judged else rms(null.fit.residual[rows]),
+            whole.after if judged else rms(best.fit.residual[rows]),
             whole.floor,
-            rms(as_given[where]),
+            rms(as_given[rows]),
             whole.value,
             whole.low,
             whole.high,
-            per_observable(self.evidence, before_residual, after_residual, where),
-            tuple(split.name for split, _ in held),
+            per_observable(self.evidence, start, after, rows),
+            held.splits,
         )
 
     # -- telling -------------------------------------------------------------------------------------------------
@@ -412,12 +387,6 @@ class _Diagnoser:
             key = f"source:{source.place}"
             found[key] = max(found.get(key, -math.inf), source.gain)
         return found
-
-
-def _fresh(contender: Contender, base: Contender) -> FloatArray:
-    """Residuals of rows that were not fitted, over what noise and the open parameters of the base make of them."""
-    result: FloatArray = contender.fit.residual / base.fit.predictive_std
-    return result
 
 
 def _parameters(contender: Contender) -> dict[str, Value]:

@@ -11,7 +11,7 @@ from nmt_diagnose.evidence.observables import Evidence, IntArray
 from nmt_diagnose.inference.problem import BoolArray
 
 _RESAMPLES = 1000
-_FLOOR = 1.0
+_FEWEST = 30
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Closed:
 
     Attributes:
         before, after: root-mean-square whitened residual on held-out data.
-        floor: what noise and repeatability leave, 1 = the stated uncertainties.
+        floor: what noise and repeatability leave.
         value: (before − after) / (before − floor); NaN where there is no gap to close.
         low, high: bootstrap interval of 90 %.
     """
@@ -39,11 +39,39 @@ def rms(residual: FloatArray) -> float:
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
+def noise_floor(evidence: Evidence, residual: FloatArray, rows: BoolArray) -> float:
+    """Root mean square that noise alone leaves, from second differences over neighbouring levels or lines.
+
+    What an effect adds changes slowly from level to level and drops out; noise is multiplied by √6. Stated
+    uncertainties may be larger or smaller than the scatter that is there: no model can beat the scatter.
+
+    Args:
+        evidence: the real side.
+        residual: whitened residual of any reasonable model, shape (m,).
+        rows: rows to look at.
+
+    Returns:
+        The floor; 1 where there are too few rows to tell.
+    """
+    table = evidence.rows
+    good = rows & np.isfinite(residual)
+    keys = np.column_stack([table.test, table.channel, table.harmonic, table.part])[good]
+    order = np.lexsort((table.level[good], *keys.T[::-1]))
+    keys, values = keys[order], residual[good][order]
+    if values.size < 3:
+        return 1.0
+    same = np.all(keys[2:] == keys[:-2], axis=1)
+    squares = (values[2:] - 2.0 * values[1:-1] + values[:-2])[same] ** 2 / 6.0
+    if squares.size < _FEWEST:
+        return 1.0
+    return float(np.sqrt(np.mean(squares)))
+
+
 def closed(
     evidence: Evidence,
     pairs: list[tuple[FloatArray, FloatArray, BoolArray]],
     seed: int = 0,
-    floor: float = _FLOOR,
+    floor: float = 1.0,
 ) -> Closed:
     """Pool held-out residuals of several splits and resample them in blocks that belong together.
 

@@ -1,0 +1,85 @@
+"""What re-fitted explanations predict of data that they have not seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.evidence.observables import Evidence
+from nmt_diagnose.inference.contest import Contender
+from nmt_diagnose.inference.gap import Closed, closed, noise_floor
+from nmt_diagnose.inference.held_out import Split
+from nmt_diagnose.inference.problem import BoolArray
+
+Refits = tuple[Split, Contender, Mapping[str, Contender | None]]
+
+
+class HeldOut:
+    """Explanations re-fitted without what each split holds out.
+
+    Residuals are divided by what noise and the open parameters of the model without effect make of a prediction, the
+    same for all explanations: a split that leaves a parameter open does not count as a gap.
+
+    Args:
+        evidence: the real side.
+        refits: of each split: the split, the model without effect, and the explanations by label.
+        seed: of the bootstrap.
+    """
+
+    def __init__(self, evidence: Evidence, refits: Sequence[Refits], seed: int) -> None:
+        self._evidence, self._refits, self._seed = evidence, refits, seed
+        self._scale = [base.fit.predictive_std for _, base, _ in refits]
+        self.floor = self._noise()
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """What was held out, in words."""
+        return tuple(split.name for split, _, _ in self._refits)
+
+    def closed(self, label: str, start: FloatArray | None = None) -> Closed:
+        """Gap before and after an explanation; ``none`` is the model with its parameters re-fitted.
+
+        Args:
+            label: of the explanation.
+            start: residual to start from, shape (m,); None = of the model without effect, re-fitted to each split.
+        """
+        pairs = []
+        for (split, base, tops), scale in zip(self._refits, self._scale, strict=True):
+            top = base if label == base.label else tops.get(label)
+            if top is not None:
+                before = base.fit.residual if start is None else start
+                pairs.append((before / scale, top.fit.residual / scale, split.held_out))
+        return closed(self._evidence, pairs, self._seed, self.floor)
+
+    def pooled(
+        self, label: str, null: Contender, best: Contender, start: FloatArray | None
+    ) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """Rows that some split held out, and their residuals before and after, from the first split that did.
+
+        Without any split: the fitted rows and the residuals of the fits.
+        """
+        rows = np.zeros(len(self._evidence.rows), dtype=bool)
+        before, after = null.fit.residual.copy(), best.fit.residual.copy()
+        for split, base, tops in self._refits:
+            top = base if label == base.label else tops.get(label)
+            if top is None:
+                continue
+            new = split.held_out & ~rows
+            before[new] = (base.fit.residual if start is None else start)[new]
+            after[new] = top.fit.residual[new]
+            rows |= split.held_out
+        return (rows if rows.any() else null.fit.used), before, after
+
+    def _noise(self) -> float:
+        """What noise leaves of the held-out rows, by the explanation that leaves the smoothest remainder."""
+        total, count = 0.0, 0
+        for (split, base, tops), scale in zip(self._refits, self._scale, strict=True):
+            fits = [base, *(top for top in tops.values() if top is not None)]
+            floors = [noise_floor(self._evidence, item.fit.residual / scale, split.held_out) for item in fits]
+            size = int(split.held_out.sum())
+            total += min(floors) ** 2 * size
+            count += size
+        return math.sqrt(total / count) if count else 1.0

@@ -291,7 +291,8 @@ def comparison_lines(
 
 
 DEFINITIONS = (
-    "Peak: largest value, by a parabola through 1/modulus² of five points (three where the band has fewer than 40). "
+    "Peak: largest value, by a parabola through 1/modulus² of five points (three of both, at "
+    "the measured frequencies, where the band has fewer than 40). "
     "Half-power band: where the measured modulus is at least "
     "its peak over √2. Rms: root mean square of the complex difference over that band, divided by the measured peak; "
     "(moduli): of the difference of the moduli."

@@ -499,14 +499,15 @@ def resonance_error(
         frequency: Hz, shape ``(k,)``, monotone.
         measured: complex response relative to the force, shape ``(k,)``.
         synthesised: the same from the synthesis; NaN where there is none.
-        curve: frequencies (Hz) and moduli along the synthesised curve, for its peak; None = from ``synthesised``.
+        curve: frequencies (Hz) and moduli along the synthesised curve, for its peak; None, or fewer than 40 measured
+            points in the half-power band = from ``synthesised``, so that both peaks suffer alike from few points.
     """
     modulus = np.abs(measured)
     top = int(np.nanargmax(modulus))
     # Few points across the resonance: the nearest three; a wider parabola would span its asymmetry.
     fit = 2 if np.count_nonzero(modulus >= modulus[top] / math.sqrt(2.0)) >= 40 else 1
     peak_at, height = peak(frequency, modulus, fit)
-    if curve is None:
+    if curve is None or fit == 1:
         found_at, found = peak(frequency, np.abs(synthesised), fit)
     else:
         highest = int(np.argmax(curve[1]))

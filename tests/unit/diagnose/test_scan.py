@@ -48,8 +48,9 @@ def test_what_the_calibration_imitates_scores_nothing_and_wrong_signs_are_refuse
 def test_generic_source_is_the_ratio_of_two_marginal_likelihoods():
     calibration, effect, measured, null = _setting()
     columns = np.column_stack([effect, np.random.default_rng(9).standard_normal(60)])
-    columns /= np.linalg.norm(columns, axis=0)
     base = np.eye(60) + calibration @ calibration.T
+    # The unit of the sources' size: what the stronger column leaves after the calibration took its part.
+    columns /= np.sqrt(np.max(np.diag(columns.T @ np.linalg.inv(base) @ columns)))
     # Same data seen from the other side: evidence of y − calibration, marginalised, with and without the source.
     sizes = np.geomspace(0.3, 300.0, 13)
     without = multivariate_normal(np.zeros(60), base).logpdf(measured)

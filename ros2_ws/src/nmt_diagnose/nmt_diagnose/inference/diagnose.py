@@ -41,8 +41,8 @@ from nmt_diagnose.inference.problem import ForwardLike, Problem
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.inference.sentences import sentences
-from nmt_diagnose.inference.sources import generic_sources
-from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.inference.sources import generic_sources, places
+from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_plant.rig import Rig, load_rig
 
@@ -148,8 +148,10 @@ class _Diagnoser:
         singles = self.contest.singles(null, scan)
         pairs = self.contest.pairs(singles)
         self.progress("weighing the explanations")
-        sources = generic_sources(self.forward, self.rig, null, self.evidence)
-        leftovers = generic_sources(self.forward, self.rig, singles[0], self.evidence) if singles else []
+        rig = null.fit.parametrisation.rig(null.fit.theta)
+        found = places(self.forward, rig, cast(Prediction, null.fit.prediction), self.evidence)
+        sources = generic_sources(null.fit, found)
+        leftovers = generic_sources(singles[0].fit, found) if singles else []
         judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.rig, self.confidence)
         as_given = self.problem.residual(given)
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])

@@ -53,11 +53,14 @@ def source_score(fit: Fit, columns: FloatArray, place: str, detail: str) -> Sour
     rows = fit.used
     chosen = np.where(np.isfinite(columns[rows]), columns[rows], 0.0)
     projector = Projector(fit.jacobian[rows], fit.parametrisation.prior_std)
-    size = np.linalg.norm(chosen, axis=0)
-    chosen = chosen[:, size > 0.0] / size[size > 0.0]
-    if chosen.shape[1] == 0:
+    if not np.any(chosen):
         return SourceScore(place, detail, 0.0, 0.0, 0.0)
     matrix = projector.inner(chosen, chosen)
+    # τ in units of what the strongest column does to the observables.
+    size = float(np.sqrt(np.max(np.diag(matrix))))
+    if not size > 0.0:
+        return SourceScore(place, detail, 0.0, 0.0, 0.0)
+    matrix, chosen = matrix / size**2, chosen / size
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     values = np.maximum(values, 0.0)
     along = (vectors.T @ (chosen.T @ fit.residual[rows])) ** 2

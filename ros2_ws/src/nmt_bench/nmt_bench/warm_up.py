@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 from nmt_bench.sample_run import record_sample_run
+from nmt_diagnose.twin.warm_up import warm_up_twin
 from nmt_extract.offline import extract_bag
 from nmt_plant.linear_description import linear_description
 from nmt_plant.reference import compute_reference, single_point_reference
@@ -16,7 +17,7 @@ from nmt_pll.paper_settings import PaperSettings
 
 
 def warm_up() -> None:
-    """Use every kernel once: plant, loop, extraction, harmonic balance."""
+    """Use every kernel once: plant, loop, extraction, harmonic balance, the diagnosis' model."""
     rig = load_rig("beam")
     with tempfile.TemporaryDirectory(prefix="nmt-warm-up-") as folder:
         bag = Path(folder) / "bag"
@@ -31,6 +32,7 @@ def warm_up() -> None:
     further.start()
     further.read()
     further.close()
+    warm_up_twin(rig)
 
 
 if __name__ == "__main__":

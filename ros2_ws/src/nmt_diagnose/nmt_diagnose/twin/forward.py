@@ -146,7 +146,7 @@ class Forward:
         theta: FloatArray,
         prediction: Prediction,
         which: Sequence[int] | None = None,
-        step: float = 3e-4,
+        step: float = 3e-5,
     ) -> FloatArray:
         """∂(observables)/∂θ, (m, n), or of the columns ``which``.
 
@@ -182,8 +182,8 @@ class Forward:
             rig: the rig of ``prediction``.
             prediction: solved levels.
             place: ``structure:4`` (force at a point), ``joint:0`` (across a nonlinear coordinate), ``clamp``,
-                ``exciter`` (force from behind the force sensor), ``force_sensor``, ``response_sensor:a2`` (error of a channel),
-                ``controller`` (phase that the loop holds), ``time`` (drift of stiffness and of slip forces).
+                ``exciter`` (force from behind the force sensor), ``force_sensor``, ``response_sensor:a2`` (error of a
+                channel), ``controller`` (phase that the loop holds), ``time`` (drift of stiffness and of slip forces).
             shared: one source for all levels of a test together (proportional to the level) instead of one for each.
 
         Returns:

@@ -90,11 +90,7 @@ class PartsCache:
                 rig.sensors is other.sensors
                 or all(
                     a is b
-                    or (
-                        a.mass_kg == b.mass_kg
-                        and a.transverse == b.transverse
-                        and a.crosstalk_per_volt == b.crosstalk_per_volt
-                    )
+                    or (a.mass_kg == b.mass_kg and a.transverse == b.transverse)
                     for a, b in zip(rig.sensors, other.sensors, strict=True)
                 )
             )

@@ -86,8 +86,8 @@ class RecordTwin:
                 values = np.clip(values, -level, level)
             if step > 0.0 and noise < 0.7 * step:
                 values = expected_quantised(values, step, noise)
-            result[position] = values - values.mean()
-        return result
+            result[position] = values - float(values.mean())
+        return np.asarray(result, dtype=np.float64)
 
     def _substeps(self, parts: RigParts, rate: float) -> int:
         """Steps per sample: from the fastest oscillation below half of a tenth of the sampling rate, if any."""

@@ -308,10 +308,10 @@ def channel_table(sections: Sequence[SensorSection | None]) -> FloatArray:
     for row, sensor in zip(table, sections, strict=True):
         if sensor is None:
             continue
-        if sensor.dead_zone > 0.0 or sensor.dropped_fraction > 0.0:
+        if sensor.dead_zone > 0.0 or sensor.dropped_fraction > 0.0 or sensor.crosstalk_per_volt != 0.0:
             raise BenchError(
-                f"the diagnosis' model does not cover a {sensor.quantity} sensor with dead_zone or dropped_fraction; "
-                "leave these keys out of the model."
+                f"the diagnosis' model does not cover a {sensor.quantity} sensor with dead_zone, dropped_fraction or "
+                "crosstalk_per_volt; leave these keys out of the model."
             )
         row[GAIN] = sensor.gain
         row[DELAY] = sensor.delay_s
@@ -347,12 +347,10 @@ def _channel_rows(
     """Displacement, velocity, acceleration rows and feedthrough of a channel before its sensor's electronics."""
     zero = np.zeros(system.size)
     feed = np.zeros_like(force[3])
-    crosstalk = 0.0 if sensor is None else sensor.crosstalk_per_volt
-    feed[-1] = crosstalk / volts
     quantity = channel.quantity
     if quantity == Quantity.FORCE:
         mass = 0.0 if sensor is None else sensor.mass_kg
-        return force[0], force[1], force[2] + mass * system.selector(system.drive_point), force[3] + feed
+        return force[0], force[1], force[2] + mass * system.selector(system.drive_point), force[3]
     if quantity == Quantity.VOLTAGE:
         feed[-1] += 1.0 / volts
         return zero, zero, zero, feed

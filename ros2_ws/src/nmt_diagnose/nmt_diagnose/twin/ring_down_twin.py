@@ -1,4 +1,8 @@
-"""Free decays as the model predicts them: frequency and damping ratio over amplitude."""
+"""Free decays as the model predicts them: frequency and damping ratio over amplitude.
+
+Where the frequency depends on the amplitude A, a decay is slower or faster than its power balance at frozen frequency
+says: with q̈ of a slowly varying oscillation, 2 ω Ȧ + ω̇ A = −2 α₀ ω A, so that −Ȧ/A = α₀ / (1 + ½ d ln ω / d ln A).
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.conditions import RingDownTest
 from nmt_diagnose.evidence.observables import Part, Rows
 from nmt_plant.model.fourier_basis import FourierBasis
@@ -62,7 +66,8 @@ class RingDownTwin:
         """Observables of the test's rows."""
         clock = 1.0 + rig.clock_error
         log_omega = np.array([math.nan if s is None else math.log(s[0][-2] / clock) for s in states])
-        ratio = np.array([math.nan if s is None else s[0][-1] for s in states])
+        parts = cache.parts(rig, self.setup)
+        ratio = np.array([math.nan if s is None else self._observed_ratio(parts, s) for s in states])
         result = np.full(len(self.rows), np.nan)
         for kind, values in ((Part.LOG_FREQUENCY, log_omega), (Part.DAMPING, ratio)):
             which = self.rows.part == kind
@@ -78,9 +83,25 @@ class RingDownTwin:
                 result.append(None)
                 continue
             z = self._carried(parts, state, state[2])
+            # Not at the pole of the linear system itself, where transfer functions are infinite.
+            z[-2] *= 1.0 + 1e-8
             residual, jacobian = evaluate_decay(z, *self._arguments(parts, z, state[2]))
             result.append((z - self._solved(jacobian, residual, z), parts.keys, state[2]))
         return result
+
+    def _observed_ratio(self, parts: RigParts, state: DecayState) -> float:
+        """Damping ratio with the change of frequency over amplitude, for the amplitude of the channel itself."""
+        z, amplitude = state[0].copy(), state[2]
+        z[-2] *= 1.0 + 1e-8
+        arguments = self._arguments(parts, z, amplitude)
+        residual, jacobian = evaluate_decay(z, *arguments)
+        step = 1e-5
+        moved = evaluate_decay(z, arguments[0] * (1.0 + step), *arguments[1:])[0]
+        slope = -float(self._solved(jacobian, (moved - residual) / step, z)[-2]) / z[-2]
+        derivatives = {Quantity.VELOCITY: 1.0, Quantity.ACCELERATION: 2.0}.get(self.test.channel.quantity, 0.0)
+        # From the channel's amplitude to that of the displacement.
+        slope = slope / (1.0 - derivatives * slope)
+        return float(z[-1] * (1.0 + derivatives * slope) / (1.0 + 0.5 * slope))
 
     def _arguments(self, parts: RigParts, z: FloatArray, amplitude: float) -> tuple[Any, ...]:
         model = parts.linear
@@ -111,7 +132,11 @@ class RingDownTwin:
         arguments = self._arguments(parts, z, amplitude)
         first = z[-2]
         for _ in range(self.settings.iterations):
-            residual, jacobian = evaluate_decay(z, *arguments)
+            try:
+                residual, jacobian = evaluate_decay(z, *arguments)
+            except ZeroDivisionError:
+                # The pole of a linear system, to the last bit.
+                return z, parts.keys, amplitude
             if not np.all(np.isfinite(residual)):
                 return None
             try:
@@ -132,9 +157,9 @@ class RingDownTwin:
         s = 2j * np.pi * self.test.start_frequency_hz * parts.clock
         model = parts.linear
         output = r + self._own
-        # Newton on the closed loop's 1/T from the nearest pole of the open one.
-        s = self._resting_pole(parts, s)
-        t, _ = model.at(s * (1.0 + 1e-7))
+        # Not at the pole itself: without tangents at rest it is one of the transfer functions too.
+        s = self._resting_pole(parts, s) * (1.0 + 1e-5)
+        t, _ = model.at(s)
         tangent = resting_tangent(parts, s)
         closed = np.linalg.solve(np.eye(r) + t[:r, :r] * tangent, t[:r, r])
         own = t[output, r] - t[output, :r] @ (tangent * closed)

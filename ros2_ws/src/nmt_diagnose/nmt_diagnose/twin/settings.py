@@ -24,7 +24,7 @@ class TwinSettings:
     harmonics: int = 7
     mesh_refinement: int = 2
     samples: int | None = None
-    kept_modes: int = 10
+    kept_modes: int = 16
     full_size: int = 40
     iterations: int = 30
     tolerance: float = 1e-9

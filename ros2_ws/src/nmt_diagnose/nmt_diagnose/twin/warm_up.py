@@ -1,0 +1,42 @@
+"""Compiles the twin's kernels into their cache."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nmt_core.blocks import Quantity
+from nmt_diagnose.evidence.conditions import (
+    LockedLevel,
+    MeasuredChannel,
+    PhaseResonanceTest,
+    RandomTest,
+    RecordTest,
+    RingDownTest,
+    Test,
+)
+from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_plant.rig import Rig
+
+from .forward import Forward
+
+
+def warm_up_twin(rig: Rig) -> None:
+    """Predict one test of each kind for a rig; a level without a solution does not matter."""
+    point = rig.drive_point
+    force = MeasuredChannel("f", Quantity.FORCE, point)
+    response = MeasuredChannel("x", Quantity.DISPLACEMENT, point)
+    both = (force, response)
+    level = LockedLevel(0, 0.1, 0.0, 0.0, 22.0, 0.0, 1.0, 0.0, 1)
+    tests: tuple[Test, ...] = (
+        PhaseResonanceTest("locked", point, "x", both, 3, "voltage", (level,)),
+        RandomTest("noise", point, both, "voltage", np.array([20.0]), 1.0, "none", 0.1, 0.0, 1.0),
+        RingDownTest("decay", point, response, np.array([1e-6]), 22.0),
+        RecordTest(
+            "record", point, 1000.0, MeasuredChannel("u", Quantity.VOLTAGE, 0), np.ones(8), (response,),
+            np.array([0.0, 8.0]),
+        ),
+    )  # fmt: skip
+    parts = (Part.LOG_FREQUENCY, Part.LOG_MAGNITUDE, Part.DAMPING, Part.SAMPLE)
+    zero, none = np.zeros(4, dtype=np.int64), np.zeros(4)
+    rows = Rows(np.arange(4), zero, zero, zero + 1, np.array([int(part) for part in parts]), none, none, none)
+    Forward(tests, rows).predict(rig)

@@ -132,6 +132,31 @@ def test_wrong_units_of_a_channel(clean: Path, tmp_path: Path, factor: float) ->
     assert rows_of(evidence, "x5").any()
 
 
+def test_a_dead_channel(clean: Path, tmp_path: Path) -> None:
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        if block.quantity is Quantity.DISPLACEMENT:
+            data = block.data.copy()
+            data[block.channels.index("x6")] = 0.25
+            block = with_data(block, data)
+        yield block
+
+    evidence = read_evidence([altered(clean, tmp_path / "dead", change)], RIG)
+    said(evidence, "x6", "does not move")
+    assert not rows_of(evidence, "x6").any()
+
+
+@pytest.mark.parametrize("samples", [0, 3, 10**9])
+def test_windows_of_impossible_length(clean: Path, tmp_path: Path, samples: int) -> None:
+    def events(message: Any) -> Any:
+        return dataclasses.replace(message, window_samples=samples) if message.level_index == 2 else message
+
+    evidence = read_evidence([altered(clean, tmp_path / "odd", events=events)], RIG)
+    said(evidence, "level 2", "left out")
+    kept = evidence.tests[0]
+    assert isinstance(kept, PhaseResonanceTest)
+    assert [level.index for level in kept.levels] == [0, 1, 3]
+
+
 def test_wrong_units_of_all_displacements(clean: Path, tmp_path: Path) -> None:
     def change(block: SampleBlock) -> Iterator[SampleBlock]:
         yield with_data(block, block.data * 1e3) if block.quantity is Quantity.DISPLACEMENT else block

@@ -176,6 +176,8 @@ class _Collector:
                 faults[channel.name] = f"{missing} of {row.size} samples are missing or NaN, first at sample {where}"
             elif channel.name not in faults and not np.isfinite(row).all():
                 faults[channel.name] = "holds infinite values"
+            elif channel.name not in faults and channel.quantity is not Quantity.VOLTAGE and not np.ptp(row) > 0.0:
+                faults[channel.name] = "does not move at all; is it connected?"
         middle = 0.5 * (self.first + self.end)
         return Stretch(
             self.first, reference.rate, tuple(channels), data, cycles, faults, self.flags, clock.at(middle)

@@ -16,12 +16,12 @@ _FEWEST_PAIRS = 6
 
 @dataclass(frozen=True)
 class Floors:
-    """Standard deviations that remain with noise-free sensors; ``docs/reference/evidence.md`` shows the measurements.
+    """Standard deviations that remain with noise-free sensors; ``docs/explanation/evidence.md`` shows the measurements.
 
     Attributes:
         log_frequency: locked frequency, relative: transients of the lock.
-        phase_error: F-v phase at lock against what the controller aims at, rad: a third of the tolerance at which locks
-            are usually confirmed.
+        phase_error: F-v phase at lock against what the controller aims at, rad, for all levels of a run together: locks
+            are confirmed within 3.5e-3 rad, and the rest has one sign; the floor of a row is √levels times this.
         log_magnitude, force_log_magnitude: fundamental amplitudes of motions and force, relative.
         phase: phases of fundamentals, rad.
         harmonic: other harmonics over the fundamental, 1.
@@ -36,7 +36,7 @@ class Floors:
     """
 
     log_frequency: float = 2e-6
-    phase_error: float = 1e-3
+    phase_error: float = 1.5e-3
     log_magnitude: float = 5e-5
     force_log_magnitude: float = 2e-4
     phase: float = 3e-5
@@ -49,10 +49,10 @@ class Floors:
     table_damping: float = 5e-2
     record: float = 1e-2
 
-    def window(self, part: Part, quantity: Quantity = Quantity.UNKNOWN, harmonic: int = 1) -> float:
-        """Floor of an observable of a locked window."""
+    def window(self, part: Part, quantity: Quantity = Quantity.UNKNOWN, harmonic: int = 1, levels: int = 1) -> float:
+        """Floor of an observable of a locked window, one of ``levels`` of its run."""
         if part is Part.PHASE_ERROR:
-            return self.phase_error
+            return self.phase_error * math.sqrt(levels)
         own = {
             Part.LOG_FREQUENCY: self.log_frequency,
             Part.LOG_MAGNITUDE: self.force_log_magnitude if quantity is Quantity.FORCE else self.log_magnitude,

@@ -299,7 +299,7 @@ def phase_resonance_evidence(
             Part.LOG_FREQUENCY, math.log(omega), slope * level.phase_error_std, floors.window(Part.LOG_FREQUENCY), place
         )
         if window.segment.kind is TestKind.PHASE_RESONANCE or window.segment.kind is TestKind.UNKNOWN:
-            floor = floors.window(Part.PHASE_ERROR)
+            floor = floors.window(Part.PHASE_ERROR, levels=len(levels))
             table.add(Part.PHASE_ERROR, level.phase_error, level.phase_error_std, floor, place)
         for cell in cells:
             if cell.level == index:

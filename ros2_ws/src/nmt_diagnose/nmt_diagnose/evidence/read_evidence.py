@@ -34,6 +34,7 @@ from nmt_record.segments import Segment, segments
 
 _LOCKED = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE)
 _FEW_LEVELS = 3
+_FEWEST_SAMPLES = 16
 
 
 def read_evidence(
@@ -157,8 +158,9 @@ def _signals(
     stretches = read_stretches(bag, [(segment.first_sample, segment.samples) for segment in usable])
     windows = []
     for segment, stretch in zip(usable, stretches, strict=True):
-        if stretch is None:
-            notes.append(f"{name}: level {segment.level_index} is left out: the bag has no samples of its window.")
+        if stretch is None or stretch.samples < _FEWEST_SAMPLES:
+            where = f"{name}: level {segment.level_index}"
+            notes.append(f"{where} is left out: the bag has no samples of its window, or hardly any.")
         else:
             windows.append(_Window(segment, stretch))
     if not windows:

@@ -227,9 +227,9 @@ def swept_response(
         window = data[:, part]
         factor = base.copy()
         for order in range(orders):
-            amplitudes[:, order, k] = window @ (weights * factor)
+            amplitudes[:, order, k] = _weighted(window, weights * factor)
             if order == 0:
-                sides = np.stack((window @ (weights * factor * swing), window @ (weights * factor / swing)))
+                sides = np.stack([_weighted(window, weights * factor * side) for side in (swing, swing.conj())])
                 noise[:, k] = np.sqrt(np.mean(np.abs(sides) ** 2, axis=0) / 2.0)
             factor = factor * base
         frequencies[k] = (cycles[centre + half] - cycles[centre - half]) * sample_rate / (2 * half)
@@ -243,6 +243,12 @@ def swept_response(
     return SweptResponse(
         frequencies, (centres + first_sample).astype(np.float64), channels, amplitudes, noise, kernel, rate
     )
+
+
+def _weighted(window: FloatArray, weights: ComplexArray) -> ComplexArray:
+    """window @ weights; real products, since a real times a complex matrix would be multiplied without BLAS."""
+    parts = window @ np.stack((weights.real, weights.imag), axis=1)
+    return np.asarray(parts[:, 0] + 1j * parts[:, 1])
 
 
 def _beside_hz(kernel: OrderKernel) -> float:

@@ -6,7 +6,7 @@
 
 A page holds its tables between ``<!-- generated: KIND NAME -->`` and ``<!-- end -->``; everything else is
 written by hand. KIND is ``message`` (a .msg or .action file), ``parameters`` (the table of a node), ``rig``
-(a section of the rig file) or ``options`` (a command). The tables of parameters stand in the node modules,
+(a section of the rig file), ``options`` (a command), ``effects`` (a place of the diagnosis) or ``priors``. The tables of parameters stand in the node modules,
 so they need ROS 2.
 """
 
@@ -364,7 +364,40 @@ def options_table(name: str) -> str:
     return "\n".join(lines)
 
 
+def effects_table(place: str) -> str:
+    """Effects of the diagnosis at one place."""
+    from nmt_diagnose.effects.library import library
+
+    lines = ["| effect | term | keys of the rig file | parameters | looks like (told apart by) | source |"]
+    lines.append("|---|---|---|---|---|---|")
+    for effect in library():
+        if effect.place != place:
+            continue
+        parameters = []
+        for p in effect.parameters:
+            starts = f", starts at {', '.join(f'{value:g}' for value in p.grid)} scales" if p.grid else ""
+            sign = "" if p.kind == "shape" or p.signed else ", ≥ 0"
+            parameters.append(f"`{p.name}` ({p.unit}; {p.kind}{sign}{starts})")
+        alike = "; ".join(f"`{name}` ({test})" for name, test in effect.equivalents.items()) or "–"
+        keys = ", ".join(f"`{key}`" for key in effect.keys.split(", "))
+        cells = (f"`{effect.name}`", effect.equation, keys, ", ".join(parameters), alike, effect.reference)
+        lines.append("| " + " | ".join(_cell(cell) for cell in cells) + " |")
+    return "\n".join(lines)
+
+
+def priors_table(name: str) -> str:
+    """Priors of the calibration parameters."""
+    from nmt_diagnose.effects.calibration import PRIORS, unit_of
+
+    lines = ["| key | unit | relative standard deviation | because |", "|---|---|---|---|"]
+    for key, (std, reason) in PRIORS.items():
+        lines.append(f"| `{key}` | {unit_of(key)} | {100 * std:g} % | {_cell(reason)} |")
+    return "\n".join(lines)
+
+
 KINDS: dict[str, Callable[[str], str]] = {
+    "effects": effects_table,
+    "priors": priors_table,
     "message": message_table,
     "parameters": parameters_table,
     "rig": rig_table,

@@ -12,7 +12,7 @@ from .operating_range import OperatingRange
 from .rig_edit import value_at, with_value
 
 RESPONSES = ("displacement", "velocity", "acceleration")
-MEASUREMENT = "Ewins, Modal Testing (2000), section 3.4"
+MEASUREMENT = "Ewins, Modal Testing (2000)"
 Change = Callable[[Rig, Placement, Mapping[str, float]], Rig]
 
 
@@ -162,7 +162,7 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         name="force_cell_mass", place="force_sensor", equation="F + m a", keys="sensors.mass_kg",
-        reference="Ewins, Modal Testing (2000), section 3.8 (mass cancellation)",
+        reference="Ewins, Modal Testing (2000), mass cancellation",
         parameters=(EffectParameter("m", "kg", signed=True),),
         placements=_force_mass_placements,
         change=_set("mass_kg", lambda sensor, values: sensor.mass_kg + values["m"]),
@@ -221,7 +221,7 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         name="clock_error", place="response_sensor", equation="f (1 + e)", keys="clock_error",
-        reference="IEEE Std 1057 (2017), clause on sampling rate",
+        reference="IEEE Std 1057 (2017)",
         parameters=(EffectParameter("e", "1", signed=True),),
         placements=lambda rig, operating: (Placement("", {"e": 1e-3}),),
         change=lambda rig, placement, values: with_value(

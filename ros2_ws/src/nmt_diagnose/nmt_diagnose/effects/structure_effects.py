@@ -90,7 +90,7 @@ def _stop(name: str, equation: str, section: type[ElementSection]) -> Effect:
         name=name,
         place="structure",
         equation=equation,
-        reference="Kerschen et al., Mech. Syst. Signal Process. 20 (2006), section 2",
+        reference="Kerschen et al., Mech. Syst. Signal Process. 20 (2006) 505",
         keys=f"local_elements: {section.model_fields['kind'].annotation.__args__[0]}",  # type: ignore[union-attr]
         parameters=(EffectParameter("k", "N/m"), EffectParameter("gap", "m", "shape", grid=GAP_GRID)),
         placements=partial(local_placements, sizes=lambda a, k, w: {"k": 0.1 * k, "gap": a}),
@@ -118,19 +118,19 @@ def _with_loss(rig: Rig, placement: Placement, values: Mapping[str, float]) -> R
 STRUCTURE_EFFECTS: tuple[Effect, ...] = (
     _single(
         "cubic_stiffness", "k x³", EffectParameter("k", "N/m³", signed=True), CubicSpringSection, "stiffness_n_m3",
-        lambda a, k, w: {"k": 0.02 * k / a**2}, "Nayfeh and Mook, Nonlinear Oscillations (1979), chapter 4",
+        lambda a, k, w: {"k": 0.02 * k / a**2}, "Nayfeh and Mook, Nonlinear Oscillations (1979)",
     ),
     _single(
         "quintic_stiffness", "k x⁵", EffectParameter("k", "N/m⁵", signed=True), QuinticSpringSection,
-        "stiffness_n_m5", lambda a, k, w: {"k": 0.02 * k / a**4}, "Nayfeh and Mook (1979), chapter 4",
+        "stiffness_n_m5", lambda a, k, w: {"k": 0.02 * k / a**4}, "Nayfeh and Mook, Nonlinear Oscillations (1979)",
     ),
     _single(
         "quadratic_stiffness", "k x²", EffectParameter("k", "N/m²", signed=True), QuadraticSpringSection,
-        "stiffness_n_m2", lambda a, k, w: {"k": 0.05 * k / a}, "Nayfeh and Mook (1979), section 4.1",
+        "stiffness_n_m2", lambda a, k, w: {"k": 0.05 * k / a}, "Nayfeh and Mook, Nonlinear Oscillations (1979)",
     ),
     _single(
         "air_drag", "c₂ v |v|", EffectParameter("c2", "N s²/m²", signed=True), QuadraticDragSection, "drag_ns2_m2",
-        lambda a, k, w: {"c2": 0.005 * k / (w**2 * a)}, "Baker et al., J. Acoust. Soc. Am. 41 (1967) 798",
+        lambda a, k, w: {"c2": 0.005 * k / (w**2 * a)}, "Baker, Woolam and Young, Int. J. Mech. Sci. 9 (1967) 743",
     ),
     Effect(
         name="structural_damping", place="structure", equation="K (1 + iη)",
@@ -145,7 +145,7 @@ STRUCTURE_EFFECTS: tuple[Effect, ...] = (
         {"structural_damping": "several modes in a random test"},
     ),
     Effect(
-        name="added_mass", place="structure", equation="m a", reference="Ewins, Modal Testing (2000), section 3.2",
+        name="added_mass", place="structure", equation="m a", reference="Ewins, Modal Testing (2000)",
         keys="structure.added_masses", parameters=(EffectParameter("m", "kg", signed=True),),
         placements=_mass_placements, change=_with_mass,
         equivalents={"sensor_mass": "a test with the sensor taken off", "stinger_stiffness": "a second drive point"},

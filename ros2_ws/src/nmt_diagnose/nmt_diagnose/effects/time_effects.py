@@ -41,7 +41,7 @@ TIME_EFFECTS: tuple[Effect, ...] = (
         name="preload_loss",
         place="time",
         equation="slip force times (1 + rate t), t in s or drive periods",
-        reference="Eriten et al., Exp. Mech. 51 (2011) 1405; Brake (ed.), The Mechanics of Jointed Structures (2018)",
+        reference="Brake (ed.), The Mechanics of Jointed Structures (2018)",
         keys="drift.slip_force_per_s, drift.slip_force_per_cycle",
         parameters=(EffectParameter("rate", "1/s or 1/period", signed=True),),
         placements=_preload_placements,

@@ -285,7 +285,8 @@ class PhaseResonanceTwin:
         s = 1j * omega
         transfer, _ = parts.linear.at(s)
         tangent = resting_tangent(parts, s)
-        w = np.linalg.solve(np.eye(r) + transfer[:r, :r] * tangent, transfer[:r, r] * drive)
+        closed = np.eye(r) + transfer[:r, :r] * tangent
+        w = np.asarray(np.linalg.solve(closed, transfer[:r, r] * drive), dtype=np.complex128)
         gains = np.array([sensor_gain(s, *chain)[0] for chain in parts.channels])
         channels = gains * (transfer[r:, r] * drive - transfer[r:, :r] @ (tangent * w))
         turn = np.exp(-1j * (0.5 * np.pi * self.power + level.phase))

@@ -48,6 +48,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "computed backbone of a rig's model (EPMC, harmonic balance)",
     ),
     "study": ("nmt_bench.study_command", "the paper's studies, all cases, compared with references"),
+    "blind": ("nmt_bench.blind_command", "blind check of the diagnosis: make sealed cases, diagnose them, score"),
     "params": ("nmt_bench.params_command", "parameter file of a rig for starting the nodes with 'ros2 run'"),
     "benchmark": ("nmt_bench.benchmark_command", "speed of this machine beside limits and peers"),
 }

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from nmt_core.blocks import Quantity
+from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.test_kind import TestKind
 from nmt_diagnose.blind.rig_edits import rig_yaml
@@ -20,7 +20,7 @@ from nmt_plant.device import DeviceFault, DriveCommand, Waveform
 from nmt_plant.linear_description import linear_description
 from nmt_plant.rig import BeamSection, Rig
 from nmt_plant.simulated_rig import SimulatedRig
-from nmt_pll.level_loop import WAVEFORM_RANDOM, LevelLoop, LoopOutput
+from nmt_pll.level_loop import WAVEFORM_RANDOM, LevelLoop, LockWindow, LoopOutput
 from nmt_pll.lock import LoopState
 from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.random_drive import RandomDrive
@@ -85,18 +85,42 @@ def as_built(truth: Rig, bench: BenchSettings, seed: int) -> Rig:
     return truth.model_copy(update=changes)
 
 
-def record_backbone(bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed: int) -> Outcome:
-    """Phase resonance at every level with real lock transients, into a bag.
+@dataclass(frozen=True)
+class PlannedTest:
+    """A test ready to be made: its loop, levels and what the run says of itself."""
+
+    loop: LevelLoop
+    commands: tuple[LevelCommand, ...]
+    run: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One block of a test.
+
+    Attributes:
+        blocks: samples by quantity.
+        output: the loop's answer.
+        begun: the level that begins after this block, if one does.
+        ended: the window that ended with this block; None otherwise.
+    """
+
+    blocks: dict[Quantity, SampleBlock]
+    output: LoopOutput
+    begun: LevelCommand | None
+    ended: LockWindow | None
+
+
+def backbone_test(truth: Rig, model: Rig, bench: BenchSettings) -> PlannedTest:
+    """Phase resonance at every level, with real lock transients.
 
     Args:
-        bag: folder to create.
-        truth: the rig with what it really has.
-        model: the rig as it is believed to be: loop, plan and the bag's description come from it.
+        truth: the rig with what it really has; the loop's own settings are among that.
+        model: the rig as it is believed to be: loop, plan and description come from it.
         bench: settings of the test.
-        seed: of noise and random numbers.
 
     Raises:
-        BenchError: a setting is refused or the bag cannot be written.
+        BenchError: a setting is refused.
     """
     linear = linear_description(model)
     lowest = min(bench.levels)
@@ -107,7 +131,7 @@ def record_backbone(bag: Path, truth: Rig, model: Rig, bench: BenchSettings, see
         **truth.pll,
     }
     loop = PhaseLockedLoop(linear, settings_from(settings), model.sample_rate_hz, model.block_samples)
-    commands = [
+    commands = tuple(
         LevelCommand(
             sequence=index + 1,
             index=index,
@@ -118,13 +142,12 @@ def record_backbone(bag: Path, truth: Rig, model: Rig, bench: BenchSettings, see
             timeout=model.test.lock_timeout_s,
         )
         for index, level in enumerate(bench.levels)
-    ]
-    run = _run(model, commands, linear.to_json())
-    return _record(bag, as_built(truth, bench, seed), model, loop, commands, run)
+    )
+    return PlannedTest(loop, commands, _run(model, commands, linear.to_json()))
 
 
-def record_random(bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed: int) -> Outcome:
-    """One window of random excitation at low level, into a bag; arguments as for `record_backbone`."""
+def random_test(model: Rig, bench: BenchSettings) -> PlannedTest:
+    """One window of random excitation at low level; arguments as for `backbone_test`."""
     loop = RandomDrive(
         model.drive_point, model.sample_rate_hz, model.block_samples, settling_time=bench.settling_time
     )
@@ -140,8 +163,28 @@ def record_random(bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed:
         band_high_hz=bench.band_hz[1],
         duration=bench.duration,
     )
-    run = _run(model, [command], "null")
-    return _record(bag, as_built(truth, bench, seed ^ _RANDOM_SEED), model, loop, [command], run)
+    return PlannedTest(loop, (command,), _run(model, (command,), "null"))
+
+
+def record_backbone(bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed: int) -> Outcome:
+    """Make the backbone test and write it into a bag.
+
+    Args:
+        bag: folder to create.
+        truth: the rig with what it really has.
+        model: the rig as it is believed to be.
+        bench: settings of the test.
+        seed: of noise and random numbers.
+
+    Raises:
+        BenchError: a setting is refused or the bag cannot be written.
+    """
+    return _record(bag, as_built(truth, bench, seed), model, backbone_test(truth, model, bench))
+
+
+def record_random(bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed: int) -> Outcome:
+    """Make the random test and write it into a bag; arguments as for `record_backbone`."""
+    return _record(bag, as_built(truth, bench, seed ^ _RANDOM_SEED), model, random_test(model, bench))
 
 
 def _run(model: Rig, commands: Sequence[LevelCommand], linear_json: str) -> dict[str, Any]:
@@ -169,67 +212,83 @@ def _run(model: Rig, commands: Sequence[LevelCommand], linear_json: str) -> dict
     }
 
 
-def _record(
-    bag: Path, built: Rig, model: Rig, loop: LevelLoop, commands: Sequence[LevelCommand], run: dict[str, Any]
-) -> Outcome:
+def play(built: Rig, model: Rig, test: PlannedTest) -> Iterator[Step]:
+    """Work through the levels block by block, as the bench does: the next level waits for the window's last sample.
+
+    Args:
+        built: the rig as it stands in the laboratory.
+        model: the rig as it is believed to be.
+        test: the test; its loop is used up.
+
+    Raises:
+        DeviceFault: the motion is not finite any more.
+        TrialError: the levels do not come to an end.
+    """
     device = SimulatedRig(built)
     device.configure()
+    response_quantity = Quantity[model.extraction.quantity.upper()]
+    longest = sum(_longest(command, model) for command in test.commands) * device.sample_rate
+    device.start()
+    index = 0
+    window: LockWindow | None = None
+    command: LevelCommand | None = test.commands[0]
+    test.loop.set_level(test.commands[0])
+    try:
+        while index < len(test.commands):
+            blocks = {block.quantity: block for block in device.read()}
+            force = blocks[Quantity.FORCE]
+            output = test.loop.process(force, blocks[response_quantity])
+            device.write(_command(output))
+            window = output.lock or window
+            ended = window if window is not None and force.end_sample >= window.first_sample + window.samples else None
+            lost = output.state == LoopState.LOCK_LOST
+            begun, command = command, None
+            yield Step(blocks, output, begun, None if lost else ended)
+            if ended is not None or lost:
+                index, window = index + 1, None
+                if index < len(test.commands):
+                    command = replace(test.commands[index], apply_at_sample=force.end_sample)
+                    test.loop.set_level(command)
+            elif force.end_sample > longest:
+                raise TrialError("the levels do not come to an end")
+    finally:
+        device.close()
+
+
+class TrialError(ArithmeticError):
+    """A test that cannot be made on this truth."""
+
+
+def _record(bag: Path, built: Rig, model: Rig, test: PlannedTest) -> Outcome:
     time_ns = [0]
     # Chunks by number of messages and the bench's clock alone: the same truth gives the same file.
     writer = BagWriter(
         bag,
-        run_json=json.dumps(run),
+        run_json=json.dumps(test.run),
         rig_yaml=rig_yaml(model),
         chunk_messages=_CHUNK_MESSAGES,
         flush_interval=math.inf,
         clock=lambda: time_ns[0],
     )
     messages = RunMessages(writer, model.name)
-    response_quantity = Quantity[model.extraction.quantity.upper()]
-    longest = sum(_longest(command, model) for command in commands) * device.sample_rate
-    device.start()
-    index, window_end, locked, sample, trouble = 0, None, 0, 0, ""
+    unit = Quantity[model.extraction.quantity.upper()].unit
+    locked, sample, trouble = 0, 0, ""
     try:
-        _begin(loop, messages, commands[0], 0)
-        while index < len(commands):
-            try:
-                blocks = {block.quantity: block for block in device.read()}
-            except DeviceFault as fault:
-                trouble = str(fault)
-                break
-            force, response = blocks[Quantity.FORCE], blocks[response_quantity]
-            output = loop.process(force, response)
-            sample = force.end_sample
-            time_ns[0] = round(sample / device.sample_rate * 1e9)
-            for block in blocks.values():
+        for step in play(built, model, test):
+            if step.begun is not None:
+                messages.put_level(step.begun)
+            sample = step.output.last_sample + 1
+            time_ns[0] = round(sample / model.sample_rate_hz * 1e9)
+            for block in step.blocks.values():
                 messages.put_block(block)
-            messages.put_output(output, response.unit)
-            device.write(_command(output))
-            if output.lock is not None:
-                window_end = output.lock.first_sample + output.lock.samples
-            done = window_end is not None and sample >= window_end
-            lost = output.state == LoopState.LOCK_LOST
-            locked += done and not lost
-            if done or lost:
-                index, window_end = index + 1, None
-                if index < len(commands):
-                    _begin(loop, messages, commands[index], sample)
-            elif sample > longest:
-                trouble = "the levels do not come to an end"
-                break
+            messages.put_output(step.output, unit)
+            locked += step.ended is not None
         writer.close("done", "every level was worked through", time_ns[0])
-    except BenchError as error:
+    except (DeviceFault, TrialError, BenchError) as error:
         trouble = str(error)
     finally:
-        device.close()
         writer.close_quietly()
-    return Outcome(locked, len(commands), sample / device.sample_rate, trouble)
-
-
-def _begin(loop: LevelLoop, messages: RunMessages, command: LevelCommand, sample: int) -> None:
-    command = replace(command, apply_at_sample=sample)
-    loop.set_level(command)
-    messages.put_level(command)
+    return Outcome(locked, len(test.commands), sample / model.sample_rate_hz, trouble)
 
 
 def _longest(command: LevelCommand, model: Rig) -> float:

@@ -174,3 +174,18 @@ def test_hum_has_no_mean_in_a_harmonic():
     changed = Parametrisation(rig, (), (own,)).rig(np.array([3.0]))
     assert changed.sensors[1].hum_amplitude > 0.0
     np.testing.assert_array_equal(forward.predict(changed).values, forward.predict(rig).values)
+
+
+def test_hum_is_a_line_of_its_channel():
+    rig, own = candidate("chain", "mains_hum@x1")
+    test, _ = locked(rig, [level(CHAIN_DRIVE, CHAIN_HZ)], "x1")
+    table = [(0, 0, channel, -1, Part.LINE) for channel in range(3)]
+    parametrisation = Parametrisation(rig, (), (own,))
+    forward = Forward([test], rows_of(table, 50.1), SETTINGS)
+    size = own.placement.scales["amplitude"]
+    prediction = forward.predict(parametrisation.rig(np.array([3.0])))
+    np.testing.assert_allclose(prediction.values, [0.0, 3.0 * size, 0.0])
+    jacobian = forward.jacobian(parametrisation, np.zeros(1), forward.predict(rig))
+    np.testing.assert_allclose(jacobian[:, 0], [0.0, size, 0.0])
+    elsewhere = Forward([test], rows_of(table, 60.0), SETTINGS)
+    np.testing.assert_array_equal(elsewhere.predict(parametrisation.rig(np.array([3.0]))).values, 0.0)

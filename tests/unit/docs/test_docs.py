@@ -123,6 +123,7 @@ def test_generated_tables_are_up_to_date(page: Path) -> None:
 
 
 def test_every_message_section_node_and_command_has_its_table() -> None:
+    from nmt_diagnose.effects.library import library
     from nmt_plant import rig
 
     shown = {
@@ -141,6 +142,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
         name for name, kind in vars(rig).items() if isinstance(kind, type) and issubclass(kind, rig.Section)
     }
     wanted |= {("rig", name) for name in sections - {"Section"}}
+    wanted |= {("effects", effect.place) for effect in library()} | {("priors", "all")}
     assert shown == wanted
 
 

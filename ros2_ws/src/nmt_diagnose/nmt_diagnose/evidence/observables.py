@@ -26,6 +26,7 @@ class Part(IntEnum):
     IMAG = 5  # Im of the same
     DAMPING = 6  # damping ratio δ
     SAMPLE = 7  # a sample of a record, in units of the channel
+    LINE = 8  # amplitude of a spectral line at the row's frequency that follows no excitation, in units of the channel
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,10 @@ from .ring_down_twin import RingDownTwin
 from .settings import TwinSettings
 
 
+# Relative distance within which a line of the evidence is that of the mains.
+LINE_WIDTH = 0.01
+
+
 class Parameters(Protocol):
     """What ``Forward.jacobian`` needs of a parametrisation."""
 
@@ -128,6 +132,7 @@ class Forward:
             else:
                 values[where] = twin.values(rig, cache)
                 states.append(None)
+        self._add_lines(rig, values)
         return Prediction(values, np.isfinite(values), tuple(reasons), tuple(states))
 
     def _stepped(self, rig: Rig, prediction: Prediction, cache: PartsCache) -> FloatArray:
@@ -138,7 +143,22 @@ class Forward:
                 values[where] = twin.values(rig, cache, twin.stepped(rig, cache, prediction.states[index]))
             else:
                 values[where] = twin.values(rig, cache)
+        self._add_lines(rig, values)
         return values
+
+    def _add_lines(self, rig: Rig, values: FloatArray) -> None:
+        """Spectral lines that follow no excitation: mains hum, at its frequency as the rig's clock sees it."""
+        for row in np.flatnonzero(self.rows.part == Part.LINE):
+            test = self.tests[self.rows.test[row]]
+            if not isinstance(test, PhaseResonanceTest | RandomTest | RecordTest):
+                continue
+            channel = test.channels[self.rows.channel[row]]
+            values[row] = 0.0
+            for sensor in rig.sensors:
+                if rig.sensor_channel(sensor) == channel.name and sensor.hum_amplitude != 0.0:
+                    seen = sensor.hum_hz / (1.0 + rig.clock_error)
+                    if abs(self.rows.frequency_hz[row] / seen - 1.0) < LINE_WIDTH:
+                        values[row] = sensor.hum_amplitude
 
     def jacobian(
         self,

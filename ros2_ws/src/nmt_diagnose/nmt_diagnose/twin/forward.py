@@ -32,7 +32,6 @@ from .record_twin import RecordTwin
 from .ring_down_twin import RingDownTwin
 from .settings import TwinSettings
 
-
 # Relative distance within which a line of the evidence is that of the mains.
 LINE_WIDTH = 0.01
 

@@ -23,6 +23,7 @@ class ResponsePage:
         facts: (name, value).
         sections: (anchor, heading, HTML).
         notices: sentences on what is missing or wrong.
+        answers: (question, sentence) below the verdict.
         footer: HTML.
     """
 
@@ -34,6 +35,7 @@ class ResponsePage:
     cards: Sequence[tuple[str, str, str]] = ()
     facts: Sequence[tuple[str, str]] = ()
     notices: Sequence[str] = ()
+    answers: Sequence[tuple[str, str]] = ()
     footer: str = field(default="SI units.")
 
     def html(self) -> str:
@@ -53,6 +55,9 @@ class ResponsePage:
         facts = "".join(
             f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in self.facts if value
         )
+        answers = "".join(
+            f"<div><dt>{escape(question)}</dt><dd>{escape(sentence)}</dd></div>" for question, sentence in self.answers
+        )
         notices = "".join(f'<p class="notice">{escape(text)}</p>' for text in self.notices)
         return (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -62,7 +67,9 @@ class ResponsePage:
             f"<style>\n{_template('report.css')}</style>\n</head>\n<body>\n<main>\n"
             f'<header>\n<p class="kicker">{escape(self.kicker)}</p>\n<h1>{escape(self.heading)}</h1>\n'
             f'<p class="subtitle">{escape(self.subtitle)}</p>'
-            f'<p class="verdict {kind}">{escape(text)}</p>\n{notices}'
+            f'<p class="verdict {kind}">{escape(text)}</p>\n'
+            + (f'<dl class="answers">{answers}</dl>\n' if answers else "")
+            + notices
             + (f'<div class="cards">{cards}</div>\n' if cards else "")
             + (f'<dl class="facts">{facts}</dl>\n' if facts else "")
             + f"<nav>{links}</nav>\n</header>\n{body}<footer>{self.footer}</footer>\n</main>\n"

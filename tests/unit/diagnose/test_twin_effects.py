@@ -36,7 +36,7 @@ ON_THE_CHAIN = {
     "added_mass@2": (5.0,),
     "one_sided_stop@2": (2.0, math.log(0.5)),
     "two_sided_gap@1": (2.0, math.log(0.4)),
-    "microslip@2": (4.0,),
+    "microslip@2": (4.0, -0.3),
     "second_friction_contact@1": (3.0, math.log(0.3)),
     "preload_loss@time": (-40.0,),
     "preload_loss@cycles": (-0.05,),

@@ -90,7 +90,7 @@ def _friction_report(values: Mapping[str, float]) -> Reported:
 
 def _microslip_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
     return tuple(
-        Placement(element.name or str(element.point), {"spread": 0.3}, element.point, index=index)
+        Placement(element.name or str(element.point), {"spread": 0.3, "power": 1.0}, element.point, index=index)
         for index, element in enumerate(rig.local_elements)
         if isinstance(element, JenkinsSection)
     )
@@ -100,9 +100,9 @@ def _with_microslip(rig: Rig, placement: Placement, values: Mapping[str, float])
     jenkins = rig.local_elements[placement.index]
     assert isinstance(jenkins, JenkinsSection)
     kept = {key: getattr(jenkins, key) for key in type(jenkins).model_fields if key != "kind"}
-    # The share of the power law grows from 0 (one slider); χ = 0 spreads the slip evenly from 0 to its largest.
+    # The share of the power law grows from 0 (one slider).
     joint = IwanSection.model_construct(
-        kind="iwan", exponent=0.0, stiffness_ratio=1.0 / values["spread"], onset_ratio=0.0, sliders=12, **kept
+        kind="iwan", exponent=values["power"] - 1.0, stiffness_ratio=1.0 / values["spread"], sliders=12, **kept
     )
     return with_value(rig, ("local_elements", placement.index), joint)
 
@@ -110,7 +110,7 @@ def _with_microslip(rig: Rig, placement: Placement, values: Mapping[str, float])
 def _microslip_report(values: Mapping[str, float]) -> Reported:
     return {
         "spread": (values["spread"], "1"),
-        "chi": (0.0, "1"),
+        "chi": (values["power"] - 1.0, "1"),
         "beta": (1.0 / values["spread"] if values["spread"] else float("inf"), "1"),
     }
 
@@ -147,10 +147,13 @@ JOINT_EFFECTS: tuple[Effect, ...] = (
     Effect(
         name="microslip",
         place="joint",
-        equation="Iwan distribution of sliders, β = 1/spread, χ = 0, instead of one slider",
+        equation="Iwan distribution of sliders, β = 1/spread, χ = power − 1, instead of one slider",
         reference="Segalman, J. Appl. Mech. 72 (2005) 752",
         keys="local_elements: iwan instead of jenkins",
-        parameters=(EffectParameter("spread", "1", grid=(0.3, 1.0, 3.0)),),
+        parameters=(
+            EffectParameter("spread", "1", grid=(0.3, 1.0, 3.0)),
+            EffectParameter("power", "1", "shape", grid=(0.5, 1.0)),
+        ),
         placements=_microslip_placements,
         change=_with_microslip,
         report=_microslip_report,

@@ -47,3 +47,31 @@ def test_options_are_checked(tmp_path: Path, capfd) -> None:
     assert cli.main(["study", "levels", "--quick", "--out", str(tmp_path / "mine")]) == 2
     assert "holds something else" in capfd.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine"]
+
+
+def test_rival_methods_are_compared_on_the_joint_resonator(tmp_path: Path, capfd) -> None:
+    assert cli.main(["study", "rival_methods", "--quick", "--jobs", "1", "--out", str(tmp_path / "out")]) == 0
+    rows = list(csv.DictReader((tmp_path / "out" / "study.csv").read_text().splitlines()))
+    methods = {row["labels"].split(";")[0].removeprefix("method=") for row in rows}
+    assert methods == {
+        "phase_resonance", "ring_down", "ring_downs", "apparent", "sweeps", "half_power", "stepped", "held_response",
+    }  # fmt: skip
+
+    def errors(method: str, quantity: str, low: float = 0.0) -> list[float]:
+        return [
+            abs(float(row[f"{quantity}_error_epmc"]))
+            for row in rows
+            if f"method={method};" in row["labels"]
+            and float(row["omega_rad_s"]) ** 2 * float(row["modal_amplitude"]) > low
+        ]
+
+    for method in ("phase_resonance", "stepped", "held_response"):
+        assert max(errors(method, "omega")) < 3e-4
+        assert max(errors(method, "damping")) < 2e-2
+    assert max(errors("ring_downs", "omega", 45.0)) < 3e-4
+    assert max(errors("ring_downs", "damping", 45.0)) < 0.1
+    # Structure and exciter together decay several times as fast as the structure.
+    assert min(errors("apparent", "damping", 45.0)) > 0.5
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert "Sensitivity to noise" in report
+    assert "the rig joint_resonator" in report

@@ -19,9 +19,7 @@ OMEGA = 2.0 * math.pi * 150.0
 
 def one_mass(mass: float = 1.0) -> LinearDescription:
     """Description of a single mass."""
-    return LinearDescription(
-        "test", 1, 0, (1,), (OMEGA,), (0.01,), ((mass**-0.5,),), mass**-0.5, OMEGA, 0.01, 0.0
-    )
+    return LinearDescription("test", 1, 0, (1,), (OMEGA,), (0.01,), ((mass**-0.5,),), mass**-0.5, OMEGA, 0.01, 0.0)
 
 
 def records(displacement: np.ndarray, force: np.ndarray | float = 0.0) -> np.ndarray:
@@ -93,9 +91,7 @@ def coulomb_decay(amplitude: float, friction: float, samples: int) -> np.ndarray
 def test_coulomb_friction_agrees_with_its_closed_form() -> None:
     friction = 0.004
     motion = coulomb_decay(1.0, friction, 3500)
-    found = decay_of(
-        records(motion), RATE, one_mass(), Quantity.DISPLACEMENT, 150.0, DecaySettings(span=0.2, step=0.1)
-    )
+    found = decay_of(records(motion), RATE, one_mass(), Quantity.DISPLACEMENT, 150.0, DecaySettings(span=0.2, step=0.1))
     keep = found.modal_amplitude > 0.3
     assert np.count_nonzero(keep) > 8
     np.testing.assert_allclose(found.omega_rad_s[keep], OMEGA, rtol=2e-4)

@@ -321,9 +321,7 @@ def _modal_row(fit: Phasors, inverse: FloatArray, drive: int, order: int) -> tup
     return tuple(float(value) for value in row), float(relative)
 
 
-def _modal_values(
-    point: FloatArray, exponent: complex, size: float, shape_drive: complex, order: int
-) -> FloatArray:
+def _modal_values(point: FloatArray, exponent: complex, size: float, shape_drive: complex, order: int) -> FloatArray:
     """q, ω̃, δ̃, apparent ω̃ and δ̃ from (a₀, a₁, a₂ over the size of a₀, force)."""
     zero, one, two, force = point[0::2] + 1j * point[1::2]
     ratio = one / zero

@@ -18,5 +18,9 @@ STUDIES: dict[str, tuple[str, str]] = {
         "nmt_bench.studies.bench_time",
         "accuracy against periods per level for four ways to test",
     ),
+    "rival_methods": (
+        "nmt_bench.studies.rival_methods",
+        "joint resonator: phase resonance, ring-downs, sweeps, stepped sines; bench time, accuracy, noise",
+    ),
 }
 """Module and one line of help of each study."""

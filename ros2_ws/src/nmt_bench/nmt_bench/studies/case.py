@@ -14,6 +14,8 @@ from nmt_core.errors import BenchError
 PAPER_JOINT = 8000.0
 """Tangential stiffness of the paper's joint, N/m."""
 
+_EXCITATION = ("test", "frequencies_hz", "rate_hz_s", "frequency_end_hz", "duration")
+
 JOINT_KEY = "local_elements.0.tangential_stiffness_n_m"
 
 
@@ -33,6 +35,11 @@ class StudyCase:
         extract_values: further parameters of the extraction.
         control: ``voltage``, ``response`` or ``force``.
         strategy: ``stepped`` or ``ramp``.
+        test: kind of test, see :class:`nmt_bench.node_plan.TestPlan`; its further settings are the next four.
+        frequencies_hz: one for each level; empty where the kind needs none.
+        rate_hz_s: sweep rate.
+        frequency_end_hz: where a sweep ends.
+        duration: of a recorded decay, s.
         window_periods: whole periods a window.
         ramp: half-cosine between levels, s.
         timeout: bench time a level may take to lock after its ramp, s.
@@ -53,6 +60,11 @@ class StudyCase:
     extract_values: Mapping[str, Any] = field(default_factory=dict)
     control: str = "voltage"
     strategy: str = "stepped"
+    test: str = "phase_resonance"
+    frequencies_hz: tuple[float, ...] = ()
+    rate_hz_s: float = 0.0
+    frequency_end_hz: float = 0.0
+    duration: float = 0.0
     window_periods: int = 200
     ramp: float = 0.5
     timeout: float = 30.0
@@ -81,7 +93,7 @@ class StudyCase:
         if unknown := sorted(set(values) - known):
             raise BenchError(f"A case has no '{unknown[0]}'; delete the file to run it again.")
         data = dict(values)
-        for name in ("levels", "overrides"):
+        for name in ("levels", "overrides", "frequencies_hz"):
             if name in data:
                 data[name] = tuple(data[name])
         try:
@@ -93,6 +105,10 @@ class StudyCase:
     def fingerprint(self) -> str:
         """Digest of all that decides the case's result; the title does not."""
         values = {key: value for key, value in self.to_mapping().items() if key not in ("title", "labels")}
+        if self.test == "phase_resonance":
+            # Results from before there were other kinds of test stay valid.
+            for name in _EXCITATION:
+                del values[name]
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 
     @property

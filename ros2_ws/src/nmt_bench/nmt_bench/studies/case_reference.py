@@ -63,8 +63,9 @@ def single_point_at(case: StudyCase) -> dict[str, Any]:
         with one list for each of level, modal_amplitude, omega_rad_s, damping_ratio, force_n, pbmif,
         gamma_force, gamma_acceleration, participation_real, participation_imag.
     """
-    if case.control != "voltage":
-        return {"failure": "levels are not voltages", "single_valued": False, "levels": {}, "curve": {}}
+    if case.control != "voltage" or case.test != "phase_resonance":
+        failure = "levels are no voltages at phase resonance"
+        return {"failure": failure, "single_valued": False, "levels": {}, "curve": {}}
     volts = np.unique(np.asarray(case.levels))
     points = 240 if case.strategy == "ramp" else 60
     grid = np.unique(np.concatenate((np.geomspace(volts[0] / 1.3, volts[-1] * 1.1, points), volts)))

@@ -15,7 +15,7 @@ from nmt_core.errors import BenchError
 from nmt_extract.modal_point import MEASURED, ModalPoint, Status
 
 Evaluation = Callable[[StudyCase, Path], dict[str, Any]]
-"""Further evaluation of a case's bag; what it returns is kept under ``extra``."""
+"""Further evaluation of a case's bag; what it returns is kept under ``extra``, its ``levels`` in place of the run's."""
 
 
 def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluation | None = None) -> dict[str, Any]:
@@ -63,7 +63,7 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
         if result.code != ResultCode.SUCCEEDED or result.bag is None or result.bag_state != "closed":
             raise BenchError(f"The run ended with {result.code.name}: {result.message}")
         timings = level_timings(result.bag, bench.rig.sample_rate_hz, bench.rig.block_samples)
-        levels = []
+        levels: list[dict[str, Any]] = []
         for point in sorted(result.points, key=lambda item: item.level_index):
             row = level_mapping(point)
             timing = timings.get(point.level_index)
@@ -79,6 +79,8 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
                 )
             levels.append(row)
         extra = evaluation(case, result.bag) if evaluation is not None else {}
+        # Other tests than phase resonance have no modal points; their evaluation gives the levels.
+        levels = extra.pop("levels", levels)
         if keep_bag is not None:
             keep_bag.parent.mkdir(parents=True, exist_ok=True)
             shutil.rmtree(keep_bag, ignore_errors=True)
@@ -130,6 +132,9 @@ def _strategy(case: StudyCase) -> dict[str, Any]:
         options["control"] = case.control
     if case.strategy != "stepped":
         options["strategy"] = case.strategy
+    if case.test != "phase_resonance":
+        for name in ("test", "frequencies_hz", "rate_hz_s", "frequency_end_hz", "duration"):
+            options[name] = getattr(case, name)
     return options
 
 

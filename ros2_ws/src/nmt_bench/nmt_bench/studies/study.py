@@ -30,6 +30,23 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class StudyTable:
+    """A table of a study's own.
+
+    Attributes:
+        title: heading.
+        columns: heading and unit of each column; the first is text.
+        rows: cells as text.
+        note: sentence below.
+    """
+
+    title: str
+    columns: Sequence[tuple[str, str]]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+
+
+@dataclass(frozen=True)
 class StudyOutput:
     """What a study shows besides its table.
 
@@ -38,12 +55,14 @@ class StudyOutput:
         findings: claims checked.
         remarks: sentences on choices and limits.
         extra_rows: further rows of ``study.csv``.
+        tables: of the study's own, shown before its figures.
     """
 
     figures: Sequence[ReportFigure] = ()
     findings: Sequence[Finding] = ()
     remarks: Sequence[str] = ()
     extra_rows: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
+    tables: Sequence[StudyTable] = ()
 
 
 class StudyModule(Protocol):

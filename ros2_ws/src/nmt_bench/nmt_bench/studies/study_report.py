@@ -10,7 +10,7 @@ from typing import Any
 
 from nmt_bench.quantity_format import duration, plain, significant
 from nmt_bench.report_svg import ReportFigure
-from nmt_bench.studies.study import Finding, Result, StudyOutput
+from nmt_bench.studies.study import Finding, Result, StudyOutput, StudyTable
 from nmt_bench.studies.study_table import SummaryRow
 
 
@@ -26,6 +26,7 @@ def study_page(
     """The whole page; the same text for the same results."""
     sections = [
         ("summary", "Summary", summary_table(summary) + _findings(output.findings) + _remarks(output.remarks)),
+        ("comparison", "Comparison", "".join(_own_table(table) for table in output.tables)),
         ("figures", "Figures", _figures(output.figures)),
         ("levels", "All cases and levels", _level_table(rows)),
         ("cases", "Cases", _cases(results)),
@@ -36,10 +37,12 @@ def study_page(
         else ""
     )
     bench = sum(result["run"]["bench_time_s"] for result in results)
+    rigs = sorted({str(result["case"]["rig"]) for result in results})
+    specimen = "the virtual beam" if rigs == ["beam"] else f"the rig {' and '.join(map(escape, rigs))}"
     noun = "test" if len(results) == 1 else "tests"
     head = (
         f'<header>\n<p class="kicker">Study {escape(name)}</p>\n<h1>{escape(title)}</h1>\n'
-        f'<p class="subtitle">{len(results)} {noun} of the virtual beam through the bench’s nodes, '
+        f'<p class="subtitle">{len(results)} {noun} of {specimen} through the bench’s nodes, '
         f"{duration(bench)} of bench time</p>\n" + notice + _links(sections) + "</header>\n"
     )
     return html_page(f"{title}: study", head, sections)
@@ -110,6 +113,23 @@ def summary_table(summary: Sequence[SummaryRow]) -> str:
         + '<p class="note">Largest errors over the levels. Test: against the single-point reference at the same '
         "drive voltage. Method: against EPMC at the same <i>q</i>, where that is single-valued.</p>"
     )
+
+
+def _own_table(table: StudyTable) -> str:
+    head = "".join(
+        f"<th{' class=text' if k == 0 else ''}>{escape(name)}"
+        + (f'<span class="unit">{escape(unit)}</span>' if unit else "")
+        + "</th>"
+        for k, (name, unit) in enumerate(table.columns)
+    )
+    rows = [
+        "<tr>"
+        + "".join(f"<td{' class=text' if k == 0 else ''}>{escape(cell)}</td>" for k, cell in enumerate(row))
+        + "</tr>"
+        for row in table.rows
+    ]
+    note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
+    return f'<h3 class="after">{escape(table.title)}</h3>' + _table(head, rows) + note
 
 
 def _findings(findings: Sequence[Finding]) -> str:

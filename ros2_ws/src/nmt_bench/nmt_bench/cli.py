@@ -41,6 +41,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "nmt_bench.synthesis_command",
         "frequency response from a backbone alone, beside measured sweeps",
     ),
+    "diagnose": (
+        "nmt_bench.diagnose_command",
+        "where model and real rig part, which effect causes it, how far the gap shrinks",
+    ),
     "import": ("nmt_bench.import_command", "data measured elsewhere (CSV, NPZ, UFF58, tables) as a bag"),
     "export": ("nmt_bench.export_command", "a recording as UFF58, CSV or NPZ, ready for './nmt import'"),
     "reference": (

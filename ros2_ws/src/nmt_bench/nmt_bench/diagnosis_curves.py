@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nmt_bench.quantity_format import engineering_exponent, power_of_ten
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.evidence.conditions import (
     BackboneTable,
@@ -32,6 +33,7 @@ _PARTS = {
     Part.DAMPING: "damping_ratio",
     Part.SAMPLE: "sample",
 }
+_FEW_LINES = 12
 _TAU = 2.0 * math.pi
 
 
@@ -57,6 +59,7 @@ class Course:
         deviation_unit: of the deviations.
         deviations: model − measured of the three models and the standard deviation, in ``deviation_unit``, (4, k).
         logarithmic: whether the values are shown on a logarithmic axis.
+        joined: whether neighbours are close enough for a line between them.
     """
 
     title: str
@@ -71,6 +74,7 @@ class Course:
     deviation_unit: str
     deviations: FloatArray
     logarithmic: bool = False
+    joined: bool = True
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,8 @@ def courses(evidence: Evidence, models: Models, test: int, part: Part) -> list[C
         which = np.flatnonzero(mine & (rows.channel == channel) & ((rows.harmonic == 1) | (rows.harmonic < 0)))
         if which.size == 0:
             continue
-        which = which[np.argsort(rows.time_s[which] if isinstance(kind, RecordTest) else rows.level[which], kind="stable")]
+        along = rows.time_s if isinstance(kind, RecordTest) else rows.level
+        which = which[np.argsort(along[which], kind="stable")]
         found.append(_course(evidence, models, test, which, part))
     return found
 
@@ -158,9 +163,16 @@ def _course(evidence: Evidence, models: Models, test: int, which: np.ndarray, pa
     else:
         unit = own.quantity.unit if own is not None else ""
         deviation_unit, factor = unit, 1.0
+    joined = not isinstance(kind, RandomTest) or x.size >= _FEW_LINES
+    exponent = engineering_exponent(measured) if logarithmic or part is Part.SAMPLE else 0
+    if exponent:
+        unit = f"{power_of_ten(exponent)} {unit}"
+        measured, *computed = (values / 10.0**exponent for values in (measured, *computed))
+    given, refitted, final = computed
     return Course(
-        title, x, drive_label(kind), unit, measured, sigma, *computed, deviation_unit, factor * differences, logarithmic
-    )
+        title, x, drive_label(kind), unit, measured, sigma, given, refitted, final, deviation_unit,
+        factor * differences, logarithmic, joined,
+    )  # fmt: skip
 
 
 def _magnitude_unit(kind: Test, channel: MeasuredChannel | None) -> str:
@@ -230,5 +242,3 @@ def observables_csv(evidence: Evidence, models: Models) -> str:
             ]
         )  # fmt: skip
     return out.getvalue()
-
-

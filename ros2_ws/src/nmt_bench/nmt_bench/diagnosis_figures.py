@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -44,7 +46,9 @@ class Shown:
 # -- residual map -----------------------------------------------------------------------------------------------------
 
 
-def residual_figure(groups: Sequence[ResidualGroup], test: str, number: int, with_effect: bool) -> ReportFigure:
+def residual_figure(
+    groups: Sequence[ResidualGroup], test: str, number: int, with_effect: bool, level_label: str
+) -> ReportFigure:
     """Heat map of what is left of one test: channel and harmonic over the level, a panel for each model."""
     mine = [group for group in groups if group.test == test]
     lines = sorted({(group.channel, group.harmonic) for group in mine}, key=lambda key: _line_key(key, mine))
@@ -54,9 +58,7 @@ def residual_figure(groups: Sequence[ResidualGroup], test: str, number: int, wit
     height = 1.15 + 0.165 * max(4, len(lines))
     figure = Figure(figsize=(12.9, height))
     panels = figure.subplots(1, len(fields), sharey=True, squeeze=False)[0]
-    figure.subplots_adjust(
-        left=0.105, right=0.985, bottom=0.62 / height, top=1.0 - 0.27 / height, wspace=0.04
-    )
+    figure.subplots_adjust(left=0.105, right=0.985, bottom=0.62 / height, top=1.0 - 0.27 / height, wspace=0.04)
     cell_map, norm = ListedColormap(list(_COLOURS)), BoundaryNorm(_BOUNDS, len(_COLOURS))
     cell_map.set_bad(_MISSING)
     bands = all(group.harmonic < 0 and group.channel != "frequency and phase" for group in mine)
@@ -65,13 +67,13 @@ def residual_figure(groups: Sequence[ResidualGroup], test: str, number: int, wit
         for group in mine:
             values[lines.index((group.channel, group.harmonic)), levels.index(group.level)] = getattr(group, name)
         axes.pcolormesh(np.ma.masked_invalid(values), cmap=cell_map, norm=norm, edgecolors="white", linewidth=0.8)
-        axes.invert_yaxis()
+        axes.set_ylim(len(lines), 0)
         axes.set_title(f"{title}: {_rms_text(mine, name)}")
         axes.grid(False)
         for side in ("left", "bottom"):
             axes.spines[side].set_visible(False)
         axes.tick_params(length=0)
-        _level_ticks(axes, mine, levels, bands)
+        _level_ticks(axes, mine, levels, bands, level_label)
         for row in range(1, len(lines)):
             if lines[row][0] != lines[row - 1][0]:
                 axes.axhline(row, color=MUTED, linewidth=0.8)
@@ -83,6 +85,7 @@ def residual_figure(groups: Sequence[ResidualGroup], test: str, number: int, wit
         + _legend()
         + " A cell of two values passes 1.7 by chance in one case of twenty."
         + ("" if bands else " <i>n</i>: order of the harmonic.")
+        + (" White: nothing measured there well enough." if len(mine) < len(lines) * len(levels) else "")
     )
     name = f"map-{number}"
     return ReportFigure(name, test, caption, svg_text(figure, name, f"Residual map of {test}"), wide=True)
@@ -90,10 +93,13 @@ def residual_figure(groups: Sequence[ResidualGroup], test: str, number: int, wit
 
 def _legend() -> str:
     words = ["up to 1.5", "2", "3", "5", "10", "30", "more"]
-    return " ".join(
-        f'<span style="white-space:nowrap"><span class="swatch" style="background:{colour}"></span>{word}</span>'
-        for colour, word in zip(_COLOURS, words, strict=True)
-    ) + "."
+    return (
+        " ".join(
+            f'<span style="white-space:nowrap"><span class="swatch" style="background:{colour}"></span>{word}</span>'
+            for colour, word in zip(_COLOURS, words, strict=True)
+        )
+        + "."
+    )
 
 
 def _rms_text(groups: Sequence[ResidualGroup], name: str) -> str:
@@ -118,20 +124,18 @@ def _line_text(line: tuple[str, int]) -> str:
     return f"{channel}   n = {harmonic}" if harmonic == 1 else f"{harmonic}"
 
 
-def _level_ticks(axes: Axes, groups: Sequence[ResidualGroup], levels: Sequence[int], bands: bool) -> None:
+def _level_ticks(axes: Axes, groups: Sequence[ResidualGroup], levels: Sequence[int], bands: bool, label: str) -> None:
     step = max(1, math.ceil(len(levels) / 8))
     size = {group.level: group.amplitude for group in groups}
-    places = np.arange(0, len(levels), step)
-    axes.set_xticks(places + 0.5, [significant(size[levels[k]], 3 if bands else 2) for k in places])
-    axes.set_xlabel("middle of the band / Hz" if bands else "level of excitation")
+    places = range(0, len(levels), step)
+    axes.set_xticks([k + 0.5 for k in places], [significant(size[levels[k]], 3 if bands else 2) for k in places])
+    axes.set_xlabel("middle of the band / Hz" if bands else label)
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------
 
 
-def course_figure(
-    name: str, title: str, caption: str, courses: Sequence[Course], shown: Shown, values: bool = True
-) -> ReportFigure:
+def course_figure(name: str, title: str, caption: str, courses: Sequence[Course], shown: Shown) -> ReportFigure:
     """Small multiples: above the values, below model − measured with the measurement's ±2 standard deviations.
 
     Args:
@@ -140,29 +144,24 @@ def course_figure(
         caption: HTML below it.
         courses: one panel each.
         shown: models to draw.
-        values: whether the upper half is drawn.
     """
     columns = min(_COLUMNS, len(courses))
     lines = math.ceil(len(courses) / columns)
-    one = 3.3 if values else 1.75
-    width = 12.9 if columns == _COLUMNS else 6.3 * columns
-    height = one * lines + 0.45
+    width = 12.9 if columns > 1 else 6.3
+    height = 3.3 * lines + 0.45
     figure = Figure(figsize=(width, height))
     outer = figure.add_gridspec(
-        lines, columns, left=0.75 / width, right=1.0 - 0.1 / width, top=1.0 - 0.55 / height, bottom=0.5 / height,
-        hspace=0.32 if values else 0.5, wspace=0.27,
+        lines, columns, left=0.95 / width, right=1.0 - 0.1 / width, top=1.0 - 0.55 / height, bottom=0.5 / height,
+        hspace=0.32, wspace=0.27,
     )  # fmt: skip
-    handles: dict[str, object] = {}
+    handles: dict[str, Artist] = {}
     for number, course in enumerate(courses):
         cell = outer[number // columns, number % columns]
         label = number + columns >= len(courses)
-        if values:
-            inner = cell.subgridspec(2, 1, height_ratios=(1.25, 1.0), hspace=0.12)
-            top, bottom = figure.add_subplot(inner[0]), figure.add_subplot(inner[1])
-            _draw_values(top, course, shown, handles)
-            top.tick_params(labelbottom=False)
-        else:
-            top = bottom = figure.add_subplot(cell)
+        inner = cell.subgridspec(2, 1, height_ratios=(1.25, 1.0), hspace=0.12)
+        top, bottom = figure.add_subplot(inner[0]), figure.add_subplot(inner[1])
+        _draw_values(top, course, shown, handles)
+        top.tick_params(labelbottom=False)
         _draw_deviations(bottom, course, shown, handles, number % columns == 0)
         top.set_title(course.title if len(course.title) > 3 else channel_text(course.title))
         bottom.set_xlabel(course.x_label if label else "")
@@ -170,15 +169,18 @@ def course_figure(
         list(handles.values()), list(handles), loc="upper right", ncols=len(handles), bbox_to_anchor=(1.0, 1.0),
         handlelength=2.6, columnspacing=1.6,
     )  # fmt: skip
-    return ReportFigure(name, title, caption, svg_text(figure, name, title), wide=columns == _COLUMNS)
+    return ReportFigure(name, title, caption, svg_text(figure, name, title), wide=columns > 1)
 
 
-def _draw_values(axes: Axes, course: Course, shown: Shown, handles: dict[str, object]) -> None:
+def _draw_values(axes: Axes, course: Course, shown: Shown, handles: dict[str, Artist]) -> None:
     dense = course.x.size > 40
-    style = {"marker": "o", "markersize": 2.0 if dense else 4.0, "linestyle": "none", "color": INK, "zorder": 5}
-    (points,) = axes.plot(course.x, course.measured, **style)
+    size = 2.0 if dense else 4.0
+    (points,) = axes.plot(course.x, course.measured, "o", markersize=size, color=INK, zorder=5)
     handles.setdefault("measured", points)
     for field, label, colour, dashes, width in shown.models:
+        if not course.joined:
+            axes.plot(course.x, getattr(course, field), "_", color=colour, markersize=11, markeredgewidth=width)
+            continue
         (line,) = axes.plot(course.x, getattr(course, field), color=colour, linewidth=width)
         if dashes:
             line.set_dashes(dashes)
@@ -187,20 +189,27 @@ def _draw_values(axes: Axes, course: Course, shown: Shown, handles: dict[str, ob
     positive = course.measured[np.isfinite(course.measured)]
     if course.logarithmic and positive.size and positive.min() > 0.0:
         axes.set_yscale("log")
+        _round_ticks(axes.yaxis, float(positive.min()), float(positive.max()))
     axes.set_ylabel(course.unit)
 
 
-def _draw_deviations(axes: Axes, course: Course, shown: Shown, handles: dict[str, object], first: bool) -> None:
+def _draw_deviations(axes: Axes, course: Course, shown: Shown, handles: dict[str, Artist], first: bool) -> None:
     deviations, sigma = course.deviations[:3], course.deviations[3]
     order = np.argsort(course.x, kind="stable")
-    band = axes.fill_between(
-        course.x[order], -2.0 * sigma[order], 2.0 * sigma[order], color=GRID, linewidth=0.0, zorder=0
-    )
-    handles.setdefault("±2 standard deviations", band)
+    if course.joined:
+        band = axes.fill_between(
+            course.x[order], -2.0 * sigma[order], 2.0 * sigma[order], color=GRID, linewidth=0.0, zorder=0
+        )
+        handles.setdefault("±2 standard deviations", band)
+    else:
+        axes.vlines(course.x, -2.0 * sigma, 2.0 * sigma, color=GRID, linewidth=6.0, zorder=0)
     axes.axhline(0.0, color=INK, linewidth=0.7)
     fields = ("given", "refitted", "final")
     for field, label, colour, dashes, width in shown.models:
         row = deviations[fields.index(field)]
+        if not course.joined:
+            axes.plot(course.x, row, "o", color=colour, markersize=3.4)
+            continue
         if course.x.size > 40:
             (line,) = axes.plot(course.x, row, color=colour, linewidth=0.8 * width)
         else:
@@ -210,7 +219,7 @@ def _draw_deviations(axes: Axes, course: Course, shown: Shown, handles: dict[str
         handles.setdefault(label, line)
     _abscissa(axes, course.x)
     _ordinate(axes, deviations[: len(shown.models)], sigma)
-    axes.set_ylabel(f"model − measured\n{course.deviation_unit}" if first else course.deviation_unit)
+    axes.set_ylabel(f"difference\n{course.deviation_unit}" if first else course.deviation_unit)
 
 
 def _ordinate(axes: Axes, deviations: FloatArray, sigma: FloatArray) -> None:
@@ -222,8 +231,8 @@ def _ordinate(axes: Axes, deviations: FloatArray, sigma: FloatArray) -> None:
         axes.set_yscale("symlog", linthresh=bound, linscale=1.2)
         top = 10.0 ** math.ceil(math.log10(finite.max()))
         inner = _round_tick(bound / 2.0)
-        ticks = [value for value in (inner, *(10.0 ** np.arange(math.ceil(math.log10(2.0 * bound)), math.log10(top) + 1)))]
-        ticks = ticks[: 1] + ticks[1:][:: max(1, math.ceil((len(ticks) - 1) / 3))]
+        decades = 10.0 ** np.arange(math.ceil(math.log10(2.0 * bound)), math.log10(top) + 1)
+        ticks = [inner, *decades[:: max(1, math.ceil(decades.size / 3))]]
         used = [t for t in ticks if t <= 1.2 * finite.max()]
         axes.set_yticks([*(-t for t in reversed(used)), 0.0, *used])
         axes.set_yticklabels([*(f"−{t:g}" for t in reversed(used)), "0", *(f"{t:g}" for t in used)])
@@ -242,20 +251,26 @@ def _abscissa(axes: Axes, x: FloatArray) -> None:
     finite = x[np.isfinite(x)]
     if finite.size > 1 and finite.min() > 0.0 and finite.max() > 5.0 * finite.min():
         axes.set_xscale("log")
-        decades = math.log10(finite.max() / finite.min())
-        candidates = [m * 10.0**e for e in range(-9, 10) for m in ((1, 2, 5) if decades < 2.2 else (1,))]
-        ticks = [value for value in candidates if 0.95 * finite.min() <= value <= 1.05 * finite.max()]
-        axes.set_xticks(ticks, [f"{value:g}" for value in ticks])
-        axes.minorticks_off()
+        _round_ticks(axes.xaxis, float(finite.min()), float(finite.max()))
 
 
-def harmonic_figure(
-    name: str, title: str, courses: Sequence[HarmonicCourse], shown: Shown
-) -> ReportFigure:
+def _round_ticks(axis: Axis, low: float, high: float) -> None:
+    """Ticks of a logarithmic axis at round numbers, written out."""
+    decades = math.log10(high / low)
+    steps = (1, 2, 5) if decades < 2.2 else (1,)
+    candidates = [m * 10.0**e for e in range(-12, 13) for m in steps]
+    ticks = [value for value in candidates if 0.95 * low <= value <= 1.05 * high]
+    if len(ticks) < 2:
+        ticks = [float(f"{value:.2g}") for value in (low, high)]
+    axis.set_ticks(ticks, labels=[f"{value:g}" for value in ticks])
+    axis.set_ticks([], minor=True)
+
+
+def harmonic_figure(name: str, title: str, courses: Sequence[HarmonicCourse], shown: Shown) -> ReportFigure:
     """Magnitudes of the harmonics over the level, a panel per channel; measured points, models as lines."""
     columns = min(_COLUMNS, len(courses))
     lines = math.ceil(len(courses) / columns)
-    width, height = (12.9 if columns == _COLUMNS else 6.3 * columns), 2.45 * lines + 0.5
+    width, height = (12.9 if columns > 1 else 6.3), 2.45 * lines + 0.5
     figure = Figure(figsize=(width, height))
     panels = figure.subplots(lines, columns, squeeze=False)
     figure.subplots_adjust(
@@ -304,4 +319,4 @@ def harmonic_figure(
         "Magnitude of each harmonic over that of the measured fundamental. Open circles lie within two standard "
         "deviations of zero: there only the noise is seen, and a model below them is no contradiction."
     )
-    return ReportFigure(name, title, caption, svg_text(figure, name, title), wide=columns == _COLUMNS)
+    return ReportFigure(name, title, caption, svg_text(figure, name, title), wide=columns > 1)

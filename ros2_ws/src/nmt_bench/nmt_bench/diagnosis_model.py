@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+from nmt_bench.diagnosis_words import key_text, value_text
 from nmt_bench.quantity_format import significant
 from nmt_bench.rig_file_edit import changed_keys, edited_rig_text
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
@@ -42,15 +44,12 @@ def assumptions(given: Rig, model: Rig, diagnosis: Diagnosis) -> list[str]:
     for key, old, new in changes:
         item = fitted.get(key)
         if item is not None:
-            unit = "" if item.unit == "1" else f" {item.unit}"
-            refitted.append(
-                f"{key} from {significant(item.start, 6)} to {significant(item.to, 6)} ± "
-                f"{significant(item.std, 2)}{unit}"
-            )
+            start, to = value_text(item.start, math.nan), value_text(item.to, item.std, item.unit)
+            refitted.append(f"{key_text(key, given)} from {start} to {to}")
         elif isinstance(old, int | float) and isinstance(new, int | float):
-            added.append(f"{key} from {significant(float(old), 6)} to {significant(float(new), 6)}")
+            added.append(f"{key_text(key, given)} from {significant(float(old), 6)} to {significant(float(new), 6)}")
         else:
-            added.append(f"{key} = {_brief(new)}")
+            added.append(f"{key_text(key, given)} = {_brief(new)}")
     result = []
     if added and diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
         effect = diagnosis.ranking[0].effect.replace("_", " ")
@@ -63,9 +62,14 @@ def assumptions(given: Rig, model: Rig, diagnosis: Diagnosis) -> list[str]:
 
 
 def _brief(value: Any) -> str:
-    """A new entry in words."""
-    if isinstance(value, dict):
-        return ", ".join(
-            f"{key} {_brief(item)}" for key, item in value.items() if item not in (None, [], False) and key != "name"
-        )
-    return significant(value, 6) if isinstance(value, float) else str(value)
+    """A new entry in words, its kind first."""
+    if not isinstance(value, dict):
+        return significant(value, 6) if isinstance(value, float) else str(value)
+    silent: tuple[Any, ...] = (None, [], False)
+    parts = [
+        f"{key} {_brief(item)}"
+        for key, item in value.items()
+        if item not in silent and key not in ("name", "kind") and (key, item) != ("side", "structure")
+    ]
+    kind = [str(value["kind"])] if value.get("kind") else []
+    return ", ".join(kind + parts)

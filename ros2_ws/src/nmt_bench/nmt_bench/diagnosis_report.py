@@ -16,10 +16,12 @@ from nmt_bench.diagnosis_words import (
     closed_text,
     effect_text,
     equation_text,
+    key_text,
     parameters_text,
     percent,
     place_text,
     probability_text,
+    sigma_text,
     value_text,
     verdict_text,
 )
@@ -32,8 +34,9 @@ from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Verdict
 from nmt_diagnose.inference.hypotheses import NULL, UNKNOWN
 from nmt_plant.rig import Rig
 
-_LEAST_SHOWN = 0.005
 _LEFT_OVER = 0.01
+_LARGE = 1.5
+_WINNERS = ((Verdict.NONE, NULL), (Verdict.CALIBRATION, NULL), (Verdict.UNKNOWN, UNKNOWN))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,19 +68,19 @@ def diagnosis_page(report: DiagnosisReport) -> str:
     d = report.diagnosis
     with figure_style():
         maps = [
-            residual_figure(d.residual_map, name, number, report.with_effect)
+            residual_figure(d.residual_map, name, number, report.with_effect, _level_label(report.evidence, name))
             for number, name in enumerate(dict.fromkeys(group.test for group in d.residual_map))
         ]
         curves = _curves(report)
     sections = [
-        ("explanations", "Which: the explanations that compete", _ranking(d)),
-        ("places", "Where: the places", _places(d)),
-        ("gap", "How far: the gap before and after", _gap(d)),
-        ("next", "What would settle the rest", _next(d)),
-        ("map", "Residual map: what is left, and where", html_figures(maps)),
-        ("curves", "Measurement and models together", html_figures(curves)),
-        ("calibration", "The model’s own parameters", _calibration(d)),
-        ("tests", "Is anything left? Tests of the residual", _residual_tests(d)),
+        ("explanations", "Which", _ranking(d)),
+        ("places", "Where", _places(d)),
+        ("gap", "How far", _gap(d)),
+        ("next", "Next test", _next(d)),
+        ("map", "Residual map", html_figures(maps)),
+        ("curves", "Curves", html_figures(curves)),
+        ("calibration", "The model’s own parameters", _calibration(d, report.rig)),
+        ("tests", "Is anything left?", _residual_tests(d)),
         ("inputs", "Inputs", _inputs(d)),
         ("fits", "All fitted explanations", _candidates(d)),
     ]
@@ -99,6 +102,10 @@ def diagnosis_page(report: DiagnosisReport) -> str:
     ).html()
 
 
+def _level_label(evidence: Evidence, test: str) -> str:
+    return next((drive_label(kind) for kind in evidence.tests if kind.name == test), "level of excitation")
+
+
 def _verdict(d: Diagnosis) -> tuple[str, str]:
     text, kind = verdict_text(d)
     return text[:1].upper() + text[1:], kind
@@ -114,7 +121,8 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
     gap, cards = d.gap, []
     if d.verdict is Verdict.EFFECT and d.ranking:
         head = d.ranking[0]
-        note = f"with {len(head.equivalents)} it cannot be told from" if head.equivalents else "of this explanation"
+        note = f"of {len(head.equivalents) + 1} that these tests cannot tell apart, together"
+        note = note if head.equivalents else "of this explanation"
         cards.append(("Probability", probability_text(head.probability), note))
         cards.append(
             ("Strength of the effect", f"{plain(head.sigmas, 1)} × its uncertainty", parameters_text(head.parameters))
@@ -154,10 +162,18 @@ def _probability_cell(p: float, kind: str = "") -> str:
 
 def _row(cells: Sequence[str], wrapped: Sequence[int] = ()) -> str:
     """A table row; cells that start with ``<td`` are taken as they are, ``wrapped`` ones are texts that may wrap."""
-    return "<tr>" + "".join(
-        cell if cell.startswith("<td") else f'<td class="text wrap">{cell}</td>' if k in wrapped else f"<td>{cell}</td>"
-        for k, cell in enumerate(cells)
-    ) + "</tr>"
+    return (
+        "<tr>"
+        + "".join(
+            cell
+            if cell.startswith("<td")
+            else f'<td class="text wrap">{cell}</td>'
+            if k in wrapped
+            else f"<td>{cell}</td>"
+            for k, cell in enumerate(cells)
+        )
+        + "</tr>"
+    )
 
 
 def _table(head: Sequence[tuple[str, str, bool]], rows: Sequence[str], note: str = "") -> str:
@@ -166,9 +182,8 @@ def _table(head: Sequence[tuple[str, str, bool]], rows: Sequence[str], note: str
         f"<th{' class=text' if text else ''}>{name}{f'<span class=unit>{unit}</span>' if unit else ''}</th>"
         for name, unit, text in head
     )
-    return (
-        f'<div class="scroll"><table><thead><tr>{cells}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
-        + (f'<p class="note">{note}</p>' if note else "")
+    return f'<div class="scroll"><table><thead><tr>{cells}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>' + (
+        f'<p class="note">{note}</p>' if note else ""
     )
 
 
@@ -203,11 +218,12 @@ def _ranking(d: Diagnosis) -> str:
     ):
         p = d.probabilities.get(label, 0.0)
         text = f'<b>{escape(effect_text(label))}</b><br><span class="small">{what}</span>'
-        accepted = "on" if (d.verdict, label) in ((Verdict.NONE, NULL), (Verdict.UNKNOWN, UNKNOWN)) else ""
+        accepted = "on" if (d.verdict, label) in _WINNERS else ""
         rows.append((p, _row([_probability_cell(p, accepted), text, "", "", "", ""], wrapped=(1, 2, 3))))
     rows.sort(key=lambda item: -item[0])
     head = [
-        ("Probability", "", True), ("Explanation", "", True), ("Place", "", True), ("Parameters", "± standard uncertainty", True),
+        ("Probability", "", True), ("Explanation", "", True), ("Place", "", True),
+        ("Parameters", "± standard uncertainty", True),
         ("Strength", "× its uncertainty", False), ("Gap closed", "%, held-out data", False),
     ]  # fmt: skip
     note = (
@@ -221,7 +237,11 @@ def _ranking(d: Diagnosis) -> str:
 
 def _places(d: Diagnosis) -> str:
     if not d.where:
-        return "<p>There is no gap to place.</p>" if d.verdict in (Verdict.NONE, Verdict.CALIBRATION) else ""
+        if d.verdict is Verdict.CALIBRATION:
+            return (
+                '<p>In <a href="#calibration">parameters that the model already has</a>; nothing is left to place.</p>'
+            )
+        return "<p>There is no gap to place.</p>" if d.verdict is Verdict.NONE else ""
     rows = [
         _row([
             f'<td class="text">{escape(place_text(item.place))}</td>',
@@ -256,7 +276,8 @@ def _gap(d: Diagnosis) -> str:
         for name, value, kind in steps
         if math.isfinite(value)
     ]  # fmt: skip
-    held = f"Held out from the fit: {escape('; '.join(gap.held_out))}." if gap.held_out else "Nothing could be held out."
+    names = escape("; ".join(gap.held_out))
+    held = f"Held out from the fit: {names}." if names else "Nothing could be held out."
     text = _table([("Residual, rms", "", True), ("standard deviations", "", True)], rows, held)
     if d.verdict in (Verdict.EFFECT, Verdict.CALIBRATION) and math.isfinite(gap.closed):
         text = f"<p>Closed: <b>{escape(closed_text(gap))}</b> of what can be closed.</p>" + text
@@ -270,15 +291,22 @@ def _per_observable(gap: Gap, verdict: Verdict) -> str:
     rows = []
     for name, values in gap.per_observable.items():
         test, _, what = name.rpartition(": ")
-        unit = escape(str(values.get("unit", "")))
+        unit = escape(str(values.get("unit", "")).replace("deg", "°"))
         cells = [f'<td class="text">{escape(test)}</td>', f'<td class="text">{escape(_observable_text(what))}</td>']
         for key in ("before", "after")[: 2 if after else 1]:
-            cells += [f"{significant(_number(values, key), 3)}", f"{significant(_number(values, f'{key}_unit'), 3)} {unit}"]
+            size = _number(values, key)
+            text = plain(size, 2 if size < 100 else 0)
+            cells.append(f"<b>{text}</b>" if size > _LARGE else text)
+            cells.append(f"{significant(_number(values, f'{key}_unit'), 3)} {unit}")
         rows.append(_row([*cells, str(values.get("rows", ""))]))
-    head = [("Test", "", True), ("Observable", "", True), ("Before", "noise = 1", False), ("", "", False)]
+    head = [("Test", "", True), ("Observable", "", True), ("Before", "noise = 1", False), ("Before", "rms", False)]
     if after:
-        head += [("After", "noise = 1", False), ("", "", False)]
-    return '<h3 class="after">By observable, on held-out data</h3>' + _table([*head, ("Values", "", False)], rows)
+        head += [("After", "noise = 1", False), ("After", "rms", False)]
+    note = (
+        f"Bold: more than {_LARGE:g} times the noise. Predicted without the level or the test that is judged, so that "
+        "an uncertain parameter shows here too."
+    )
+    return '<h3 class="after">By observable, on held-out data</h3>' + _table([*head, ("Values", "", False)], rows, note)
 
 
 def _observable_text(text: str) -> str:
@@ -303,17 +331,20 @@ def _next(d: Diagnosis) -> str:
             [
                 escape(item.test[:1].upper() + item.test[1:]),
                 escape(", ".join(effect_text(name) for name in item.separates)),
-                plain(item.expected_sigma, 0),
+                sigma_text(item.expected_sigma),
                 f'<td class="text mono">{escape(item.command)}</td>',
             ],
             wrapped=(0, 1),
         )
         for item in d.next_test
     ]  # fmt: skip
-    head = [("Test", "", True), ("Tells apart", "", True), ("Expected", "standard deviations", False), ("Command", "", True)]
+    head = [
+        ("Test", "", True), ("Tells apart", "", True), ("Expected", "standard deviations", False), ("Command", "", True)
+    ]  # fmt: skip
     note = (
         "Computed ahead with the fitted explanations: by how many standard deviations the least different two of them "
-        "differ in the new test, after each has adapted what it still can. On hardware, run it with the real rig’s file."
+        "differ in the new test, after each has adapted what it still can. On hardware, run it with the real "
+        "rig’s file."
     )
     return _table(head, rows, note)
 
@@ -321,7 +352,7 @@ def _next(d: Diagnosis) -> str:
 # -- details ----------------------------------------------------------------------------------------------------------
 
 
-def _calibration(d: Diagnosis) -> str:
+def _calibration(d: Diagnosis, rig: Rig) -> str:
     if not d.calibration:
         return ""
     rows = []
@@ -330,13 +361,13 @@ def _calibration(d: Diagnosis) -> str:
         learnt = item.std / (abs(item.to) * item.prior_std) if item.to and item.prior_std else math.nan
         rows.append(
             _row([
-                f'<td class="text mono">{escape(item.name)}</td>',
-                escape(f"{significant(item.start, 6)} {'' if item.unit == '1' else item.unit}"),
+                f'<td class="text mono">{escape(key_text(item.name, rig))}</td>',
+                escape(value_text(item.start, math.nan, item.unit)),
                 escape(value_text(item.to, item.std, item.unit)),
-                f"{change:+.2f}".replace("-", "−") if math.isfinite(change) else "—",
+                _signed(change, 2),
                 plain(100.0 * item.prior_std, 0),
                 f'<td class="text">{_bar(1.0 - learnt**2) if math.isfinite(learnt) else ""}</td>',
-                plain(item.sigmas, 1),
+                _signed(item.sigmas, 1),
             ])
         )  # fmt: skip
     head = [
@@ -352,6 +383,12 @@ def _calibration(d: Diagnosis) -> str:
     return _table(head, rows, note)
 
 
+def _signed(value: float, decimals: int) -> str:
+    """Number with its sign; none where it rounds to zero."""
+    text = f"{value:+.{decimals}f}" if math.isfinite(value) else "—"
+    return text.lstrip("+-") if not text.strip("+-0.") else text.replace("-", "−")
+
+
 def _residual_tests(d: Diagnosis) -> str:
     if not d.residual_tests:
         return ""
@@ -360,7 +397,7 @@ def _residual_tests(d: Diagnosis) -> str:
         p, own = _number(item, "p_holm"), _number(item, "p")
         left = math.isfinite(p) and p < _LEFT_OVER
         rows.append(
-            f'<tr{" class=failed" if left else ""}>'
+            f"<tr{' class=failed' if left else ''}>"
             f'<td class="text">{escape(str(item.get("name", "")))}</td>'
             f'<td class="text">{escape(channel_text(str(item.get("where", ""))))}</td>'
             f"<td>{significant(_number(item, 'statistic'), 4)}</td><td>{item.get('freedom') or '—'}</td>"
@@ -455,8 +492,10 @@ def _candidates(d: Diagnosis) -> str:
 
 # -- curves -----------------------------------------------------------------------------------------------------------
 
-_BELOW = "Above: values. Below: model − measured, with ± 2 standard deviations of the measurement in grey"
-_FOLDED = "; where one model is far off, the scale is logarithmic beyond a few standard deviations."
+_BELOW = (
+    "Above: values. Below: difference, model − measured, with ± 2 standard deviations of the measurement in grey; "
+    "where one model is far off, the scale is logarithmic beyond a few standard deviations."
+)
 
 
 def _curves(report: DiagnosisReport) -> list[ReportFigure]:
@@ -466,25 +505,24 @@ def _curves(report: DiagnosisReport) -> list[ReportFigure]:
     for number, test in enumerate(report.evidence.tests):
         tail = f", {test.name}" if several else ""
 
-        def add(key: str, title: str, parts: Sequence[Part], values: bool = True, number: int = number, tail: str = tail) -> None:
+        def add(key: str, title: str, *parts: Part, number: int = number, tail: str = tail) -> None:
             found = [c for part in parts for c in courses(report.evidence, report.models, number, part)]
-            found = [course for course in found if course.x.size > 1]
+            found = [course for course in found if course.x.size > 2]
             if found:
-                caption = (_BELOW if values else _BELOW.partition("Below: ")[2].capitalize()) + _FOLDED
-                result.append(course_figure(f"{key}-{number}", title + tail, caption, found, shown, values))
+                result.append(course_figure(f"{key}-{number}", title + tail, _BELOW, found, shown))
 
         if isinstance(test, RandomTest):
-            add("frf", "Frequency responses: magnitude", (Part.LOG_MAGNITUDE,))
-            add("frf-phase", "Frequency responses: phase", (Part.PHASE,))
+            add("frf", "Frequency responses: magnitude", Part.LOG_MAGNITUDE)
+            add("frf-phase", "Frequency responses: phase", Part.PHASE)
         elif isinstance(test, PhaseResonanceTest):
             over = drive_label(test).partition(" / ")[0]
-            add("frequency", f"Frequency and phase error over the {over}", (Part.LOG_FREQUENCY, Part.PHASE_ERROR))
-            add("amplitude", f"Amplitudes over the {over}", (Part.LOG_MAGNITUDE,))
-            add("phase", f"Phases to the drive over the {over}", (Part.PHASE,))
+            add("frequency", f"Frequency and phase error over the {over}", Part.LOG_FREQUENCY, Part.PHASE_ERROR)
+            add("amplitude", f"Amplitudes over the {over}", Part.LOG_MAGNITUDE)
+            add("phase", f"Phases to the drive over the {over}", Part.PHASE)
         elif isinstance(test, RecordTest):
-            add("record", "Record", (Part.SAMPLE,))
+            add("record", "Record", Part.SAMPLE)
         else:
-            add("decay", "Frequency and damping over the amplitude", (Part.LOG_FREQUENCY, Part.DAMPING))
+            add("decay", "Frequency and damping over the amplitude", Part.LOG_FREQUENCY, Part.DAMPING)
         harmonics = harmonic_courses(report.evidence, report.models, number)
         if harmonics:
             result.append(harmonic_figure(f"harmonics-{number}", f"Harmonics{tail}", harmonics, shown))

@@ -12,6 +12,7 @@ from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Value, Verdict
 from nmt_diagnose.inference.hypotheses import NULL, UNKNOWN
 from nmt_diagnose.inference.sentences import PLACES
+from nmt_plant.rig import Rig
 
 VERDICTS = {
     Verdict.NONE: ("no gap beyond noise", "good"),
@@ -31,8 +32,7 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
     if diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
         head = diagnosis.ranking[0]
         names = [effect_text(name) for name in (head.effect, *head.equivalents)]
-        text = names[0] if len(names) == 1 else " or ".join(names)
-        return f"{text}, {place_text(head.place, head.detail)}", kind
+        return f"the model lacks {' or '.join(names)} ({place_text(head.place, head.detail)})", kind
     return text, kind
 
 
@@ -70,6 +70,18 @@ def detail_text(detail: str, place: str = "") -> str:
     return {"time": "over time", "cycles": "over the number of periods"}.get(detail, detail)
 
 
+def key_text(key: str, rig: Rig) -> str:
+    """A key of the rig file with the names of elements and sensors for their numbers, as ``--set`` takes it."""
+    parts = key.split(".")
+    if len(parts) > 1 and parts[1].isdigit():
+        index = int(parts[1])
+        if parts[0] == "local_elements" and index < len(rig.local_elements):
+            parts[1] = rig.local_elements[index].name or parts[1]
+        elif parts[0] == "sensors" and index < len(rig.sensors):
+            parts[1] = rig.sensors[index].channel or parts[1]
+    return ".".join(parts)
+
+
 def channel_text(channel: str) -> str:
     """``displacement at point 4`` for ``x4``; other names as they are."""
     known = re.fullmatch(r"([fxva])(\d+)", channel)
@@ -88,16 +100,17 @@ def equation_text(effect: str) -> str:
 
 
 def value_text(value: float, std: float, unit: str = "") -> str:
-    """``2.00(27) × 10⁶``-like text, as ``(2.00 ± 0.27)·10⁶ N/m³``: two digits of the uncertainty, common power of ten."""
+    """``(2.00 ± 0.27)·10⁶ N/m³``: two digits of the uncertainty, a common power of ten where it saves zeros."""
     tail = "" if unit in ("", "1") else f" {unit}"
     if not math.isfinite(value):
         return "—"
-    if not math.isfinite(std) or std <= 0.0:
-        return significant(value, 5) + tail
-    size = max(abs(value), std)
-    exponent = math.floor(math.log10(size))
+    known = math.isfinite(std) and std > 0.0
+    size = max(abs(value), std) if known else abs(value)
+    exponent = math.floor(math.log10(size)) if size > 0.0 else 0
     exponent = 0 if -3 <= exponent < 5 else 3 * math.floor(exponent / 3)
     scale = 10.0**exponent
+    if not known:
+        return significant(value / scale, 5) + (f"·{power_of_ten(exponent)}" if exponent else "") + tail
     decimals = max(0, min(9, 1 - math.floor(math.log10(std / scale))))
     text = f"{plain(value / scale, decimals)} ± {plain(std / scale, decimals)}"
     return (f"({text})·{power_of_ten(exponent)}" if exponent else text) + tail
@@ -105,7 +118,22 @@ def value_text(value: float, std: float, unit: str = "") -> str:
 
 def parameters_text(parameters: Mapping[str, Value]) -> str:
     """Parameters with uncertainties, separated by commas."""
-    return ", ".join(f"{name} = {value_text(v.value, v.std, v.unit)}" for name, v in parameters.items())
+    groups: dict[str, list[str]] = {}
+    for name, v in parameters.items():
+        label, _, own = name.rpartition(".") if "@" in name or "." in name else ("", "", name)
+        groups.setdefault(label, []).append(f"{own} = {value_text(v.value, v.std, v.unit)}")
+    return "; ".join((f"{_label_text(label)}: " if label else "") + ", ".join(items) for label, items in groups.items())
+
+
+def _label_text(label: str) -> str:
+    """``cubic stiffness at point 4`` for ``cubic_stiffness@4``."""
+    effect, _, detail = label.partition("@")
+    return effect_text(effect) + (f" at {detail_text(detail)}" if detail else "")
+
+
+def sigma_text(sigma: float) -> str:
+    """Expected standard deviations; beyond a hundred the number says nothing more."""
+    return "> 100" if sigma > 100.0 else plain(sigma, 0)
 
 
 def percent(share: float, digits: int = 0) -> str:

@@ -23,8 +23,8 @@ class ResponsePage:
         facts: (name, value).
         sections: (anchor, heading, HTML).
         notices: sentences on what is missing or wrong.
-        answers: (question, sentence) below the verdict.
         footer: HTML.
+        answers: (question, sentence) below the verdict.
     """
 
     kicker: str
@@ -35,8 +35,8 @@ class ResponsePage:
     cards: Sequence[tuple[str, str, str]] = ()
     facts: Sequence[tuple[str, str]] = ()
     notices: Sequence[str] = ()
-    answers: Sequence[tuple[str, str]] = ()
     footer: str = field(default="SI units.")
+    answers: Sequence[tuple[str, str]] = ()
 
     def html(self) -> str:
         """The whole page; the same text for the same content."""
@@ -45,7 +45,7 @@ class ResponsePage:
         body = "".join(
             f'<section id="{key}"><h2>{escape(name)}</h2>{html}</section>\n' for key, name, html in present
         )
-        links = "".join(f'<a href="#{key}">{escape(name)}</a>' for key, name, _ in present)
+        links = "\n".join(f'<a href="#{key}">{escape(name)}</a>' for key, name, _ in present)
         text, kind = self.verdict
         cards = "".join(
             f'<div class="card"><div class="label">{escape(label)}</div><div class="value">{escape(value)}</div>'

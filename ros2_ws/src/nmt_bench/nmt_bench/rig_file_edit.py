@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,6 +14,7 @@ from nmt_core.yaml_document import KeyPath, parse_document
 from nmt_plant.rig import Rig, validate_rig
 
 _DIGITS = 10
+_LONG = 100
 
 
 def edited_rig_text(text: str, name: str, target: Rig) -> str:
@@ -120,8 +122,8 @@ class _Edit:
                 self._insert(node, path[-1], value)
         result = self._text
         # From the end on, so that places before a change stay where they are; insertions at one place keep their order.
-        for start, end, _, new in sorted(self._changes, key=lambda c: (c[0], c[2]), reverse=True):
-            result = result[:start] + new + result[end:]
+        for start, end, _, words in sorted(self._changes, key=lambda c: (c[0], c[2]), reverse=True):
+            result = result[:start] + words + result[end:]
         return result
 
     def _deepest(self, path: KeyPath) -> tuple[yaml.Node, int]:
@@ -145,6 +147,10 @@ class _Edit:
             raise _CannotEditError
         if node.flow_style or not node.value:
             self._change(node.end_mark.index - 1, node.end_mark.index - 1, (", " if node.value else "") + _flow(value))
+        elif isinstance(value, str) and len(value) > _LONG:
+            indent = " " * (node.start_mark.column + 2)
+            lines = textwrap.wrap(value, 120 - len(indent), break_long_words=False, break_on_hyphens=False)
+            self._new_line(node, "- >-\n" + "\n".join(indent + line for line in lines))
         else:
             self._new_line(node, f"- {_flow(value)}")
 
@@ -194,9 +200,7 @@ def _put(target: dict[Any, Any], path: KeyPath, value: Any) -> None:
 def _flow(value: Any) -> str:
     """A value in one line."""
     values = [_listed(value)]
-    text = yaml.dump(
-        values, Dumper=_Dumper, default_flow_style=True, allow_unicode=True, width=10**9, sort_keys=False
-    )
+    text = yaml.dump(values, Dumper=_Dumper, default_flow_style=True, allow_unicode=True, width=10**9, sort_keys=False)
     return text.strip()[1:-1]
 
 

@@ -19,10 +19,12 @@ class BlindRig:
     Attributes:
         name: name of the rig.
         bench: its tests.
+        caution: factor on first guesses of strengths; the smaller, the more its tests see.
     """
 
     name: str
     bench: BenchSettings
+    caution: float = 0.1
 
     @property
     def file(self) -> Path:
@@ -63,6 +65,7 @@ BLIND_RIGS: dict[str, BlindRig] = {
             settling_time=1.5,
             substeps=2,
         ),
+        caution=0.02,
     ),
 }
 

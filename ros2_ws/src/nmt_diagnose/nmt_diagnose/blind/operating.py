@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nmt_diagnose.blind.laboratory import BenchSettings
-from nmt_diagnose.blind.quiet_tests import play_backbone, quiet
+from nmt_diagnose.blind.quiet_tests import play_backbone, play_random, quiet
 from nmt_plant.model.linear_modes import sticking_modes
 from nmt_plant.rig import Rig, SensorSection
 from nmt_plant.rig_model import build_resting_elements, build_structure
@@ -25,7 +25,7 @@ class Operating:
         rotation: slope between a point's neighbours, rad per m of spacing 1 (beams: divided by the spacing).
         stiffness: ω² times the mass of the target mode as seen from each point, N/m.
         relative_stiffness: the same as seen between each point and the next.
-        channels: amplitude of each channel, recorded units.
+        channels: amplitude of each channel, recorded units; peaks: its largest value in any test.
         noise: standard deviation of each channel's noise, recorded units.
         voltage: largest drive, V.
         duration: bench time of the backbone test, s.
@@ -39,6 +39,7 @@ class Operating:
     stiffness: dict[int, float]
     relative_stiffness: dict[int, float]
     channels: dict[str, float]
+    peaks: dict[str, float]
     noise: dict[str, float]
     voltage: float
     duration: float
@@ -92,6 +93,13 @@ def operating_point(model: Rig, bench: BenchSettings) -> Operating:
     omega = float(modes.frequencies[-1])
     shape = dict(zip(modes.points, modes.shapes[:, -1], strict=True))
     channels = {name: float(value) for name, value in amplitude.items() if not name.startswith("probe")}
+    # A random test may have larger values than all locked windows.
+    record = play_random(model, model, bench)
+    peaks = {n: float(v) for n, v in zip(record.channels, np.abs(record.data).max(axis=1), strict=True)}
+    for found in windows.values():
+        for n, v in zip(found.channels, found.peaks, strict=True):
+            if n in peaks:
+                peaks[n] = max(peaks[n], float(v))
     return Operating(
         omega=omega,
         displacement=displacement,
@@ -102,6 +110,7 @@ def operating_point(model: Rig, bench: BenchSettings) -> Operating:
             point: float(omega**2 / (shape[point + 1] - shape[point]) ** 2) for point in points[:-1]
         },
         channels=channels,
+        peaks=peaks,
         noise={model.sensor_channel(sensor): noise_deviation(model, sensor) for sensor in model.sensors},
         voltage=max(bench.levels),
         duration=window.stop_s,

@@ -38,6 +38,7 @@ class QuietWindow:
         channels: names, without the voltage.
         amplitudes: harmonics 0..FITTED in the frame of the drive, (channels, FITTED + 1).
         mains: amplitude of what goes with 50 Hz, (channels,).
+        peaks: largest magnitude, (channels,).
         frequency_hz: mean over the window.
         samples: number of samples.
         stop_s: bench time of its end.
@@ -46,6 +47,7 @@ class QuietWindow:
     channels: tuple[str, ...]
     amplitudes: ComplexArray
     mains: ComplexArray
+    peaks: FloatArray
     frequency_hz: float
     samples: int
     stop_s: float
@@ -168,6 +170,7 @@ def _reduced(
         channels=names,
         amplitudes=amplitudes,
         mains=fitted[:, -2] - 1j * fitted[:, -1],
+        peaks=np.abs(data).max(axis=1),
         frequency_hz=float((theta[-1] - theta[0]) / (samples - 1) * rate),
         samples=samples,
         stop_s=(first + samples) / rate,

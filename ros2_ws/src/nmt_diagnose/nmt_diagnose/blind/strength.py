@@ -40,7 +40,8 @@ _NEIGHBOURS = 4
 _PHASE_STEP = 1e-2
 
 TARGETS = (16.0, 4.0)
-_CLOSE = 1.15
+# How near to a target a strength must come, by whether its mark grows in proportion.
+_CLOSE = {False: 1.15, True: 2.5}
 _TRIALS = 7
 _FEWEST_LEVELS = 8
 
@@ -183,20 +184,22 @@ class Sensitivity:
             tried.append((value, found))
             return found
 
+        guess = self.rig.caution * truth.guess(self.model, self.operating, spot)
         for target in TARGETS[: 1 if truth.proportional else None]:
-            _approach(trial, tried, target, truth.guess(self.model, self.operating, spot), truth.largest)
+            _approach(trial, tried, target, guess, truth.largest, _CLOSE[truth.proportional])
         points = sorted((value, found) for value, found in tried if math.isfinite(found) and found > 0.0)
-        return {"points": [[float(f"{v:.6g}"), float(f"{s:.5g}")] for v, s in points], "trouble": trouble}
+        rounded = [[float(f"{v:.6g}"), float(f"{s:.5g}")] for v, s in points]
+        return {"points": rounded, "proportional": truth.proportional, "trouble": trouble}
 
 
 def _approach(
-    trial: Any, tried: list[tuple[float, float]], target: float, guess: float, largest: float
+    trial: Any, tried: list[tuple[float, float]], target: float, guess: float, largest: float, close: float
 ) -> None:
     """Try values until one lies close to the target, by interpolation on logarithmic scales."""
     for _ in range(_TRIALS):
         good = sorted((v, s) for v, s in tried if math.isfinite(s) and s > 0.0)
         bad = [v for v, s in tried if not math.isfinite(s)]
-        if any(max(s / target, target / s) < _CLOSE for _, s in good):
+        if any(max(s / target, target / s) < close for _, s in good):
             return
         if not good:
             value = guess if not bad else 0.2 * min(bad)
@@ -227,15 +230,19 @@ def spot_key(truth: Truth, spot: Spot) -> str:
 def value_at(curve: dict[str, Any], target: float) -> float | None:
     """Strength for a number of standard deviations, by interpolation of a curve on logarithmic scales.
 
-    Below the weakest point in proportion; None where the curve does not get there (by a tenth at most).
+    Beyond the weakest point, and a single one, in proportion; None where the curve does not get there.
     """
     points = [(float(v), float(s)) for v, s in curve["points"]]
     rising: list[tuple[float, float]] = []
     for value, found in points:
         if not rising or found > rising[-1][1]:
             rising.append((value, found))
-    if not rising or target > 1.1 * rising[-1][1]:
+    if not rising:
         return None
+    if target > 1.1 * rising[-1][1]:
+        # A truth that grows in proportion may have been left somewhat below the target.
+        near = curve.get("proportional") and target < 3.0 * rising[-1][1]
+        return rising[-1][0] * target / rising[-1][1] if near else None
     if target <= rising[0][1]:
         return rising[0][0] * target / rising[0][1]
     values, founds = np.log(np.array(rising)).T

@@ -42,7 +42,7 @@ class StrengthTable:
 
 def table_file(rig: BlindRig) -> Path:
     """Where the table of a rig lies."""
-    return Path(__file__).parent / "strengths" / f"{rig.name}.json"
+    return Path(__file__).resolve().parent / "strengths" / f"{rig.name}.json"
 
 
 def fingerprint(rig: BlindRig) -> str:

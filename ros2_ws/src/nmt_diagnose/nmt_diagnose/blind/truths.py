@@ -86,17 +86,17 @@ def _everywhere(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
 
 
 def _sites(shapes: tuple[float, ...] = (0.0,)) -> Spots:
-    """Points that move: of a beam beyond the drive point, of a chain all, and neighbours of a chain."""
+    """Points that move: of a beam beyond the drive point, of a chain the last one and its first two neighbours."""
 
     def spots(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
         found: list[Spot] = []
         for shape in shapes:
             ending = f" at {shape:g}" if shape else ""
             if isinstance(rig.structure, ChainSection):
-                found += [Spot(f"{p}{ending}", p, shape=shape) for p in rig.structure.points]
-                found += [
-                    Spot(f"{p}-{p + 1}{ending}", p, p + 1, shape=shape) for p in list(rig.structure.points)[:-1]
-                ]
+                last = rig.structure.points[-1]
+                found.append(Spot(f"{last}{ending}", last, shape=shape))
+                if last > 1:
+                    found.append(Spot(f"1-2{ending}", 1, 2, shape=shape))
             else:
                 found += [Spot(f"{p}{ending}", p, shape=shape) for p in _beam_points(rig)]
         return tuple(found)
@@ -112,7 +112,8 @@ def _beam_points(rig: Rig) -> tuple[int, ...]:
 
 
 def _points(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
-    points = rig.structure.points if isinstance(rig.structure, ChainSection) else _beam_points(rig)
+    ends = sorted({1, rig.structure.points[-1]})
+    points = ends if isinstance(rig.structure, ChainSection) else _beam_points(rig)
     return tuple(Spot(str(p), p) for p in points)
 
 
@@ -293,7 +294,7 @@ def _sensor_key(key: str, value_of: Callable[[SensorSection, float], Any]) -> Ed
 
 
 def _clipped(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    largest = operating.channels[spot.label]
+    largest = operating.peaks[spot.label]
     return (Edit(("sensors", spot.sensor, "clip"), largest * math.exp(-value)),)
 
 

@@ -190,7 +190,7 @@ def test_orders_and_offset_do_not_disturb() -> None:
     [
         (np.random.default_rng(1).standard_normal((2, 4000)), "does not stand out of the noise"),
         (np.full((2, 4000), math.nan), "Samples are missing"),
-        (np.zeros((2, 50)), "shorter than 20 periods"),
+        (np.zeros((2, 50)), "shorter than 12 periods"),
     ],
 )
 def test_what_is_no_decay_is_refused(data: np.ndarray, words: str) -> None:

@@ -58,9 +58,9 @@ class DecaySettings:
         worst_damping: relative standard uncertainty of the damping ratio at which the decay has reached the noise.
     """
 
-    span: float = 0.4
-    step: float = 0.2
-    fewest_periods: float = 10.0
+    span: float = 0.3
+    step: float = 0.1
+    fewest_periods: float = 6.0
     most_periods: float = 120.0
     skip: float = 0.006
     harmonics: int = 3

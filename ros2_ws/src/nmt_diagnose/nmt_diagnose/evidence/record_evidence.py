@@ -31,7 +31,7 @@ from nmt_plant.model.linear_modes import damped_modes
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _DECAY = 5.0
-_HOLD_ERROR = 1e-3
+_HOLD_ERROR = 3e-3
 _FINEST = 32
 _PADDING = 512
 _LONGEST_START = 0.1

@@ -32,6 +32,8 @@ class ContestSettings:
         placements: most placements (and starting shapes) of one effect that are fitted.
         least_gain: fall of χ² in the scan below which a candidate is not worth a fit.
         behind: fall of χ² in the scan by which a candidate may lie behind the best and still be fitted.
+        share: share of the best fall from which a candidate is fitted all the same: the larger a gap, the less a linear
+            scan can rank.
         first_of_pairs: best single explanations that get a second effect tried.
         second_of_pairs: second effects fitted for each.
         pair_gain: fall of χ² in the second scan from which a pair is tried.
@@ -41,6 +43,7 @@ class ContestSettings:
     placements: int = 2
     least_gain: float = 6.0
     behind: float = 60.0
+    share: float = 0.3
     first_of_pairs: int = 3
     second_of_pairs: int = 3
     pair_gain: float = 14.0
@@ -221,7 +224,7 @@ class Contest:
         chosen: dict[str, list[Score]] = {}
         best = found[0].gain if found else 0.0
         for score in found:
-            if score.gain < max(settings.least_gain, best - settings.behind):
+            if score.gain < max(settings.least_gain, min(best - settings.behind, settings.share * best)):
                 break
             name = self.candidates[score.direction.candidate].effect.name
             if name not in chosen and len(chosen) == settings.finalists:
@@ -242,15 +245,22 @@ class Contest:
         settings = self.settings
         result: list[Contender] = []
         tried: set[tuple[str, ...]] = set()
+        best = singles[0].fit.log_evidence if singles else 0.0
+        heads: set[str] = set()
         for rank, single in enumerate(_best_by_effect(singles)[: settings.first_of_pairs]):
             count = 0
             found = self.scan(single)
             if rank == 0 and (not found or found[0].gain < settings.pair_gain):
                 break  # the best single explanation leaves nothing for a second one
             for score in found:
-                if score.gain < settings.pair_gain or count == settings.second_of_pairs:
+                # Even what the scan promises would not make it better than the best single explanation.
+                hopeless = single.fit.log_evidence + 0.5 * score.gain < best
+                if score.gain < settings.pair_gain or count == settings.second_of_pairs or hopeless:
                     break
-                label = self.candidates[score.direction.candidate].label
+                second = self.candidates[score.direction.candidate]
+                if second.effect.name in heads:
+                    continue  # tried already, the other way round
+                label = second.label
                 key = tuple(sorted((single.label, label)))
                 if key in tried:
                     continue
@@ -260,6 +270,8 @@ class Contest:
                 contender = self.add(single, score)
                 if contender is not None:
                     result.append(contender)
+                    best = max(best, contender.fit.log_evidence)
+            heads.update(single.effects)
         return sorted(result, key=lambda contender: -contender.fit.log_evidence)
 
 

@@ -111,13 +111,12 @@ def run(arguments: argparse.Namespace) -> int:
         )
         progress.update("writing the report")
         with OutputFolder(arguments.out, arguments.force) as folder:
-            write_results(replace(outcome, diagnosis=diagnosis), folder, find_rig(arguments.model), arguments.model)
+            remark = write_results(replace(outcome, diagnosis=diagnosis), folder, find_rig(arguments.model))
     show(diagnosis, console)
-    console.print(
-        f"Diagnosed in {time.monotonic() - started:.0f} s. New rig file: {arguments.out / 'model.yaml'}",
-        markup=False,
-        soft_wrap=True,
-    )
+    if remark:
+        console.print(remark, style="yellow", markup=False, soft_wrap=True)
+    new = "" if remark else f" New rig file: {arguments.out / 'model.yaml'}"
+    console.print(f"Diagnosed in {time.monotonic() - started:.0f} s.{new}", markup=False, soft_wrap=True)
     console.print(f"Report: {(arguments.out / 'report.html').resolve()}", markup=False, soft_wrap=True)
     sys.stdout.flush()
     return EXIT_DONE
@@ -143,14 +142,16 @@ def complete_inputs(inputs: dict[str, Any], model: Path, overrides: list[str], f
     }
 
 
-def write_results(outcome: Outcome, folder: Path, model: Path, model_name: str) -> None:
+def write_results(outcome: Outcome, folder: Path, model: Path) -> str:
     """Write diagnosis.json, report.html, model.yaml and observables.csv to a folder.
 
     Args:
         outcome: of the diagnosis.
         folder: where to.
         model: rig file that the given model was loaded from.
-        model_name: as the user named it.
+
+    Returns:
+        A sentence where there is no model.yaml because no rig file may hold the fitted values; else empty.
     """
     from nmt_bench.diagnosis_curves import Models, observables_csv
     from nmt_bench.diagnosis_model import model_text
@@ -159,11 +160,16 @@ def write_results(outcome: Outcome, folder: Path, model: Path, model_name: str) 
 
     models = Models(outcome.as_given, outcome.refitted, outcome.final)
     outcome.diagnosis.write(folder / "diagnosis.json")
-    text = model.read_text(encoding="utf-8")
-    write_whole(folder / "model.yaml", model_text(text, model.name, outcome.given, outcome.model, outcome.diagnosis))
+    remark, text = "", model.read_text(encoding="utf-8")
+    try:
+        text = model_text(text, model.name, outcome.given, outcome.model, outcome.diagnosis)
+        write_whole(folder / "model.yaml", text)
+    except BenchError as error:
+        remark = f"There is no model.yaml: the fitted values are no rig ({error})"
     write_whole(folder / "observables.csv", observables_csv(outcome.evidence, models))
-    report = DiagnosisReport(outcome.diagnosis, outcome.evidence, models, outcome.given, model_name)
+    report = DiagnosisReport(outcome.diagnosis, outcome.evidence, models, outcome.given)
     write_whole(folder / "report.html", diagnosis_page(report))
+    return remark
 
 
 class DiagnosisProgress:

@@ -32,6 +32,7 @@ _PARTS = {
     Part.IMAG: "imaginary",
     Part.DAMPING: "damping_ratio",
     Part.SAMPLE: "sample",
+    Part.LINE: "line_amplitude",
 }
 _FEW_LINES = 12
 _TAU = 2.0 * math.pi
@@ -164,7 +165,7 @@ def _course(evidence: Evidence, models: Models, test: int, which: np.ndarray, pa
         unit = own.quantity.unit if own is not None else ""
         deviation_unit, factor = unit, 1.0
     joined = not isinstance(kind, RandomTest) or x.size >= _FEW_LINES
-    exponent = engineering_exponent(measured) if logarithmic or part is Part.SAMPLE else 0
+    exponent = engineering_exponent(measured) if logarithmic or part in (Part.SAMPLE, Part.LINE) else 0
     if exponent:
         unit = f"{power_of_ten(exponent)} {unit}"
         measured, *computed = (values / 10.0**exponent for values in (measured, *computed))

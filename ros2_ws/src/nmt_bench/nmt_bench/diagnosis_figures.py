@@ -26,6 +26,7 @@ _BOUNDS = (0.0, 1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 1e9)
 _COLOURS = ("#f1f4f7", "#fde9c9", "#fbcf8f", "#f4a259", "#e0703a", "#b8322a", "#5c0f1e")
 _MISSING = "#ffffff"
 _COLUMNS = 3
+_NO_CHANNEL = "frequency and phase"
 
 
 @dataclass(frozen=True)
@@ -47,9 +48,17 @@ class Shown:
 
 
 def residual_figure(
-    groups: Sequence[ResidualGroup], test: str, number: int, with_effect: bool, level_label: str
+    groups: Sequence[ResidualGroup], test: str, number: int, with_effect: bool, label: str
 ) -> ReportFigure:
-    """Heat map of what is left of one test: channel and harmonic over the level, a panel for each model."""
+    """Heat map of what is left of one test: channel and harmonic over the level, a panel for each model.
+
+    Args:
+        groups: the map.
+        test: name of the test.
+        number: of the test, for the anchor.
+        with_effect: whether there is a model with an effect.
+        label: what the columns are; ``segment`` where they have no size.
+    """
     mine = [group for group in groups if group.test == test]
     lines = sorted({(group.channel, group.harmonic) for group in mine}, key=lambda key: _line_key(key, mine))
     levels = sorted({group.level for group in mine})
@@ -61,7 +70,7 @@ def residual_figure(
     figure.subplots_adjust(left=0.105, right=0.985, bottom=0.62 / height, top=1.0 - 0.27 / height, wspace=0.04)
     cell_map, norm = ListedColormap(list(_COLOURS)), BoundaryNorm(_BOUNDS, len(_COLOURS))
     cell_map.set_bad(_MISSING)
-    bands = all(group.harmonic < 0 and group.channel != "frequency and phase" for group in mine)
+    harmonics = any(group.harmonic >= 0 for group in mine)
     for axes, name, title in zip(panels, fields, titles, strict=False):
         values = np.full((len(lines), len(levels)), np.nan)
         for group in mine:
@@ -73,18 +82,18 @@ def residual_figure(
         for side in ("left", "bottom"):
             axes.spines[side].set_visible(False)
         axes.tick_params(length=0)
-        _level_ticks(axes, mine, levels, bands, level_label)
+        _level_ticks(axes, mine, levels, label)
         for row in range(1, len(lines)):
             if lines[row][0] != lines[row - 1][0]:
                 axes.axhline(row, color=MUTED, linewidth=0.8)
-    panels[0].set_yticks(np.arange(len(lines)) + 0.5, [_line_text(line) for line in lines], fontsize=7.5)
+    panels[0].set_yticks(np.arange(len(lines)) + 0.5, [_line_text(line, harmonics) for line in lines], fontsize=7.5)
     for tick, line in zip(panels[0].get_yticklabels(), lines, strict=True):
         tick.set_fontweight("bold" if line[1] in (1, -1) else "normal")
     caption = (
         "Root-mean-square residual of each cell in standard deviations of the measurement: noise alone gives about 1. "
         + _legend()
         + " A cell of two values passes 1.7 by chance in one case of twenty."
-        + ("" if bands else " <i>n</i>: order of the harmonic.")
+        + (" <i>n</i>: order of the harmonic." if harmonics else "")
         + (" White: nothing measured there well enough." if len(mine) < len(lines) * len(levels) else "")
     )
     name = f"map-{number}"
@@ -117,19 +126,24 @@ def _line_key(key: tuple[str, int], groups: Sequence[ResidualGroup]) -> tuple[in
     return channels.index(key[0]), 1 if key[1] == 1 else key[1] + 10
 
 
-def _line_text(line: tuple[str, int]) -> str:
+def _line_text(line: tuple[str, int], harmonics: bool) -> str:
     channel, harmonic = line
     if harmonic < 0:
-        return channel
+        return "foreign lines" if harmonics and channel != _NO_CHANNEL else channel
     return f"{channel}   n = {harmonic}" if harmonic == 1 else f"{harmonic}"
 
 
-def _level_ticks(axes: Axes, groups: Sequence[ResidualGroup], levels: Sequence[int], bands: bool, label: str) -> None:
-    step = max(1, math.ceil(len(levels) / 8))
-    size = {group.level: group.amplitude for group in groups}
-    places = range(0, len(levels), step)
-    axes.set_xticks([k + 0.5 for k in places], [significant(size[levels[k]], 3 if bands else 2) for k in places])
-    axes.set_xlabel("middle of the band / Hz" if bands else label)
+def _level_ticks(axes: Axes, groups: Sequence[ResidualGroup], levels: Sequence[int], label: str) -> None:
+    # Rows of spectral lines carry the line's frequency for their size, all others that of the level.
+    chosen = [g for g in groups if g.harmonic >= 0 or g.channel == _NO_CHANNEL] or groups
+    size = {group.level: group.amplitude for group in chosen}
+    places = range(0, len(levels), max(1, math.ceil(len(levels) / 8)))
+    if label == "segment":
+        texts = [str(levels[k] + 1) for k in places]
+    else:
+        texts = [significant(size.get(levels[k], math.nan), 3 if label.endswith("Hz") else 2) for k in places]
+    axes.set_xticks([k + 0.5 for k in places], texts)
+    axes.set_xlabel(label)
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------

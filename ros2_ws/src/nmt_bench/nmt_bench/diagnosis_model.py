@@ -17,6 +17,9 @@ _LISTED = 40
 def model_text(text: str, name: str, given: Rig, model: Rig, diagnosis: Diagnosis) -> str:
     """Text of the new rig file; what the diagnosis changed stands among its assumptions.
 
+    Where a gap stays unexplained, nothing is changed: parameters that were re-fitted against it follow what they cannot
+    explain.
+
     Args:
         text: rig file that the given model was loaded from.
         name: of that file.
@@ -27,6 +30,8 @@ def model_text(text: str, name: str, given: Rig, model: Rig, diagnosis: Diagnosi
     Raises:
         BenchError: ``text`` is no rig file.
     """
+    if diagnosis.verdict in (Verdict.UNKNOWN, Verdict.UNDECIDED):
+        model = given
     lines = assumptions(given, model, diagnosis)
     target = model.model_copy(update={"assumptions": [*model.assumptions, *lines]})
     return edited_rig_text(text, name, target)
@@ -35,10 +40,12 @@ def model_text(text: str, name: str, given: Rig, model: Rig, diagnosis: Diagnosi
 def assumptions(given: Rig, model: Rig, diagnosis: Diagnosis) -> list[str]:
     """Sentences for the rig file: what was added or re-fitted, by which diagnosis."""
     changes = changed_keys(given, model)
-    if not changes:
+    if not changes and diagnosis.verdict is not Verdict.UNKNOWN:
         return []
     bags = ", ".join(f"{bag['path']} (SHA-256 {bag['sha256'][:12]})" for bag in diagnosis.inputs.get("bags", ()))
     by = f"by a diagnosis of {bags}" if bags else "by a diagnosis"
+    if not changes:
+        return [f"Not changed {by}: it found a gap that no effect of its library explains."]
     fitted = {item.name: item for item in diagnosis.calibration}
     refitted, added = [], []
     for key, old, new in changes:

@@ -48,14 +48,12 @@ class DiagnosisReport:
         evidence: the real side.
         models: observables of the models.
         rig: the model as given.
-        model_name: how the user named it.
     """
 
     diagnosis: Diagnosis
     evidence: Evidence
     models: Models
     rig: Rig
-    model_name: str = ""
 
     @property
     def with_effect(self) -> bool:
@@ -103,7 +101,11 @@ def diagnosis_page(report: DiagnosisReport) -> str:
 
 
 def _level_label(evidence: Evidence, test: str) -> str:
-    return next((drive_label(kind) for kind in evidence.tests if kind.name == test), "level of excitation")
+    """What the columns of a test's residual map are."""
+    kind = next((kind for kind in evidence.tests if kind.name == test), None)
+    if isinstance(kind, RandomTest):
+        return "middle of the band / Hz"
+    return "segment" if kind is None or isinstance(kind, RecordTest) else drive_label(kind)
 
 
 def _verdict(d: Diagnosis) -> tuple[str, str]:
@@ -376,11 +378,17 @@ def _calibration(d: Diagnosis, rig: Rig) -> str:
         ("Change", "× its uncertainty", False),
     ]  # fmt: skip
     which = "with the effect in the model" if d.verdict is Verdict.EFFECT else "without any effect"
+    warning = ""
+    if d.verdict is Verdict.UNKNOWN:
+        warning = (
+            "<p>These values follow a gap that they cannot explain, and are no better knowledge of the rig: model.yaml "
+            "keeps the ones given.</p>"
+        )
     note = (
         f"Re-fitted {which}. Learnt: how much of the variance known beforehand the tests took away; an empty bar means "
         "that they say nothing about the parameter, and its value is the one given."
     )
-    return _table(head, rows, note)
+    return warning + _table(head, rows, note)
 
 
 def _signed(value: float, decimals: int) -> str:
@@ -519,6 +527,7 @@ def _curves(report: DiagnosisReport) -> list[ReportFigure]:
             add("frequency", f"Frequency and phase error over the {over}", Part.LOG_FREQUENCY, Part.PHASE_ERROR)
             add("amplitude", f"Amplitudes over the {over}", Part.LOG_MAGNITUDE)
             add("phase", f"Phases to the drive over the {over}", Part.PHASE)
+            add("line", "Lines that follow no excitation (mains hum)", Part.LINE)
         elif isinstance(test, RecordTest):
             add("record", "Record", Part.SAMPLE)
         else:

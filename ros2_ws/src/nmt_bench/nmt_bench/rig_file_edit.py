@@ -28,7 +28,7 @@ def edited_rig_text(text: str, name: str, target: Rig) -> str:
         target: what the new text must load to.
 
     Raises:
-        BenchError: ``text`` is no rig file.
+        BenchError: ``text`` is no rig file, or ``target`` is beyond what a rig file may hold.
     """
     base = validate_rig(parse_document(text, name))
     before, after = base.model_dump(mode="json"), target.model_dump(mode="json")
@@ -42,7 +42,9 @@ def edited_rig_text(text: str, name: str, target: Rig) -> str:
         pass
     # Anchors, merge keys and the like: written out plainly, without the comments.
     values = _listed(target.model_dump(mode="json", exclude_defaults=True))
-    return yaml.dump(values, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+    result = yaml.dump(values, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+    validate_rig(parse_document(result, name))
+    return result
 
 
 def _at(values: Any, path: KeyPath, otherwise: Any) -> Any:

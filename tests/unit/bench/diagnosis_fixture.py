@@ -1,0 +1,164 @@
+"""A diagnosis by hand: evidence of every kind of test, models beside it, and one outcome per verdict."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from nmt_bench.diagnosis_curves import Models
+from nmt_bench.diagnosis_report import DiagnosisReport
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_diagnose.evidence.conditions import (
+    LockedLevel,
+    MeasuredChannel,
+    PhaseResonanceTest,
+    RandomTest,
+    RecordTest,
+    RingDownTest,
+)
+from nmt_diagnose.evidence.observables import Evidence, Part, joined
+from nmt_diagnose.evidence.row_table import Place, RowTable
+from nmt_diagnose.inference.diagnosis import (
+    Diagnosis,
+    Gap,
+    NextTest,
+    PlaceShare,
+    Ranked,
+    Recalibrated,
+    Share,
+    Value,
+    Verdict,
+)
+from nmt_diagnose.inference.gap import rms
+from nmt_diagnose.inference.residual_map import per_observable, residual_map
+from nmt_plant.rig import load_rig
+
+DRIVES = (0.1, 0.2, 0.4, 0.8, 1.6)
+FORCE = MeasuredChannel("f2", Quantity.FORCE, 2)
+DISPLACEMENT = MeasuredChannel("x5", Quantity.DISPLACEMENT, 5)
+HZ = 22.5
+
+
+def phase_resonance() -> Evidence:
+    table = RowTable()
+    levels = []
+    for k, drive in enumerate(DRIVES):
+        place = Place(k, 3.0 * k + 1.5, HZ, drive)
+        levels.append(LockedLevel(k, drive, 0.0, 1e-3, HZ, 3.0 * k, 3.0 * k + 2.0, 60.0 * k, 1))
+        table.add(Part.LOG_FREQUENCY, math.log(2.0 * math.pi * HZ), 1e-4, 0.0, place)
+        table.add(Part.PHASE_ERROR, 1e-4, 1e-3, 0.0, place)
+        for channel in (0, 1):
+            table.add(Part.LOG_MAGNITUDE, math.log((2.0, 3e-4)[channel] * drive), 1e-3, 0.0, place, channel, 1)
+            table.add(Part.PHASE, (0.8, 3.14)[channel], 1e-3, 0.0, place, channel, 1)
+            for order in (2, 3):
+                table.add(Part.REAL, 0.003 * order, 1e-4, 0.0, place, channel, order)
+                table.add(Part.IMAG, -0.004 * order, 1e-4, 0.0, place, channel, order)
+    test = PhaseResonanceTest("backbone", 2, "x5", (FORCE, DISPLACEMENT), 3, "voltage", tuple(levels))
+    return table.evidence(test)
+
+
+def random() -> Evidence:
+    lines = np.linspace(10.0, 200.0, 50)
+    table = RowTable()
+    for k, line in enumerate(lines):
+        place = Place(k, 0.0, float(line), 0.05)
+        table.add(Part.LOG_MAGNITUDE, 0.01 * k, 5e-3, 0.0, place, 0)
+        table.add(Part.PHASE, -0.01 * k, 5e-3, 0.0, place, 0)
+    return table.evidence(RandomTest("random", 2, (FORCE,), "voltage", lines, 0.1, "none", 0.05, 0.0, 30.0))
+
+
+def ring_down() -> Evidence:
+    amplitudes = np.geomspace(1e-3, 1e-5, 6)
+    table = RowTable()
+    for k, amplitude in enumerate(amplitudes):
+        place = Place(k, 0.3 * k, HZ, float(amplitude))
+        table.add(Part.LOG_FREQUENCY, math.log(2.0 * math.pi * HZ), 1e-4, 0.0, place)
+        table.add(Part.DAMPING, 0.01, 1e-4, 0.0, place)
+    return table.evidence(RingDownTest("decay", 2, DISPLACEMENT, amplitudes, HZ))
+
+
+def record() -> Evidence:
+    table = RowTable()
+    for k in range(60):
+        table.add(Part.SAMPLE, 1e-3 * math.sin(0.3 * k), 1e-5, 0.0, Place(k // 20, 0.01 * k, 0.0, 0.0), 0)
+    bounds = np.array([0.0, 20.0, 40.0, 60.0])
+    return table.evidence(RecordTest("record", 2, 100.0, FORCE, np.zeros(60), (DISPLACEMENT,), bounds))
+
+
+def every_test() -> Evidence:
+    found = joined([phase_resonance(), random(), ring_down(), record()])
+    return replace(found, inputs=(("bags/backbone", "ab" * 32), ("bags/random", "cd" * 32)))
+
+
+def one_test() -> Evidence:
+    return replace(phase_resonance(), inputs=(("bags/backbone", "ab" * 32),))
+
+
+def models_of(evidence: Evidence) -> Models:
+    """The model as given is 5 standard deviations off everywhere, the re-fitted one 3, the final one 0.5."""
+    sign = np.where(np.arange(len(evidence.rows)) % 2, 1.0, -1.0)
+    shifted: list[FloatArray] = [evidence.values + size * sign * evidence.sigma for size in (5.0, 3.0, 0.5)]
+    return Models(*shifted)
+
+
+def report(verdict: Verdict, evidence: Evidence | None = None) -> DiagnosisReport:
+    """A report of a verdict; ``effect`` has a class of two that cannot be told apart."""
+    evidence = every_test() if evidence is None else evidence
+    models = models_of(evidence)
+    given, refitted, final = (
+        (values - evidence.values) / evidence.sigma for values in (models.as_given, models.refitted, models.final)
+    )
+    last = final if verdict is Verdict.EFFECT else refitted
+    everything = np.ones(len(evidence.rows), dtype=bool)
+    nan = math.nan
+    closed = (0.9, 0.8, 0.95) if verdict in (Verdict.EFFECT, Verdict.CALIBRATION) else (nan, nan, nan)
+    ranked = Ranked(
+        "cubic_stiffness", "structure", "5", 0.93, ("quintic_stiffness",), {"k": Value(2.0e7, 3.1e5, "N/m³")},
+        Share(0.9, 0.8, 0.95), 64.0,
+    )  # fmt: skip
+    pair = Ranked(
+        "air_drag + force_gain", "structure + force_sensor", "3 + f2", 0.02, (),
+        {"air_drag@3.c2": Value(0.4, 0.1, "N s²/m²"), "force_gain@f2.g": Value(0.01, 0.002, "1")},
+        Share(nan, nan, nan), 4.0,
+    )  # fmt: skip
+    gapless = verdict in (Verdict.NONE, Verdict.CALIBRATION)
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        sentences=(f"Where of {verdict.value}.", f"Which of {verdict.value}.", f"How far of {verdict.value}."),
+        where=() if gapless else (PlaceShare("structure", "5", 0.9, 0.94), PlaceShare("time", "", 0.1, 0.06)),
+        ranking=(ranked, pair),
+        probabilities={"none": 0.01, "unknown": 0.04, "cubic_stiffness@5": 0.93},
+        gap=Gap(
+            3.0, rms(last), 1.0, 5.0, *closed, per_observable(evidence, refitted, last, everything),
+            ("every second level",),
+        ),
+        next_test=() if gapless else (
+            NextTest(
+                "higher levels, up to 3 V", "./nmt run beam --levels 1.5:3:6 --out high",
+                ("cubic_stiffness", "quintic_stiffness"), 8.0,
+            ),
+        ),
+        calibration=(
+            Recalibrated("local_elements.0.slip_force_n", 1.0, 1.02, 0.004, "N", 0.1, 5.0),
+            Recalibrated("structure.youngs_modulus_pa", 1.85e11, 1.8502e11, 9e7, "Pa", 0.01, 0.2),
+        ),
+        inputs={
+            "bags": [{"path": path, "sha256": digest} for path, digest in evidence.inputs],
+            "tests": [{"name": "backbone", "kind": "PhaseResonanceTest", "drive_point": 2, "levels": 5}],
+            "held_out": ["every second level"],
+            "withheld": ["microslip"],
+            "seed": 0,
+        },
+        notes=("backbone: level 7 is left out.",),
+        residual_map=residual_map(evidence, given, refitted, last),
+        residual_tests=(
+            {"name": "even harmonics", "where": "backbone", "statistic": 99.0, "freedom": 10, "p": 1e-9,
+             "p_holm": 1e-8},
+            {"name": "odd harmonics above the first", "where": "x5", "statistic": 9.0, "freedom": 10, "p": 0.5,
+             "p_holm": 1.0},
+        ),
+        candidates=({"label": "none", "log_evidence": 0.0, "chi_square": 900.0, "rows": 100, "converged": True},),
+    )  # fmt: skip
+    return DiagnosisReport(diagnosis, evidence, models, load_rig("beam"))

@@ -63,7 +63,9 @@ def area_under_roc(positive: Sequence[float], negative: Sequence[float]) -> floa
 
 
 def roc_curve(positive: Sequence[float], negative: Sequence[float]) -> tuple[FloatArray, FloatArray]:
-    """False-alarm and detection rates over all thresholds, from (0, 0) to (1, 1)."""
+    """False-alarm and detection rates over all thresholds, from (0, 0) to (1, 1); empty without cases of both kinds."""
+    if not positive or not negative:
+        return np.zeros(0), np.zeros(0)
     values = np.unique(np.concatenate([np.asarray(positive, float), np.asarray(negative, float)]))[::-1]
     false = np.array([0.0, *(np.mean(np.asarray(negative) >= v) for v in values)])
     true = np.array([0.0, *(np.mean(np.asarray(positive) >= v) for v in values)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import shutil
@@ -10,6 +11,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
@@ -43,11 +46,15 @@ class CampaignRun:
 
 
 def diagnose_case(model: Path, bags: Sequence[Path], withheld: str) -> dict[str, Any]:
-    """The diagnosis that ``./nmt diagnose`` makes, without looking for the next test."""
+    """The diagnosis that ``./nmt diagnose`` makes, without looking for the next test, and a baseline's answer."""
+    from nmt_diagnose.campaign.ensemble_sindy import sparse_terms
     from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
 
     settings = DiagnosisSettings(withheld=(withheld,) if withheld else (), look_ahead=False)
-    return diagnose_bags(model, bags, settings=settings).diagnosis.to_mapping()
+    result = diagnose_bags(model, bags, settings=settings).diagnosis.to_mapping()
+    with contextlib.suppress(BenchError, ArithmeticError, np.linalg.LinAlgError):
+        result["sindy"] = sparse_terms(model, bags)
+    return result
 
 
 def run_campaign(

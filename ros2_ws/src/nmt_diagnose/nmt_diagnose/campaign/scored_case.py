@@ -153,7 +153,7 @@ def scored_case(truth: dict[str, Any], result: dict[str, Any]) -> ScoredCase:
         after=_number(gap.get("after")),
         floor=_number(gap.get("floor")),
         details=diagnosis,
-        sindy=result.get("sindy") or {},
+        sindy=diagnosis.get("sindy") or {},
         seconds=_number(result.get("seconds")),
     )
 

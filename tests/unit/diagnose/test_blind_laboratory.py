@@ -1,0 +1,155 @@
+"""The laboratory's bags are those of a bench, and its rig behaves as harmonic balance says it must."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nmt_core.test_kind import TestKind
+from nmt_diagnose.blind.blind_rigs import BLIND_RIGS, blind_rig
+from nmt_diagnose.blind.laboratory import record_backbone, record_random
+from nmt_diagnose.blind.quiet_tests import play_backbone, play_random
+from nmt_diagnose.blind.rig_edits import Edit, with_edits
+from nmt_diagnose.blind.strength import Sensitivity, value_at
+from nmt_diagnose.blind.strength_table import load_table
+from nmt_diagnose.blind.truths import KNOWN, OPEN, TRUTHS
+from nmt_diagnose.campaign.ensemble_sindy import sparse_terms
+from nmt_extract.offline import extract_bag
+from nmt_plant.reference import single_point_reference
+from nmt_plant.rig import Rig
+from nmt_record.bag_reader import Bag
+from nmt_record.segments import read_signals, segments
+
+BEAM = blind_rig("beam")
+MODEL = BEAM.model()
+FEW = replace(BEAM.bench, levels=(0.12, 0.4, 1.0), window_periods=40, duration=4.0)
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("laboratory")
+    assert record_backbone(folder / "backbone", MODEL, MODEL, FEW, 7).locked == 3
+    assert record_random(folder / "random", MODEL, MODEL, FEW, 7).locked == 1
+    return folder
+
+
+def test_modal_points_agree_with_harmonic_balance_within_noise(bags: Path) -> None:
+    points = extract_bag(bags / "backbone").points
+    reference = single_point_reference(MODEL, levels=FEW.levels, harmonics=9).mode
+    assert len(points) == 3
+    for k, point in enumerate(points):
+        assert point.omega_rad_s == pytest.approx(reference.omega_rad_s[k], rel=3e-4)
+        deviation = point.damping_ratio - reference.damping_ratio[k]
+        assert abs(deviation) < 4.0 * point.damping_ratio_std + 5e-3 * reference.damping_ratio[k]
+
+
+def test_a_random_bag_is_that_of_a_bench(bags: Path) -> None:
+    bag = Bag.open(bags / "random")
+    (segment,) = segments(bag)
+    assert (segment.kind, segment.fault, segment.level) == (TestKind.RANDOM, "", FEW.random_level)
+    signals = read_signals(bag, segment.first_sample, segment.samples)
+    assert not signals.gaps
+    voltage = signals.channels["u"]
+    assert np.std(voltage) == pytest.approx(FEW.random_level, rel=0.1)
+    power = np.abs(np.fft.rfft(voltage)) ** 2
+    frequency = np.fft.rfftfreq(voltage.size, 1.0 / signals.sample_rate)
+    assert power[frequency > 2.0 * FEW.band_hz[1]].sum() < 1e-2 * power.sum()
+
+
+def test_noise_is_that_of_the_rig_file(bags: Path) -> None:
+    first = read_signals(Bag.open(bags / "backbone"), 0, 80)
+    assert np.std(first.channels["x5"]) == pytest.approx(math.sqrt(4.5e-16 / 1e-5), rel=0.35)
+
+
+def _frequency(rig: Rig) -> float:
+    return play_backbone(rig, MODEL, replace(FEW, levels=(0.4,)))[0].frequency_hz
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        Edit(("structure", "added_masses"), {"point": 7, "mass_kg": 0.004}, "append"),
+        Edit(("local_elements",), {"kind": "cubic_spring", "point": 5, "stiffness_n_m3": 2e8}, "append"),
+        Edit(("structure", "youngs_modulus_pa"), 1.01, "scale"),
+        Edit(("local_elements", 0, "slip_force_n"), 1.1, "scale"),
+    ],
+    ids=("added mass", "cubic spring", "modulus", "slip force"),
+)
+def test_what_an_edit_does_without_noise_is_what_harmonic_balance_says(edit: Edit) -> None:
+    truth = with_edits(MODEL, (edit,))
+    measured = math.log(_frequency(truth) / _frequency(MODEL))
+    omega = [single_point_reference(rig, levels=[0.4], harmonics=9).mode.omega_rad_s[0] for rig in (truth, MODEL)]
+    expected = math.log(omega[0] / omega[1])
+    assert abs(expected) > 5e-4
+    assert measured == pytest.approx(expected, rel=0.01, abs=2e-6)
+
+
+def test_a_finer_step_and_mesh_change_less_than_a_test_repeats() -> None:
+    bench = replace(FEW, levels=(1.0,))
+    fine = play_backbone(MODEL, MODEL, bench)[0]
+    finer = play_backbone(MODEL, MODEL, replace(bench, mesh_refinement=5, substeps=8))[0]
+    assert fine.frequency_hz == pytest.approx(finer.frequency_hz, rel=1e-5)
+    assert np.abs(fine.amplitudes[:, 1]) == pytest.approx(np.abs(finer.amplitudes[:, 1]), rel=2e-4)
+
+
+def test_random_responses_differ_by_what_a_gain_says() -> None:
+    louder = with_edits(MODEL, (Edit(("sensors", 2, "gain"), 1.02),))
+    plain, changed = (play_random(rig, MODEL, FEW) for rig in (MODEL, louder))
+    assert np.array_equal(plain.voltage, changed.voltage)
+    row = plain.channels.index("x4")
+    assert changed.data[row] == pytest.approx(1.02 * plain.data[row])
+    assert np.array_equal(np.delete(changed.data, row, 0), np.delete(plain.data, row, 0))
+
+
+def test_strengths_count_what_the_model_cannot_take() -> None:
+    rig = replace(BEAM, bench=replace(FEW, levels=(0.3, 0.8), window_periods=20, duration=2.0,
+                                      mesh_refinement=1, substeps=1))  # fmt: skip
+    sensitivity = Sensitivity(rig)
+    # A parameter of the model, one prior standard deviation off, is no effect: its own column takes it.
+    modulus = (Edit(("structure", "youngs_modulus_pa"), 1.01, "scale"),)
+    observed = sensitivity.observe(with_edits(MODEL, modulus))
+    good = np.isfinite(sensitivity.base.noise)
+    raw = np.linalg.norm(((observed.values - sensitivity.base.values) / sensitivity.base.noise)[good])
+    assert raw > 50.0
+    assert sensitivity.sigma_of(observed) < 2.0
+    gain = [sensitivity.sigma((Edit(("sensors", 3, "gain"), 1.0 + g),)) for g in (0.01, 0.02)]
+    assert gain[0] > 3.0
+    assert gain[1] == pytest.approx(2.0 * gain[0], rel=0.05)
+    assert sensitivity.sigma(()) == 0.0
+
+
+def test_values_between_points_of_a_curve() -> None:
+    curve = {"points": [[1.0, 4.0], [4.0, 16.0], [8.0, 15.0]], "proportional": True}
+    assert value_at(curve, 8.0) == pytest.approx(2.0)
+    assert value_at(curve, 1.0) == pytest.approx(0.25)
+    assert value_at(curve, 32.0) == pytest.approx(8.0)
+    assert value_at({**curve, "proportional": False}, 32.0) is None
+    assert value_at({"points": []}, 1.0) is None
+
+
+@pytest.mark.parametrize("name", BLIND_RIGS)
+def test_the_program_has_tables_for_its_rigs(name: str) -> None:
+    rig = blind_rig(name)
+    table = load_table(rig)
+    model = rig.model()
+    for truth in (*KNOWN, *OPEN):
+        for spot in truth.spots(model, table.operating):
+            assert table.value(truth, spot, 1.0) is not None, (truth.name, spot.label)
+    cubic = TRUTHS["cubic_stiffness"]
+    spot = cubic.spots(model, table.operating)[0]
+    values = [table.value(cubic, spot, sigma) for sigma in (1.0, 4.0, 16.0)]
+    assert all(value is not None for value in values)
+    assert values == sorted(values, key=lambda value: value or 0.0)
+
+
+def test_sparse_regression_names_a_strong_spring(tmp_path: Path) -> None:
+    strong = Edit(("local_elements",), {"kind": "cubic_spring", "point": 5, "stiffness_n_m3": 3e8}, "append")
+    bench = replace(FEW, levels=(0.2, 0.5, 0.8, 1.2))
+    record_backbone(tmp_path / "bag", with_edits(MODEL, (strong,)), MODEL, bench, 3)
+    found = sparse_terms(BEAM.file, [tmp_path / "bag"])
+    assert found["terms"][0]["effect"] in ("cubic_stiffness", "quintic_stiffness")
+    assert sparse_terms(BEAM.file, []) == {}

@@ -17,6 +17,7 @@ from unit.bench import diagnosis_fixture as fixture
 from nmt_bench.diagnosis_curves import courses, harmonic_courses, observables_csv
 from nmt_bench.diagnosis_report import diagnosis_page
 from nmt_bench.diagnosis_words import (
+    class_text,
     effect_text,
     key_text,
     parameters_text,
@@ -28,7 +29,7 @@ from nmt_bench.diagnosis_words import (
 )
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.evidence.observables import Part
-from nmt_diagnose.inference.diagnosis import Value, Verdict
+from nmt_diagnose.inference.diagnosis import Ranked, Share, Value, Verdict
 from nmt_plant.rig import load_rig
 
 _VOID = {"meta", "link", "br", "img", "hr", "input"}
@@ -228,6 +229,13 @@ def test_values_with_their_uncertainty(value: float, std: float, unit: str, text
 )
 def test_places_in_words(place: str, detail: str, text: str) -> None:
     assert place_text(place, detail) == text
+
+
+def test_a_large_class_in_few_words() -> None:
+    nothing = Share(math.nan, math.nan, math.nan)
+    others = ("added_mass", "sensor_mass + air_drag", "air_drag + clock_error", "low_pass", "clipping")
+    item = Ranked("sensor_mass", "response_sensor", "x5", 0.9, others, {}, nothing, 9.0)
+    assert class_text(item) == "sensor mass or added mass or air drag + clock error or low pass or one of 1 more"
 
 
 def test_other_words() -> None:

@@ -13,6 +13,7 @@ from nmt_bench.diagnosis_figures import Shown, course_figure, harmonic_figure, r
 from nmt_bench.diagnosis_words import (
     QUESTIONS,
     channel_text,
+    class_text,
     closed_text,
     effect_text,
     equation_text,
@@ -192,9 +193,8 @@ def _table(head: Sequence[tuple[str, str, bool]], rows: Sequence[str], note: str
 def _ranking(d: Diagnosis) -> str:
     rows = []
     for number, item in enumerate(d.ranking):
-        names = [item.effect, *item.equivalents]
         equation = equation_text(item.effect)
-        text = f"<b>{escape(' or '.join(effect_text(name) for name in names))}</b>"
+        text = f"<b>{escape(class_text(item))}</b>"
         if item.equivalents:
             text += '<br><span class="small">one class: these tests cannot tell them apart'
             text += "; the test that would is below</span>" if d.next_test and number == 0 else "</span>"

@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from nmt_bench.diagnosis_words import (
+    class_text,
     effect_text,
     parameters_text,
     percent,
@@ -45,7 +46,7 @@ def ranking_table(diagnosis: Diagnosis) -> Table | None:
     table.add_column("gap closed", justify="right", no_wrap=True)
     rows = []
     for item in diagnosis.ranking:
-        name = " or ".join(effect_text(effect) for effect in (item.effect, *item.equivalents))
+        name = class_text(item)
         place, parameters = place_text(item.place, item.detail), parameters_text(item.parameters)
         cells = (name, place, parameters, percent(item.closed.value))
         rows.append((item.probability, cells))

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from nmt_bench.quantity_format import plain, power_of_ten, significant
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.library import effect_named
-from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Value, Verdict
+from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Ranked, Value, Verdict
 from nmt_diagnose.inference.hypotheses import NULL, UNKNOWN
 from nmt_diagnose.inference.sentences import PLACES
 from nmt_plant.rig import Rig
@@ -23,6 +23,7 @@ VERDICTS = {
 }
 QUESTIONS = ("Where", "Which", "How far")
 
+_NAMED = 4
 _LETTERS = {"f": "force", "x": "displacement", "v": "velocity", "a": "acceleration"}
 
 
@@ -31,8 +32,7 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
     text, kind = VERDICTS[diagnosis.verdict]
     if diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
         head = diagnosis.ranking[0]
-        names = [effect_text(name) for name in (head.effect, *head.equivalents)]
-        return f"the model lacks {' or '.join(names)} ({place_text(head.place, head.detail)})", kind
+        return f"the model lacks {class_text(head)} ({place_text(head.place, head.detail)})", kind
     return text, kind
 
 
@@ -43,6 +43,16 @@ def effect_text(name: str) -> str:
     if name == UNKNOWN:
         return "something not in the library"
     return " + ".join(part.split("@")[0].replace("_", " ") for part in name.split(" + "))
+
+
+def class_text(item: Ranked) -> str:
+    """The explanations of a class, joined by *or*; those that are another one with something added are left out."""
+    names = [item.effect, *item.equivalents]
+    parts = [frozenset(name.split(" + ")) for name in names]
+    plain_ones = [name for name, own in zip(names, parts, strict=True) if not any(other < own for other in parts)]
+    shown = [effect_text(name) for name in plain_ones[:_NAMED]]
+    more = len(plain_ones) - len(shown)
+    return " or ".join(shown) + (f" or one of {more} more" if more else "")
 
 
 def place_text(place: str, detail: str = "") -> str:

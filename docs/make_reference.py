@@ -346,12 +346,22 @@ def rig_table(name: str) -> str:
 
 
 def options_table(name: str) -> str:
-    """Arguments and options of a command."""
+    """Arguments and options of a command, part by part where it has parts."""
     from nmt_bench.cli import build_parser
 
     parser = build_parser(name)
     group = next(action for action in parser._actions if action.dest == "command")
     command = typing.cast(Any, group.choices)[name]
+    parts = next((action for action in command._actions if isinstance(action, argparse._SubParsersAction)), None)
+    if parts is None:
+        return "\n".join(_option_lines(command))
+    lines: list[str] = []
+    for choice in parts._choices_actions:
+        lines += ["", f"**`{name} {choice.dest}`**: {choice.help}", "", *_option_lines(parts.choices[choice.dest])]
+    return "\n".join(lines[1:])
+
+
+def _option_lines(command: argparse.ArgumentParser) -> list[str]:
     lines = ["| argument | meaning |", "|---|---|"]
     for action in command._actions:
         if action.dest == "help":
@@ -361,7 +371,7 @@ def options_table(name: str) -> str:
         shown = f"{words} {value}".strip() if words and action.nargs != 0 else words or value or action.dest
         need = " **Required.**" if action.required and words else ""
         lines.append(f"| `{_cell(shown)}` | {_cell((action.help or '').replace('%%', '%'))}{need} |")
-    return "\n".join(lines)
+    return lines
 
 
 def effects_table(place: str) -> str:

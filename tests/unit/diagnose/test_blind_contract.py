@@ -1,0 +1,55 @@
+"""The contracts that keep truth and diagnosis apart hold, and would be noticed if they did not."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+SOURCES = ROOT / "ros2_ws" / "src"
+PACKAGES = ("core", "plant", "pll", "sequencer", "record", "extract", "diagnose", "bench")
+
+pytest.importorskip("importlinter", reason="import-linter is not installed")
+
+
+def check(folder: Path, contract: str) -> subprocess.CompletedProcess[str]:
+    program = "import sys; from importlinter.cli import lint_imports_command as run; run(sys.argv[1:])"
+    return subprocess.run(
+        [sys.executable, "-c", program, "--config", str(ROOT / ".importlinter"), "--contract", contract, "--no-cache"],
+        cwd=folder,
+        env={"PYTHONPATH": ":".join(str(folder / f"nmt_{name}") for name in PACKAGES), "PATH": ""},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+@pytest.mark.parametrize(
+    ("contract", "module", "line"),
+    [
+        ("truth", "blind/leak.py", "from nmt_diagnose.twin import forward"),
+        ("truth", "blind/leak.py", "from nmt_diagnose.effects.library import library"),
+        ("truth", "blind/leak.py", "from nmt_plant.reference import single_point_reference"),
+        ("blind", "inference/leak.py", "from nmt_diagnose.blind.draw import draw_cases"),
+        ("blind", "evidence/leak.py", "from nmt_plant.simulated_rig import SimulatedRig"),
+    ],
+)
+def test_a_forbidden_import_is_caught(tmp_path: Path, contract: str, module: str, line: str) -> None:
+    for name in PACKAGES:
+        package = tmp_path / f"nmt_{name}" / f"nmt_{name}"
+        package.parent.mkdir()
+        if name == "diagnose":
+            shutil.copytree(SOURCES / f"nmt_{name}" / f"nmt_{name}", package)
+        else:
+            package.symlink_to(SOURCES / f"nmt_{name}" / f"nmt_{name}")
+    kept = check(tmp_path, contract)
+    assert kept.returncode == 0, kept.stdout + kept.stderr
+    (tmp_path / "nmt_diagnose" / "nmt_diagnose" / module).write_text(f"{line}\n")
+    broken = check(tmp_path, contract)
+    assert broken.returncode == 1
+    assert "BROKEN" in broken.stdout
+    assert "leak" in broken.stdout

@@ -366,7 +366,7 @@ def _option_lines(command: argparse.ArgumentParser) -> list[str]:
     for action in command._actions:
         if action.dest == "help":
             continue
-        value = action.metavar or ("{" + ",".join(map(str, action.choices)) + "}" if action.choices else "")
+        value = str(action.metavar or ("{" + ",".join(map(str, action.choices)) + "}" if action.choices else ""))
         words = ", ".join(action.option_strings)
         shown = f"{words} {value}".strip() if words and action.nargs != 0 else words or value or action.dest
         need = " **Required.**" if action.required and words else ""

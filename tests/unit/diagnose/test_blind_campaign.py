@@ -102,6 +102,27 @@ def test_discarded_bags_leave_their_hashes(campaign: Path) -> None:
     assert len(score_campaign(campaign).cases) == 3
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_a_run_over_a_dask_scheduler(campaign: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp", silence_logs=50
+    ) as cluster:
+        done = run_campaign(campaign, scheduler=cluster.scheduler_address, diagnose=fake)
+    assert (done.new, done.done, done.failed) == (3, 3, 0)
+
+
+def test_a_scheduler_that_does_not_answer_is_a_sentence(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+
+    def nobody(*_: Any, **__: Any) -> None:
+        raise OSError("timed out")
+
+    monkeypatch.setattr(distributed, "Client", nobody)
+    with pytest.raises(BenchError, match="does not answer"):
+        run_campaign(campaign, scheduler="tcp://127.0.0.1:1", diagnose=fake)
+
+
 def test_a_folder_without_cases_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match="no blind cases"):
         run_campaign(tmp_path, diagnose=fake)

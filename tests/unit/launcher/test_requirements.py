@@ -5,8 +5,10 @@ from __future__ import annotations
 import ast
 import re
 import sys
+from importlib import metadata
 
 import pytest
+from packaging.requirements import Requirement
 
 from .conftest import ROOT
 
@@ -54,11 +56,39 @@ def test_lock_holds_what_is_asked_for(lock, launcher):
     assert pins["empy"].startswith("3.")
 
 
+def recent_pins(launcher) -> list[dict[str, str]]:
+    """Pins for Python 3.11, 3.12 and 3.13 with the wheels."""
+    return [launcher.pins_of(str(ROOT / f"requirements/lock/wheels-3.{m}.txt")) for m in (11, 12, 13)]
+
+
 def test_same_versions_on_recent_pythons(launcher):
-    first, *others = (
-        launcher.pins_of(str(ROOT / f"requirements/lock/wheels-3.{m}.txt")) for m in (11, 12, 13)
-    )
-    assert all(other == first for other in others)
+    first, *others = recent_pins(launcher)
+    for other in others:
+        assert other == {name: version for name, version in first.items() if name in other}
+    assert len({frozenset(other) for other in others}) == 1
+
+
+def test_what_only_the_oldest_of_them_has_is_asked_for_by_a_condition_on_the_python(launcher):
+    """A package that only 3.11 has stands for one that is part of later Pythons, or is needed by such a one."""
+    oldest, newer, _ = recent_pins(launcher)
+    conditional, needs = set(), {}
+    for distribution in metadata.distributions():
+        asked = {v: set() for v in ("3.11", "3.12")}
+        for requirement in map(Requirement, distribution.requires or []):
+            for version, names in asked.items():
+                if not requirement.marker or requirement.marker.evaluate({"python_version": version, "extra": ""}):
+                    names.add(launcher.normalised(requirement.name))
+        conditional |= asked["3.11"] - asked["3.12"]
+        needs[launcher.normalised(distribution.name)] = asked["3.11"]
+    explained = set()
+    while conditional - explained:
+        explained |= conditional
+        conditional |= set().union(*(needs.get(name, set()) for name in conditional))
+    extra = set(oldest) - set(newer)
+    missing = extra - explained
+    # Away from 3.11 the extra packages are not installed, and what they need in turn cannot be asked.
+    assert not missing or not extra <= set(needs)
+    assert extra & explained
 
 
 def test_numpy_beside_a_system_ros_is_the_one_its_messages_were_built_with(launcher):

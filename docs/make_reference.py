@@ -6,8 +6,8 @@
 
 A page holds its tables between ``<!-- generated: KIND NAME -->`` and ``<!-- end -->``; everything else is
 written by hand. KIND is ``message`` (a .msg or .action file), ``parameters`` (the table of a node), ``rig``
-(a section of the rig file), ``options`` (a command), ``effects`` (a place of the diagnosis) or ``priors``. The tables of parameters stand in the node modules,
-so they need ROS 2.
+(a section of the rig file), ``options`` (a command), ``effects`` (a place of the diagnosis) or ``priors``. The
+tables of parameters stand in the node modules, so they need ROS 2.
 """
 
 from __future__ import annotations

@@ -127,6 +127,40 @@ def test_directions_that_nothing_excites_keep_what_was_learnt() -> None:
     assert abs(estimate.force_per_volt - 5.0) < 0.01
 
 
+def test_noise_of_the_sensors_is_weighed() -> None:
+    """Repeated phasors of one steady state: the estimate's scatter falls as that of a mean."""
+    generator = np.random.default_rng(3)
+
+    def scatter(told: float) -> float:
+        left = []
+        for _ in range(40):
+            estimate = ExciterEstimate(drift=0.0)
+            estimate.force_noise = told
+            noise = 1.0 * (generator.standard_normal((101, 2)) @ (1, 1j)) / math.sqrt(2.0)
+            estimate.start(10.0 + complex(noise[0]), 2.0, 3.0j)
+            for value in noise[1:]:
+                estimate.update(10.0 + complex(value), 2.0, 3.0j)
+            left.append(abs(estimate.force_per_volt * 2.0 - estimate.stiffness * 3.0j - 10.0) ** 2)
+        return math.sqrt(np.mean(left))
+
+    assert scatter(1.0) == pytest.approx(0.1, rel=0.2)
+
+
+def test_estimate_waits_until_the_force_stands_out_of_what_was_heard_at_rest() -> None:
+    holder = ForceHolder(CUTOFF, BLOCK, 0)
+    for turned in (1.0, 1.0j, -1.0, -1.0j, 1.0):
+        holder.listen(0.02 * turned, 0.5 * turned)
+    assert holder.exciter.force_noise == pytest.approx(0.02)
+    assert holder.exciter.response_noise == pytest.approx(0.5)
+    for _ in range(5):
+        assert holder.observe(0.19 + 0j, 1j, 0.1) == 0.0
+    assert holder.exciter.force_per_volt == 0
+    holder.observe(0.21 + 0j, 1j, 0.1)
+    assert holder.exciter.force_per_volt == pytest.approx(2.1)
+    holder.clear()
+    assert holder.exciter.force_per_volt == holder.exciter.force_noise == 0
+
+
 def test_known_exciter_takes_the_motion_away() -> None:
     """Resonance passed at 1 Hz/s: the error is a small part of what plain feedback leaves."""
 

@@ -56,6 +56,15 @@ def test_two_sweeps_one_after_the_other_start_at_the_same_frequency() -> None:
     assert min(amplitudes) == 0.0
 
 
+@pytest.mark.parametrize("seed", [4, 5])
+def test_what_still_rings_after_a_sweep_teaches_nothing_of_the_exciter(seed: int) -> None:
+    rig = SweptRig(overrides=[f"seed={seed}"])
+    for force, start in ((0.19273, 370.9), (0.47553, 369.147)):
+        rig.order(force, start, frequency_end_hz=start + 0.6, rate_hz_s=0.2)
+        outcome = rig.run()
+        assert np.max(np.abs(outcome.column("force_amplitude") / force - 1.0)) < 0.04
+
+
 def test_response_and_voltage_can_be_held_too() -> None:
     rig = SweptRig()
     rig.order(50.0, 366.0, frequency_end_hz=369.0, rate_hz_s=1.0, control=CONTROL_RESPONSE)

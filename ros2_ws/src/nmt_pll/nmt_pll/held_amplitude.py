@@ -26,6 +26,8 @@ from nmt_pll.phase_detector import ComplexArray
 _FEEDBACK = 0.5  # share of the gain that is critically damped
 _SLOW = 0.05  # share of the logarithmic error that is taken back in a block whatever P and Z say
 _LARGEST_STEP = 0.3  # of ln u in a block
+_QUIET_BLOCKS = 5  # newest blocks at rest that the noise is taken from
+_START_MARGIN = 10.0  # force over its noise from which on P and Z are estimated
 
 
 class VoltageRecord:
@@ -73,10 +75,13 @@ class ExciterEstimate:
     A Kalman filter whose state [P, Z] walks at random: the variance of P grows by ``drift``² a block, relative to its
     size, so that a slow change with the frequency is followed. Directions that the present motion does not tell apart
     keep what was learnt: the covariance never exceeds that of the start.
+    An update weighs the noise of the sensors and a share of the force that no pair P, Z explains.
 
     Attributes:
         force_per_volt: P, N/V; 0 before the first estimate.
         stiffness: Z, N per unit of the response.
+        force_noise: rms of the force phasor with the drive at rest, N.
+        response_noise: rms of the response phasor with the drive at rest, unit of the response.
     """
 
     def __init__(self, drift: float = 5.0e-5, noise: float = 1.0e-3) -> None:
@@ -84,6 +89,8 @@ class ExciterEstimate:
         self._noise = noise
         self.force_per_volt = 0j
         self.stiffness = 0j
+        self.force_noise = 0.0
+        self.response_noise = 0.0
         self._covariance = np.zeros((2, 2), dtype=np.complex128)
         self._prior = np.zeros(2)
 
@@ -104,6 +111,7 @@ class ExciterEstimate:
         covariance *= np.outer(scale, scale)
         spread = covariance @ row.conj()
         variance = float((row @ spread).real) + (self._noise * abs(force)) ** 2
+        variance += self.force_noise**2 + (abs(self.stiffness) * self.response_noise) ** 2
         if not variance > 0.0:
             return
         gain = spread / variance
@@ -137,18 +145,28 @@ class ForceHolder:
         self.exciter = ExciterEstimate()
         self.record = VoltageRecord(cutoff, block_duration, latency_blocks)
         self._response: complex | None = None
+        self._quiet: list[tuple[float, float]] = []
 
     def clear(self) -> None:
         """Drive at rest."""
         self.record.clear()
         self.exciter = ExciterEstimate()
         self._response = None
+        self._quiet = []
+
+    def listen(self, force: complex, response: complex) -> None:
+        """Take in a block's phasors with the drive at rest: noise."""
+        self._quiet = [*self._quiet[1 - _QUIET_BLOCKS :], (abs(force) ** 2, abs(response) ** 2)]
+        force_power, response_power = np.mean(self._quiet, axis=0)
+        self.exciter.force_noise = math.sqrt(force_power)
+        self.exciter.response_noise = math.sqrt(response_power)
 
     def observe(self, force: complex, response: complex, voltage: float) -> complex:
         """Take in a block's phasors and the voltage commanded during it; Z Δa, the force the motion has taken, N."""
         filtered = self.record.advance(voltage)
         if self.exciter.force_per_volt == 0 and filtered > 0.0:
-            self.exciter.start(force, filtered, response)
+            if abs(force) >= _START_MARGIN * self.exciter.force_noise:
+                self.exciter.start(force, filtered, response)
         elif filtered > 0.0:
             self.exciter.update(force, filtered, response)
         previous, self._response = self._response, response

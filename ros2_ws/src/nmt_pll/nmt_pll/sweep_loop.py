@@ -243,7 +243,7 @@ class _GivenFrequencyLoop(LevelLoop):
             self._listen(level, end)
             self.force_holder.clear()
         if self._stage == _Stage.LISTEN:
-            return self._listen_on(level, end)
+            return self._listen_on(level, phasors, end)
         if self._stage == _Stage.PROBE:
             return self._probe(level, phasors, end)
         self._ramp = self.block_duration
@@ -265,9 +265,10 @@ class _GivenFrequencyLoop(LevelLoop):
             self._until = end + math.ceil(2.0 / self.cutoff * self.sample_rate)
         return self._refusal(level, phasors, end)
 
-    def _listen_on(self, level: LevelCommand, end: int) -> str:
+    def _listen_on(self, level: LevelCommand, phasors: tuple[complex, complex], end: int) -> str:
         """Wait until the structure rests: what is left then is noise."""
         self._noise = [*self._noise[-4:], self._held]
+        self.force_holder.listen(*phasors)
         if end < self._until:
             return ""
         noise = max(self._noise)

@@ -299,9 +299,9 @@ def _two_axes() -> tuple[Figure, Any, Any]:
     return figure, top, bottom
 
 
-def _phase(values: ComplexArray) -> FloatArray:
-    """Degrees from −225 to 135: the common phases 0, −90 and −180 lie far from the ends."""
-    return np.asarray((np.degrees(np.angle(values)) + 225.0) % 360.0 - 225.0)
+def _phase(values: ComplexArray, lowest: float = -225.0) -> FloatArray:
+    """Degrees in one turn upwards of a lowest value; from −225 on, 0, −90 and −180 lie far from the ends."""
+    return np.asarray((np.degrees(np.angle(values)) - lowest) % 360.0 + lowest)
 
 
 def _response_figure(test: LinearTest, row: int) -> ReportFigure:
@@ -339,6 +339,8 @@ def _target_figure(test: LinearTest) -> ReportFigure:
     use = np.abs(frf.frequency_hz - target.frequency_hz) <= width
     powers = {"DISPLACEMENT": 0, "VELOCITY": 1, "ACCELERATION": 2}
     row = int(np.argmax(np.abs(target.shape)))
+    # At resonance the phase is −90° or 90°; the cut lies opposite.
+    lowest = -270.0 if target.shape[row] * target.drive_shape > 0 else -90.0
     factor = (2j * np.pi * frf.frequency_hz[use]) ** -powers[test.quantity.name]
     for values, colour, label, style in (
         (frf.h1, BLUE, "H1", "-"),
@@ -349,12 +351,14 @@ def _target_figure(test: LinearTest) -> ReportFigure:
         if values is not None:
             h = values[row][use] * factor
             top.semilogy(frf.frequency_hz[use], np.abs(h), color=colour, linestyle=style, label=label)
-            bottom.plot(frf.frequency_hz[use], _phase(h), color=colour, linestyle=style)
+            bottom.plot(frf.frequency_hz[use], _phase(h, lowest), color=colour, linestyle=style)
     fine = np.linspace(target.frequency_hz - width, target.frequency_hz + width, 400)
     fitted = modal_receptance(target.shape * target.drive_shape, target.omega, target.damping_ratio, fine)[row]
     fitted = fitted + test.target_residuals.receptance(fine)[row]
     top.semilogy(fine, np.abs(fitted), color=ORANGE, linewidth=1.0, label="fit of the whole record")
-    bottom.plot(fine, _phase(fitted), color=ORANGE, linewidth=1.0)
+    bottom.plot(fine, _phase(fitted, lowest), color=ORANGE, linewidth=1.0)
+    bottom.set_yticks([lowest + 90.0, lowest + 180.0, lowest + 270.0])
+    bottom.set_ylim(lowest + 45.0, lowest + 315.0)
     top.set_ylabel("receptance (m/N)")
     top.legend(loc="upper right")
     return ReportFigure(

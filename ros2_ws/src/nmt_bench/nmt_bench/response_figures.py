@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nmt_bench.quantity_format import significant
-from nmt_bench.report_svg import MUTED, RED, ReportFigure, level_colours, svg_text
+from nmt_bench.report_svg import INK, MUTED, ReportFigure, level_colours, svg_text
 from nmt_core.blocks import FloatArray
 from nmt_extract.harmonics import ComplexArray
 from nmt_extract.swept_response import FrequencyResponseTable
@@ -37,12 +37,13 @@ def channel_text(channel: str) -> tuple[str, str]:
 def response_figure(
     tables: Sequence[FrequencyResponseTable], channel: str, overlays: Sequence[Overlay], caption: str
 ) -> ReportFigure:
-    """Amplitude and phase of one channel over the frequency, every level, with computed curves."""
+    """Amplitude, difference to computed curves, and phase of one channel over the frequency, every level."""
     row = tables[0].channels.index(channel)
     title, unit = channel_text(channel)
-    figure = Figure(figsize=(6.3, 5.2))
-    top, bottom = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (1.6, 1)})
-    figure.subplots_adjust(left=0.12, right=0.97, bottom=0.09, top=0.97, hspace=0.1)
+    figure = Figure(figsize=(6.3, 6.6 if overlays else 5.2))
+    ratios = (1.6, 0.8, 1) if overlays else (1.6, 1)
+    top, *between, bottom = figure.subplots(len(ratios), 1, sharex=True, gridspec_kw={"height_ratios": ratios})
+    figure.subplots_adjust(left=0.12, right=0.97, bottom=0.08, top=0.97, hspace=0.1)
     levels = list(dict.fromkeys(table.level for table in tables))
     colours = dict(zip(levels, level_colours(len(levels)), strict=True))
     named: set[str] = set()
@@ -60,25 +61,46 @@ def response_figure(
         label = f"{significant(table.level)} {table.level_unit}, {word}"
         style = "o" if stepped else "-"
         for axes, data in ((top, np.abs(values)), (bottom, _degrees(values))):
-            axes.plot(table.frequency_hz, data, style, color=colours[table.level], markersize=3.5, label=once(label))
+            axes.plot(
+                table.frequency_hz, data, style, color=colours[table.level],
+                markersize=3.5, linewidth=1.8, label=once(label),
+            )
             label = "_"
+        for axes in between:
+            for overlay in overlays:
+                if overlay.level == table.level and np.all(np.diff(overlay.frequency_hz) > 0):
+                    axes.plot(
+                        table.frequency_hz, _excess(overlay, row, table.frequency_hz, values),
+                        style if stepped or table.rate_hz_s > 0 else "--", color=colours[table.level], markersize=2.5,
+                    )
     for number, overlay in enumerate(overlays):
         dashes = (0, (4, 2)) if number < len(levels) else (0, (1, 1.5))
         values = overlay.responses[row]
         shown = once(overlay.label)
         for axes, data in ((top, np.abs(values)), (bottom, _degrees(values))):
-            axes.plot(overlay.frequency_hz, data, color=RED, linewidth=1.2, linestyle=dashes, label=shown)
+            axes.plot(overlay.frequency_hz, data, color=INK, linewidth=1.0, linestyle=dashes, label=shown)
             shown = None
     shown_hz = np.concatenate([table.frequency_hz for table in tables])
     top.set_xlim(float(shown_hz.min()), float(shown_hz.max()))
     top.set_ylim(bottom=0.0)
     top.set_ylabel(f"{title.split(' ')[0]} / ({unit})" if "/" in unit else f"{title.split(' ')[0]} / {unit}")
+    for axes in between:
+        axes.axhline(0.0, color=MUTED, linewidth=0.8)
+        axes.set_ylabel("computed less\nmeasured / % of peak")
     bottom.set_ylabel("phase to force / °")
     bottom.set_xlabel("frequency / Hz")
     top.legend(loc="upper right")
     return ReportFigure(
         f"response-{channel}", title[:1].upper() + title[1:], caption, svg_text(figure, f"response-{channel}", title)
     )
+
+
+def _excess(overlay: Overlay, row: int, frequency_hz: FloatArray, measured: ComplexArray) -> FloatArray:
+    """Computed modulus less the measured one at the measured frequencies, % of the largest measured one."""
+    computed = np.interp(
+        frequency_hz, overlay.frequency_hz, np.abs(overlay.responses[row]), left=math.nan, right=math.nan
+    )
+    return np.asarray(100.0 * (computed - np.abs(measured)) / np.nanmax(np.abs(measured)))
 
 
 def synthesis_figure(overlays: Sequence[Overlay], row: int, channel: str) -> ReportFigure:
@@ -135,11 +157,12 @@ def force_figure(tables: Sequence[FrequencyResponseTable]) -> ReportFigure:
     bottom.set_ylabel("drive voltage / V")
     bottom.set_xlabel("frequency / Hz")
     bottom.set_ylim(bottom=0.0)
-    top.legend(loc="upper right")
+    top.legend(loc="best")
     caption = (
         "Above: amplitude of the force’s fundamental against its target. Below: the voltage that keeps it; near the "
         "resonance the motion takes most of the exciter’s force."
         if held
-        else "Force and drive voltage."
+        else "Above: amplitude of the force’s fundamental. Below: drive voltage."
     )
-    return ReportFigure("force", "Held force" if held else "Force", caption, svg_text(figure, "force", "Force error"))
+    heading = "Error and drive voltage" if held else "Force and drive voltage"
+    return ReportFigure("force", heading, caption, svg_text(figure, "force", "Force error"))

@@ -353,8 +353,10 @@ def _report(
         Overlay("model, steady (harmonic balance)", model.level, model.frequency_hz, model.responses)
         for model in models
     ]
-    caption = "Fundamental relative to the force, every level." + (
-        " Dashed: steady response of the rig’s model at the same force." if overlays else ""
+    caption = "Modulus of the fundamental and its phase relative to the force, every level." + (
+        " Dashed: steady response of the rig’s model at the same force; between: how far it lies from the measurement."
+        if overlays
+        else ""
     )
     with figure_style():
         force = force_figure(tables)

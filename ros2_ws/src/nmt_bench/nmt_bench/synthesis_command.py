@@ -286,7 +286,10 @@ def _report(
     ]
     with figure_style():
         if shown:
-            caption = "Measured response relative to the force, and the synthesis from the backbone alone (dashed)."
+            caption = (
+                "Modulus of the measured fundamental and its phase relative to the force; dashed: synthesis from the "
+                "backbone alone; between: how far it lies from the measurement."
+            )
             figures = [response_figure(shown, channel, overlays, caption) for channel in channels]
         else:
             figures = [synthesis_figure(overlays, row, channel) for row, channel in enumerate(channels)]

@@ -30,7 +30,7 @@ from .rig_edit import Path, value_at, with_value
 
 @dataclass(frozen=True)
 class CalibrationParameter:
-    """A key of the rig that is fitted: value · exp(std θ), θ of prior N(0, 1).
+    """A key of the rig that is fitted: (value + offset) exp(std θ) − offset, θ of prior N(0, 1).
 
     Attributes:
         name: dotted path of the key.
@@ -39,6 +39,7 @@ class CalibrationParameter:
         std: relative prior standard deviation.
         place: place it belongs to.
         value: value in the model.
+        offset: distance of zero from the end of the key's range, 0 for keys that are positive or negative.
     """
 
     name: str
@@ -47,6 +48,7 @@ class CalibrationParameter:
     std: float
     place: Place
     value: float
+    offset: float = 0.0
 
     def apply(self, rig: Rig, theta: float) -> Rig:
         """Rig with the parameter at θ."""
@@ -54,11 +56,11 @@ class CalibrationParameter:
 
     def at(self, theta: float) -> float:
         """Value at θ."""
-        return self.value * exp(self.std * theta)
+        return (self.value + self.offset) * exp(self.std * theta) - self.offset
 
     def theta_of(self, value: float) -> float:
-        """θ of a value of the same sign."""
-        return log(value / self.value) / self.std
+        """θ of a value on the same side of the end of the range."""
+        return log((value + self.offset) / (self.value + self.offset)) / self.std
 
 
 # Relative standard deviations and why: what a data sheet or a ruler leaves open.
@@ -115,6 +117,8 @@ _ELEMENT_KEYS: dict[type[ElementSection], tuple[str, ...]] = {
     LinearDamperSection: ("damping_ns_m",),
     TanhFrictionSection: ("slip_force_n", "reference_velocity_m_s"),
 }  # fmt: skip
+# An exponent of a power-law distribution is greater than −1.
+_OFFSETS = {"exponent": 1.0}
 _SHAKER_KEYS = (
     "table_mass_kg", "table_stiffness_n_m", "table_damping_ns_m", "coil_mass_kg", "force_factor_n_a",
     "resistance_ohm", "inductance_h",
@@ -138,7 +142,9 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
         key = next(str(part) for part in reversed(path) if isinstance(part, str))
         if isinstance(value, int | float) and value != 0.0:
             name = ".".join(str(part) for part in path)
-            found.append(CalibrationParameter(name, unit_of(key), path, PRIORS[key][0], place, float(value)))
+            offset = _OFFSETS.get(key, 0.0)
+            std = PRIORS[key][0] * abs(float(value) / (float(value) + offset))
+            found.append(CalibrationParameter(name, unit_of(key), path, std, place, float(value), offset))
 
     structure = rig.structure
     if isinstance(structure, BeamSection):

@@ -13,7 +13,7 @@ from nmt_core.blocks import FloatArray
 from nmt_plant.rig import Rig
 
 from .calibration import CalibrationParameter
-from .effect import Candidate, EffectParameter
+from .effect import Candidate, EffectParameter, Placement
 
 # Prior standard deviations of θ: a strength of three scales is still ordinary.
 STRENGTH_STD = 3.0
@@ -107,15 +107,28 @@ class Parametrisation:
         """
         fitted = zip(self.calibration, theta[: len(self.calibration)], strict=True)
         result: dict[str, dict[str, tuple[float, str, float]]] = {
-            "calibration": {p.name: (p.at(float(entry)), p.unit, abs(p.value) * p.std) for p, entry in fitted}
+            "calibration": {
+                p.name: (p.at(float(entry)), p.unit, abs(p.value + p.offset) * p.std) for p, entry in fitted
+            }
         }
         for index, candidate in enumerate(self.candidates):
             reported = candidate.effect.reported(self.values(theta, index))
             scales: Mapping[str, float] = candidate.placement.scales
             result[candidate.label] = {
-                name: (value, unit, scales.get(name, float("nan"))) for name, (value, unit) in reported.items()
+                name: (value, _unit_at(unit, candidate.placement), scales.get(name, float("nan")))
+                for name, (value, unit) in reported.items()
             }
         return result
+
+
+def _unit_at(unit: str, placement: Placement) -> str:
+    """Unit at a placement, out of alternatives for displacement and rotation, or for time and periods."""
+    found = unit.split(" or ")
+    if len(found) == 1:
+        return unit
+    wanted = {"rotation": "rad", "lateral": "m", "cycles": "period", "time": "s"}.get(placement.label, "")
+    exact = [u for u in found if ("rad" in u) == (wanted == "rad") and ("period" in u) == (wanted == "period")]
+    return exact[0] if exact else found[0]
 
 
 def _value(parameter: EffectParameter, scale: float, theta: float) -> float:

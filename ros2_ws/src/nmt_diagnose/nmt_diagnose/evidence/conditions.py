@@ -92,6 +92,9 @@ class RandomTest:
             weights of |W|² (1/6, 2/3, 1/6 in spacings of ``resolution_hz``).
         drive_rms: rms of the reference, V or N.
         start_s, stop_s: on the clock of its bag, s.
+        drive_hold_hz: rate at which the drive went straight from sample to sample, Hz; infinite where it did not. The
+            observables are responses to the samples of the drive then: smaller by sinc², and with images of the drive
+            around multiples of that rate.
     """
 
     name: str
@@ -104,6 +107,7 @@ class RandomTest:
     drive_rms: float
     start_s: float
     stop_s: float
+    drive_hold_hz: float = math.inf
 
 
 @dataclass(frozen=True)

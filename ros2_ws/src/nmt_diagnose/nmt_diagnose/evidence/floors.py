@@ -28,6 +28,7 @@ class Floors:
         model_harmonics: highest order of the model's harmonic balance; what it cuts off at a slipping joint adds to the
             floors of locked windows, see :meth:`truncation`.
         frf: frequency responses, relative and rad, besides the estimator's bias that is computed line by line.
+        images: share of what images of a held drive fold onto a line that the model may get wrong.
         decay_log_frequency: instantaneous frequency of a ring-down, relative.
         decay_damping: its damping ratio, relative.
         table_log_frequency: frequencies of reduced tables without a stated uncertainty, relative.
@@ -36,13 +37,14 @@ class Floors:
     """
 
     log_frequency: float = 2e-6
-    phase_error: float = 1.5e-3
+    phase_error: float = 8e-4
     log_magnitude: float = 5e-5
     force_log_magnitude: float = 2e-4
     phase: float = 3e-5
     harmonic: float = 5e-6
     model_harmonics: int = 7
     frf: float = 5e-5
+    images: float = 0.05
     decay_log_frequency: float = 2e-4
     decay_damping: float = 3e-3
     table_log_frequency: float = 1e-3

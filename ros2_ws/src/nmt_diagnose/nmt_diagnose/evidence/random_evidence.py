@@ -18,7 +18,7 @@ from scipy.signal import csd, welch
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.bag_samples import Stretch
 from nmt_diagnose.evidence.conditions import MeasuredChannel, RandomTest
-from nmt_diagnose.evidence.drive_hold import hold_factor, image_responses
+from nmt_diagnose.evidence.drive_hold import image_responses
 from nmt_diagnose.evidence.model_view import ORDER as DERIVATIVES
 from nmt_diagnose.evidence.model_view import ModelView
 from nmt_diagnose.evidence.moderated_variance import moderated
@@ -183,10 +183,6 @@ def random_evidence(
         return empty((*notes, f"{name}: the random test is left out: it has no driven band."))
     lines = bins * stretch.sample_rate / input_samples.size
     estimate, noise, factor, freedom = local_responses(input_samples - input_samples.mean(), outputs, bins)
-    if reference.quantity is Quantity.VOLTAGE:
-        held = hold_factor(lines, hold_rate_hz)
-        estimate = (estimate - image_responses(view, present, lines, hold_rate_hz)) / held
-        noise = noise / held**2
     variance = np.empty_like(noise)
     for row in range(noise.shape[0]):
         drawn, degrees = moderated(noise[row], float(freedom))
@@ -195,6 +191,8 @@ def random_evidence(
     drive_rms = float(np.std(input_samples))
     middle = 0.5 * (stretch.start_s + stretch.stop_s)
     bias = _bias(view, present, input_samples, reference, bins, stretch.sample_rate)
+    held = reference.quantity is Quantity.VOLTAGE
+    images = np.abs(image_responses(view, present, lines, hold_rate_hz if held else math.inf))
     for number, line in enumerate(lines):
         for row in range(len(present)):
             size = abs(estimate[row, number])
@@ -204,7 +202,9 @@ def random_evidence(
             if std > settings.largest_std:
                 continue
             place = Place(number, middle, float(line), drive_rms)
-            floor = math.hypot(settings.floors.frf, bias[row, number])
+            # What sensors and structure do to images of the drive, far above the lines, is known roughly only.
+            folded = settings.floors.images * images[row, number] / size
+            floor = math.hypot(settings.floors.frf, bias[row, number], folded)
             table.add(Part.LOG_MAGNITUDE, math.log(size), std, floor, place, row)
             table.add(Part.PHASE, float(np.angle(estimate[row, number])), std, floor, place, row)
     if not len(table):
@@ -221,6 +221,7 @@ def random_evidence(
         drive_rms=drive_rms,
         start_s=start,
         stop_s=stop,
+        drive_hold_hz=hold_rate_hz if reference.quantity is Quantity.VOLTAGE else math.inf,
     )
     return table.evidence(test, notes)
 

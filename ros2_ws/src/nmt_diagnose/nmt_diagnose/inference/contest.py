@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 
 from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate, EffectParameter
 from nmt_diagnose.effects.parametrisation import Parametrisation
@@ -37,6 +38,8 @@ class ContestSettings:
         first_of_pairs: best single explanations that get a second effect tried.
         second_of_pairs: second effects fitted for each.
         pair_gain: fall of χ² in the second scan from which a pair is tried.
+        settled: most explanations that are fitted to the end.
+        close: logarithm of evidence by which one may lie behind the best to be fitted to the end.
     """
 
     finalists: int = 8
@@ -47,6 +50,8 @@ class ContestSettings:
     first_of_pairs: int = 3
     second_of_pairs: int = 3
     pair_gain: float = 14.0
+    settled: int = 5
+    close: float = 20.0
 
 
 @dataclass(frozen=True)
@@ -168,7 +173,11 @@ class Contest:
             start = starts[i]
             strength = float(start[_strength(self.candidates[chosen[i]])])
             own = Parametrisation(self.rig, self.calibration, (*base.candidates, self.candidates[chosen[i]]))
-            moved = self.problem.forward.predict(own.rig(np.concatenate([base.fit.theta, start])), base.fit.prediction)
+            try:
+                rig = own.rig(np.concatenate([base.fit.theta, start]))
+                moved = self.problem.forward.predict(rig, base.fit.prediction)
+            except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+                continue  # no rig there
             change = base.fit.residual - self.problem.residual(moved)
             result.append(Direction(chosen[i], start, change / strength, _parameter(self.candidates[chosen[i]]).signed))
         return result
@@ -192,14 +201,17 @@ class Contest:
             added = np.nan_to_num(columns / self.problem.evidence.sigma[:, None], posinf=0.0, neginf=0.0)
             jacobian = np.column_stack([base.fit.jacobian, added])
             result = fit(self.problem, parametrisation, theta, used, prediction, jacobian, exact=False)
-        except FitError:
-            return None
+        except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+            return None  # no rig, or no solution, at the start
         return Contender((*base.candidates, candidate), result, score)
 
     def polished(self, contender: Contender) -> Contender:
         """The same fit with sensitivities at its estimate, for uncertainties that are reported."""
         own = contender.fit
-        result = fit(self.problem, own.parametrisation, own.theta, own.used, own.prediction)
+        try:
+            result = fit(self.problem, own.parametrisation, own.theta, own.used, own.prediction)
+        except FitError:
+            return contender
         return Contender(contender.candidates, result, contender.score)
 
     def refit(self, contender: Contender, used: BoolArray) -> Contender | None:
@@ -238,6 +250,21 @@ class Contest:
                 contender = self.add(base, score)
                 if contender is not None:
                     result.append(contender)
+        return self._settled(result)
+
+    def _settled(self, contenders: list[Contender]) -> list[Contender]:
+        """Those near the best fitted to the end with sensitivities of their own, best evidence first.
+
+        Sensitivities carried over from another fit lead to nearly the right estimate only.
+        """
+        ordered = sorted(contenders, key=lambda contender: -contender.fit.log_evidence)
+        if not ordered:
+            return []
+        limit = ordered[0].fit.log_evidence - self.settings.close
+        result = []
+        for rank, contender in enumerate(ordered):
+            near = rank < self.settings.settled and contender.fit.log_evidence >= limit
+            result.append(self.polished(contender) if near else contender)
         return sorted(result, key=lambda contender: -contender.fit.log_evidence)
 
     def pairs(self, singles: Sequence[Contender]) -> list[Contender]:
@@ -272,7 +299,7 @@ class Contest:
                     result.append(contender)
                     best = max(best, contender.fit.log_evidence)
             heads.update(single.effects)
-        return sorted(result, key=lambda contender: -contender.fit.log_evidence)
+        return self._settled(result)
 
 
 def _best_by_effect(contenders: Sequence[Contender]) -> list[Contender]:

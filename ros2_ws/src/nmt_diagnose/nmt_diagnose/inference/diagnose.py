@@ -238,7 +238,7 @@ class _Diagnoser:
             whole.before if judged else rms(null.fit.residual[rows]),
             whole.after if judged else rms(best.fit.residual[rows]),
             whole.floor,
-            rms(as_given[rows]),
+            rms(as_given[rows] / held.scale(rows)),
             whole.value,
             whole.low,
             whole.high,
@@ -272,11 +272,10 @@ class _Diagnoser:
         if verdict in (Verdict.NONE, Verdict.CALIBRATION):
             return ()
         by_place: dict[str, float] = {}
-        detail: dict[str, tuple[float, str]] = {}
+        details: dict[str, dict[str, float]] = {}
         for (place, what), p in judgement.places.items():
             by_place[place] = by_place.get(place, 0.0) + p
-            if p > detail.get(place, (0.0, ""))[0]:
-                detail[place] = (p, what)
+            details.setdefault(place, {})[what] = p
         explained: dict[str, float] = {}
         for source in sources:
             size = max(0.0, source.explained - source.freedom)
@@ -284,7 +283,7 @@ class _Diagnoser:
         weights = {place: explained.get(place, 0.0) * p for place, p in by_place.items()}
         total = sum(weights.values())
         return tuple(
-            PlaceShare(place, detail[place][1], weights[place] / total if total > 0.0 else p, p)
+            PlaceShare(place, _likeliest(details[place]), weights[place] / total if total > 0.0 else p, p)
             for place, p in sorted(by_place.items(), key=lambda item: -item[1])
             if p > 0.005
         )
@@ -301,7 +300,7 @@ class _Diagnoser:
                     parameter.name,
                     parameter.value,
                     value,
-                    abs(value) * parameter.std * std,
+                    abs(value + parameter.offset) * parameter.std * std,
                     parameter.unit,
                     parameter.std,
                     theta / std if std > 0.0 else 0.0,
@@ -389,6 +388,12 @@ class _Diagnoser:
             key = f"source:{source.place}"
             found[key] = max(found.get(key, -math.inf), source.gain)
         return found
+
+
+def _likeliest(details: dict[str, float]) -> str:
+    """The likeliest detail of a place, or several where one is hardly less likely than the other."""
+    best = max(details.values())
+    return " + ".join(sorted(what for what, p in details.items() if what and p > 0.6 * best))
 
 
 def _parameters(contender: Contender) -> dict[str, Value]:

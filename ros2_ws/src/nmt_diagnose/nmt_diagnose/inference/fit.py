@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
 from nmt_diagnose.inference.problem import BoolArray, ParametrisationLike, PredictionLike, Problem
 
 _STEPS = 25
@@ -96,7 +97,9 @@ def fit(
     rows = np.ones(problem.size, dtype=bool) if used is None else used
     theta = np.maximum(np.asarray(theta, dtype=np.float64), parametrisation.lower)
     std, lower = parametrisation.prior_std, parametrisation.lower
-    prediction = problem.forward.predict(parametrisation.rig(theta), start)
+    prediction = _predicted(problem, parametrisation, theta, start)
+    if prediction is None:
+        raise FitError("the rig at the start of the fit cannot be built")
     residual = problem.residual(prediction)
     # Levels that have no solution even here cannot be compared; they are left out of this fit as a whole.
     solvable = np.isfinite(residual)
@@ -122,12 +125,13 @@ def fit(
             promised = float(2.0 * gradient @ step - step @ normal @ step)
             if promised < _SMALL + 1e-7 * cost:
                 break
-            trial = problem.forward.predict(parametrisation.rig(moved), prediction)
-            trial_residual = problem.residual(trial)
-            trial_cost = _cost(trial_residual, rows, moved, std)
-            if trial_cost <= cost:
-                break
-            trial = None
+            trial = _predicted(problem, parametrisation, moved, prediction)
+            if trial is not None:
+                trial_residual = problem.residual(trial)
+                trial_cost = _cost(trial_residual, rows, moved, std)
+                if trial_cost <= cost:
+                    break
+                trial = None
             if not fresh:
                 break
             damping = max(damping, 1e-6) * 8.0
@@ -172,12 +176,26 @@ def _finished(
     )  # fmt: skip
 
 
+def _predicted(
+    problem: Problem, parametrisation: ParametrisationLike, theta: FloatArray, start: PredictionLike | None
+) -> PredictionLike | None:
+    """The model's prediction; None where the parameters make no rig (a mass below zero, for example)."""
+    try:
+        return problem.forward.predict(parametrisation.rig(theta), start)
+    except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+        return None
+
+
 def _whitened_jacobian(
     problem: Problem, parametrisation: ParametrisationLike, theta: FloatArray, prediction: PredictionLike
 ) -> FloatArray:
     if theta.size == 0:
         return np.zeros((problem.size, 0))
-    jacobian = problem.forward.jacobian(parametrisation, theta, prediction) / problem.evidence.sigma[:, None]
+    try:
+        columns = problem.forward.jacobian(parametrisation, theta, prediction)
+    except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        raise FitError(f"the model has no sensitivities there ({error})") from error
+    jacobian = columns / problem.evidence.sigma[:, None]
     return np.where(np.isfinite(jacobian), jacobian, 0.0)
 
 

@@ -59,19 +59,29 @@ class HeldOut:
     ) -> tuple[BoolArray, FloatArray, FloatArray]:
         """Rows that some split held out, and their residuals before and after, from the first split that did.
 
-        Without any split: the fitted rows and the residuals of the fits.
+        Divided as the gap is; without any split the fitted rows and the residuals of the fits.
         """
         rows = np.zeros(len(self._evidence.rows), dtype=bool)
         before, after = null.fit.residual.copy(), best.fit.residual.copy()
-        for split, base, tops in self._refits:
+        for (split, base, tops), scale in zip(self._refits, self._scale, strict=True):
             top = base if label == base.label else tops.get(label)
             if top is None:
                 continue
             new = split.held_out & ~rows
-            before[new] = (base.fit.residual if start is None else start)[new]
-            after[new] = top.fit.residual[new]
+            before[new] = (base.fit.residual if start is None else start)[new] / scale[new]
+            after[new] = top.fit.residual[new] / scale[new]
             rows |= split.held_out
         return (rows if rows.any() else null.fit.used), before, after
+
+    def scale(self, rows: BoolArray) -> FloatArray:
+        """What the residuals of some rows are divided by, from the first split that holds each out; 1 elsewhere."""
+        result = np.ones(len(self._evidence.rows))
+        seen = np.zeros(result.size, dtype=bool)
+        for (split, _, _), scale in zip(self._refits, self._scale, strict=True):
+            new = split.held_out & ~seen
+            result[new] = scale[new]
+            seen |= split.held_out
+        return result[rows]
 
     def _noise(self) -> float:
         """What noise leaves of the held-out rows, by the explanation that leaves the smoothest remainder."""

@@ -153,7 +153,9 @@ def _classes(weights: np.ndarray, contenders: Sequence[Contender | None], limit:
     groups.sort(key=lambda item: -item[0])
     result = []
     for indices in equivalence_classes([contender.fit for _, contender in groups], limit):
-        members = tuple(groups[k][1] for k in indices)
+        found = [groups[k][1] for k in indices]
+        # With one effect more than another member an explanation says nothing new.
+        members = tuple(m for m in found if not any(set(o.effects) < set(m.effects) for o in found))
         result.append(ExplanationClass(members[0], members, sum(groups[k][0] for k in indices)))
     return tuple(sorted(result, key=lambda item: -item.probability))
 

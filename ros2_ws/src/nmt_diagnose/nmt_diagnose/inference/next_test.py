@@ -34,6 +34,8 @@ from nmt_plant.rig import Rig
 from nmt_plant.rig_model import build_elements, build_structure
 
 _LEAST = 3.0
+_MOST = 99.0  # more says nothing more
+_SURE = 0.9
 _LINES = 80
 # Uncertainties of a kind of observable of which the tests at hand hold none.
 _TYPICAL = {
@@ -88,7 +90,7 @@ def next_tests(
         sigma = _separation(proposal, rivals)
         if sigma >= _LEAST:
             names = tuple(" + ".join(rival.effects) or "none" for rival in rivals)
-            found.append(NextTest(proposal.text, proposal.command, names, sigma))
+            found.append(NextTest(proposal.text, proposal.command, names, min(sigma, _MOST)))
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
 
 
@@ -100,7 +102,8 @@ def _rivals(classes: Sequence[ExplanationClass], null: Contender) -> list[Conten
         return list(classes[0].members[:3])
     if len(classes) > 1 and classes[1].probability > 0.02 * classes[0].probability:
         return [classes[0].head, classes[1].head]
-    return [classes[0].head, null]
+    # One explanation stands alone: nothing is left to settle, unless it hardly beats having none.
+    return [classes[0].head, null] if classes[0].probability < _SURE else []
 
 
 def _separation(proposal: Proposal, rivals: Sequence[Contender]) -> float:

@@ -39,7 +39,7 @@ def sentences(
         )
     if verdict is Verdict.CALIBRATION:
         moved = sorted(calibration, key=lambda item: -abs(item.sigmas))[:3]
-        named = "; ".join(f"{m.name} {_number(m.start)} to {_number(m.to)} ± {_number(m.std)} {m.unit}" for m in moved)
+        named = "; ".join(f"{m.name} {_number(m.start)} to {_uncertain(m.to, m.std)} {m.unit}" for m in moved)
         return (
             "The gap lies in parameters that the model already has.",
             f"No unmodelled effect is needed; the parameters that moved most beside their uncertainty: {named}.",
@@ -47,7 +47,7 @@ def sentences(
         )
     place = _where(where)
     if verdict is Verdict.UNKNOWN:
-        best = f"; the nearest named effect is {ranking[0].effect}{_at(ranking[0])}" if ranking else ""
+        best = f"; the nearest named effect is {_title(ranking[0].effect)}{_at(ranking[0])}" if ranking else ""
         return (
             place,
             f"Nothing in the library explains it{best}.",
@@ -56,8 +56,8 @@ def sentences(
         )
     head = ranking[0]
     sure = "The cause is" if head.probability >= _LIKELY else "The most probable cause is"
-    values = ", ".join(f"{k} = {_number(v.value)} ± {_number(v.std)} {v.unit}" for k, v in head.parameters.items())
-    which = f"{sure} {_title(head.effect)}{_at(head)} ({values}), probability {100.0 * head.probability:.0f} %"
+    values = ", ".join(f"{k} = {_uncertain(v.value, v.std)} {v.unit}" for k, v in head.parameters.items())
+    which = f"{sure} {_title(head.effect)}{_at(head)} ({values}), probability {_sure(head.probability)}"
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
     return (place, which + ".", _how_far(gap, "Adding it"), *_ahead(ahead))
@@ -67,12 +67,12 @@ def _where(where: Sequence[PlaceShare]) -> str:
     if not where:
         return "Where the gap lies could not be told."
     first = where[0]
-    detail = f" ({first.detail})" if first.detail else ""
-    text = f"The gap lies in {PLACES.get(first.place, first.place)}{detail}, probability {100.0 * first.p:.0f} %"
+    detail = f", {_detail(first.detail)}," if first.detail and _detail(first.detail) else ""
+    text = f"The gap lies in {PLACES.get(first.place, first.place)}{detail.rstrip(',')}, probability {_sure(first.p)}"
     others = [item for item in where[1:3] if item.p > 0.05]
     if others:
         text += "; otherwise " + " or ".join(
-            f"{PLACES.get(item.place, item.place)} ({100.0 * item.p:.0f} %)" for item in others
+            f"{PLACES.get(item.place, item.place)} ({_sure(item.p)})" for item in others
         )
     return text + "."
 
@@ -86,7 +86,7 @@ def _how_far(gap: Gap, what: str) -> str:
     interval = f" (90 % interval {100 * gap.low:.0f} to {100 * gap.high:.0f} %)" if math.isfinite(gap.low) else ""
     return (
         f"{what} closes {100.0 * gap.closed:.0f} % of the gap on data held out from the fit{interval}: from "
-        f"{gap.before:.2f} to {gap.after:.2f} standard deviations rms, where noise alone gives {gap.floor:.0f}."
+        f"{gap.before:.2f} to {gap.after:.2f} standard deviations rms, where noise alone gives {gap.floor:.2f}."
     )
 
 
@@ -106,7 +106,35 @@ def _title(effect: str) -> str:
 
 
 def _at(item: Ranked) -> str:
-    return f" at {item.detail}" if item.detail else ""
+    details = [_detail(part) for part in item.detail.split(" + ")]
+    found = " and ".join(dict.fromkeys(part for part in details if part))
+    return f" at {found}" if found else ""
+
+
+def _detail(detail: str) -> str:
+    """A point or channel in words; empty where it says no more than the place."""
+    if detail.isdigit():
+        return f"point {detail}"
+    if len(detail) > 1 and detail[0] in "fxva" and detail[1:].isdigit():
+        return f"channel {detail}"
+    return "" if detail in ("time", "joint", "clamp") else detail
+
+
+def _sure(p: float) -> str:
+    """A probability without more certainty than two digits show."""
+    return "over 99 %" if p > 0.995 else f"{100.0 * p:.0f} %"
+
+
+def _uncertain(value: float, std: float) -> str:
+    """Value ± standard uncertainty, both to the uncertainty's second digit."""
+    if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
+        return _number(value)
+    exponent = math.floor(math.log10(max(abs(value), std)))
+    exponent = 0 if -3 <= exponent < 5 else exponent
+    scale = 10.0**exponent
+    places = max(0, 1 - math.floor(math.log10(std / scale)))
+    text = f"{value / scale:.{places}f} ± {std / scale:.{places}f}"
+    return f"({text})e{exponent}" if exponent else text
 
 
 def _number(value: float) -> str:

@@ -121,6 +121,7 @@ def resonance_influence(
         parts = twin.parts(rig, cache, level)
         z = twin.carried(parts, level, state)
         _, jacobian, channels, slopes = twin.linearised(parts, level, z)
+        own = twin.rows.level == position
         force = abs(channels[twin.force_row, 1])
         vectors = np.zeros((parts.system.size, 0))
         if source.kind not in ("force_sensor", "response_sensor"):
@@ -134,9 +135,10 @@ def resonance_influence(
                 ):
                     step = -np.linalg.solve(jacobian, residual)
                     moved = PeriodicState(z + step, parts.keys, state.drive, channels + direct + slopes @ step)
-                    others = list(states)
-                    others[position] = moved
-                    columns.append(twin.values(rig, cache, others) - base)
+                    # Only this level moves; the rows of the others stay as they are.
+                    alone: list[PeriodicState | None] = [None] * len(states)
+                    alone[position] = moved
+                    columns.append(np.where(own, twin.values(rig, cache, alone) - base, 0.0))
                     part = "re" if turn == 1.0 else "im"
                     names.append(f"{twin.test.name} level {position} order {order} {part}{label}")
     if not columns:

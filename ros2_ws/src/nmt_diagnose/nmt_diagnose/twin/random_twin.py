@@ -24,6 +24,9 @@ from .settings import TwinSettings
 
 # |W|² of the Hann window at a line's neighbours and at itself.
 HANN = np.array([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])
+# Orders of the drive's images: the armature's resonance may amplify high ones.
+IMAGES = tuple(order for n in range(1, 7) for order in (-n, n))
+IMAGE_NODES = 12
 
 
 class RandomTwin:
@@ -77,12 +80,47 @@ class RandomTwin:
     def responses(self, rig: Rig, cache: PartsCache) -> ComplexArray:
         """Expected estimates (lines, channels)."""
         parts = cache.parts(rig, self.setup, self.seconds)
+        result = self._smoothed(parts, self.frequencies)
+        rate = self.test.drive_hold_hz
+        if math.isinf(rate) or self.test.reference != "voltage":
+            return result
+        lines = self.test.lines_hz
+        return np.asarray(np.sinc(lines / rate)[:, None] ** 2 * result + self._images(parts, lines, rate))
+
+    def _images(self, parts: RigParts, lines: FloatArray, rate: float) -> ComplexArray:
+        """What images of the drive around multiples of its rate fold onto the lines (lines, channels).
+
+        Far above the lines the responses are smooth: a few frequencies and a polynomial between them do.
+        """
+        low, high = float(lines.min()), float(lines.max())
+        nodes = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(np.pi * (np.arange(IMAGE_NODES) + 0.5) / IMAGE_NODES)
+        total = np.zeros((IMAGE_NODES, len(self.test.channels)), dtype=np.complex128)
+        for order in IMAGES:
+            place = nodes + order * rate
+            values = self._plain(parts, np.ascontiguousarray(np.abs(place)))[:, :-1]
+            values = np.where(place[:, None] > 0.0, values, np.conj(values))
+            total += np.sinc(place / rate)[:, None] ** 2 * values
+        basis = np.polynomial.chebyshev.chebvander((2.0 * nodes - low - high) / max(high - low, 1e-9), IMAGE_NODES - 1)
+        at = np.polynomial.chebyshev.chebvander((2.0 * lines - low - high) / max(high - low, 1e-9), IMAGE_NODES - 1)
+        return np.asarray(at @ np.linalg.solve(basis, total))
+
+    def _smoothed(self, parts: RigParts, frequencies: FloatArray) -> ComplexArray:
+        """Responses over the reference, as the estimator's window mixes neighbouring lines (lines, channels)."""
+        h = self._plain(parts, frequencies)
+        reference = h[:, -1]
+        cross = (h[:, :-1] * np.conj(reference)[:, None])[self.index]
+        power = (np.abs(reference) ** 2)[self.index]
+        result: ComplexArray = np.einsum("k,lkc->lc", self.weights, cross) / (power @ self.weights)[:, None]
+        return result
+
+    def _plain(self, parts: RigParts, frequencies: FloatArray) -> ComplexArray:
+        """Responses to the drive at some frequencies (frequencies, channels and reference)."""
         r = parts.coordinates
         stiffness = resting_tangent(parts, 0j).real.copy()
         damping = resting_tangent(parts, 1.0 + 0j).real - stiffness
         rows = np.concatenate((np.arange(r), r + self._own))
         h = linear_responses(
-            2.0 * np.pi * self.frequencies * parts.clock,
+            2.0 * np.pi * frequencies * parts.clock,
             r,
             stiffness,
             damping,
@@ -90,13 +128,10 @@ class RandomTwin:
             parts.channels[self._own],
         )
         h *= parts.input_per_volt
-        reference = h[:, -1]
         if math.isfinite(parts.saturation) and self.test.reference == "voltage":
-            h = h * amplifier_gain(self.test.drive_rms, parts.saturation)
-        cross = (h[:, :-1] * np.conj(reference)[:, None])[self.index]
-        power = (np.abs(reference) ** 2)[self.index]
-        result: ComplexArray = np.einsum("k,lkc->lc", self.weights, cross) / (power @ self.weights)[:, None]
-        return result
+            # The reference is the command: the amplifier comes after it.
+            h[:, :-1] *= amplifier_gain(self.test.drive_rms, parts.saturation)
+        return np.asarray(h)
 
     def values(self, rig: Rig, cache: PartsCache) -> FloatArray:
         """Observables of the test's rows."""

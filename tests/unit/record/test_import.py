@@ -183,6 +183,12 @@ def test_units(quantity: str, unit: str, per_si: float) -> None:
     assert factor_to_si(Quantity[quantity.upper()], unit, "x") * per_si == pytest.approx(1.0, rel=1e-12)
 
 
+def test_temperatures_called_t1_and_t2_are_no_clocks(tmp_path: Path) -> None:
+    warm = 20.0 + 0.01 * np.sin(np.arange(12000))
+    run = read_import(write(tmp_path, sidecar(), {"t1": warm, "t2": warm + 1.0, **recording()}))
+    assert run.sample_rate == RATE
+
+
 def test_units_and_scales_reach_the_bag_in_si(tmp_path: Path) -> None:
     data = recording()
     data["a2"] = np.round(data["a2"] / 9.80665 / 1e-6)

@@ -221,6 +221,20 @@ CASES: dict[str, tuple[Case, str]] = {
         ),
         "two clocks, the columns time_f and time_a",
     ),
+    "two time columns with numbers": (
+        lambda f: write(
+            f, sidecar(), {"t1": np.arange(12000) / RATE, "t2": np.arange(12000) / 1999.0, **recording()}
+        ),
+        "two clocks, the columns t1 and t2",
+    ),
+    "a second time column beside the named one": (
+        lambda f: write(
+            f,
+            sidecar(time="time"),
+            {"time": np.arange(12000) / RATE, "time.1": np.arange(12000) / 1999.0, **recording()},
+        ),
+        "two clocks, the columns time and time.1",
+    ),
     # CSV
     "csv empty": (of_bytes("data.csv", b"  \n"), "data.csv is empty"),
     "csv only a header": (of_bytes("data.csv", b"u,f,a2,a4\n"), "no line of numbers"),
@@ -229,6 +243,10 @@ CASES: dict[str, tuple[Case, str]] = {
         "decimal|text in a column|values instead|column names but",
     ),
     "csv a comma among points": (of_text(line(9, ".", ","), delimiter=";"), "line 9: column u.*decimal comma among"),
+    "csv number beyond all numbers": (
+        of_text(insert(30, lambda lines: "1;2;1.5e999;4"), delimiter=";"),
+        r"line 30: column a2 is infinite \(1\.5e999\)",
+    ),
     "csv text": (
         of_text(insert(30, lambda lines: "1;2;overload;4"), delimiter=";"),
         "line 30: column a2 has 'overload'",

@@ -14,7 +14,7 @@ from nmt_record.import_sidecar import Sidecar
 from nmt_record.import_table import SourceTable, split_name
 from nmt_record.unit_table import other_factor, plain_unit
 
-_TIME_NAME = re.compile(r"(time|t|zeit|timestamp|seconds)([_ ].*)?$", re.I)
+_TIME_NAME = re.compile(r"(time|t|zeit|timestamp|seconds)(\.?\d+)?([_ ].*)?$", re.I)
 # Steps may scatter by this share (rounded or jittering time stamps); above it they are another clock's.
 _STEP_TOLERANCE = 0.3
 _LARGEST_LOSS = 0.05
@@ -119,7 +119,7 @@ def _time_axis(table: SourceTable, sidecar: Sidecar, place: str) -> tuple[FloatA
     candidates = [
         index
         for index, name in enumerate(table.names)
-        if index not in used and name and _TIME_NAME.match(split_name(name)[0].strip())
+        if index not in used and name and _names_time(split_name(name)[0].strip(), table.columns[index])
     ]
     if sidecar.time is not None:
         chosen = table.index(sidecar.time, f"{place}: time")
@@ -136,6 +136,14 @@ def _time_axis(table: SourceTable, sidecar: Sidecar, place: str) -> tuple[FloatA
         raise BenchError(_two_clocks(table, [chosen, *others]))
     factor = other_factor("time", _time_unit(table, chosen, sidecar, place), f"{place}: time")
     return table.columns[chosen] * factor, f"column {table.names[chosen] or chosen + 1}"
+
+
+def _names_time(name: str, column: FloatArray) -> bool:
+    """Whether a column is a clock by its name; t1 may be a temperature too, unless it only rises."""
+    found = _TIME_NAME.match(name)
+    if not found:
+        return False
+    return not (found[1].lower() == "t" and found[2]) or bool((np.diff(column) > 0.0).all())
 
 
 def _time_unit(table: SourceTable, chosen: int, sidecar: Sidecar, place: str) -> str:

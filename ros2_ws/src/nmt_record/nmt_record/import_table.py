@@ -348,9 +348,10 @@ def _values(
 def _cell(cell: str, form: _Form, where: str, column: str) -> float:
     if cell.lower() in _MISSING:
         return np.nan
-    if form.is_number(cell):
-        return float(cell.replace(",", ".").replace("D", "e").replace("d", "e"))
-    if _INFINITE.match(cell):
+    number = float(cell.replace(",", ".").replace("D", "e").replace("d", "e")) if form.is_number(cell) else np.nan
+    if np.isfinite(number):
+        return number
+    if np.isinf(number) or _INFINITE.match(cell):
         raise BenchError(
             f"{where}: column {column} is infinite ({cell}); leave the cell empty if the value is missing."
         )

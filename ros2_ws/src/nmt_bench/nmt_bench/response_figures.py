@@ -89,7 +89,7 @@ def response_figure(
         axes.set_ylabel("computed less\nmeasured / % of peak")
     bottom.set_ylabel("phase to force / °")
     bottom.set_xlabel("frequency / Hz")
-    top.legend(loc="upper right")
+    top.legend(loc="best")
     return ReportFigure(
         f"response-{channel}", title[:1].upper() + title[1:], caption, svg_text(figure, f"response-{channel}", title)
     )

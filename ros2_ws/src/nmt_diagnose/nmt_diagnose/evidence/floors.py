@@ -42,7 +42,7 @@ class Floors:
     force_log_magnitude: float = 2e-4
     phase: float = 3e-5
     harmonic: float = 5e-6
-    model_harmonics: int = 7
+    model_harmonics: int = 9
     frf: float = 5e-5
     images: float = 0.05
     decay_log_frequency: float = 2e-4

@@ -193,13 +193,15 @@ def random_evidence(
     bias = _bias(view, present, input_samples, reference, bins, stretch.sample_rate)
     held = reference.quantity is Quantity.VOLTAGE
     images = np.abs(image_responses(view, present, lines, hold_rate_hz if held else math.inf))
+    believed = _believed(view, present, reference, lines, estimate)
     for number, line in enumerate(lines):
         for row in range(len(present)):
             size = abs(estimate[row, number])
             if not size > 0.0:
                 continue
             std = math.sqrt(0.5 * variance[row, number]) / size
-            if std > settings.largest_std:
+            # By the model's amplitude: choosing by the measured one would keep those that noise has raised.
+            if math.sqrt(0.5 * variance[row, number]) > settings.largest_std * believed[row, number]:
                 continue
             place = Place(number, middle, float(line), drive_rms)
             # What sensors and structure do to images of the drive, far above the lines, is known roughly only.
@@ -224,6 +226,25 @@ def random_evidence(
         drive_hold_hz=hold_rate_hz if reference.quantity is Quantity.VOLTAGE else math.inf,
     )
     return table.evidence(test, notes)
+
+
+def _believed(
+    view: ModelView,
+    channels: list[MeasuredChannel],
+    source: MeasuredChannel,
+    lines: FloatArray,
+    estimate: ComplexArray,
+) -> FloatArray:
+    """Amplitudes of the model, scaled channel by channel to the measured ones, shape (channels, lines)."""
+    responses = view.responses([*channels, source], lines)
+    size = np.abs(estimate)
+    result = size.copy()
+    for row in range(len(channels)):
+        own = np.abs(responses[row] / responses[-1])
+        if np.all(np.isfinite(own)) and np.all(own > 0.0):
+            strong = own >= np.median(own)
+            result[row] = own * np.median(size[row, strong] / own[strong])
+    return result
 
 
 def _bias(

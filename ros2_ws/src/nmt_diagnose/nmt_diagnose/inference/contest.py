@@ -156,7 +156,6 @@ class Contest:
         theta = np.concatenate(
             [base.fit.theta, *[_at_zero(self.candidates[k], s) for k, s in zip(chosen, starts, strict=True)]]
         )
-        sigma = self.problem.evidence.sigma
         offset, columns = first, []
         for k in chosen:
             columns.append(offset + _strength(self.candidates[k]))
@@ -165,10 +164,12 @@ class Contest:
         result = []
         if smooth:
             which = [columns[i] for i in smooth]
-            jacobian = self.problem.forward.jacobian(parametrisation, theta, base.fit.prediction, which)
+            jacobian = self.problem.whitened(
+                self.problem.forward.jacobian(parametrisation, theta, base.fit.prediction, which)
+            )
             for position, i in enumerate(smooth):
                 signed = _parameter(self.candidates[chosen[i]]).signed
-                result.append(Direction(chosen[i], starts[i], jacobian[:, position] / sigma, signed))
+                result.append(Direction(chosen[i], starts[i], jacobian[:, position], signed))
         for i in set(range(len(chosen))) - set(smooth):
             start = starts[i]
             strength = float(start[_strength(self.candidates[chosen[i]])])
@@ -198,7 +199,7 @@ class Contest:
             rig = parametrisation.rig(theta)
             prediction = self.problem.forward.predict(rig, base.fit.prediction)
             columns = self.problem.forward.jacobian(parametrisation, theta, prediction, own)
-            added = np.nan_to_num(columns / self.problem.evidence.sigma[:, None], posinf=0.0, neginf=0.0)
+            added = np.nan_to_num(self.problem.whitened(columns), posinf=0.0, neginf=0.0)
             jacobian = np.column_stack([base.fit.jacobian, added])
             result = fit(self.problem, parametrisation, theta, used, prediction, jacobian, exact=False)
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):

@@ -36,6 +36,7 @@ from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.held_out_contest import HeldOut
 from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, place_of
+from nmt_diagnose.inference.lock_noise import lock_nuisances
 from nmt_diagnose.inference.next_test import next_tests
 from nmt_diagnose.inference.problem import ForwardLike, Problem
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
@@ -130,7 +131,9 @@ class _Diagnoser:
         self.rig, self.evidence, self.settings, self.progress = rig, evidence, settings, progress
         self.confidence: Confidence = confidence()
         self.forward = Forward(evidence.tests, evidence.rows)
-        self.problem = Problem(evidence, cast(ForwardLike, self.forward))
+        self.given = self.forward.predict(rig)
+        nuisances = lock_nuisances(evidence, rig, self.given)
+        self.problem = Problem(evidence, cast(ForwardLike, self.forward), nuisances)
         self.candidates = library_candidates(rig, operating_range(rig, evidence.tests), settings.withheld)
         self.contest = Contest(
             self.problem, rig, calibration_parameters(rig), self.candidates, settings.contest, progress
@@ -138,7 +141,7 @@ class _Diagnoser:
 
     def run(self) -> Outcome:
         self.progress("re-fitting the model's own parameters")
-        given = self.forward.predict(self.rig)
+        given = self.given
         try:
             null = self.contest.polished(self.contest.null())
         except FitError as error:
@@ -149,7 +152,7 @@ class _Diagnoser:
         pairs = self.contest.pairs(singles)
         self.progress("weighing the explanations")
         rig = null.fit.parametrisation.rig(null.fit.theta)
-        found = places(self.forward, rig, cast(Prediction, null.fit.prediction), self.evidence)
+        found = places(self.forward, rig, cast(Prediction, null.fit.prediction), self.problem)
         sources = generic_sources(null.fit, found)
         leftovers = generic_sources(singles[0].fit, found) if singles else []
         judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.rig, self.confidence)

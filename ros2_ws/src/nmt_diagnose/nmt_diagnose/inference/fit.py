@@ -195,7 +195,7 @@ def _whitened_jacobian(
         columns = problem.forward.jacobian(parametrisation, theta, prediction)
     except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise FitError(f"the model has no sensitivities there ({error})") from error
-    jacobian = columns / problem.evidence.sigma[:, None]
+    jacobian = problem.whitened(columns)
     return np.where(np.isfinite(jacobian), jacobian, 0.0)
 
 

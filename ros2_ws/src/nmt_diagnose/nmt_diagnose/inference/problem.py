@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.evidence.observables import Evidence, IntArray, Part
 from nmt_plant.rig import Rig
 
 BoolArray = NDArray[np.bool_]
@@ -60,16 +60,40 @@ class ParametrisationLike(Protocol):
 
 
 @dataclass(frozen=True)
+class Nuisance:
+    """An error that several rows share, of known size.
+
+    Attributes:
+        rows: indices of the rows.
+        direction: what a standard deviation of it adds to these rows, over their own σ, as a unit vector.
+        size: length of that vector.
+    """
+
+    rows: IntArray
+    direction: FloatArray
+    size: float
+
+    def whiten(self, values: FloatArray) -> None:
+        """Multiply rows of values, shape (m,) or (m, n), by (1 + size² d dᵀ)^(-½), in place."""
+        part = values[self.rows]
+        along = self.direction @ part
+        factor = 1.0 / np.sqrt(1.0 + self.size**2) - 1.0
+        values[self.rows] = part + factor * (np.multiply.outer(self.direction, along))
+
+
+@dataclass(frozen=True)
 class Problem:
     """Evidence and model.
 
     Attributes:
         evidence: the real side.
         forward: predicts its observables.
+        nuisances: errors that rows share, no row in two of them.
     """
 
     evidence: Evidence
     forward: ForwardLike
+    nuisances: tuple[Nuisance, ...] = ()
 
     @property
     def size(self) -> int:
@@ -83,7 +107,14 @@ class Problem:
         result[phases] = (result[phases] + np.pi) % (2.0 * np.pi) - np.pi
         return result
 
-    def residual(self, prediction: PredictionLike) -> FloatArray:
-        """Whitened residual (measured − predicted) / σ, shape (m,)."""
-        result: FloatArray = self.difference(prediction.values) / self.evidence.sigma
+    def whitened(self, values: FloatArray) -> FloatArray:
+        """Values, shape (m,) or (m, n), over their uncertainty: Σ^(-½) values."""
+        sigma = self.evidence.sigma
+        result: FloatArray = values / (sigma if values.ndim == 1 else sigma[:, None])
+        for nuisance in self.nuisances:
+            nuisance.whiten(result)
         return result
+
+    def residual(self, prediction: PredictionLike) -> FloatArray:
+        """Whitened residual Σ^(-½) (measured − predicted), shape (m,)."""
+        return self.whitened(self.difference(prediction.values))

@@ -17,6 +17,7 @@ from nmt_core.blocks import FloatArray
 from nmt_diagnose.evidence.observables import Evidence
 from nmt_diagnose.inference.fit import Fit
 from nmt_diagnose.inference.generic_source import SourceScore, source_score
+from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.residual_map import channels_of
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_plant.rig import ElementSection, Rig
@@ -48,15 +49,16 @@ class Place:
     families: tuple[tuple[str, FloatArray], ...]
 
 
-def places(forward: Forward, rig: Rig, prediction: Prediction, evidence: Evidence) -> list[Place]:
+def places(forward: Forward, rig: Rig, prediction: Prediction, problem: Problem) -> list[Place]:
     """Places where an unnamed source may sit, with what it could do.
 
     Args:
         forward: the model.
         rig: rig of ``prediction``.
         prediction: solution about which the sources are small.
-        evidence: the real side.
+        problem: evidence and how it is whitened.
     """
+    evidence = problem.evidence
     channels = {c.name for test in evidence.tests for c in channels_of(test)}
     forces = {c.name for test in evidence.tests for c in channels_of(test) if c.quantity.name == "FORCE"}
     wanted = [("structure", str(point), f"structure:{point}") for point in rig.structure.points]
@@ -67,7 +69,7 @@ def places(forward: Forward, rig: Rig, prediction: Prediction, evidence: Evidenc
     result = []
     for place, detail, key in wanted:
         columns, names = forward.influence(rig, prediction, key)
-        whitened = np.nan_to_num(columns / evidence.sigma[:, None], posinf=0.0, neginf=0.0)
+        whitened = np.nan_to_num(problem.whitened(columns), posinf=0.0, neginf=0.0)
         families = _families(whitened, names, evidence) if place != "time" else (("drift", whitened),)
         families = tuple((name, block) for name, block in families if block.shape[1] and np.any(block))
         if families:

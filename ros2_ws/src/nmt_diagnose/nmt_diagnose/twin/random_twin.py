@@ -95,11 +95,18 @@ class RandomTwin:
         low, high = float(lines.min()), float(lines.max())
         nodes = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(np.pi * (np.arange(IMAGE_NODES) + 0.5) / IMAGE_NODES)
         total = np.zeros((IMAGE_NODES, len(self.test.channels)), dtype=np.complex128)
+        # The sensors of a rig whose drive is held act on samples, that is on what has been folded down already.
+        ideal = parts.channels[self._own].copy()
+        ideal[:, 1:] = 0.0
         for order in IMAGES:
             place = nodes + order * rate
-            values = self._plain(parts, np.ascontiguousarray(np.abs(place)))[:, :-1]
+            values = self._plain(parts, np.ascontiguousarray(np.abs(place)), ideal)[:, :-1]
             values = np.where(place[:, None] > 0.0, values, np.conj(values))
             total += np.sinc(place / rate)[:, None] ** 2 * values
+        for position, row in enumerate(self._own[:-1]):
+            for k, node in enumerate(nodes):
+                chain = self.gain(parts, int(row), 2j * np.pi * node * parts.clock)
+                total[k, position] *= chain / parts.channels[row, 0]
         basis = np.polynomial.chebyshev.chebvander((2.0 * nodes - low - high) / max(high - low, 1e-9), IMAGE_NODES - 1)
         at = np.polynomial.chebyshev.chebvander((2.0 * lines - low - high) / max(high - low, 1e-9), IMAGE_NODES - 1)
         return np.asarray(at @ np.linalg.solve(basis, total))
@@ -113,8 +120,11 @@ class RandomTwin:
         result: ComplexArray = np.einsum("k,lkc->lc", self.weights, cross) / (power @ self.weights)[:, None]
         return result
 
-    def _plain(self, parts: RigParts, frequencies: FloatArray) -> ComplexArray:
-        """Responses to the drive at some frequencies (frequencies, channels and reference)."""
+    def _plain(self, parts: RigParts, frequencies: FloatArray, chains: FloatArray | None = None) -> ComplexArray:
+        """Responses to the drive at some frequencies (frequencies, channels and reference).
+
+        ``chains`` are the sensor chains; None = those of the rig.
+        """
         r = parts.coordinates
         stiffness = resting_tangent(parts, 0j).real.copy()
         damping = resting_tangent(parts, 1.0 + 0j).real - stiffness
@@ -125,7 +135,7 @@ class RandomTwin:
             stiffness,
             damping,
             *parts.linear.partial_fractions(rows),
-            parts.channels[self._own],
+            parts.channels[self._own] if chains is None else chains,
         )
         h *= parts.input_per_volt
         if math.isfinite(parts.saturation) and self.test.reference == "voltage":

@@ -21,7 +21,7 @@ class TwinSettings:
         tolerance: of the last Newton step, relative to the solution.
     """
 
-    harmonics: int = 7
+    harmonics: int = 9
     mesh_refinement: int = 1
     samples: int | None = None
     kept_modes: int = 16

@@ -38,6 +38,7 @@ class ContestSettings:
         first_of_pairs: best single explanations that get a second effect tried.
         second_of_pairs: second effects fitted for each.
         pair_gain: fall of χ² in the second scan from which a pair is tried.
+        weak: strength in standard deviations up to which an effect leaves the directions of others as they are.
         settled: most explanations that are fitted to the end.
         close: logarithm of evidence by which one may lie behind the best to be fitted to the end.
     """
@@ -50,6 +51,7 @@ class ContestSettings:
     first_of_pairs: int = 3
     second_of_pairs: int = 3
     pair_gain: float = 14.0
+    weak: float = 30.0
     settled: int = 5
     close: float = 20.0
 
@@ -123,6 +125,7 @@ class Contest:
         self.candidates = candidates
         self.settings = settings or ContestSettings()
         self._progress = progress or (lambda _: None)
+        self._plain_directions: list[Direction] = []
 
     def null(self, used: BoolArray | None = None) -> Contender:
         """The model with its own parameters re-fitted.
@@ -134,8 +137,18 @@ class Contest:
         return Contender((), fit(self.problem, parametrisation, parametrisation.zero, used))
 
     def scan(self, base: Contender) -> list[Score]:
-        """Score all candidates on top of a contender, best first."""
-        return scores(base.fit, self.directions(base))
+        """Score all candidates on top of a contender, best first.
+
+        A weak effect bends the directions of the others so little that those of the model without effect serve again.
+        """
+        if base.candidates and self._plain_directions and base.sigmas < self.settings.weak:
+            taken = {candidate.label for candidate in base.candidates}
+            kept = [d for d in self._plain_directions if self.candidates[d.candidate].label not in taken]
+            return scores(base.fit, kept)
+        found = self.directions(base)
+        if not base.candidates:
+            self._plain_directions = found
+        return scores(base.fit, found)
 
     def directions(self, base: Contender) -> list[Direction]:
         """Directions of all candidates that the contender does not have yet."""

@@ -30,6 +30,10 @@ class Confidence:
         alarm: log-odds against ``none`` from which a gap is claimed.
         unknown: probability of something unnamed, given a gap, from which the verdict is ``unknown``.
         recalibration: fall of χ² by re-fitting the model's own parameters from which that is called a calibration.
+        inexactness: share of an effect's own gain in evidence that anything on top of it, or unnamed in its place, must
+            beat: the model of an effect is right to some percent of the effect only.
+        explained: share of the held-out gap from which a named explanation stands although something unnamed fits
+            better.
         equivalence: distance in standard deviations below which two explanations count as one.
     """
 
@@ -41,6 +45,8 @@ class Confidence:
     alarm: float
     unknown: float
     recalibration: float
+    inexactness: float
+    explained: float
     equivalence: float
 
 

@@ -47,7 +47,7 @@ class ContestSettings:
     placements: int = 2
     least_gain: float = 6.0
     behind: float = 60.0
-    share: float = 0.3
+    share: float = 0.05
     first_of_pairs: int = 3
     second_of_pairs: int = 3
     pair_gain: float = 14.0

@@ -160,7 +160,7 @@ class _Diagnoser:
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])
         shares = {group.head.label: held.closed(group.head.label) for group in judgement.classes[:_JUDGED]}
         accepted = self._accepted(judgement, shares)
-        verdict = self._verdict(judgement, accepted, null, as_given)
+        verdict = self._verdict(judgement, accepted, null, as_given, shares)
         best = self.contest.polished(accepted.head) if accepted is not None and verdict is Verdict.EFFECT else null
         gap = self._gap(verdict, null, best, as_given, held)
         ranking = self._ranking(judgement, shares)
@@ -217,12 +217,21 @@ class _Diagnoser:
         return None
 
     def _verdict(
-        self, judgement: Judgement, accepted: ExplanationClass | None, null: Contender, as_given: FloatArray
+        self,
+        judgement: Judgement,
+        accepted: ExplanationClass | None,
+        null: Contender,
+        as_given: FloatArray,
+        shares: dict[str, Closed],
     ) -> Verdict:
         if judgement.log_odds < self.confidence.alarm:
             return Verdict.CALIBRATION if self._recalibrated(null, as_given) else Verdict.NONE
         given_gap = judgement.unknown / max(1e-300, 1.0 - judgement.none)
-        if accepted is None or given_gap > self.confidence.unknown:
+        if accepted is None:
+            return Verdict.UNKNOWN
+        share = shares.get(accepted.head.label)
+        explained = share is not None and share.low > 0.5 and share.value >= self.confidence.explained
+        if given_gap > self.confidence.unknown and not explained:
             return Verdict.UNKNOWN
         return Verdict.EFFECT
 

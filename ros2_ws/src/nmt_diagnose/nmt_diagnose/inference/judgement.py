@@ -95,6 +95,13 @@ def judge(
     def chosen(contender: Contender) -> float:
         return -sum(math.log(placements[candidate.effect.name]) for candidate in contender.candidates)
 
+    by_label_gain = {c.label: max(0.0, c.fit.log_evidence - base) for c in singles}
+
+    def inexact(contender: Contender) -> float:
+        """Evidence that the inexact model of the strongest of its effects may feign."""
+        own = [by_label_gain.get(candidate.label, 0.0) for candidate in contender.candidates]
+        return confidence.inexactness * max(own, default=0.0)
+
     hypotheses = [Hypothesis(NULL, (), "", 0.0, math.log(confidence.prior_none), null.fit)]
     contenders: list[Contender | None] = [null]
     for contender in singles:
@@ -105,18 +112,19 @@ def judge(
         contenders.append(contender)
     for contender in pairs:
         prior = math.log(2.0 * confidence.prior_pair / kinds**2) + chosen(contender)
-        gain = contender.fit.log_evidence - base
+        gain = contender.fit.log_evidence - base - inexact(contender)
         hypotheses.append(Hypothesis(contender.label, contender.effects, "", gain, prior, contender.fit))
         contenders.append(contender)
     for source in sources:
         prior = math.log(confidence.prior_unknown / max(1, len(sources)))
-        hypotheses.append(Hypothesis(UNKNOWN, (), f"{source.place}|{source.detail}", source.gain, prior, None))
+        gain = source.gain - confidence.inexactness * max(by_label_gain.values(), default=0.0)
+        hypotheses.append(Hypothesis(UNKNOWN, (), f"{source.place}|{source.detail}", gain, prior, None))
         contenders.append(None)
     if singles:
         best = singles[0]
         for source in leftovers:
             prior = math.log(confidence.prior_unknown * confidence.prior_effect / max(1, len(leftovers)) / kinds)
-            gain = best.fit.log_evidence - base + source.gain
+            gain = best.fit.log_evidence - base + source.gain - inexact(best)
             prior += chosen(best)
             hypotheses.append(Hypothesis(UNKNOWN, (), f"{source.place}|{source.detail}", gain, prior, None))
             contenders.append(None)

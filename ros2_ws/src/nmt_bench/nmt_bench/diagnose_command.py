@@ -70,6 +70,14 @@ def add_parser(subparsers: Subparsers) -> None:
         default=[],
         help="leave an effect out of the library; may be repeated",
     )
+    parser.add_argument(
+        "--hold-out",
+        metavar="TEST",
+        action="append",
+        default=[],
+        help="keep a test (named as its folder) out of every fit and judge the gap by it alone; may be repeated "
+        "(default: levels and whole tests in turn)",
+    )
     add_output_options(parser, "diagnosis.json, report.html, model.yaml, observables.csv")
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="seed of the intervals (default: 0)")
     parser.add_argument("--quiet", action="store_true", help="no progress display")
@@ -103,7 +111,8 @@ def run(arguments: argparse.Namespace) -> int:
     console = make_console()
     started = time.monotonic()
     with DiagnosisProgress(console, arguments.quiet) as progress:
-        settings = DiagnosisSettings(withheld=withheld, seed=arguments.seed)
+        held_out = tuple(dict.fromkeys(arguments.hold_out))
+        settings = DiagnosisSettings(withheld=withheld, seed=arguments.seed, hold_out=held_out)
         outcome = diagnose_bags(rig, arguments.real, arguments.floor, settings, progress.update)
         diagnosis = replace(
             outcome.diagnosis,

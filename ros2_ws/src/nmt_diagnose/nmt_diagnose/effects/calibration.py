@@ -10,6 +10,7 @@ from nmt_plant.rig import (
     ChainSection,
     CubicSpringSection,
     ElementSection,
+    ForceSection,
     IwanSection,
     JenkinsSection,
     LinearDamperSection,
@@ -96,11 +97,12 @@ PRIORS: dict[str, tuple[float, str]] = {
     "force_factor_n_a": (0.03, "data sheet"),
     "resistance_ohm": (0.03, "copper changes by 0.4 % per kelvin"),
     "inductance_h": (0.1, "changes with frequency"),
+    "newton_per_volt": (0.03, "gain of amplifier and exciter as a data sheet gives it"),
 }
 # Coil suspension: so stiff that no test of the bench sees it.
 _UNITS = {"_pa": "Pa", "_kg_m3": "kg/m³", "_kg": "kg", "_ns_m": "N s/m", "_ns2_m2": "N s²/m²", "_nm_rad": "N m/rad",
           "_n_m": "N/m", "_n_m2": "N/m²", "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_a": "N/A", "_ohm": "Ω", "_n": "N",
-          "_m_s": "m/s", "_m": "m", "_h": "H", "_s": "s"}  # fmt: skip
+          "_m_s": "m/s", "_m": "m", "_h": "H", "_s": "s", "newton_per_volt": "N/V"}  # fmt: skip
 _ELEMENT_KEYS: dict[type[ElementSection], tuple[str, ...]] = {
     JenkinsSection: ("tangential_stiffness_n_m", "slip_force_n"),
     IwanSection: (
@@ -164,4 +166,6 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
     if isinstance(rig.exciter, ShakerSection):
         for key in _SHAKER_KEYS:
             add(("exciter", key), "exciter")
+    elif isinstance(rig.exciter, ForceSection):
+        add(("exciter", "newton_per_volt"), "exciter")
     return tuple(found)

@@ -108,6 +108,7 @@ class Contest:
         candidates: effects at their places.
         settings: how far to go.
         progress: called with a sentence as the work goes on.
+        rows: rows that fits may use, shape (m,); None = all.
     """
 
     def __init__(
@@ -118,8 +119,10 @@ class Contest:
         candidates: tuple[Candidate, ...],
         settings: ContestSettings | None = None,
         progress: Callable[[str], None] | None = None,
+        rows: BoolArray | None = None,
     ) -> None:
         self.problem = problem
+        self.rows = rows
         self.rig = rig
         self.calibration = calibration
         self.candidates = candidates
@@ -134,7 +137,10 @@ class Contest:
             FitError: the model as given has no solution for any observable.
         """
         parametrisation = Parametrisation(self.rig, self.calibration)
-        return Contender((), fit(self.problem, parametrisation, parametrisation.zero, used))
+        return Contender((), fit(self.problem, parametrisation, parametrisation.zero, self._used(used)))
+
+    def _used(self, rows: BoolArray | None) -> BoolArray | None:
+        return self.rows if rows is None else rows
 
     def scan(self, base: Contender) -> list[Score]:
         """Score all candidates on top of a contender, best first.
@@ -214,7 +220,7 @@ class Contest:
             columns = self.problem.forward.jacobian(parametrisation, theta, prediction, own)
             added = np.nan_to_num(self.problem.whitened(columns), posinf=0.0, neginf=0.0)
             jacobian = np.column_stack([base.fit.jacobian, added])
-            result = fit(self.problem, parametrisation, theta, used, prediction, jacobian, exact=False)
+            result = fit(self.problem, parametrisation, theta, self._used(used), prediction, jacobian, exact=False)
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
             return None  # no rig, or no solution, at the start
         return Contender((*base.candidates, candidate), result, score)

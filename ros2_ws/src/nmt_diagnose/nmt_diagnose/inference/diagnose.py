@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,6 +15,7 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.evidence.conditions import RecordTest
 from nmt_diagnose.evidence.observables import Evidence
 from nmt_diagnose.evidence.read_evidence import read_evidence
 from nmt_diagnose.inference.confidence import Confidence, confidence, confidence_digest
@@ -61,12 +62,15 @@ class DiagnosisSettings:
         contest: how far the contest of explanations goes.
         seed: of the bootstrap.
         look_ahead: whether tests that would decide between what is left are sought.
+        hold_out: names of tests (or of their bags) that no fit sees and the gap is judged by; empty = levels and whole
+            tests in turn.
     """
 
     withheld: tuple[str, ...] = ()
     contest: ContestSettings = field(default_factory=ContestSettings)
     seed: int = 0
     look_ahead: bool = True
+    hold_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -130,13 +134,20 @@ class _Diagnoser:
     def __init__(self, rig: Rig, evidence: Evidence, settings: DiagnosisSettings, progress: Progress) -> None:
         self.rig, self.evidence, self.settings, self.progress = rig, evidence, settings, progress
         self.confidence: Confidence = confidence()
+        self.splits = splits(evidence, settings.hold_out)
         self.forward = Forward(evidence.tests, evidence.rows)
         self.given = self.forward.predict(rig)
         nuisances = lock_nuisances(evidence, rig, self.given)
         self.problem = Problem(evidence, cast(ForwardLike, self.forward), nuisances)
         self.candidates = library_candidates(rig, operating_range(rig, evidence.tests), settings.withheld)
         self.contest = Contest(
-            self.problem, rig, calibration_parameters(rig), self.candidates, settings.contest, progress
+            self.problem,
+            rig,
+            calibration_parameters(rig),
+            self.candidates,
+            _affordable(settings.contest, evidence),
+            progress,
+            self.splits[0].fitted if settings.hold_out else None,
         )
 
     def run(self) -> Outcome:
@@ -202,7 +213,10 @@ class _Diagnoser:
     def _held(self, null: Contender, heads: Sequence[Contender]) -> HeldOut:
         """Everything that competes to the end, re-fitted without what each split holds out."""
         found = []
-        for split in splits(self.evidence):
+        for split in self.splits:
+            if self.settings.hold_out:
+                found.append((split, null, {head.label: head for head in heads}))
+                continue  # no fit has seen it
             base = self.contest.refit(null, split.fitted)
             if base is not None:
                 found.append((split, base, {head.label: self.contest.refit(head, split.fitted) for head in heads}))
@@ -341,7 +355,7 @@ class _Diagnoser:
         return {
             "bags": [{"path": path, "sha256": digest} for path, digest in self.evidence.inputs],
             "tests": tests,
-            "held_out": [split.name for split in splits(self.evidence)],
+            "held_out": [split.name for split in self.splits],
             "model": self.rig.name,
             "withheld": list(self.settings.withheld),
             "seed": self.settings.seed,
@@ -400,6 +414,19 @@ class _Diagnoser:
             key = f"source:{source.place}"
             found[key] = max(found.get(key, -math.inf), source.gain)
         return found
+
+
+def _affordable(settings: ContestSettings, evidence: Evidence) -> ContestSettings:
+    """A record is stepped through sample by sample, a hundred times as dear as a locked level: fewer fits."""
+    if not any(isinstance(test, RecordTest) for test in evidence.tests):
+        return settings
+    return replace(
+        settings,
+        finalists=min(settings.finalists, 4),
+        placements=min(settings.placements, 1),
+        first_of_pairs=min(settings.first_of_pairs, 1),
+        settled=min(settings.settled, 3),
+    )
 
 
 def _likeliest(details: dict[str, float]) -> str:

@@ -199,8 +199,8 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         {"channel_skew": "a random test"},
     ),
     _chain_effect(
-        "charge_high_pass", "iω/(iω + 2πf_h)", EffectParameter("f_h", "Hz", grid=(0.3, 1.0, 3.0)), "high_pass_hz", _high_pass,
-        lambda operating, channel: 0.005 * operating.omega / (2.0 * pi),
+        "charge_high_pass", "iω/(iω + 2πf_h)", EffectParameter("f_h", "Hz", grid=(0.3, 1.0, 3.0)), "high_pass_hz",
+        _high_pass, lambda operating, channel: 0.005 * operating.omega / (2.0 * pi),
     ),
     Effect(
         name="clipping", place="response_sensor", equation="clip(y, ±A e^{−depth}), A = largest amplitude of the model",

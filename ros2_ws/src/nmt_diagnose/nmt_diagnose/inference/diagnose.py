@@ -35,7 +35,7 @@ from nmt_diagnose.inference.fit import FitError
 from nmt_diagnose.inference.gap import Closed, rms
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.held_out import splits
-from nmt_diagnose.inference.held_out_contest import HeldOut
+from nmt_diagnose.inference.held_out_contest import HeldOut, Refits
 from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, place_of
 from nmt_diagnose.inference.lock_noise import lock_nuisances
 from nmt_diagnose.inference.next_test import next_tests
@@ -212,14 +212,15 @@ class _Diagnoser:
 
     def _held(self, null: Contender, heads: Sequence[Contender]) -> HeldOut:
         """Everything that competes to the end, re-fitted without what each split holds out."""
-        found = []
+        found: list[Refits] = []
         for split in self.splits:
             if self.settings.hold_out:
                 found.append((split, null, {head.label: head for head in heads}))
                 continue  # no fit has seen it
             base = self.contest.refit(null, split.fitted)
             if base is not None:
-                found.append((split, base, {head.label: self.contest.refit(head, split.fitted) for head in heads}))
+                tops = {head.label: self.contest.refit(head, split.fitted) for head in heads}
+                found.append((split, base, tops))
         return HeldOut(self.evidence, found, self.settings.seed)
 
     def _accepted(self, judgement: Judgement, shares: dict[str, Closed]) -> ExplanationClass | None:

@@ -1,0 +1,82 @@
+"""The contest of explanations, on evidence that the twin made with noise: the truth is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from unit.diagnose.twin_evidence import chain, evidence_of_twin, real
+
+from nmt_diagnose.effects.calibration import calibration_parameters
+from nmt_diagnose.effects.library import candidates, library
+from nmt_diagnose.evidence.observables import Evidence
+from nmt_diagnose.inference.contest import Contest
+from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.twin.operating_range import operating_range
+
+MODEL = chain()
+LEVELS = (0.1, 0.4, 0.8, 1.6)
+KNOWN = ("air_drag", "cubic_stiffness", "phase_offset")
+CUBIC = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2.0e8}
+OFFSET = 0.03
+
+
+def contest(evidence: Evidence, known: tuple[str, ...] = KNOWN) -> Contest:
+    withheld = tuple(effect.name for effect in library() if effect.name not in known)
+    problem = Problem(evidence, Forward(evidence.tests, evidence.rows))  # type: ignore[arg-type]
+    found = candidates(MODEL, operating_range(MODEL, evidence.tests), withheld)
+    return Contest(problem, MODEL, calibration_parameters(MODEL), found)
+
+
+@pytest.fixture(scope="module")
+def hardening() -> Evidence:
+    return evidence_of_twin(real(MODEL, local_elements=[CUBIC]), seed=1, drives=LEVELS)
+
+
+def test_the_right_effect_at_the_right_place_wins_with_the_right_size(hardening: Evidence) -> None:
+    own = contest(hardening)
+    null = own.null()
+    scan = own.scan(null)
+    assert own.candidates[scan[0].direction.candidate].label == "cubic_stiffness@2"
+    first, *others = own.singles(null, scan)
+    assert first.label == "cubic_stiffness@2"
+    assert 0.6 < first.fit.chi_square / first.fit.used.sum() < 1.2
+    value = first.fit.parametrisation.physical(first.fit.theta)["cubic_stiffness@2"]["k"][0]  # type: ignore[attr-defined]
+    relative = first.fit.std[-1] / first.fit.theta[-1]
+    assert abs(value / CUBIC["stiffness_n_m3"] - 1.0) < 4.0 * relative
+    assert first.sigmas == pytest.approx(1.0 / relative)
+    assert all(first.fit.log_evidence > other.fit.log_evidence + 10.0 for other in others if "2" not in other.label)
+    # What is right leaves nothing for a second effect.
+    assert all(pair.fit.log_evidence < first.fit.log_evidence + 3.0 for pair in own.pairs([first, *others]))
+
+
+def test_without_its_entry_nothing_fits(hardening: Evidence) -> None:
+    own = contest(hardening, ("air_drag", "phase_offset"))
+    null = own.null()
+    for single in own.singles(null, own.scan(null)):
+        assert "cubic_stiffness" not in single.effects
+        assert single.fit.chi_square > 1.5 * single.fit.used.sum()
+
+
+def test_two_effects_are_found_as_a_pair() -> None:
+    truth = real(MODEL, local_elements=[CUBIC], pll={"phase_offset_rad": OFFSET})
+    own = contest(evidence_of_twin(truth, seed=2, drives=LEVELS))
+    null = own.null()
+    singles = own.singles(null, own.scan(null))
+    best = own.pairs(singles)[0]
+    assert {candidate.label for candidate in best.candidates} == {"cubic_stiffness@2", "phase_offset"}
+    assert best.fit.log_evidence > singles[0].fit.log_evidence + 20.0
+    offset = best.fit.parametrisation.physical(best.fit.theta)["phase_offset"]  # type: ignore[attr-defined]
+    assert next(iter(offset.values()))[0] == pytest.approx(OFFSET, abs=0.006)
+
+
+def test_a_shifted_parameter_leaves_nothing_to_explain() -> None:
+    shifted = real(MODEL, exciter={"resistance_ohm": 3.0 * 1.04})
+    own = contest(evidence_of_twin(shifted, seed=3, drives=LEVELS))
+    null = own.null()
+    names = null.fit.parametrisation.names
+    k = names.index("exciter.resistance_ohm")
+    assert null.fit.theta[k] == pytest.approx(np.log(1.04) / 0.03, abs=4.0 * null.fit.std[k])
+    assert null.fit.chi_square / null.fit.used.sum() == pytest.approx(1.0, abs=0.15)
+    for single in own.singles(null, own.scan(null)):
+        assert single.fit.log_evidence < null.fit.log_evidence + 3.0

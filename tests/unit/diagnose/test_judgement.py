@@ -1,0 +1,100 @@
+"""From fits to probabilities, on fits of linear models whose evidences are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from unit.diagnose.linear_problem import FunctionModel, Plain, evidence_of
+from unit.diagnose.twin_tests import chain
+
+from nmt_diagnose.effects.effect import Candidate, Placement
+from nmt_diagnose.effects.library import effect_named
+from nmt_diagnose.inference.confidence import confidence
+from nmt_diagnose.inference.contest import Contender
+from nmt_diagnose.inference.fit import fit
+from nmt_diagnose.inference.generic_source import SourceScore
+from nmt_diagnose.inference.judgement import Judgement, judge
+from nmt_diagnose.inference.problem import Problem
+
+RIG = chain()
+CUBIC = Candidate(effect_named("cubic_stiffness"), Placement("2", {"k": 1.0}, 2))
+QUINTIC = Candidate(effect_named("quintic_stiffness"), Placement("2", {"k": 1.0}, 2))
+DRAG = Candidate(effect_named("air_drag"), Placement("1", {"c2": 1.0}, 1))
+LIBRARY = (CUBIC, QUINTIC, DRAG)
+ROWS = 50
+_generator = np.random.default_rng(11)
+A = _generator.standard_normal(ROWS)
+A *= 8.0 / np.linalg.norm(A)
+B = _generator.standard_normal(ROWS)
+B -= A * (A @ B) / (A @ A)
+B *= 8.0 / np.linalg.norm(B)
+NOISE = _generator.standard_normal(ROWS)
+
+
+def contender(measured: np.ndarray, *explained: tuple[Candidate, np.ndarray]) -> Contender:
+    """The fit of an explanation with one column per effect."""
+    matrix = np.column_stack([column for _, column in explained]) if explained else np.zeros((ROWS, 0))
+    plain = Plain.of(len(explained), 3.0)
+    problem = Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: matrix @ t))
+    return Contender(tuple(c for c, _ in explained), fit(problem, plain, np.zeros(len(explained))))
+
+
+def judged(measured: np.ndarray, temperature: float = 1.0, sources: tuple[SourceScore, ...] = ()) -> Judgement:
+    near = A + 0.02 * B
+    singles = [contender(measured, (CUBIC, A)), contender(measured, (QUINTIC, near)), contender(measured, (DRAG, B))]
+    singles.sort(key=lambda item: -item.fit.log_evidence)
+    pairs = [contender(measured, (CUBIC, A), (QUINTIC, near))]
+    settings = replace(confidence(), temperature=temperature, equivalence=3.0)
+    return judge(contender(measured), singles, pairs, sources, (), LIBRARY, RIG, settings)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.3, 1.0, 3.0])
+def test_probabilities_sum_to_one(size: float) -> None:
+    source = SourceScore("joint", "joint", 2.0, 9.0, 2.0)
+    found = judged(size * A + NOISE, sources=(source,))
+    assert found.none + found.unknown + sum(group.probability for group in found.classes) == pytest.approx(1.0)
+    assert sum(found.by_label.values()) == pytest.approx(1.0)
+    assert sum(found.places.values()) == pytest.approx(1.0)
+    assert found.unknown > 0.0
+
+
+def test_what_looks_alike_is_one_class_and_more_of_the_same_is_no_member() -> None:
+    found = judged(2.0 * A + NOISE)
+    first = found.classes[0]
+    assert set(first.effects) == {("cubic_stiffness",), ("quintic_stiffness",)}
+    pair = found.by_label["cubic_stiffness@2 + quintic_stiffness@2"]
+    single = found.by_label["cubic_stiffness@2"] + found.by_label["quintic_stiffness@2"]
+    assert first.probability == pytest.approx(pair + single)
+    assert first.probability > 0.95
+    assert next(iter(found.places)) == ("structure", "2")
+
+
+def test_noise_is_none_and_an_effect_is_one() -> None:
+    assert judged(NOISE).none > 0.5
+    assert judged(NOISE).log_odds < 0.0
+    found = judged(2.0 * B + NOISE)
+    assert found.classes[0].effects == (("air_drag",),)
+    assert found.classes[0].probability > 0.99
+    assert found.log_odds > 50.0
+
+
+def test_a_source_that_explains_more_than_all_names_is_unknown() -> None:
+    measured = 0.5 * A + NOISE
+    plain = judged(measured)
+    best = max(np.log(plain.by_label[name] / plain.none) for name in plain.by_label if "@" in name)
+    found = judged(measured, sources=(SourceScore("joint", "joint", best + 20.0, 60.0, 3.0),))
+    assert found.unknown > 0.99
+    assert next(iter(found.places)) == ("joint", "joint")
+    assert found.unknown_odds > 10.0
+
+
+def test_a_temperature_divides_the_evidence_and_leaves_the_priors() -> None:
+    measured = 0.7 * A + NOISE
+    cold, warm = judged(measured), judged(measured, temperature=4.0)
+    # Both explanations have one prior, so the ratio of their probabilities is that of their evidences.
+    ratio = [np.log(found.by_label["cubic_stiffness@2"] / found.by_label["air_drag@1"]) for found in (cold, warm)]
+    assert ratio[0] > 2.0
+    assert ratio[1] == pytest.approx(0.25 * ratio[0])
+    assert warm.log_odds == pytest.approx(cold.log_odds)

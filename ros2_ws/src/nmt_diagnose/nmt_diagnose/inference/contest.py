@@ -142,6 +142,22 @@ class Contest:
     def _used(self, rows: BoolArray | None) -> BoolArray | None:
         return self.rows if rows is None else rows
 
+    def restarted(self, null: Contender, others: Sequence[Contender]) -> Contender:
+        """The model without effect fitted again from where the best others stand, if that is better.
+
+        Far from the model as given the first fit may stop in a fold of its own; then anything else looks better.
+        """
+        best = null
+        for other in others:
+            start = other.fit.theta[: len(self.calibration)]
+            try:
+                found = fit(self.problem, null.fit.parametrisation, start, None, other.fit.prediction)
+            except FitError:
+                continue
+            if found.log_evidence > best.fit.log_evidence + 0.5:
+                best = Contender((), found)
+        return best
+
     def scan(self, base: Contender) -> list[Score]:
         """Score all candidates on top of a contender, best first.
 

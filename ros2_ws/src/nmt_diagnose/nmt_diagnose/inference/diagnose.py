@@ -51,6 +51,7 @@ from nmt_plant.rig import Rig, load_rig
 Progress = Callable[[str], None]
 _RANKED = 8
 _JUDGED = 3
+_HELPS = 2.0
 
 
 @dataclass(frozen=True)
@@ -160,12 +161,20 @@ class _Diagnoser:
         self.progress(f"scanning {len(self.candidates)} candidates")
         scan = self.contest.scan(null)
         singles = self.contest.singles(null, scan)
+        better = self.contest.restarted(null, singles[:2])
+        if better is not null:
+            self.progress("starting anew from a better fit of the model")
+            null = better
+            scan = self.contest.scan(null)
+            singles = self.contest.singles(null, scan)
         pairs = self.contest.pairs(singles)
         self.progress("weighing the explanations")
         rig = null.fit.parametrisation.rig(null.fit.theta)
         found = places(self.forward, rig, cast(Prediction, null.fit.prediction), self.problem)
         sources = generic_sources(null.fit, found)
-        leftovers = generic_sources(singles[0].fit, found) if singles else []
+        # On top of an explanation that does not beat the plain model there is nothing to look for.
+        helps = bool(singles) and singles[0].fit.log_evidence > null.fit.log_evidence + _HELPS
+        leftovers = generic_sources(singles[0].fit, found) if helps else []
         judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.rig, self.confidence)
         as_given = self.problem.residual(given)
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])

@@ -239,6 +239,8 @@ class Contest:
             result = fit(self.problem, parametrisation, theta, self._used(used), prediction, jacobian, exact=False)
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
             return None  # no rig, or no solution, at the start
+        if used is None and np.any(base.fit.used & ~result.used):
+            return None  # with rows left out that the others have to explain no evidence compares
         return Contender((*base.candidates, candidate), result, score)
 
     def polished(self, contender: Contender) -> Contender:

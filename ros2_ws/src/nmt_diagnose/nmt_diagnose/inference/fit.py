@@ -52,6 +52,21 @@ class Fit:
         return result
 
     @property
+    def settled_residual(self) -> FloatArray:
+        """Whitened residual of the used rows after the last linear step to the optimum, shape (used,).
+
+        A fit ends where a step is not worth its cost. What is left of the gradient then is no evidence: a direction
+        that the parameters imitate nearly would pass for one.
+        """
+        rows, std = self.used, self.parametrisation.prior_std
+        jacobian = self.jacobian[rows]
+        gradient = jacobian.T @ self.residual[rows] - self.theta / std**2
+        normal = jacobian.T @ jacobian + np.diag(std**-2.0)
+        step = _bounded_step(normal, gradient, 0.0, self.theta, self.parametrisation.lower)
+        result: FloatArray = self.residual[rows] - jacobian @ step
+        return result
+
+    @property
     def predictive_std(self) -> FloatArray:
         """Standard deviation of a whitened residual that was not fitted: noise (1) and what the estimate leaves open.
 

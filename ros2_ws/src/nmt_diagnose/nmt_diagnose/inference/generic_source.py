@@ -63,7 +63,7 @@ def source_score(fit: Fit, columns: FloatArray, place: str, detail: str) -> Sour
     matrix, chosen = matrix / size**2, chosen / size
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     values = np.maximum(values, 0.0)
-    along = (vectors.T @ (chosen.T @ fit.residual[rows])) ** 2
+    along = (vectors.T @ (chosen.T @ fit.settled_residual)) ** 2
     keep = values > 1e-9 * values.max(initial=0.0)
     values, along = values[keep], along[keep]
     shrunk = values[None, :] + _SIZES[:, None] ** -2.0

@@ -14,6 +14,8 @@ from nmt_diagnose.inference.gap import Closed, closed, noise_floor
 from nmt_diagnose.inference.held_out import Split
 from nmt_diagnose.inference.problem import BoolArray
 
+_TOLD = 2.0
+
 Refits = tuple[Split, Contender, Mapping[str, Contender | None]]
 
 
@@ -46,12 +48,20 @@ class HeldOut:
             label: of the explanation.
             start: residual to start from, shape (m,); None = of the model without effect, re-fitted to each split.
         """
-        pairs = []
+        pairs: list[tuple[FloatArray, FloatArray, BoolArray]] = []
+        undetermined: list[tuple[FloatArray, FloatArray, BoolArray]] = []
         for (split, base, tops), scale in zip(self._refits, self._scale, strict=True):
             top = base if label == base.label else tops.get(label)
-            if top is not None:
-                before = base.fit.residual if start is None else start
-                pairs.append((before / scale, top.fit.residual / scale, split.held_out))
+            if top is None:
+                continue
+            before = base.fit.residual if start is None else start
+            # A prediction is judged by what noise and its own open parameters leave of it.
+            own = scale if top is base else np.maximum(scale, top.fit.predictive_std)
+            pair = (before / scale, top.fit.residual / own, split.held_out)
+            told = not top.candidates or top.sigmas >= _TOLD
+            (pairs if told else undetermined).append(pair)
+        # Without the test that shows an effect nothing can be predicted of it; such splits count only alone.
+        pairs = pairs or undetermined
         return closed(self._evidence, pairs, self._seed, self.floor)
 
     def pooled(

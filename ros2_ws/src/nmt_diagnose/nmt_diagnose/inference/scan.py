@@ -89,7 +89,7 @@ def scores(fit: Fit, directions: Sequence[Direction]) -> list[Score]:
     rows = fit.used
     projector = Projector(fit.jacobian[rows], fit.parametrisation.prior_std)
     # The prior pulls the parameters too; at the estimate residual and pull balance: the residual alone is the score.
-    residual = fit.residual[rows]
+    residual = fit.settled_residual
     columns = np.column_stack([direction.column[rows] for direction in directions])
     columns = np.where(np.isfinite(columns), columns, 0.0)
     along = columns.T @ residual

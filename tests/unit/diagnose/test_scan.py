@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -28,6 +30,32 @@ def test_score_equals_a_refit_with_the_effect():
     assert score.gain == pytest.approx(fall, rel=1e-3)
     assert score.strength == pytest.approx(full.theta[4], rel=1e-3)
     assert score.sigmas == pytest.approx(full.theta[4] / full.std[4], rel=1e-3)
+
+
+def test_a_fit_that_stopped_short_scores_as_one_that_did_not():
+    calibration, effect, _, null = _setting()
+    likeness = calibration[:, 0] + 1e-3 * effect
+    directions = [Direction(0, np.zeros(1), effect, True), Direction(1, np.zeros(1), 300.0 * likeness, True)]
+    short = 0.05 * np.array([1.0, -0.5, 0.2, 0.7])
+    early = replace(null, theta=null.theta + short, residual=null.residual - calibration @ short)
+    whole, cut = ({s.direction.candidate: s for s in scores(item, directions)} for item in (null, early))
+    for k in range(2):
+        assert cut[k].gain == pytest.approx(whole[k].gain, rel=1e-6, abs=1e-6)
+    assert source_score(early, effect[:, None], "structure", "1").gain == pytest.approx(
+        source_score(null, effect[:, None], "structure", "1").gain, rel=1e-6
+    )
+
+
+def test_a_parameter_at_its_bound_stays_there():
+    generator = np.random.default_rng(12)
+    calibration, effect = generator.standard_normal((60, 2)), generator.standard_normal(60)
+    measured = -3.0 * calibration[:, 0] + generator.standard_normal(60)
+    plain = Plain(np.array([3.0, 3.0]), np.array([0.0, -np.inf]), ("strength", "b"))
+    bound = fit(Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: calibration @ t)), plain, np.zeros(2))
+    assert bound.theta[0] == 0.0
+    assert np.allclose(bound.settled_residual, bound.residual, atol=0.05)
+    (score,) = scores(bound, [Direction(0, np.zeros(1), effect, True)])
+    assert np.isfinite(score.gain)
 
 
 def test_what_the_calibration_imitates_scores_nothing_and_wrong_signs_are_refused():

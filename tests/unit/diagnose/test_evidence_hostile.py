@@ -206,6 +206,22 @@ def test_time_going_backwards(clean: Path, tmp_path: Path) -> None:
     assert [level.index for level in kept.levels] == [0, 2, 3]
 
 
+def test_a_clock_that_is_set_back_spoils_all_that_follows(clean: Path, tmp_path: Path) -> None:
+    test = read_evidence([clean], RIG).tests[0]
+    assert isinstance(test, PhaseResonanceTest)
+    turn = int(test.levels[1].stop_s * RIG.sample_rate_hz) + 4000
+
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        late = block.first_sample >= turn
+        yield dataclasses.replace(block, first_sample=block.first_sample - 3000) if late else block
+
+    evidence = read_evidence([altered(clean, tmp_path / "back", change)], RIG)
+    said(evidence, "Level 2", "backwards")
+    kept = evidence.tests[0]
+    assert isinstance(kept, PhaseResonanceTest)
+    assert [level.index for level in kept.levels] == [0, 1]
+
+
 def test_a_gap_spoils_its_window_only(clean: Path, tmp_path: Path) -> None:
     test = read_evidence([clean], RIG).tests[0]
     assert isinstance(test, PhaseResonanceTest)

@@ -102,9 +102,11 @@ def read_stretches(bag: Bag, stretches: Sequence[tuple[int, int]]) -> list[Stret
     clock_topic = next((name for name in ("force", *names) if name in names), "")
     collectors = [_Collector(first, samples) for first, samples in stretches]
     clock = _Clock()
+    turns = {name: _Turns() for name in names}
     for topic, _, _, raw in bag.raw_messages(names) if names else ():
         try:
             extent = peek_block(raw)
+            turns[topic].add(extent.first_sample, extent.end_sample)
             wanted = [c for c in collectors if extent.end_sample > c.first and extent.first_sample < c.end]
             if not wanted and topic != clock_topic:
                 continue
@@ -115,7 +117,33 @@ def read_stretches(bag: Bag, stretches: Sequence[tuple[int, int]]) -> list[Stret
             clock.add(block)
         for collector in wanted:
             collector.add(topic, block)
+    for topic, own in turns.items():
+        for collector in collectors:
+            if own.turned_at is not None and collector.end > own.back_to:
+                collector.spoil(topic, f"time runs backwards at sample {own.turned_at}, to {own.back_to}")
     return [collector.stretch(clock) for collector in collectors]
+
+
+@dataclass
+class _Turns:
+    """Looks for a clock that is set back and goes on from there: samples after that are not where events say.
+
+    A single block out of order is left to the window that it touches.
+    """
+
+    reached: int = -1
+    end: int = -1
+    turned_at: int | None = None
+    back_to: int = 0
+    _pending: tuple[int, int] | None = None
+
+    def add(self, first: int, end: int) -> None:
+        """The next block of the topic, in the order of recording."""
+        if self.turned_at is None:
+            if self._pending is not None and first == self.end:
+                self.turned_at, self.back_to = self._pending
+            self._pending = (self.reached, first) if first < self.reached else None
+        self.reached, self.end = max(self.reached, end), end
 
 
 @dataclass
@@ -148,6 +176,11 @@ class _Collector:
             self._topics[topic] = _TopicSamples(topic, block, self.first, self.samples)
         self._topics[topic].add(block)
         self.flags |= block.flags
+
+    def spoil(self, topic: str, why: str) -> None:
+        """Nothing of a topic can be used."""
+        if topic in self._topics:
+            self._topics[topic].spoil(why)
 
     def stretch(self, clock: _Clock) -> Stretch | None:
         parts = list(self._topics.values())
@@ -219,6 +252,9 @@ class _TopicSamples:
         self._phases.append((start, block.samples, block.oscillator))
         if block.flags & (BlockFlag.LIMIT | BlockFlag.WATCHDOG):
             self._problem = self._problem or f"limit or watchdog had tripped at sample {block.first_sample}"
+
+    def spoil(self, why: str) -> None:
+        self._problem = why
 
     def fault(self) -> str:
         return self._problem

@@ -37,7 +37,7 @@ class Floors:
     """
 
     log_frequency: float = 2e-6
-    phase_error: float = 8e-4
+    phase_error: float = 1.5e-3
     log_magnitude: float = 5e-5
     force_log_magnitude: float = 2e-4
     phase: float = 3e-5

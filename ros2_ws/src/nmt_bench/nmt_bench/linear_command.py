@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nmt_bench.bench_options import add_pacing_option, add_process_options, add_rig_options
 from nmt_bench.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
@@ -77,26 +78,9 @@ def add_parser(subparsers: Subparsers) -> None:
         default="model",
         help="what the report compares with; linear.json never uses it (default: the rig's model)",
     )
-    parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
-    parser.add_argument("--seed", metavar="N", type=int, help="seed of all noise (default: the rig's)")
-    parser.add_argument(
-        "--set",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
-        help="change a value of the rig file; may be repeated",
-    )
-    parser.add_argument(
-        "--pacing",
-        choices=("lockstep", "realtime"),
-        default="lockstep",
-        help="lockstep: simulated, as fast as the machine goes; realtime: by the clock (default: lockstep)",
-    )
-    parser.add_argument(
-        "--one-process", action="store_true", help="all nodes in one process instead of one process each"
-    )
-    parser.add_argument("--domain", metavar="N", type=int, help="ROS domain, 1 to 100 (default: a free one)")
-    parser.add_argument("--quiet", action="store_true", help="no progress display")
+    add_rig_options(parser)
+    add_pacing_option(parser)
+    add_process_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

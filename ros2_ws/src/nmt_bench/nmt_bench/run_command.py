@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nmt_bench.bench_options import add_latency_option, add_pacing_option, add_process_options, add_rig_options
 from nmt_bench.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
 
@@ -37,7 +38,6 @@ def add_parser(subparsers: Subparsers) -> None:
     )
     parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
     add_output_options(parser, "bag/, modal.csv, modal.json, report.html, rig.yaml, run.json")
-    parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
     parser.add_argument(
         "--linear",
         metavar="FILE",
@@ -83,33 +83,15 @@ def add_parser(subparsers: Subparsers) -> None:
         choices=("adaptive", "paper"),
         help="phase-locked loop: adaptive filter with guard band, or the paper's (default: the rig's, else adaptive)",
     )
-    parser.add_argument(
-        "--pacing",
-        choices=("lockstep", "realtime"),
-        default="lockstep",
-        help="lockstep: simulated, as fast as the machine goes; realtime: by the clock (default: lockstep)",
-    )
-    parser.add_argument(
-        "--latency-blocks", metavar="N", type=int, default=0, help="blocks of converter buffering (default: 0)"
-    )
-    parser.add_argument("--seed", metavar="N", type=int, help="seed of all noise (default: the rig's)")
-    parser.add_argument(
-        "--set",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
-        help="change a value of the rig file, for example local_elements.0.slip_force_n=2; may be repeated",
-    )
-    parser.add_argument(
-        "--one-process", action="store_true", help="all nodes in one process instead of one process each"
-    )
+    add_pacing_option(parser)
+    add_latency_option(parser)
+    add_rig_options(parser, "local_elements.0.slip_force_n=2")
     parser.add_argument(
         "--reference",
         metavar="FILE",
         help="reference.csv to compare with; 'none' for no comparison (default: computed from the rig's model)",
     )
-    parser.add_argument("--domain", metavar="N", type=int, help="ROS domain, 1 to 100 (default: a free one)")
-    parser.add_argument("--quiet", action="store_true", help="no progress display")
+    add_process_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nmt_bench.bench_options import add_latency_option, add_pacing_option, add_process_options, add_rig_options
 from nmt_bench.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
 
@@ -68,33 +69,14 @@ def add_parser(subparsers: Subparsers) -> None:
         "--periods", metavar="N", type=int, help="--stepped: whole periods a window (default: the rig's)"
     )
     parser.add_argument("--ramp", metavar="S", type=float, help="half-cosine to the amplitude, s (default: the rig's)")
-    parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
-    parser.add_argument("--seed", metavar="N", type=int, help="seed of all noise (default: the rig's)")
-    parser.add_argument(
-        "--set",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
-        help="change a value of the rig file, for example test.ramp_s=1; may be repeated",
-    )
-    parser.add_argument(
-        "--pacing",
-        choices=("lockstep", "realtime"),
-        default="lockstep",
-        help="lockstep: simulated, as fast as the machine goes; realtime: by the clock (default: lockstep)",
-    )
-    parser.add_argument(
-        "--latency-blocks", metavar="N", type=int, default=0, help="blocks of converter buffering (default: 0)"
-    )
+    add_rig_options(parser, "test.ramp_s=1")
+    add_pacing_option(parser)
+    add_latency_option(parser)
     parser.add_argument("--points", metavar="N", type=int, default=400, help="frequencies of frf.csv (default: 400)")
     parser.add_argument(
         "--reference", choices=("model", "none"), default="model", help="what to compare with (default: the model)"
     )
-    parser.add_argument(
-        "--one-process", action="store_true", help="all nodes in one process instead of one process each"
-    )
-    parser.add_argument("--domain", metavar="N", type=int, help="ROS domain, 1 to 100 (default: a free one)")
-    parser.add_argument("--quiet", action="store_true", help="no progress display")
+    add_process_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -12,10 +12,10 @@ import numpy as np
 from numba import njit
 
 from nmt_core.blocks import FloatArray
-from nmt_plant.model.aft import LocalTables, local_forces
+from nmt_plant.model.aft import LocalTables
 
 from .linear_model import ComplexArray, transfer_at
-from .periodic_kernel import factor_forces
+from .periodic_kernel import harmonic_forces
 
 
 @njit(cache=True)
@@ -49,28 +49,8 @@ def evaluate_decay(
     local = r * size
     nz = local + 2
     omega, ratio = z[local], z[local + 1]
-    elements = tables[4].size - 1
     displacement = z[:local].copy().reshape(r, size)
-    g = np.zeros((r, size))
-    dg = np.zeros((r, size, local))
-    g_omega = np.zeros((r, size))
-    force, derivative, by_frequency = local_forces(displacement[:elements], omega, tables)
-    for i in range(elements):
-        g[i] = force[i]
-        g_omega[i] = by_frequency[i]
-        for a in range(size):
-            for b in range(size):
-                dg[i, a, i * size + b] = derivative[i, a, b]
-    if r > elements:
-        pair, pair_derivative, pair_frequency = factor_forces(
-            displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables[10], tables[11]
-        )
-        for i in range(2):
-            g[r - 2 + i] = pair[i]
-            g_omega[r - 2 + i] = pair_frequency[i]
-            for a in range(size):
-                for b in range(2 * size):
-                    dg[r - 2 + i, a, (r - 2) * size + b] = pair_derivative[i, a, b]
+    g, dg, g_omega = harmonic_forces(displacement, omega, factor, tables)
     residual = np.zeros(nz)
     jacobian = np.zeros((nz, nz))
     column = np.zeros(nz, dtype=np.complex128)

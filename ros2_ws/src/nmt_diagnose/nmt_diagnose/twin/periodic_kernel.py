@@ -79,6 +79,46 @@ def factor_forces(
 
 
 @njit(cache=True)
+def harmonic_forces(
+    displacement: FloatArray, omega: float, factor: FloatArray, tables: LocalTables
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Forces of all local coordinates: local elements first, then the nonlinear force factor if there is one.
+
+    Args:
+        displacement: (r, size) real Fourier coefficients of the coordinates.
+        omega: rad/s.
+        factor: G, G b₁, G b₂.
+        tables: local elements, for the kernels of nmt_plant.
+
+    Returns:
+        Coefficients (r, size), and their derivatives by all coefficients (r, size, r · size) and by ω (r, size).
+    """
+    r, size = displacement.shape
+    elements = tables[4].size - 1
+    g = np.zeros((r, size))
+    dg = np.zeros((r, size, r * size))
+    g_omega = np.zeros((r, size))
+    force, derivative, by_frequency = local_forces(displacement[:elements], omega, tables)
+    for i in range(elements):
+        g[i] = force[i]
+        g_omega[i] = by_frequency[i]
+        for a in range(size):
+            for b in range(size):
+                dg[i, a, i * size + b] = derivative[i, a, b]
+    if r > elements:
+        pair, pair_derivative, pair_frequency = factor_forces(
+            displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables[10], tables[11]
+        )
+        for i in range(2):
+            g[r - 2 + i] = pair[i]
+            g_omega[r - 2 + i] = pair_frequency[i]
+            for a in range(size):
+                for b in range(2 * size):
+                    dg[r - 2 + i, a, (r - 2) * size + b] = pair_derivative[i, a, b]
+    return g, dg, g_omega
+
+
+@njit(cache=True)
 def evaluate(
     z: FloatArray,
     given: int,
@@ -122,29 +162,8 @@ def evaluate(
     omega = z[local]
     amplitude = np.exp(z[local + 1])
 
-    elements = tables[4].size - 1
     displacement = z[:local].copy().reshape(r, size)
-    g = np.zeros((r, size))
-    dg = np.zeros((r, size, local))
-    g_omega = np.zeros((r, size))
-    force, derivative, by_frequency = local_forces(displacement[:elements], omega, tables)
-    for i in range(elements):
-        g[i] = force[i]
-        g_omega[i] = by_frequency[i]
-        for a in range(size):
-            for b in range(size):
-                dg[i, a, i * size + b] = derivative[i, a, b]
-    if r > elements:
-        pair, pair_derivative, pair_frequency = factor_forces(
-            displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables[10], tables[11]
-        )
-        for i in range(2):
-            g[r - 2 + i] = pair[i]
-            g_omega[r - 2 + i] = pair_frequency[i]
-            for a in range(size):
-                for b in range(2 * size):
-                    dg[r - 2 + i, a, (r - 2) * size + b] = pair_derivative[i, a, b]
-
+    g, dg, g_omega = harmonic_forces(displacement, omega, factor, tables)
     residual = np.zeros(nz)
     jacobian = np.zeros((nz, nz))
     measured = np.zeros((c, count), dtype=np.complex128)

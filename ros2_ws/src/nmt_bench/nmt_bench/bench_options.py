@@ -1,0 +1,48 @@
+"""Options that every command which starts the bench's nodes has."""
+
+from __future__ import annotations
+
+import argparse
+
+_SET_HELP = "change a value of the rig file{example}; may be repeated"
+
+
+def add_rig_options(parser: argparse.ArgumentParser, example: str = "") -> None:
+    """``--exciter``, ``--seed`` and ``--set``: what is changed of the rig.
+
+    Args:
+        parser: of the command.
+        example: for the help of ``--set``, key=value.
+    """
+    parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
+    parser.add_argument("--seed", metavar="N", type=int, help="seed of all noise (default: the rig's)")
+    shown = f", for example {example}" if example else ""
+    parser.add_argument(
+        "--set", metavar="KEY=VALUE", action="append", default=[], help=_SET_HELP.format(example=shown)
+    )
+
+
+def add_pacing_option(parser: argparse.ArgumentParser) -> None:
+    """``--pacing``."""
+    parser.add_argument(
+        "--pacing",
+        choices=("lockstep", "realtime"),
+        default="lockstep",
+        help="lockstep: simulated, as fast as the machine goes; realtime: by the clock (default: lockstep)",
+    )
+
+
+def add_latency_option(parser: argparse.ArgumentParser) -> None:
+    """``--latency-blocks``."""
+    parser.add_argument(
+        "--latency-blocks", metavar="N", type=int, default=0, help="blocks of converter buffering (default: 0)"
+    )
+
+
+def add_process_options(parser: argparse.ArgumentParser) -> None:
+    """``--one-process``, ``--domain`` and ``--quiet``: how the nodes are started and watched."""
+    parser.add_argument(
+        "--one-process", action="store_true", help="all nodes in one process instead of one process each"
+    )
+    parser.add_argument("--domain", metavar="N", type=int, help="ROS domain, 1 to 100 (default: a free one)")
+    parser.add_argument("--quiet", action="store_true", help="no progress display")

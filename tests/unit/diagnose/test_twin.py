@@ -135,6 +135,25 @@ def test_random_responses_are_the_smoothed_ones_of_the_sticking_system(name, ref
         np.testing.assert_allclose(np.exp(values[line, :, 0] + 1j * values[line, :, 1]), top / bottom, rtol=3e-7)
 
 
+def test_at_rest_a_gap_is_open_and_a_preloaded_stop_closed():
+    """Against the plant's linear system with a spring where the preloaded stop is."""
+    elements = [
+        {"kind": "two_sided_gap", "point": 1, "stiffness_n_m": 5e3, "gap_m": 1e-3},
+        {"kind": "unilateral_stop", "point": 1, "stiffness_n_m": 5e3, "gap_m": 1e-3},
+        {"kind": "unilateral_stop", "point": 2, "stiffness_n_m": 7e3, "gap_m": -1e-3},
+    ]
+    rig = chain(local_elements=elements)
+    system = build_system(chain(local_elements=[{"kind": "linear_spring", "point": 2, "stiffness_n_m": 7e3}]))
+    test, table = noise_test(rig, 5.0, 100.0, 30, window="none")
+    values = Forward([test], rows_of(table), PLAIN).predict(rig).values
+    own = values.reshape(test.lines_hz.size, len(test.channels), 2)
+    row = next(k for k, channel in enumerate(test.channels) if channel.name == "x1")
+    for line, hz in enumerate(test.lines_hz):
+        q, _ = system.response(2 * np.pi * hz)
+        expected = q[system.points[1]]
+        assert np.exp(own[line, row, 0] + 1j * own[line, row, 1]) == pytest.approx(expected, rel=1e-6)
+
+
 def test_a_refined_mesh_moves_high_modes_only():
     rig = load_rig("beam")
     test, table = noise_test(rig, 5.0, 500.0, 40, window="none")

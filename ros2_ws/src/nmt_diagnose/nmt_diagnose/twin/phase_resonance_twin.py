@@ -488,8 +488,9 @@ def resting_tangent(parts: RigParts, s: complex) -> ComplexArray:
     jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = tables[3:10]
     for i in range(jenkins_start.size - 1):
         result[i] += jenkins[jenkins_start[i] : jenkins_start[i + 1], 0].sum()
-        for stiffness, gap, side in contacts[contacts_start[i] : contacts_start[i + 1]]:
-            result[i] += stiffness if side * gap < 0.0 else 0.0
+        for stiffness, gap, _side in contacts[contacts_start[i] : contacts_start[i + 1]]:
+            # A gap is counted towards its stop, whatever the side: only a preloaded stop is closed at rest.
+            result[i] += stiffness if gap < 0.0 else 0.0
         for kind, p in zip(
             kinds[sampled_start[i] : sampled_start[i + 1]],
             parameters[sampled_start[i] : sampled_start[i + 1]],

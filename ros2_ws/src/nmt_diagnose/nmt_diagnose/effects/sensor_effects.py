@@ -12,6 +12,7 @@ from .operating_range import OperatingRange
 from .rig_edit import value_at, with_value
 
 RESPONSES = ("displacement", "velocity", "acceleration")
+MAINS_HZ = (50.0, 60.0)
 MEASUREMENT = "Ewins, Modal Testing (2000)"
 Change = Callable[[Rig, Placement, Mapping[str, float]], Rig]
 
@@ -110,6 +111,25 @@ def _with_lsb(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Ri
     bits = 20
     changed = sensor.model_copy(update={"bits": bits, "range": values["lsb"] * 2.0 ** (bits - 1)})
     return with_value(rig, ("sensors", placement.index), changed)
+
+
+def _hum_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+    found = []
+    for index, sensor, channel in _sensors(rig, (*RESPONSES, "force")):
+        for hz in MAINS_HZ:
+            # A sensor has one line.
+            if sensor.hum_amplitude == 0.0 or sensor.hum_hz == hz:
+                label = channel if hz == MAINS_HZ[0] else f"{channel} at {hz:g} Hz"
+                scale = {"amplitude": 0.01 * operating.channels_low.get(channel, 1.0)}
+                point = rig.sensor_point(sensor)
+                found.append(Placement(label, scale, point, index=index, option=f"{hz:g}", channel=channel))
+    return tuple(found)
+
+
+def _with_hum(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+    sensor = rig.sensors[placement.index]
+    changes = {"hum_amplitude": sensor.hum_amplitude + values["amplitude"], "hum_hz": float(placement.option)}
+    return with_value(rig, ("sensors", placement.index), sensor.model_copy(update=changes))
 
 
 def _high_pass(sensor: SensorSection, values: Mapping[str, float]) -> float:
@@ -214,10 +234,10 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         parameters=(EffectParameter("lsb", "channel", grid=(0.3, 1.0, 1.8)),),
         placements=_limit_placements(low=True), change=_with_lsb,
     ),
-    _chain_effect(
-        "mains_hum", "y + A cos(2π 50 t)", EffectParameter("amplitude", "channel"), "hum_amplitude",
-        lambda sensor, values: sensor.hum_amplitude + values["amplitude"],
-        lambda operating, channel: 0.01 * operating.channels_low.get(channel, 1.0),
+    Effect(
+        name="mains_hum", place="response_sensor", equation="y + A cos(2π 50 t), or 60", reference=MEASUREMENT,
+        keys="sensors.hum_amplitude, sensors.hum_hz", parameters=(EffectParameter("amplitude", "channel"),),
+        placements=_hum_placements, change=_with_hum,
     ),
     Effect(
         name="clock_error", place="response_sensor", equation="f (1 + e)", keys="clock_error",

@@ -137,6 +137,8 @@ def _keys(evidence: Evidence) -> list[tuple[object, ...]]:
             channel = getattr(own[rows.channel[index]], "name", "")
         if isinstance(test, RandomTest):
             place: object = round(float(rows.frequency_hz[index]), 6)
+        elif rows.part[index] == Part.LINE:
+            place = int(rows.level[index]), round(float(rows.frequency_hz[index]), 6)
         elif isinstance(test, PhaseResonanceTest | RingDownTest):
             place = int(rows.level[index])
         else:

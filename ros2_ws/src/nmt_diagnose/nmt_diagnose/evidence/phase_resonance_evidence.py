@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,11 +15,13 @@ from nmt_core.test_kind import TestKind
 from nmt_diagnose.evidence.bag_samples import Stretch
 from nmt_diagnose.evidence.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.evidence.drive_hold import hold_factor, image_responses
+from nmt_diagnose.evidence.floors import Floors
 from nmt_diagnose.evidence.model_view import ModelView
 from nmt_diagnose.evidence.moderated_variance import moderated
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.row_table import Place, RowTable, empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
+from nmt_diagnose.evidence.spectral_lines import MAINS_HZ, Line, mains_line
 from nmt_extract.harmonics import (
     resolvable_harmonics,
     segment_moments,
@@ -37,6 +39,9 @@ _RESPONSES = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
 # A drift over the window that its noise makes once in 16 000 windows.
 _SIGNIFICANT_DRIFT = 4.0
 _FURTHEST_PHASE = math.radians(60.0)
+# The line of the mains that is observed in any case; the other one only where it stands out by so many deviations.
+_COMMON_MAINS = MAINS_HZ[0]
+_STANDS_OUT = 6.0
 
 
 def wrapped(angle: FloatArray) -> FloatArray:
@@ -59,6 +64,7 @@ class LockedWindow:
         frequency_hz: mean excitation frequency, Hz.
         drive: drive voltage, V peak; NaN where it is not known.
         referenced: whether phases refer to the drive; else to the force.
+        mains: lines of the mains by frequency, Hz, their channels as in ``rows``; those that the window can tell.
     """
 
     segment: Segment
@@ -70,6 +76,7 @@ class LockedWindow:
     frequency_hz: float
     drive: float
     referenced: bool
+    mains: Mapping[float, Line]
 
     def row(self, name: str) -> int:
         """Index of a channel."""
@@ -136,7 +143,9 @@ def analyse_window(segment: Segment, stretch: Stretch, settings: EvidenceSetting
     if reference is not None:
         whole, without, single = (_turned(part, reference) for part in (whole, without, single))
     frequency = float(cycles[-1] - cycles[0]) / (used - 1) * stretch.sample_rate
-    return LockedWindow(segment, stretch, rows, whole, without, single, frequency, drive, referenced)
+    lines = {hz: mains_line(cycles, data, stretch.sample_rate, fitted, hz) for hz in MAINS_HZ}
+    mains = {hz: line for hz, line in lines.items() if line is not None}
+    return LockedWindow(segment, stretch, rows, whole, without, single, frequency, drive, referenced, mains)
 
 
 def _cycles(segment: Segment, stretch: Stretch, force: str) -> FloatArray:
@@ -306,7 +315,48 @@ def phase_resonance_evidence(
                 std = math.sqrt(cell.variance) / cell.scale
                 floor = floors.window(cell.part, quantity_of[cell.name], cell.harmonic)
                 table.add(cell.part, cell.value, std, floor, place, index_of[cell.name], cell.harmonic)
+    notes += _mains(name, kept, levels, present, recorded, held, floors, table)
     return table.evidence(test, notes)
+
+
+def _mains(
+    name: str,
+    windows: Sequence[LockedWindow],
+    levels: Sequence[LockedLevel],
+    present: Sequence[MeasuredChannel],
+    recorded: Mapping[str, str],
+    held: str,
+    floors: Floors,
+    table: RowTable,
+) -> list[str]:
+    """Add the lines of the mains to a table; sentences on those that stand out."""
+    notes = []
+    for number, channel in enumerate(present):
+        theirs = recorded[channel.name]
+        for hz in MAINS_HZ:
+            found = []
+            for index, window in enumerate(windows):
+                line = window.mains.get(hz)
+                if line is not None and theirs in window.rows:
+                    row = window.row(theirs)
+                    floor = floors.harmonic * float(abs(window.amplitudes[row, 1]))
+                    found.append((index, float(line.amplitudes[row]), float(line.std[row]), floor))
+            if not found:
+                continue
+            _, values, deviations, least = np.array(found).T
+            weights = 1.0 / (deviations**2 + least**2)
+            mean = float(weights @ values / weights.sum())
+            stands_out = mean * math.sqrt(float(weights.sum())) > _STANDS_OUT
+            if stands_out:
+                unit = channel.quantity.unit
+                notes.append(f"{name}: channel {channel.name} has a line of {mean:.3g} {unit} at {hz:g} Hz.")
+            if stands_out or hz == _COMMON_MAINS:
+                for index, value, std, floor in found:
+                    level = levels[index]
+                    amplitude = level.drive if held == "voltage" else level.force_n
+                    place = Place(index, 0.5 * (level.start_s + level.stop_s), hz, amplitude)
+                    table.add(Part.LINE, value, std, floor, place, number)
+    return notes
 
 
 def _response(stretch: Stretch, drive_point: int, wanted: Quantity | None) -> MeasuredChannel | None:

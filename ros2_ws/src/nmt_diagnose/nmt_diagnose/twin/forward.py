@@ -238,6 +238,10 @@ class Forward:
                 if isinstance(twin, PhaseResonanceTwin):
                     states = prediction.states[index]
                     own, labels = resonance_influence(twin, rig, cache, states, source, self.settings)
+                    # Lines follow no excitation: only an error of their own channel adds to them.
+                    own[twin.rows.part == Part.LINE] = 0.0
+                    lines, more = _line_sources(twin, states, source)
+                    own, labels = np.hstack((own, lines)), labels + more
                 else:
                     own, labels = random_influence(twin, rig, cache, source, self.settings)
             if shared and own.shape[1]:
@@ -265,6 +269,22 @@ class Forward:
         phases = np.isin(self.rows.part, (Part.PHASE, Part.PHASE_ERROR))
         result[phases] -= 2.0 * np.pi * np.round(result[phases] / (2.0 * np.pi))
         return result
+
+
+def _line_sources(twin: PhaseResonanceTwin, states: Sequence[Any], source: Source) -> tuple[FloatArray, list[str]]:
+    """Spectral lines of a channel, (rows of the test, levels): 1 % of its smallest fundamental, at each level."""
+    empty: tuple[FloatArray, list[str]] = np.zeros((len(twin.rows), 0)), []
+    if source.kind not in ("force_sensor", "response_sensor"):
+        return empty
+    channel = twin.force_row if source.kind == "force_sensor" else twin.own_row(source.index)
+    rows = [index for index in range(len(twin.test.channels)) if twin.own_row(index) == channel]
+    mine = (twin.rows.part == Part.LINE) & np.isin(twin.rows.channel, rows)
+    sizes = [float(abs(state.channels[channel, twin.basis.fundamental])) for state in states if state is not None]
+    levels = np.unique(twin.rows.level[mine])
+    if not levels.size or not sizes:
+        return empty
+    columns = np.stack([0.01 * min(sizes) * (mine & (twin.rows.level == level)) for level in levels], axis=1)
+    return columns, [f"{twin.test.name} level {level} order 1 line" for level in levels]
 
 
 def _shared(columns: FloatArray, labels: Sequence[str]) -> tuple[FloatArray, list[str]]:

@@ -48,7 +48,7 @@ def diagnosis(verdict: str, effect: str = "", p: float = 0.9, **more: Any) -> di
             {"label": "air_drag@4", "effect": "air_drag", "chi_square": 998.0, "parameters": 1, "rows": 1000},
             {"label": "microslip@3", "effect": "microslip", "chi_square": 996.0, "parameters": 3, "rows": 1000},
         ],
-        "features": {"log_odds": 10.0 if verdict in ("effect", "unknown") else -3.0, "scan:air_drag": 2.0},
+        "features": {"sign:log_odds": 10.0 if verdict in ("effect", "unknown") else -3.0, "scan:air_drag": 2.0},
         **more,
     }
 
@@ -161,8 +161,11 @@ def test_a_seal_is_opened_once(campaign: Path) -> None:
 
 def test_the_classifier_learns_from_development_cases_only(campaign: Path, tmp_path: Path) -> None:
     run_campaign(campaign, diagnose=fake)
-    with pytest.raises(BenchError, match="development cases only"):
+    with pytest.raises(BenchError, match="other cases only"):
         score_campaign(campaign, train=campaign)
+    other = shutil.copytree(campaign, tmp_path / "other")
+    with pytest.raises(BenchError, match="Only development cases"):
+        score_campaign(campaign, train=other)
 
 
 def case(kind: str, said: dict[str, Any], *effects: str, sigma: float = 8.0, shifted: bool = False) -> ScoredCase:

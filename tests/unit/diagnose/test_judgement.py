@@ -11,7 +11,8 @@ from unit.diagnose.twin_tests import chain
 
 from nmt_diagnose.effects.effect import Candidate, Placement
 from nmt_diagnose.effects.library import effect_named
-from nmt_diagnose.inference.confidence import confidence
+from nmt_diagnose.inference.confidence import RANGES, Confidence, Reliability, bounded
+from nmt_diagnose.inference.confidence import confidence as frozen
 from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.generic_source import SourceScore
@@ -31,6 +32,14 @@ B = _generator.standard_normal(ROWS)
 B -= A * (A @ B) / (A @ A)
 B *= 8.0 / np.linalg.norm(B)
 NOISE = _generator.standard_normal(ROWS)
+# Evidences and priors as they are: what the signs are worth is another matter.
+PLAIN = replace(
+    frozen(),
+    equivalence=3.0,
+    gap=Reliability(0.0, {"log_odds": 1.0}),
+    unnamed=Reliability(0.0, {"unknown_odds": 1.0}),
+    first=Reliability(0.0, {"margin": 1.0}),
+)
 
 
 def contender(measured: np.ndarray, *explained: tuple[Candidate, np.ndarray]) -> Contender:
@@ -41,20 +50,20 @@ def contender(measured: np.ndarray, *explained: tuple[Candidate, np.ndarray]) ->
     return Contender(tuple(c for c, _ in explained), fit(problem, plain, np.zeros(len(explained))))
 
 
-def judged(measured: np.ndarray, temperature: float = 1.0, sources: tuple[SourceScore, ...] = ()) -> Judgement:
+def judged(measured: np.ndarray, sources: tuple[SourceScore, ...] = (), confidence: Confidence = PLAIN) -> Judgement:
     near = A + 0.02 * B
     singles = [contender(measured, (CUBIC, A)), contender(measured, (QUINTIC, near)), contender(measured, (DRAG, B))]
     singles.sort(key=lambda item: -item.fit.log_evidence)
     pairs = [contender(measured, (CUBIC, A), (QUINTIC, near))]
-    settings = replace(confidence(), temperature=temperature, equivalence=3.0)
-    return judge(contender(measured), singles, pairs, sources, (), LIBRARY, RIG, settings)
+    return judge(contender(measured), singles, pairs, sources, (), LIBRARY, RIG, confidence)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.3, 1.0, 3.0])
 def test_probabilities_sum_to_one(size: float) -> None:
     source = SourceScore("joint", "joint", 2.0, 9.0, 2.0)
     found = judged(size * A + NOISE, sources=(source,))
-    assert found.none + found.unknown + sum(group.probability for group in found.classes) == pytest.approx(1.0)
+    named = sum(group.probability for group in found.classes)
+    assert found.none + found.unknown + named + found.by_label["other"] == pytest.approx(1.0)
     assert sum(found.by_label.values()) == pytest.approx(1.0)
     assert sum(found.places.values()) == pytest.approx(1.0)
     assert found.unknown > 0.0
@@ -83,18 +92,33 @@ def test_noise_is_none_and_an_effect_is_one() -> None:
 def test_a_source_that_explains_more_than_all_names_is_unknown() -> None:
     measured = 0.5 * A + NOISE
     plain = judged(measured)
-    best = max(np.log(plain.by_label[name] / plain.none) for name in plain.by_label if "@" in name)
-    found = judged(measured, sources=(SourceScore("joint", "joint", best + 20.0, 60.0, 3.0),))
+    found = judged(measured, sources=(SourceScore("joint", "joint", plain.log_odds + 20.0, 60.0, 3.0),))
     assert found.unknown > 0.99
     assert next(iter(found.places)) == ("joint", "joint")
-    assert found.unknown_odds > 10.0
+    assert found.signs["unknown_odds"] > 10.0
 
 
-def test_a_temperature_divides_the_evidence_and_leaves_the_priors() -> None:
-    measured = 0.7 * A + NOISE
-    cold, warm = judged(measured), judged(measured, temperature=4.0)
-    # Both explanations have one prior, so the ratio of their probabilities is that of their evidences.
-    ratio = [np.log(found.by_label["cubic_stiffness@2"] / found.by_label["air_drag@1"]) for found in (cold, warm)]
-    assert ratio[0] > 2.0
-    assert ratio[1] == pytest.approx(0.25 * ratio[0])
-    assert warm.log_odds == pytest.approx(cold.log_odds)
+def test_signs_beyond_what_was_seen_count_no_more() -> None:
+    low, high = RANGES["leftover"]
+    sign = Reliability(0.5, {"leftover": 2.0})
+    assert sign.probability({"leftover": high + 50.0}) == sign.probability({"leftover": high})
+    assert sign.probability({"leftover": -np.inf}) == sign.probability({"leftover": low})
+    assert bounded("leftover", float("nan")) == low
+    assert sign.probability({"leftover": 0.0}) == pytest.approx(1.0 / (1.0 + np.exp(-0.5)))
+
+
+def test_reliabilities_move_probability_between_none_named_and_unnamed() -> None:
+    measured = 0.5 * A + NOISE
+    source = (SourceScore("joint", "joint", 2.0, 9.0, 2.0),)
+    plain = judged(measured, source)
+    doubtful = judged(measured, source, replace(PLAIN, gap=Reliability(0.0, {}), unnamed=Reliability(0.0, {})))
+    assert doubtful.none == pytest.approx(0.5)
+    assert doubtful.unknown == pytest.approx(0.25)
+    assert doubtful.log_odds == plain.log_odds
+    assert doubtful.unknown_odds == pytest.approx(0.0, abs=1e-6)
+    # Among the named the order stays.
+    assert [c.effects for c in doubtful.classes] == [c.effects for c in plain.classes]
+    unsure = judged(measured, source, replace(PLAIN, first=Reliability(0.0, {})))
+    named = 1.0 - unsure.none - unsure.unknown
+    assert unsure.classes[0].probability == pytest.approx(0.5 * named)
+    assert all(c.probability <= unsure.classes[0].probability for c in unsure.classes)

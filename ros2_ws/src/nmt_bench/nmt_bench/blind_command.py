@@ -32,6 +32,7 @@ def add_parser(subparsers: Subparsers) -> None:
     _add_make(parts)
     _add_run(parts)
     _add_score(parts)
+    _add_calibrate(parts)
     _add_strengths(parts)
 
 
@@ -84,6 +85,14 @@ def _add_score(parts: Subparsers) -> None:
     )  # fmt: skip
 
 
+def _add_calibrate(parts: Subparsers) -> None:
+    part = parts.add_parser(
+        "calibrate", help="learn from diagnosed development campaigns how reliable the signs of a diagnosis are"
+    )
+    part.add_argument("campaigns", metavar="DIR", nargs="+", type=Path, help="folders of development campaigns")
+    part.add_argument("--out", metavar="FILE", type=Path, required=True, help="calibration to write, confidence.json")
+
+
 def _add_strengths(parts: Subparsers) -> None:
     strengths = parts.add_parser("strengths", help="table of strengths of all effects of a rig, in standard deviations")
     strengths.add_argument("--rig", choices=RIGS, default="beam", help="the rig (default: beam)")
@@ -115,7 +124,8 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: a folder, seed or option is refused.
     """
-    status = {"make": _make, "run": _run, "score": _score, "strengths": _strengths}[arguments.part](arguments)
+    parts = {"make": _make, "run": _run, "score": _score, "calibrate": _calibrate, "strengths": _strengths}
+    status = parts[arguments.part](arguments)
     sys.stdout.flush()
     return status
 
@@ -171,6 +181,22 @@ def _score(arguments: argparse.Namespace) -> int:
     for line in print_scores(scores):
         _console().print(line, markup=False)
     _console().print(f"written: {', '.join(str(file) for file in files)}", markup=False)
+    return EXIT_DONE
+
+
+def _calibrate(arguments: argparse.Namespace) -> int:
+    from nmt_diagnose.campaign.calibrate import calibrate
+    from nmt_diagnose.inference.confidence import CONFIDENCE_FILE
+
+    for item in calibrate(arguments.campaigns, CONFIDENCE_FILE, arguments.out):
+        weights = ", ".join(f"{name} {weight:+.3f}" for name, weight in item.weights.items())
+        _console().print(
+            f"{item.name}: {item.cases} cases, {100 * item.share:.0f} % yes; bias {item.bias:+.3f}, {weights}; "
+            f"calibration error {item.error:.3f}, area under the curve {item.area:.3f} (on cases left out)",
+            markup=False,
+            soft_wrap=True,
+        )
+    _console().print(f"written: {arguments.out}; it is used once it is the program's own", markup=False)
     return EXIT_DONE
 
 

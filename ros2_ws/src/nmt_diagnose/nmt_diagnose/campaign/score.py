@@ -159,10 +159,10 @@ def score_campaign(
     seal = _read(folder / "seal.json")
     if not any(read_result(results, str(case["case"])) for case in public["cases"]):
         raise BenchError(f"There are no results in {results}; diagnose the cases with './nmt blind run' first.")
+    classifier, training = _trained(train, folder)
     truth = _opened(folder, seal)
     trail = _checked_trail(folder, seal, truth, results)
     openings = _note_opening(folder, seal, again)
-    classifier, training = _trained(train, folder)
     cases, missing = read_cases(truth, results)
     failed = tuple(case.name for case in cases if case.verdict == "failed")
     return compute_scores(
@@ -352,17 +352,24 @@ def _note_opening(folder: Path, seal: dict[str, Any], again: bool) -> int:
 def _trained(train: Path | None, folder: Path) -> tuple[Method | None, str]:
     if train is None:
         return None, ""
-    seal = _read(train / "seal.json")
-    if seal.get("purpose") != "development" or train.resolve() == folder.resolve():
-        raise BenchError(
-            f"The classifier may learn from development cases only, and from others than it is scored on; {train} is "
-            "not such a campaign."
-        )
-    cases, _ = read_cases(_opened(train, seal), train / "results")
-    usable = [case for case in cases if case.details.get("features")]
+    if train.resolve() == folder.resolve():
+        raise BenchError(f"The classifier may learn from other cases only than it is scored on, not from {train}.")
+    usable = [case for case in development_cases(train) if case.details.get("features")]
     if len(usable) < 2:
         raise BenchError(f"The training campaign {train} has no diagnosed cases; run './nmt blind run' on it first.")
     return FeatureClassifier(usable), str(train)
+
+
+def development_cases(folder: Path) -> tuple[ScoredCase, ...]:
+    """Diagnosed cases of a development campaign, from which anything may be learned.
+
+    Raises:
+        BenchError: it is a sealed one, or none.
+    """
+    seal = _read(folder / "seal.json")
+    if seal.get("purpose") != "development":
+        raise BenchError(f"Only development cases may be learned from; {folder} is not such a campaign.")
+    return read_cases(_opened(folder, seal), folder / "results")[0]
 
 
 def _read(path: Path) -> dict[str, Any]:

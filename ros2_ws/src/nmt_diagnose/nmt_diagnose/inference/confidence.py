@@ -1,4 +1,8 @@
-"""How evidence becomes probability: priors, temperature and thresholds, fixed on simulated development cases.
+"""How evidence becomes probability: priors, thresholds and reliabilities, fixed on simulated development cases.
+
+Evidences of an inexact model are over-confident, and what is called the cause of a gap may be a relative of the true
+one. So three questions are answered by how often the same signs were right on cases whose truth was known: is there a
+gap, has it a name, is the first name the right one. ``./nmt blind calibrate`` learns them from development campaigns.
 
 The file ``confidence.json`` beside this module is frozen before a sealed campaign; its SHA-256 goes into every
 diagnosis.
@@ -8,13 +12,58 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
+from typing import Any, cast
 
 from nmt_core.errors import BenchError
 
-_FILE = Path(__file__).with_name("confidence.json")
+CONFIDENCE_FILE = Path(__file__).with_name("confidence.json")
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Probability that something is so, from signs: 1 / (1 + exp(-bias - Σ weight · sign)).
+
+    Attributes:
+        bias: log-odds where all signs are zero.
+        weights: of the signs, by name.
+    """
+
+    bias: float
+    weights: Mapping[str, float]
+
+    def probability(self, signs: Mapping[str, float]) -> float:
+        """Of signs by name; each counts within the range in which it was learned only."""
+        total = self.bias + sum(weight * bounded(name, signs[name]) for name, weight in self.weights.items())
+        return 1.0 / (1.0 + math.exp(-min(max(total, -30.0), 30.0)))
+
+
+RANGES: dict[str, tuple[float, float]] = {
+    "log_odds": (-3.0, 8.0),
+    "unknown_odds": (-8.0, 8.0),
+    "leftover": (-1.0, 12.0),
+    "second": (0.0, 1.0),
+    "margin": (-2.0, 8.0),
+    "sigmas": (0.0, 4.0),
+    "rivals": (0.0, 4.0),
+}
+"""Signs, and the range in which each counts.
+
+log_odds: ln of all explanations over none; unknown_odds: ln of something unnamed over the named; leftover: ln of the
+evidence for a generic source on top of the best explanation; second: 1 if that has two effects; margin: ln of the best
+class over the other named ones; sigmas: ln(1 + strength in standard deviations); rivals: members of the best class
+beyond the first.
+"""
+
+
+def bounded(name: str, value: float) -> float:
+    """A sign within its range."""
+    low, high = RANGES[name]
+    return low if not value > low else min(value, high)
 
 
 @dataclass(frozen=True)
@@ -26,7 +75,6 @@ class Confidence:
         prior_effect: that one named effect is, all effects together.
         prior_pair: that two are.
         prior_unknown: that something unnamed is.
-        temperature: divides log-evidences; above one where they are over-confident.
         alarm: log-odds against ``none`` from which a gap is claimed.
         unknown: probability of something unnamed, given a gap, from which the verdict is ``unknown``.
         recalibration: fall of χ² by re-fitting the model's own parameters from which that is called a calibration.
@@ -35,23 +83,28 @@ class Confidence:
         explained: share of the held-out gap from which a named explanation stands although something unnamed fits
             better.
         equivalence: distance in standard deviations below which two explanations count as one.
+        gap: reliability of there being a gap.
+        unnamed: of a gap having no name in the library.
+        first: of the best of the named explanations being right, if one is.
     """
 
     prior_none: float
     prior_effect: float
     prior_pair: float
     prior_unknown: float
-    temperature: float
     alarm: float
     unknown: float
     recalibration: float
     inexactness: float
     explained: float
     equivalence: float
+    gap: Reliability
+    unnamed: Reliability
+    first: Reliability
 
 
 @cache
-def confidence(path: Path = _FILE) -> Confidence:
+def confidence(path: Path = CONFIDENCE_FILE) -> Confidence:
     """The frozen calibration.
 
     Raises:
@@ -59,14 +112,20 @@ def confidence(path: Path = _FILE) -> Confidence:
     """
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
-        return Confidence(**{item.name: float(values[item.name]) for item in fields(Confidence)})
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        return Confidence(**{item.name: _read(values[item.name]) for item in fields(Confidence)})
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise BenchError(
             f"The calibration of confidence {path} cannot be read ({error}); install nmt again."
         ) from error
 
 
+def _read(value: object) -> Any:
+    if not isinstance(value, dict):
+        return float(cast(float, value))
+    return Reliability(float(value["bias"]), {name: float(value["weights"][name]) for name in value["weights"]})
+
+
 @cache
-def confidence_digest(path: Path = _FILE) -> str:
+def confidence_digest(path: Path = CONFIDENCE_FILE) -> str:
     """SHA-256 of the frozen calibration."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -52,6 +52,7 @@ Progress = Callable[[str], None]
 _RANKED = 8
 _JUDGED = 3
 _HELPS = 2.0
+_SECOND = 8.0  # ln of what a second effect costs in prior, among some hundred candidates
 
 
 @dataclass(frozen=True)
@@ -172,10 +173,9 @@ class _Diagnoser:
         rig = null.fit.parametrisation.rig(null.fit.theta)
         found = places(self.forward, rig, cast(Prediction, null.fit.prediction), self.problem)
         sources = generic_sources(null.fit, found)
-        # On top of an explanation that does not beat the plain model there is nothing to look for.
-        helps = bool(singles) and singles[0].fit.log_evidence > null.fit.log_evidence + _HELPS
-        leftovers = generic_sources(singles[0].fit, found) if helps else []
-        judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.rig, self.confidence)
+        top = self._most_promising(null, singles, pairs)
+        leftovers = generic_sources(top.fit, found) if top is not None else []
+        judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.rig, self.confidence, top)
         as_given = self.problem.residual(given)
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])
         shares = {group.head.label: held.closed(group.head.label) for group in judgement.classes[:_JUDGED]}
@@ -216,6 +216,15 @@ class _Diagnoser:
             null.fit.prediction.values,
             final.fit.prediction.values,
         )
+
+    def _most_promising(
+        self, null: Contender, singles: Sequence[Contender], pairs: Sequence[Contender]
+    ) -> Contender | None:
+        """The explanation to look behind; None where none beats the plain model: then there is nothing behind it."""
+        if not singles or singles[0].fit.log_evidence <= null.fit.log_evidence + _HELPS:
+            return None
+        second = pairs and pairs[0].fit.log_evidence > singles[0].fit.log_evidence + _SECOND
+        return pairs[0] if second else singles[0]
 
     # -- judging -------------------------------------------------------------------------------------------------
 
@@ -412,10 +421,9 @@ class _Diagnoser:
             "scan_best": scan[0].gain if scan else 0.0,
             "source_best": max((source.gain for source in sources), default=0.0),
             "leftover_best": max((source.gain for source in leftovers), default=0.0),
-            "log_odds": judgement.log_odds,
-            "unknown_odds": judgement.unknown_odds,
             "none": judgement.none,
             "unknown": judgement.unknown,
+            **{f"sign:{name}": value for name, value in judgement.signs.items()},
         }
         for name in {self.candidates[score.direction.candidate].effect.name for score in scan}:
             gains = [s.gain for s in scan if self.candidates[s.direction.candidate].effect.name == name]

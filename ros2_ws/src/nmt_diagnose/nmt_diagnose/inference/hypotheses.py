@@ -10,7 +10,7 @@ import numpy as np
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.inference.fit import Fit
 
-NULL, UNKNOWN = "none", "unknown"
+NULL, UNKNOWN, OTHER = "none", "unknown", "other"
 
 
 @dataclass(frozen=True)
@@ -34,16 +34,13 @@ class Hypothesis:
     fit: Fit | None
 
 
-def probabilities(hypotheses: Sequence[Hypothesis], temperature: float = 1.0) -> FloatArray:
-    """Posterior probabilities, softened by a temperature.
-
-    Evidence from a model with small errors of its own is over-confident; a temperature above one, found on simulated
-    cases, says how much.
+def probabilities(hypotheses: Sequence[Hypothesis]) -> FloatArray:
+    """Posterior probabilities, as evidence and priors have them.
 
     Returns:
         shape (hypotheses,), sum 1.
     """
-    logs = np.array([item.log_prior + item.log_evidence / temperature for item in hypotheses])
+    logs = np.array([item.log_prior + item.log_evidence for item in hypotheses])
     weights = np.exp(logs - logs.max())
     result: FloatArray = weights / weights.sum()
     return result

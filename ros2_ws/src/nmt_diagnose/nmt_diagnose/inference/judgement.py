@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from nmt_core.blocks import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.sensor_effects import placed
 from nmt_diagnose.inference.confidence import Confidence
 from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.generic_source import SourceScore
-from nmt_diagnose.inference.hypotheses import NULL, UNKNOWN, Hypothesis, equivalence_classes, probabilities
+from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN, Hypothesis, equivalence_classes, probabilities
 from nmt_plant.rig import Rig
 
 
@@ -46,9 +47,8 @@ class Judgement:
         unknown: probability of something unnamed.
         classes: named explanations, most probable first.
         places: probability by place and detail, given that there is a gap; sum 1.
-        by_label: probability by hypothesis.
-        log_odds: ln of all explanations over ``none``, without temperature.
-        unknown_odds: ln of ``unknown`` over the best named explanation, without temperature.
+        by_label: probability by hypothesis; ``other`` for a named one that was not among those that competed.
+        signs: what the probabilities follow from, see :data:`nmt_diagnose.inference.confidence.RANGES`.
     """
 
     none: float
@@ -56,8 +56,19 @@ class Judgement:
     classes: tuple[ExplanationClass, ...]
     places: dict[tuple[str, str], float]
     by_label: dict[str, float]
-    log_odds: float
-    unknown_odds: float
+    signs: dict[str, float]
+
+    @property
+    def log_odds(self) -> float:
+        """ln of all explanations over ``none``, as evidence and priors have it."""
+        return self.signs["log_odds"]
+
+    @property
+    def unknown_odds(self) -> float:
+        """ln of something unnamed over the named explanations, as reliabilities have it."""
+        unknown = min(max(self.unknown, 1e-12), 1.0)
+        named = sum(weight for label, weight in self.by_label.items() if label not in (NULL, UNKNOWN))
+        return math.log(unknown / max(named, 1e-12))
 
 
 def place_of(candidate: Candidate, rig: Rig) -> tuple[str, str]:
@@ -74,6 +85,7 @@ def judge(
     candidates: Sequence[Candidate],
     rig: Rig,
     confidence: Confidence,
+    best: Contender | None = None,
 ) -> Judgement:
     """Weigh all explanations.
 
@@ -81,10 +93,11 @@ def judge(
         null: the model with its parameters re-fitted.
         singles, pairs: fitted explanations.
         sources: generic sources on top of the model.
-        leftovers: generic sources on top of the best single explanation.
+        leftovers: generic sources on top of ``best``.
         candidates: all that were scanned; a fit at one of many places pays for the choice.
         rig: the model.
-        confidence: priors and temperature.
+        confidence: priors and reliabilities.
+        best: the explanation that the leftovers are left by; None without leftovers.
     """
     placements: dict[str, int] = {}
     for candidate in candidates:
@@ -120,33 +133,90 @@ def judge(
         gain = source.gain - confidence.inexactness * max(by_label_gain.values(), default=0.0)
         hypotheses.append(Hypothesis(UNKNOWN, (), f"{source.place}|{source.detail}", gain, prior, None))
         contenders.append(None)
-    if singles:
-        best = singles[0]
+    if best is not None:
         for source in leftovers:
-            prior = math.log(confidence.prior_unknown * confidence.prior_effect / max(1, len(leftovers)) / kinds)
+            prior = math.log(confidence.prior_unknown / max(1, len(leftovers)))
+            if len(best.candidates) == 1:
+                prior += math.log(confidence.prior_effect / kinds)
+            else:
+                prior += math.log(2.0 * confidence.prior_pair / kinds**2)
             gain = best.fit.log_evidence - base + source.gain - inexact(best)
             prior += chosen(best)
             hypotheses.append(Hypothesis(UNKNOWN, (), f"{source.place}|{source.detail}", gain, prior, None))
             contenders.append(None)
-    weights = probabilities(hypotheses, confidence.temperature)
-    none = float(weights[0])
-    unknown = float(sum(w for w, h in zip(weights, hypotheses, strict=True) if h.label == UNKNOWN))
+    weights = probabilities(hypotheses)
     classes = _classes(weights, contenders, confidence.equivalence)
-    by_label: dict[str, float] = {}
-    for weight, hypothesis in zip(weights, hypotheses, strict=True):
-        by_label[hypothesis.label] = by_label.get(hypothesis.label, 0.0) + float(weight)
     plain = np.array([h.log_prior + h.log_evidence for h in hypotheses])
-    named = [value for value, h in zip(plain, hypotheses, strict=True) if h.label not in (NULL, UNKNOWN)]
-    unnamed = [value for value, h in zip(plain, hypotheses, strict=True) if h.label == UNKNOWN]
-    return Judgement(
-        none,
-        unknown,
-        classes,
-        _places(weights, hypotheses, contenders, rig),
-        by_label,
-        float(np.logaddexp.reduce([*named, *unnamed]) - plain[0]) if named or unnamed else -math.inf,
-        float(np.logaddexp.reduce(unnamed) - np.logaddexp.reduce(named)) if named and unnamed else -math.inf,
-    )
+    named = np.array([value for value, h in zip(plain, hypotheses, strict=True) if h.label not in (NULL, UNKNOWN)])
+    unnamed = np.array([value for value, h in zip(plain, hypotheses, strict=True) if h.label == UNKNOWN])
+    signs = _signs(plain[0], named, unnamed, classes, max((s.gain for s in leftovers), default=0.0))
+    return _calibrated(weights, hypotheses, contenders, classes, signs, rig, confidence)
+
+
+def _signs(
+    null: float, named: FloatArray, unnamed: FloatArray, classes: Sequence[ExplanationClass], leftover: float
+) -> dict[str, float]:
+    """What the reliabilities are functions of."""
+    both = np.concatenate([named, unnamed])
+    first = classes[0] if classes else None
+    others = sum(group.probability for group in classes[1:])
+    return {
+        "log_odds": float(np.logaddexp.reduce(both) - null) if both.size else -math.inf,
+        "unknown_odds": _odds(unnamed, named),
+        "leftover": leftover,
+        "second": float(first is not None and len(first.head.candidates) > 1),
+        "margin": math.log(max(first.probability, 1e-300) / max(others, 1e-300)) if first else -math.inf,
+        "sigmas": math.log1p(first.head.sigmas) if first else 0.0,
+        "rivals": float(len(first.members) - 1) if first else 0.0,
+    }
+
+
+def _odds(left: FloatArray, right: FloatArray) -> float:
+    if not left.size:
+        return -math.inf
+    return float(np.logaddexp.reduce(left) - np.logaddexp.reduce(right)) if right.size else math.inf
+
+
+def _calibrated(
+    weights: FloatArray,
+    hypotheses: Sequence[Hypothesis],
+    contenders: Sequence[Contender | None],
+    classes: tuple[ExplanationClass, ...],
+    signs: dict[str, float],
+    rig: Rig,
+    confidence: Confidence,
+) -> Judgement:
+    """Probabilities as often right as they say: shares within none, unnamed and named stay in proportion."""
+    gap = confidence.gap.probability(signs)
+    unnamed = confidence.unnamed.probability(signs) if classes else 1.0
+    first = confidence.first.probability(signs)
+    named = gap * (1.0 - unnamed)
+    scaled = []
+    others = sum(group.probability for group in classes[1:])
+    left = named * (1.0 - first)
+    for rank, group in enumerate(classes):
+        # None of the others may become more probable than the first by what is left for all.
+        share = named * first if rank == 0 else min(left * group.probability / max(others, 1e-300), named * first)
+        scaled.append(replace(group, probability=share))
+    by_label = {NULL: 1.0 - gap, UNKNOWN: gap * unnamed}
+    factors = np.zeros(weights.size)
+    for before, after in zip(classes, scaled, strict=True):
+        effects = {item for item, contender in enumerate(contenders) if contender is not None and contender.candidates
+                   and contender.effects in before.effects}  # fmt: skip
+        total = sum(float(weights[k]) for k in effects)
+        for k in effects:
+            factors[k] = after.probability * (float(weights[k]) / total if total > 0.0 else 1.0 / len(effects))
+    sources = np.array([h.label == UNKNOWN for h in hypotheses])
+    mass = float(weights[sources].sum())
+    if mass > 0.0:
+        factors[sources] = gap * unnamed * weights[sources] / mass
+    factors[0] = 1.0 - gap
+    for factor, hypothesis in zip(factors, hypotheses, strict=True):
+        if hypothesis.label not in (NULL, UNKNOWN):
+            by_label[hypothesis.label] = by_label.get(hypothesis.label, 0.0) + float(factor)
+    by_label[OTHER] = max(0.0, 1.0 - sum(by_label.values()))
+    places = _places(factors[1:], hypotheses[1:], contenders[1:], rig)
+    return Judgement(1.0 - gap, gap * unnamed, tuple(scaled), places, by_label, signs)
 
 
 def _classes(weights: np.ndarray, contenders: Sequence[Contender | None], limit: float) -> tuple[ExplanationClass, ...]:

@@ -29,6 +29,8 @@ from nmt_diagnose.campaign.statistics import (
 SCORE_FORMAT = "nmt blind score 1"
 STRONG = 8.0
 """Standard deviations from which an effect must be found."""
+STRONGEST = 16.0
+"""Up to here effects are of the strengths that the published figures are about; beyond, anyone sees them."""
 FALSE_ALARMS = 0.01
 WRONGLY_UNKNOWN = 0.05
 _OPENED_FILE = "opened.json"
@@ -84,6 +86,10 @@ class Scores:
         roc: false alarms and detections of effects from 8 σ.
         seconds: median computing time of a diagnosis, s.
         training: campaign that the classifier learned from; empty = none.
+        within: the diagnosis on cases up to 16 σ only.
+        unnamed: by strength, how often an unnamed effect was called unknown.
+        distinct: the same of those of which no named effect takes the last 8 σ; distinct_area: area under the ROC of
+            these against named effects.
     """
 
     rig: str
@@ -112,6 +118,10 @@ class Scores:
     confusion: dict[str, dict[str, int]]
     roc: tuple[tuple[float, ...], tuple[float, ...]]
     seconds: float
+    within: MethodScore
+    unnamed: dict[float, Proportion]
+    distinct: Proportion
+    distinct_area: float
     training: str = ""
     by_kind: dict[str, dict[str, int]] = field(default_factory=dict)
 
@@ -139,9 +149,7 @@ class Scores:
         return result
 
 
-def score_campaign(
-    folder: Path, results: Path | None = None, again: bool = False, train: Path | None = None
-) -> Scores:
+def score_campaign(folder: Path, results: Path | None = None, again: bool = False, train: Path | None = None) -> Scores:
     """Open the seal and compute all figures.
 
     Args:
@@ -201,6 +209,7 @@ def compute_scores(cases: Sequence[ScoredCase], about: dict[str, Any], classifie
     named = [case for case in cases if case.known and case.sigma >= STRONG]
     unnamed = [case for case in cases if case.unknown and case.sigma >= STRONG]
     compound = [case for case in cases if case.kind == "compound"]
+    distinct = [case for case in unnamed if case.alone >= STRONG]
     limit = threshold_for([_unknown(case) for case in named], WRONGLY_UNKNOWN)
     accepted = [case for case in cases if case.verdict == "effect" and case.known and math.isfinite(case.closed)]
     judged = [case for case in cases if math.isfinite(case.before) and math.isfinite(case.after)]
@@ -232,10 +241,21 @@ def compute_scores(cases: Sequence[ScoredCase], about: dict[str, Any], classifie
             )
             for sigma in sorted({case.sigma for case in single})
         },
-        confusion=_confusion([case for case in cases if case.kind != "compound" and case.sigma in (0.0, 8.0, 16.0)]),
+        confusion=_confusion(
+            [case for case in cases if case.kind != "compound" and (case.sigma == 0.0 or case.sigma >= STRONG)]
+        ),
         roc=(tuple(map(float, false)), tuple(map(float, true))),
         seconds=float(np.nanmedian([case.seconds for case in cases])) if cases else math.nan,
         by_kind=_by_kind(cases),
+        within=_method("diagnosis", [case for case in cases if case.sigma <= STRONGEST], lambda case: case.answer),
+        unnamed={
+            sigma: Proportion.count(
+                [case.verdict == "unknown" for case in cases if case.unknown and case.sigma == sigma]
+            )
+            for sigma in sorted({case.sigma for case in cases if case.unknown})
+        },
+        distinct=Proportion.count([case.verdict == "unknown" for case in distinct]),
+        distinct_area=area_under_roc([_unknown(case) for case in distinct], [_unknown(case) for case in named]),
     )
 
 

@@ -80,7 +80,16 @@ def figures(scores: Scores) -> list[tuple[str, str, str, str, bool | None]]:
 
 def further(scores: Scores) -> list[tuple[str, str]]:
     """Figures without a target."""
+    within = scores.within
     return [
+        ("detection, effects of 8 and 16 σ only", percent(within.detected)),
+        ("the same at ≤ 1 % false alarms here", percent(within.detected_at_rate)),
+        ("right effect first / among the first three, 8 and 16 σ only",
+         f"{percent(within.first)} / {percent(within.first_three)}"),
+        ("unknown recognised, area under the ROC, 8 and 16 σ only", number(within.unknown_area)),
+        ("unknown recognised, area under the ROC, effects of which named ones leave at least 8 σ",
+         number(scores.distinct_area)),
+        ("verdict unknown, the same effects", percent(scores.distinct)),
         ("verdict unknown, unnamed effects from 8 σ", percent(scores.verdict_unknown)),
         ("verdict unknown, named effects from 8 σ", percent(scores.wrongly_unknown)),
         ("verdict calibration, null cases with shifted parameters", percent(scores.calibrated)),
@@ -99,9 +108,7 @@ def print_scores(scores: Scores) -> list[str]:
         mark = {True: "met", False: "missed", None: "no case"}[met]
         lines.append(f"  {text}: {value}; target {target}: {mark}")
     lines += [f"  {text}: {value}" for text, value in further(scores)]
-    lines += [
-        f"  {m.name}: right first {percent(m.first)}, ROC {number(m.roc_area)}" for m in scores.baselines
-    ]
+    lines += [f"  {m.name}: right first {percent(m.first)}, ROC {number(m.roc_area)}" for m in scores.baselines]
     return lines
 
 
@@ -144,6 +151,8 @@ def markdown(scores: Scores) -> str:
         ("σ", "detected", "right effect first"),
         [(f"{sigma:g}", percent(found), percent(first)) for sigma, (found, first) in scores.by_strength.items()],
     )
+    parts += ["", "## Unnamed effects by strength", ""]
+    parts += _table(("σ", "verdict unknown"), [(f"{s:g}", percent(share)) for s, share in scores.unnamed.items()])
     parts += ["", "## Verdicts by kind of case", ""]
     verdicts = sorted({name for row in scores.by_kind.values() for name in row})
     parts += _table(("kind", *verdicts), [
@@ -167,8 +176,6 @@ def _heading(scores: Scores) -> str:
     opened = f" The seal was opened {scores.openings} times: this is no first look." if scores.openings > 1 else ""
     kind = "sealed" if scores.purpose == "sealed" else "development (not sealed)"
     return f"{len(scores.cases)} cases of the rig {scores.rig}, {kind}.{opened}"
-
-
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -47,6 +47,7 @@ class ScoredCase:
         truth: names of its effects.
         places: where they act.
         sigma: strength of the weakest of them; 0 without.
+        alone: of that, what no other named effect takes; NaN if it is not known.
         shifted: parameters of the model were off.
         withheld: what the library did without.
         verdict: of the diagnosis; ``failed`` where there is none.
@@ -79,6 +80,7 @@ class ScoredCase:
     details: dict[str, Any] = field(default_factory=dict)
     sindy: dict[str, Any] = field(default_factory=dict)
     seconds: float = math.nan
+    alone: float = math.nan
 
     @property
     def known(self) -> bool:
@@ -155,6 +157,7 @@ def scored_case(truth: dict[str, Any], result: dict[str, Any]) -> ScoredCase:
         details=diagnosis,
         sindy=diagnosis.get("sindy") or {},
         seconds=_number(result.get("seconds")),
+        alone=min((_number(effect.get("alone")) for effect in effects), default=math.nan),
     )
 
 

@@ -52,6 +52,7 @@ Progress = Callable[[str], None]
 _RANKED = 8
 _JUDGED = 3
 _HELPS = 2.0
+_CHANCE = 1.0
 _SECOND = 8.0  # ln of what a second effect costs in prior, among some hundred candidates
 
 
@@ -242,10 +243,13 @@ class _Diagnoser:
         return HeldOut(self.evidence, found, self.settings.seed)
 
     def _accepted(self, judgement: Judgement, shares: dict[str, Closed]) -> ExplanationClass | None:
-        """The most probable explanation that predicts held-out data no worse than the model without it."""
+        """The most probable explanation that predicts held-out data no worse than the model without it.
+
+        A little worse by chance is not worse: the blocks that are held out tell how much chance there is.
+        """
         for group in judgement.classes[:_JUDGED]:
             share = shares.get(group.head.label)
-            if share is None or not math.isfinite(share.before) or share.after <= share.before * 1.002:
+            if share is None or not math.isfinite(share.gain) or share.gain >= -_CHANCE:
                 return group
         return None
 

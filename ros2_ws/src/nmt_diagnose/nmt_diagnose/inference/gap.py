@@ -23,6 +23,8 @@ class Closed:
         floor: what noise and repeatability leave.
         value: (before − after) / (before − floor); NaN where there is no gap to close.
         low, high: bootstrap interval of 90 %.
+        gain: fall of the squared residuals over its own scatter from block to block; negative where the held-out data
+            are predicted worse.
     """
 
     before: float
@@ -31,6 +33,7 @@ class Closed:
     value: float
     low: float
     high: float
+    gain: float = float("nan")
 
 
 def rms(residual: FloatArray) -> float:
@@ -103,7 +106,10 @@ def closed(
     low, high = (float(x) for x in np.quantile(sample, [0.05, 0.95])) if sample.size > 50 else (float("nan"),) * 2
     before_rms, after_rms = float(np.sqrt(b.sum() / n.sum())), float(np.sqrt(a.sum() / n.sum()))
     value = float(_share(np.array([before_rms]), np.array([after_rms]), floor)[0])
-    return Closed(before_rms, after_rms, floor, value, low, high)
+    fall = b - a
+    scatter = float(np.sqrt(n.size) * np.std(fall))
+    gain = float(fall.sum()) / scatter if scatter > 0.0 else 0.0
+    return Closed(before_rms, after_rms, floor, value, low, high, gain)
 
 
 def _block(evidence: Evidence) -> IntArray:

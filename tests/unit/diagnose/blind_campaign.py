@@ -44,13 +44,13 @@ def operating() -> Operating:
 
 
 def made_up_table(rig: BlindRig) -> StrengthTable:
-    """Every guess is worth 16 σ."""
+    """Every guess is worth 64 σ."""
     model, motion = rig.model(), operating()
     curves: dict[str, dict[str, Any]] = {}
     for truth in TRUTHS.values():
         for spot in truth.spots(model, motion):
             guess = min(truth.guess(model, motion, spot), 0.5 * truth.largest)
-            curves[spot_key(truth, spot)] = {"points": [[guess, 16.0]], "trouble": ""}
+            curves[spot_key(truth, spot)] = {"points": [[guess, 64.0]], "trouble": ""}
     return StrengthTable(rig.name, motion, curves)
 
 

@@ -15,9 +15,14 @@ from nmt_diagnose.blind.strength_table import StrengthTable
 from nmt_diagnose.blind.truths import KNOWN, NEAR_TWINS, OPEN, Spot, Truth, truth_named
 from nmt_plant.rig import Rig
 
-STRENGTHS = (1.0, 2.0, 4.0, 8.0, 16.0)
-"""Standard deviations at which single effects are drawn; the other kinds have the upper three."""
-STRONG = STRENGTHS[2:]
+STRENGTHS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+"""Standard deviations at which single effects are drawn."""
+TWIN_STRENGTHS = (4.0, 8.0, 16.0)
+"""Of effects with a near twin: what is strong enough is told apart by anyone."""
+UNNAMED_STRENGTHS = (8.0, 16.0, 32.0, 64.0)
+"""Of effects without a name: a named relative takes most of a weak one."""
+COMPOUND_STRENGTH = 16.0
+"""Of each of two effects."""
 
 MIXTURE: dict[str, int] = {"null": 5, "effect": 8, "open": 2, "compound": 2, "twin": 1, "withheld": 2}
 """Kinds of case and how many of twenty."""
@@ -37,6 +42,7 @@ class TrueEffect:
         sigma: strength in standard deviations.
         value: strength in `unit`, with its sign.
         known: the library is supposed to have it.
+        alone: standard deviations that no other named effect takes, withheld ones apart.
     """
 
     name: str
@@ -46,6 +52,7 @@ class TrueEffect:
     value: float
     unit: str
     known: bool
+    alone: float
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -60,7 +67,7 @@ class Case:
         number: from 1.
         kind: null, effect, open, compound, twin or withheld.
         effects: what is true.
-        withheld: effect that the library is to do without; empty = none.
+        withheld: effects that the library is to do without, joined by commas; empty = none.
         shifted: parameters of the model are off.
         edits: all changes of the model's rig file.
         noise_seed: seed of noise and random drive.
@@ -110,9 +117,7 @@ class _Deck:
         return self._cards[self._order.pop()]
 
 
-def draw_cases(
-    model: Rig, table: StrengthTable, count: int, seed: int, kinds: Sequence[str] = ()
-) -> list[Case]:
+def draw_cases(model: Rig, table: StrengthTable, count: int, seed: int, kinds: Sequence[str] = ()) -> list[Case]:
     """Draw cases; the first ones are the same whatever the number.
 
     Args:
@@ -135,11 +140,11 @@ def draw_cases(
     shifts = {kind: _Deck((True, False), np.random.default_rng([seed, 2, i])) for i, kind in enumerate(MIXTURE)}
     for number in range(1, count + 1):
         kind = mixture.deal()
-        effects, edits = draws.effects(kind)
+        effects, edits, family = draws.effects(kind)
         shifted = bool(shifts[kind].deal())
         own = np.random.default_rng([seed, 3, number])
         moved = draw_shifts(model, own) if shifted else ()
-        withheld = effects[0].name if kind == "withheld" else draws.bystander(effects, own)
+        withheld = ",".join(family) if kind == "withheld" else draws.bystander(effects, own)
         noise_seed = int(own.integers(1, 2**31))
         cases.append(Case(number, kind, effects, withheld, shifted, (*moved, *edits), noise_seed))
     return cases
@@ -153,16 +158,16 @@ class _Draws:
         self._generator = np.random.default_rng([seed, 4])
         self.known = [truth for truth in KNOWN if self._reach(truth)]
         unknown = [truth for truth in OPEN if self._reach(truth)]
-        pairs = [
-            pair for pair in NEAR_TWINS if all(any(truth.name == name for truth in self.known) for name in pair)
-        ]
+        pairs = [pair for pair in NEAR_TWINS if all(any(truth.name == name for truth in self.known) for name in pair)]
+
         def deck(cards: Sequence[Any], key: int) -> _Deck:
             return _Deck(cards, np.random.default_rng([seed, 5, key]))
 
         self._single = deck(self.known, 0)
         self._strength = {truth.name: deck(STRENGTHS, 10 + i) for i, truth in enumerate(self.known)}
         self._open, self._withheld = deck(unknown, 1), deck(self.known, 2)
-        self._pair, self._strong = deck([*pairs, *((b, a) for a, b in pairs)], 3), deck(STRONG, 4)
+        self._pair, self._strong = deck([*pairs, *((b, a) for a, b in pairs)], 3), deck(TWIN_STRENGTHS, 4)
+        self._unnamed = deck(UNNAMED_STRENGTHS, 7)
         self._first, self._second = deck(self.known, 5), deck(self.known, 6)
 
     def _reach(self, truth: Truth) -> bool:
@@ -177,38 +182,46 @@ class _Draws:
                 found.append((spot, value))
         return found
 
-    def effects(self, kind: str) -> tuple[tuple[TrueEffect, ...], tuple[Edit, ...]]:
-        """Effects of a case of some kind, and the edits that make them."""
+    def effects(self, kind: str) -> tuple[tuple[TrueEffect, ...], tuple[Edit, ...], tuple[str, ...]]:
+        """Effects of a case of some kind, the edits that make them, and what must be withheld to leave them unnamed."""
         if kind == "null":
-            return (), ()
+            return (), (), ()
         if kind == "effect":
             truth = self._single.deal()
             return self._drawn((truth, self._strength[truth.name].deal()))
         if kind == "open":
-            return self._drawn((self._open.deal(), self._strong.deal()))
+            return self._drawn((self._open.deal(), self._unnamed.deal()))
         if kind == "withheld":
-            return self._drawn((self._withheld.deal(), self._strong.deal()))
+            return self._drawn((self._withheld.deal(), self._unnamed.deal()), withheld=True)
         if kind == "twin":
             return self._drawn((truth_named(self._pair.deal()[0]), self._strong.deal()))
         first, second = self._first.deal(), self._second.deal()
         while second.name == first.name or _near(first.name, second.name) or _overlap(first.name, second.name):
             second = self._second.deal()
-        return self._drawn((first, STRENGTHS[-1]), (second, STRENGTHS[-1]))
+        return self._drawn((first, COMPOUND_STRENGTH), (second, COMPOUND_STRENGTH))
 
-    def _drawn(self, *wanted: tuple[Truth, float]) -> tuple[tuple[TrueEffect, ...], tuple[Edit, ...]]:
+    def _drawn(
+        self, *wanted: tuple[Truth, float], withheld: bool = False
+    ) -> tuple[tuple[TrueEffect, ...], tuple[Edit, ...], tuple[str, ...]]:
         effects: list[TrueEffect] = []
         edits: list[Edit] = []
+        family: tuple[str, ...] = ()
         for truth, sigma in wanted:
             at = STRENGTHS.index(sigma)
             while not self._spots(truth, STRENGTHS[at]) and at > 0:
                 at -= 1  # as strong as it gets
             spot, value = self._choose(self._spots(truth, STRENGTHS[at]))
+            if withheld:
+                family = (truth.name, *self.table.twins(truth, spot))
             if truth.signed and self._generator.random() < 0.5:
                 value = -value
             edits += truth.edits(self.model, self.table.operating, spot, value)
             place = truth.place_at(self.model, spot)
-            effects.append(TrueEffect(truth.name, place, spot.label, STRENGTHS[at], value, truth.unit, truth.known))
-        return tuple(effects), tuple(edits)
+            alone = round(STRENGTHS[at] * self.table.alone(truth, spot, family), 2)
+            effects.append(
+                TrueEffect(truth.name, place, spot.label, STRENGTHS[at], value, truth.unit, truth.known, alone)
+            )
+        return tuple(effects), tuple(edits), family
 
     def _choose(self, spots: list[tuple[Spot, float]]) -> tuple[Spot, float]:
         return spots[int(self._generator.integers(len(spots)))]

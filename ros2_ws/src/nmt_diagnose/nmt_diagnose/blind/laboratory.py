@@ -148,9 +148,7 @@ def backbone_test(truth: Rig, model: Rig, bench: BenchSettings) -> PlannedTest:
 
 def random_test(model: Rig, bench: BenchSettings) -> PlannedTest:
     """One window of random excitation at low level; arguments as for `backbone_test`."""
-    loop = RandomDrive(
-        model.drive_point, model.sample_rate_hz, model.block_samples, settling_time=bench.settling_time
-    )
+    loop = RandomDrive(model.drive_point, model.sample_rate_hz, model.block_samples, settling_time=bench.settling_time)
     command = LevelCommand(
         sequence=1,
         index=0,

@@ -77,9 +77,7 @@ def operating_point(model: Rig, bench: BenchSettings) -> Operating:
     amplitude = {name: abs(value) for name, value in zip(window.channels, window.amplitudes[:, 1], strict=True)}
     motion = dict(zip(window.channels, window.amplitudes[:, 1], strict=True))
     displacement = {point: float(amplitude[f"probe{point}"]) for point in points}
-    relative = {
-        point: float(abs(motion[f"probe{point + 1}"] - motion[f"probe{point}"])) for point in points[:-1]
-    }
+    relative = {point: float(abs(motion[f"probe{point + 1}"] - motion[f"probe{point}"])) for point in points[:-1]}
     spacing = getattr(model.structure, "length_m", float(len(points))) / len(points)
     rotation = {}
     for point in points:
@@ -106,9 +104,7 @@ def operating_point(model: Rig, bench: BenchSettings) -> Operating:
         relative=relative,
         rotation=rotation,
         stiffness={point: float(omega**2 / shape[point] ** 2) for point in points},
-        relative_stiffness={
-            point: float(omega**2 / (shape[point + 1] - shape[point]) ** 2) for point in points[:-1]
-        },
+        relative_stiffness={point: float(omega**2 / (shape[point + 1] - shape[point]) ** 2) for point in points[:-1]},
         channels=channels,
         peaks=peaks,
         noise={model.sensor_channel(sensor): noise_deviation(model, sensor) for sensor in model.sensors},

@@ -64,9 +64,7 @@ class QuietRecord:
 
 def quiet(rig: Rig, model: Rig) -> Rig:
     """The rig without noise and converters; converters that differ from the model's are left to `_quantised`."""
-    sensors = [
-        sensor.model_copy(update={"noise_psd": 0.0, "range": None, "bits": None}) for sensor in rig.sensors
-    ]
+    sensors = [sensor.model_copy(update={"noise_psd": 0.0, "range": None, "bits": None}) for sensor in rig.sensors]
     return rig.model_copy(update={"sensors": sensors})
 
 

@@ -3,7 +3,7 @@
 Two tests without noise are compared, with the truth and without: harmonics of the locked windows and lines of the
 random test. What the difference d amounts to is σ² = dᵀ (N + C Cᵀ)⁻¹ d, with N the noise of the sensors and the
 repeatability of a test, and C the changes that shifts of the model's parameters by one prior standard deviation make,
-together with the scatter of the phase at lock of each level.
+together with the scatter of the phase at lock, of each level and of all levels alike.
 """
 
 from __future__ import annotations
@@ -28,20 +28,24 @@ from nmt_plant.linear_description import linear_description
 from nmt_plant.rig import Rig
 
 # Repeatability of a test besides noise: relative scatter of the locked frequency, of fundamentals, and of other
-# harmonics over the fundamental; phase at lock, rad.
+# harmonics over the fundamental; phase at lock of each level, rad.
 FREQUENCY = 3e-5
 FUNDAMENTAL = 1e-4
 HARMONIC = 2e-5
 PHASE_AT_LOCK = 1e-3
+# What all levels of a run lean to one side by when they lock, rad: measured on null cases of both blind rigs.
+PHASE_LEAN = 6e-4
 ORDERS = range(6)
 LINES = 100
 """Lines of the random test spread over its band; as many again near the modes."""
 _NEIGHBOURS = 4
+# Small and central: parameters that move a narrow resonance to either side must cancel.
+_STEP = 0.1
 _PHASE_STEP = 1e-2
 
-TARGETS = (16.0, 4.0)
+TARGETS = (64.0, 16.0, 4.0)
 # How near to a target a strength must come, by whether its mark grows in proportion.
-_CLOSE = {False: 1.15, True: 2.5}
+_CLOSE = {False: 1.2, True: 2.0}
 _TRIALS = 7
 _FEWEST_LEVELS = 8
 
@@ -128,16 +132,19 @@ class Sensitivity:
         return values, np.concatenate([deviation.ravel(), deviation.ravel()])
 
     def _nuisances(self) -> FloatArray:
-        """Changes by one standard deviation: of each parameter, and of the phase at lock of each level, (m, k)."""
+        """Changes by one standard deviation: of each parameter, and of the phase at lock, (m, k)."""
         columns = []
-        step = 0.5
         for path, (value, std) in parameters(self.model).items():
-            moved = self.observe(with_edits(self.model, (shifted(path, value, std, step),)))
-            columns.append((moved.values - self.base.values) / step)
+            up, down = (
+                self.observe(with_edits(self.model, (shifted(path, value, std, step),))).values
+                for step in (_STEP, -_STEP)
+            )
+            columns.append((up - down) / (2.0 * _STEP))
         leaning = with_edits(self.model, (Edit(("pll",), {"phase_offset_rad": _PHASE_STEP}, "merge"),))
-        change = (self.observe(leaning).values - self.base.values) * (PHASE_AT_LOCK / _PHASE_STEP)
+        change = (self.observe(leaning).values - self.base.values) / _PHASE_STEP
+        columns.append(change * PHASE_LEAN)
         for level in range(len(self.bench.levels)):
-            columns.append(np.where(self.base.level == level, change, 0.0))
+            columns.append(np.where(self.base.level == level, change * PHASE_AT_LOCK, 0.0))
         return np.stack(columns, axis=1)
 
     def sigma_of(self, observed: Observed) -> float:
@@ -157,6 +164,22 @@ class Sensitivity:
         along = c.T @ d
         return math.sqrt(max(0.0, float(d @ d - along @ np.linalg.solve(inner, along))))
 
+    def mark(self, truth: Truth, spot: Spot, value: float) -> FloatArray:
+        """What a truth changes over the noise, shape (m,); zero where a level did not lock."""
+        try:
+            observed = self.observe(with_edits(self.model, truth.edits(self.model, self.operating, spot, value)))
+        except (BenchError, TrialError):
+            return np.zeros(self.base.values.size)
+        result: FloatArray = np.nan_to_num((observed.values - self.base.values) / self.base.noise)
+        return result
+
+    def products(self, marks: FloatArray) -> FloatArray:
+        """Products of marks, shape (m, k), after the model's parameters took their part, shape (k, k)."""
+        c = np.nan_to_num(self._nuisance / self.base.noise[:, np.newaxis])
+        along = c.T @ marks
+        result: FloatArray = marks.T @ marks - along.T @ np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, along)
+        return result
+
     def sigma(self, edits: Sequence[Edit]) -> float:
         """Standard deviations that changes of the rig file amount to.
 
@@ -169,8 +192,14 @@ class Sensitivity:
             raise TrialError(str(error)) from error
         return self.sigma_of(self.observe(truth))
 
-    def curve(self, truth: Truth, spot: Spot) -> dict[str, Any]:
-        """Strengths of a truth at a spot with their standard deviations, ascending; up to 16 σ where it gets there."""
+    def curve(self, truth: Truth, spot: Spot, former: dict[str, Any] | None = None) -> dict[str, Any]:
+        """Strengths of a truth at a spot with their standard deviations, ascending; up to 64 σ where it gets there.
+
+        Args:
+            truth: the truth.
+            spot: where.
+            former: an older curve; the search starts from its strengths.
+        """
         tried: list[tuple[float, float]] = []
         trouble = ""
 
@@ -185,7 +214,10 @@ class Sensitivity:
             return found
 
         guess = self.rig.caution * truth.guess(self.model, self.operating, spot)
-        for target in TARGETS[: 1 if truth.proportional else None]:
+        for target in TARGETS[: 2 if truth.proportional else None]:
+            near = value_at(former, target) if former else None
+            if near is not None:
+                trial(min(near, truth.largest))
             _approach(trial, tried, target, guess, truth.largest, _CLOSE[truth.proportional])
         points = sorted((value, found) for value, found in tried if math.isfinite(found) and found > 0.0)
         rounded = [[float(f"{v:.6g}"), float(f"{s:.5g}")] for v, s in points]

@@ -4,20 +4,38 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from joblib import Parallel, delayed
+
+from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
 from nmt_diagnose.blind.blind_rigs import BlindRig
 from nmt_diagnose.blind.operating import Operating
 from nmt_diagnose.blind.rig_edits import rig_yaml
-from nmt_diagnose.blind.strength import Sensitivity, spot_key, value_at
+from nmt_diagnose.blind.strength import (
+    FREQUENCY,
+    FUNDAMENTAL,
+    HARMONIC,
+    PHASE_AT_LOCK,
+    PHASE_LEAN,
+    Sensitivity,
+    spot_key,
+    value_at,
+)
 from nmt_diagnose.blind.truths import TRUTHS, Spot, Truth
 
 FORMAT = "nmt blind strengths 1"
+_MARK = 16.0
+"""Strength at which marks are compared, standard deviations."""
+_TWIN = 0.95
+"""Cosine from which two marks are hardly different."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +45,8 @@ class StrengthTable:
     Attributes:
         rig: name of the rig.
         operating: motion of the rig that sizes refer to.
-        curves: by `spot_key`: points (strength, standard deviations), and what stopped the search.
+        curves: by `spot_key`: points (strength, standard deviations), what stopped the search, and rivals: by truth the
+            largest cosine between this mark and one of that truth, as far as it is above a half.
     """
 
     rig: str
@@ -39,6 +58,25 @@ class StrengthTable:
         curve = self.curves.get(spot_key(truth, spot))
         return None if curve is None else value_at(curve, sigma)
 
+    def twins(self, truth: Truth, spot: Spot) -> tuple[str, ...]:
+        """Known truths whose mark is hardly another: with one of them in the library nothing is unnamed."""
+        rivals = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
+        return tuple(
+            name for name, cosine in rivals.items() if cosine >= _TWIN and TRUTHS[name].known and name != truth.name
+        )
+
+    def alone(self, truth: Truth, spot: Spot, without: Collection[str] = ()) -> float:
+        """Share of a mark that no other known truth can imitate, beside the model's parameters.
+
+        Args:
+            truth, spot: the truth.
+            without: truths that are no rivals.
+        """
+        rivals = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
+        known = (name for name in rivals if TRUTHS[name].known and name != truth.name and name not in without)
+        closest = max((float(rivals[name]) for name in known), default=0.0)
+        return math.sqrt(max(0.0, 1.0 - closest**2))
+
 
 def table_file(rig: BlindRig) -> Path:
     """Where the table of a rig lies."""
@@ -46,8 +84,9 @@ def table_file(rig: BlindRig) -> Path:
 
 
 def fingerprint(rig: BlindRig) -> str:
-    """What a table depends on: the rig file's content and the tests."""
-    text = rig_yaml(rig.model()) + json.dumps(asdict(rig.bench), sort_keys=True)
+    """What a table depends on: the rig file's content, the tests and what they repeat to."""
+    noise = [FREQUENCY, FUNDAMENTAL, HARMONIC, PHASE_AT_LOCK, PHASE_LEAN]
+    text = rig_yaml(rig.model()) + json.dumps([asdict(rig.bench), noise], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -76,6 +115,8 @@ def make_table(
 ) -> StrengthTable:
     """Make or complete the table of a rig; curves that are there already are kept.
 
+    Curves of another version of the rig are where the search for the new ones starts.
+
     Args:
         rig: the rig.
         names: truths to do; none = all.
@@ -86,8 +127,6 @@ def make_table(
     Raises:
         BenchError: a truth that does not exist.
     """
-    from joblib import Parallel, delayed
-
     for name in names:
         if name not in TRUTHS:
             raise BenchError(f"There is no truth '{name}'; choose from {', '.join(TRUTHS)}.")
@@ -95,7 +134,8 @@ def make_table(
     path.parent.mkdir(parents=True, exist_ok=True)
     mark = fingerprint(rig)
     found = _read(path)
-    curves: dict[str, dict[str, Any]] = found["curves"] if found and found.get("fingerprint") == mark else {}
+    former: dict[str, dict[str, Any]] = found["curves"] if found else {}
+    curves = former if found and found.get("fingerprint") == mark else {}
     sensitivity = Sensitivity(rig)
     todo = [
         (truth, spot)
@@ -117,18 +157,58 @@ def make_table(
         write_whole(path, _text({**values, "curves": ordered}))
 
     parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
-    work = (delayed(_curve)(sensitivity, truth.name, spot) for truth, spot in todo)
+    work = (delayed(_curve)(sensitivity, truth.name, spot, former.get(spot_key(truth, spot))) for truth, spot in todo)
     for done, (key, curve) in enumerate(parallel(work), start=1):
         curves[key] = curve
         keep()
         progress(done, len(todo), key)
+    if todo or any("rivals" not in curve for curve in curves.values()):
+        _add_rivals(sensitivity, curves, parallel, progress)
     keep()
     return StrengthTable(rig.name, sensitivity.operating, curves)
 
 
-def _curve(sensitivity: Sensitivity, name: str, spot: Spot) -> tuple[str, dict[str, Any]]:
+def _add_rivals(
+    sensitivity: Sensitivity,
+    curves: dict[str, dict[str, Any]],
+    parallel: Any,
+    progress: Callable[[int, int, str], None],
+) -> None:
+    """Cosines between the marks of all truths, the model's parameters projected out."""
+    marked = [
+        (spot_key(truth, spot), truth, spot, value)
+        for truth in TRUTHS.values()
+        for spot in truth.spots(sensitivity.model, sensitivity.operating)
+        if spot_key(truth, spot) in curves and (value := value_at(curves[spot_key(truth, spot)], _MARK)) is not None
+    ]
+    work = (delayed(_mark)(sensitivity, key, truth.name, spot, value) for key, truth, spot, value in marked)
+    marks: dict[str, FloatArray] = {}
+    for done, (key, mark) in enumerate(parallel(work), start=1):
+        marks[key] = mark
+        progress(done, len(marked), f"rivals of {key}")
+    keys = [key for key, *_ in marked]
+    gram = sensitivity.products(np.stack([marks[key] for key in keys], axis=1))
+    sizes = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    cosines = np.abs(gram) / sizes[:, np.newaxis] / sizes
+    for row, key in enumerate(keys):
+        found: dict[str, float] = {}
+        for column, (_, truth, _, _) in enumerate(marked):
+            if column != row and cosines[row, column] > 0.5:
+                found[truth.name] = max(found.get(truth.name, 0.0), round(min(1.0, float(cosines[row, column])), 4))
+        curves[key]["rivals"] = dict(sorted(found.items(), key=lambda item: -item[1]))
+    for key in set(curves) - set(keys):
+        curves[key]["rivals"] = {}
+
+
+def _mark(sensitivity: Sensitivity, key: str, name: str, spot: Spot, value: float) -> tuple[str, FloatArray]:
+    return key, sensitivity.mark(TRUTHS[name], spot, value)
+
+
+def _curve(
+    sensitivity: Sensitivity, name: str, spot: Spot, former: dict[str, Any] | None
+) -> tuple[str, dict[str, Any]]:
     truth = TRUTHS[name]
-    return spot_key(truth, spot), sensitivity.curve(truth, spot)
+    return spot_key(truth, spot), sensitivity.curve(truth, spot, former)
 
 
 def _text(values: dict[str, Any]) -> str:

@@ -57,7 +57,7 @@ class Truth:
         signed: the strength may be negative.
         largest: largest strength that makes sense.
         known: the library of the diagnosis is supposed to have it.
-        proportional: its mark in the observables grows in proportion to the strength, up to 16 σ.
+        proportional: its mark in the observables grows in proportion to the strength, up to 64 σ.
     """
 
     name: str
@@ -235,9 +235,7 @@ def _stop(kind: str) -> Edits:
 def _friction(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
     if spot.option == "rotation":
         reach = spot.shape * operating.rotation[spot.point]
-        return _element(
-            rig, spot, "jenkins", tangential_stiffness_n_m=value, slip_force_n=value * reach, rotation=True
-        )
+        return _element(rig, spot, "jenkins", tangential_stiffness_n_m=value, slip_force_n=value * reach, rotation=True)
     reach = spot.shape * operating.size(spot.point, spot.other)
     return _element(rig, spot, "jenkins", tangential_stiffness_n_m=value, slip_force_n=value * reach)
 
@@ -579,6 +577,7 @@ NEAR_TWINS: tuple[tuple[str, str], ...] = (
     ("added_mass", "sensor_mass"),
     ("structural_damping", "viscous_damping"),
     ("cubic_stiffness", "quintic_stiffness"),
+    ("response_gain", "transverse_sensitivity"),
 )
 """Pairs that are hard to tell apart."""
 

@@ -21,7 +21,7 @@ RESULT_FORMAT = "nmt blind result 1"
 _PUBLIC_FILE = "public.json"
 
 Diagnose = Callable[[Path, Sequence[Path], str], dict[str, Any]]
-"""From model, bags and the withheld effect (empty = none) to what ``diagnosis.json`` holds."""
+"""From model, bags and the withheld effects (joined by commas, empty = none) to what ``diagnosis.json`` holds."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def diagnose_case(model: Path, bags: Sequence[Path], withheld: str) -> dict[str,
     from nmt_diagnose.campaign.ensemble_sindy import sparse_terms
     from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
 
-    settings = DiagnosisSettings(withheld=(withheld,) if withheld else (), look_ahead=False)
+    settings = DiagnosisSettings(withheld=tuple(withheld.split(",")) if withheld else (), look_ahead=False)
     result = diagnose_bags(model, bags, settings=settings).diagnosis.to_mapping()
     with contextlib.suppress(BenchError, ArithmeticError, np.linalg.LinAlgError):
         result["sindy"] = sparse_terms(model, bags)

@@ -33,6 +33,7 @@ _PARTS = {
     Part.DAMPING: "damping_ratio",
     Part.SAMPLE: "sample",
     Part.LINE: "line_amplitude",
+    Part.STEP: "converter_step",
 }
 _FEW_LINES = 12
 _TAU = 2.0 * math.pi

@@ -27,6 +27,7 @@ class Part(IntEnum):
     DAMPING = 6  # damping ratio δ
     SAMPLE = 7  # a sample of a record, in units of the channel
     LINE = 8  # amplitude of a spectral line at the row's frequency that follows no excitation, in units of the channel
+    STEP = 9  # step of the converter that recorded the channel, in its units; 0 where the samples show none
 
 
 @dataclass(frozen=True)

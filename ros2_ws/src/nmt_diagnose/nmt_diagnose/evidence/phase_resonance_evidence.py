@@ -14,6 +14,7 @@ from nmt_core.errors import BenchError
 from nmt_core.test_kind import TestKind
 from nmt_diagnose.evidence.bag_samples import Stretch
 from nmt_diagnose.evidence.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.evidence.converter_step import converter_step
 from nmt_diagnose.evidence.drive_hold import hold_factor, image_responses
 from nmt_diagnose.evidence.floors import Floors
 from nmt_diagnose.evidence.model_view import ModelView
@@ -42,6 +43,10 @@ _FURTHEST_PHASE = math.radians(60.0)
 # The line of the mains that is observed in any case; the other one only where it stands out by so many deviations.
 _COMMON_MAINS = MAINS_HZ[0]
 _STANDS_OUT = 6.0
+# A step of the converter below this share of the noise adds less than 1 % to it and is not observed; a step of a whole
+# deviation of the noise changes hardly any observable: its weight is that of four standard deviations.
+_HIDDEN_STEP = 0.3
+_STEP_SHARE = 0.25
 
 
 def wrapped(angle: FloatArray) -> FloatArray:
@@ -316,6 +321,7 @@ def phase_resonance_evidence(
                 floor = floors.window(cell.part, quantity_of[cell.name], cell.harmonic)
                 table.add(cell.part, cell.value, std, floor, place, index_of[cell.name], cell.harmonic)
     notes += _mains(name, kept, levels, present, recorded, held, floors, table)
+    notes += _steps(name, kept, levels, present, recorded, held, cells, view, table)
     return table.evidence(test, notes)
 
 
@@ -356,6 +362,55 @@ def _mains(
                     amplitude = level.drive if held == "voltage" else level.force_n
                     place = Place(index, 0.5 * (level.start_s + level.stop_s), hz, amplitude)
                     table.add(Part.LINE, value, std, floor, place, number)
+    return notes
+
+
+def _steps(
+    name: str,
+    windows: Sequence[LockedWindow],
+    levels: Sequence[LockedLevel],
+    present: Sequence[MeasuredChannel],
+    recorded: Mapping[str, str],
+    held: str,
+    cells: Sequence[_Cell],
+    view: ModelView,
+    table: RowTable,
+) -> list[str]:
+    """Add the steps of converters that are not hidden in the noise, measured or of the model; sentences on them."""
+    notes = []
+    believed = {
+        view.rig.sensor_channel(sensor): 2.0 * sensor.range / 2.0**sensor.bits
+        for sensor in view.rig.sensors
+        if sensor.bits is not None and sensor.range is not None
+    }
+    for number, channel in enumerate(present):
+        theirs = recorded[channel.name]
+        found = [k for k, window in enumerate(windows) if theirs in window.rows]
+        variances = [
+            0.5 * cell.variance * windows[cell.level].stretch.samples
+            for cell in cells
+            if cell.name == channel.name and cell.harmonic > 1
+        ]
+        if not found or not variances:
+            continue
+        steps = [converter_step(windows[k].stretch.row(theirs)) for k in found]
+        # One converter has one step; at a level of few values it shows as a multiple of it.
+        seen = [step for step in steps if step > 0.0]
+        step = min(seen) if 2 * len(seen) > len(steps) else 0.0
+        total = float(np.median(variances))
+        expected = believed.get(channel.name, 0.0)
+        # A step that is as the model has it tells nothing.
+        if max(step, expected) <= _HIDDEN_STEP * math.sqrt(total) or math.isclose(step, expected, rel_tol=0.01):
+            continue
+        if step > 0.0:
+            notes.append(f"{name}: channel {channel.name} is recorded in steps of {step:.3g} {channel.quantity.unit}.")
+        noise = math.sqrt(max(total - step**2 / 12.0, (0.1 * step) ** 2))
+        floor = _STEP_SHARE * noise * math.sqrt(len(found))
+        for k in found:
+            level = levels[k]
+            amplitude = level.drive if held == "voltage" else level.force_n
+            place = Place(k, 0.5 * (level.start_s + level.stop_s), level.frequency_hz, amplitude)
+            table.add(Part.STEP, step, 0.0, floor, place, number)
     return notes
 
 

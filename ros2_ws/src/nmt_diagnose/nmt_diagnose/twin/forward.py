@@ -34,6 +34,7 @@ from .settings import TwinSettings
 
 # Relative distance within which a line of the evidence is that of the mains.
 LINE_WIDTH = 0.01
+_OF_THE_CHANNEL = (Part.LINE, Part.STEP)
 
 
 class Parameters(Protocol):
@@ -131,7 +132,7 @@ class Forward:
             else:
                 values[where] = twin.values(rig, cache)
                 states.append(None)
-        self._add_lines(rig, values)
+        self._add_unexcited(rig, values)
         return Prediction(values, np.isfinite(values), tuple(reasons), tuple(states))
 
     def _stepped(self, rig: Rig, prediction: Prediction, cache: PartsCache) -> FloatArray:
@@ -142,11 +143,17 @@ class Forward:
                 values[where] = twin.values(rig, cache, twin.stepped(rig, cache, prediction.states[index]))
             else:
                 values[where] = twin.values(rig, cache)
-        self._add_lines(rig, values)
+        self._add_unexcited(rig, values)
         return values
 
-    def _add_lines(self, rig: Rig, values: FloatArray) -> None:
-        """Spectral lines that follow no excitation: mains hum, at its frequency as the rig's clock sees it."""
+    def _add_unexcited(self, rig: Rig, values: FloatArray) -> None:
+        """What follows no excitation: mains hum, at its frequency as the rig's clock sees it, and converters' steps."""
+        for row in np.flatnonzero(self.rows.part == Part.STEP):
+            test = self.tests[self.rows.test[row]]
+            if isinstance(test, PhaseResonanceTest):
+                name = test.channels[self.rows.channel[row]].name
+                own = [s for s in rig.sensors if rig.sensor_channel(s) == name]
+                values[row] = 2.0 * own[0].range / 2.0 ** own[0].bits if own and own[0].bits and own[0].range else 0.0
         for row in np.flatnonzero(self.rows.part == Part.LINE):
             test = self.tests[self.rows.test[row]]
             if not isinstance(test, PhaseResonanceTest | RandomTest | RecordTest):
@@ -238,10 +245,10 @@ class Forward:
                 if isinstance(twin, PhaseResonanceTwin):
                     states = prediction.states[index]
                     own, labels = resonance_influence(twin, rig, cache, states, source, self.settings)
-                    # Lines follow no excitation: only an error of their own channel adds to them.
-                    own[twin.rows.part == Part.LINE] = 0.0
-                    lines, more = _line_sources(twin, states, source)
-                    own, labels = np.hstack((own, lines)), labels + more
+                    # Lines and steps follow no excitation: only an error of their own channel adds to them.
+                    own[np.isin(twin.rows.part, _OF_THE_CHANNEL)] = 0.0
+                    direct, more = _channel_sources(twin, states, source)
+                    own, labels = np.hstack((own, direct)), labels + more
                 else:
                     own, labels = random_influence(twin, rig, cache, source, self.settings)
             if shared and own.shape[1]:
@@ -271,20 +278,21 @@ class Forward:
         return result
 
 
-def _line_sources(twin: PhaseResonanceTwin, states: Sequence[Any], source: Source) -> tuple[FloatArray, list[str]]:
-    """Spectral lines of a channel, (rows of the test, levels): 1 % of its smallest fundamental, at each level."""
+def _channel_sources(twin: PhaseResonanceTwin, states: Sequence[Any], source: Source) -> tuple[FloatArray, list[str]]:
+    """Lines and steps of a channel, (rows of the test, sources): 1 % of its smallest fundamental, at each level."""
     empty: tuple[FloatArray, list[str]] = np.zeros((len(twin.rows), 0)), []
     if source.kind not in ("force_sensor", "response_sensor"):
         return empty
     channel = twin.force_row if source.kind == "force_sensor" else twin.own_row(source.index)
     rows = [index for index in range(len(twin.test.channels)) if twin.own_row(index) == channel]
-    mine = (twin.rows.part == Part.LINE) & np.isin(twin.rows.channel, rows)
     sizes = [float(abs(state.channels[channel, twin.basis.fundamental])) for state in states if state is not None]
-    levels = np.unique(twin.rows.level[mine])
-    if not levels.size or not sizes:
-        return empty
-    columns = np.stack([0.01 * min(sizes) * (mine & (twin.rows.level == level)) for level in levels], axis=1)
-    return columns, [f"{twin.test.name} level {level} order 1 line" for level in levels]
+    columns, names = [], []
+    for part in _OF_THE_CHANNEL:
+        mine = (twin.rows.part == part) & np.isin(twin.rows.channel, rows)
+        for level in np.unique(twin.rows.level[mine]) if sizes else ():
+            columns.append(0.01 * min(sizes) * (mine & (twin.rows.level == level)))
+            names.append(f"{twin.test.name} level {level} order 1 {part.name.lower()}")
+    return (np.stack(columns, axis=1), names) if columns else empty
 
 
 def _shared(columns: FloatArray, labels: Sequence[str]) -> tuple[FloatArray, list[str]]:

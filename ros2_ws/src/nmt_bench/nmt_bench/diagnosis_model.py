@@ -30,7 +30,7 @@ def model_text(text: str, name: str, given: Rig, model: Rig, diagnosis: Diagnosi
     Raises:
         BenchError: ``text`` is no rig file.
     """
-    if diagnosis.verdict in (Verdict.UNKNOWN, Verdict.UNDECIDED):
+    if diagnosis.verdict is Verdict.UNKNOWN:
         model = given
     lines = assumptions(given, model, diagnosis)
     target = model.model_copy(update={"assumptions": [*model.assumptions, *lines]})

@@ -19,7 +19,6 @@ VERDICTS = {
     Verdict.CALIBRATION: ("the model's own parameters were off", "good"),
     Verdict.EFFECT: ("an unmodelled effect", "good"),
     Verdict.UNKNOWN: ("a gap that nothing in the library explains", "partly"),
-    Verdict.UNDECIDED: ("undecided: these tests do not reach", "partly"),
 }
 QUESTIONS = ("Where", "Which", "How far")
 

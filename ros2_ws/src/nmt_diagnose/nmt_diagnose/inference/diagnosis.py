@@ -21,7 +21,6 @@ class Verdict(str, Enum):
     CALIBRATION = "calibration"
     EFFECT = "effect"
     UNKNOWN = "unknown"
-    UNDECIDED = "undecided"  # the evidence does not reach: nothing that could be judged
 
 
 @dataclass(frozen=True)

@@ -71,3 +71,24 @@ def test_bounds_hold_and_rows_without_solution_are_left_out():
     assert not result.used[2]
     with pytest.raises(FitError, match="no solution"):
         fit(Problem(evidence, FunctionModel(lambda t: np.full(3, np.nan))), Plain.of(1), np.zeros(1))
+
+
+def test_soft_evidence_leads_around_a_fold_that_a_plain_fit_ends_in():
+    """A response that comes back far from what is believed: the prior tells the two optima apart, not the data."""
+
+    def model(t):
+        return np.array([np.cos(2.0 * (t[0] - 0.5)) * 5.0, t[0] * 0.01])
+
+    problem = Problem(evidence_of(model(np.array([0.4])), 0.01), FunctionModel(model))
+    plain = Plain.of(1, 1.0)
+    far = fit(problem, plain, np.array([3.4]))
+    assert abs(far.theta[0] - 0.4) > 2.0
+    theta = np.array([3.4])
+    for softness in (1000.0, 100.0, 10.0, 1.0):
+        theta = fit(problem, plain, theta, softness=softness).theta
+    near = fit(problem, plain, theta)
+    assert near.theta[0] == pytest.approx(0.4, abs=1e-3)
+    assert near.log_evidence > far.log_evidence
+    # What is told of the estimate does not depend on how it was found.
+    soft = fit(problem, plain, near.theta, softness=3.0)
+    assert soft.log_evidence == pytest.approx(near.log_evidence, rel=1e-3)

@@ -90,6 +90,7 @@ def fit(
     jacobian: FloatArray | None = None,
     steps: int = _STEPS,
     exact: bool = True,
+    softness: float = 1.0,
 ) -> Fit:
     """Fit by Levenberg's damping, within bounds.
 
@@ -105,10 +106,13 @@ def fit(
         jacobian: whitened sensitivities near the start, shape (m, n); None = computed.
         steps: most steps.
         exact: compute the sensitivities anew at the estimate.
+        softness: factor on the uncertainties of the rows that steps are made with; what is told of the estimate is for
+            the uncertainties as they are.
 
     Raises:
         FitError: the model cannot be solved at the start.
     """
+    weight = softness**-2.0
     rows = np.ones(problem.size, dtype=bool) if used is None else used
     theta = np.maximum(np.asarray(theta, dtype=np.float64), parametrisation.lower)
     std, lower = parametrisation.prior_std, parametrisation.lower
@@ -122,14 +126,14 @@ def fit(
         raise FitError("the model has no solution for any of the observables")
     rows = rows & solvable
     damping, converged = 1e-4, False
-    cost = _cost(residual, rows, theta, std)
+    cost = _cost(residual, rows, theta, std, weight)
     fresh = jacobian is None
     if jacobian is None:
         jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
     for _ in range(steps):
         used_jacobian = jacobian[rows]
-        normal = used_jacobian.T @ used_jacobian + np.diag(std**-2.0)
-        gradient = used_jacobian.T @ residual[rows] - theta / std**2
+        normal = weight * (used_jacobian.T @ used_jacobian) + np.diag(std**-2.0)
+        gradient = weight * (used_jacobian.T @ residual[rows]) - theta / std**2
         trial = None
         for _ in range(_TRIALS):
             step = _bounded_step(normal, gradient, damping, theta, lower)
@@ -143,7 +147,7 @@ def fit(
             trial = _predicted(problem, parametrisation, moved, prediction)
             if trial is not None:
                 trial_residual = problem.residual(trial)
-                trial_cost = _cost(trial_residual, rows, moved, std)
+                trial_cost = _cost(trial_residual, rows, moved, std, weight)
                 if trial_cost <= cost:
                     break
                 trial = None
@@ -214,11 +218,11 @@ def _whitened_jacobian(
     return np.where(np.isfinite(jacobian), jacobian, 0.0)
 
 
-def _cost(residual: FloatArray, rows: BoolArray, theta: FloatArray, std: FloatArray) -> float:
+def _cost(residual: FloatArray, rows: BoolArray, theta: FloatArray, std: FloatArray, weight: float) -> float:
     used = residual[rows]
     if not np.all(np.isfinite(used)):
         return float("inf")
-    return float(used @ used + np.sum((theta / std) ** 2))
+    return float(weight * (used @ used) + np.sum((theta / std) ** 2))
 
 
 def _bounded_step(

@@ -20,8 +20,8 @@ class Floors:
 
     Attributes:
         log_frequency: locked frequency, relative: transients of the lock.
-        phase_error: F-v phase at lock against what the controller aims at, rad, for all levels of a run together: locks
-            are confirmed within 3.5e-3 rad, and the rest has one sign; the floor of a row is √levels times this.
+        phase_error: F-v phase at lock against what the controller aims at, rad, for all levels of a run together: the
+            floor of a row is √levels times this. Loops that have not settled show it by a drift, which counts extra.
         log_magnitude, force_log_magnitude: fundamental amplitudes of motions and force, relative.
         phase: phases of fundamentals, rad.
         harmonic: other harmonics over the fundamental, 1.
@@ -37,14 +37,14 @@ class Floors:
     """
 
     log_frequency: float = 2e-6
-    phase_error: float = 1.5e-3
+    phase_error: float = 5e-4
     log_magnitude: float = 5e-5
     force_log_magnitude: float = 2e-4
     phase: float = 3e-5
     harmonic: float = 5e-6
     model_harmonics: int = 9
     frf: float = 5e-5
-    images: float = 0.05
+    images: float = 0.02
     decay_log_frequency: float = 2e-4
     decay_damping: float = 3e-3
     table_log_frequency: float = 1e-3

@@ -352,3 +352,14 @@ def test_the_shipped_rigs_make_views() -> None:
         view = ModelView.of(load_rig(name), point)
         exact = linear_responses(view.rig, view.channels[:-1], np.array([30.0, 400.0]))
         np.testing.assert_allclose(view.responses(view.channels[:-1], np.array([30.0, 400.0])), exact, rtol=1e-10)
+
+
+def test_a_loop_that_still_settles_leans_and_a_steady_offset_does_not() -> None:
+    from nmt_diagnose.evidence.phase_resonance_evidence import _lean
+
+    time = np.arange(10) / 10.0
+    noise = 1e-5 * np.random.default_rng(3).standard_normal(10)
+    settling = 1e-3 * np.exp(-0.6 * time) + noise
+    assert 0.7 * settling.mean() < _lean(settling) < 1.6 * settling.mean()
+    # The scatter of ten values lets a small drift through now and then, never the offset itself.
+    assert _lean(1e-3 + noise) < 1e-4

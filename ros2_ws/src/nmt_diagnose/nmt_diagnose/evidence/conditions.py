@@ -38,6 +38,7 @@ class LockedLevel:
         cycles_before: excitation periods since the start of the bag until the middle of the window.
         direction: +1 while the level rises, −1 while it falls.
         force_n: measured |F₁|, N: the given amplitude where the force is held.
+        phase_lean: how far the loop may still have been off because it had not settled, rad.
     """
 
     index: int
@@ -50,6 +51,7 @@ class LockedLevel:
     cycles_before: float
     direction: int
     force_n: float = math.nan
+    phase_lean: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,12 @@ LINES = 100
 _NEIGHBOURS = 4
 # Small and central: parameters that move a narrow resonance to either side must cancel.
 _STEP = 0.1
+# Size over σ from which a difference counts as imitated by parameters; how often and how far they are shifted then,
+# and what is not worth another turn, prior standard deviations.
+_IMITATED = 20.0
+_TURNS = 12
+_LARGEST_STEP = 1.5
+_SMALL_STEP = 0.2
 _PHASE_STEP = 1e-2
 
 TARGETS = (64.0, 16.0, 4.0)
@@ -148,21 +154,50 @@ class Sensitivity:
         return np.stack(columns, axis=1)
 
     def sigma_of(self, observed: Observed) -> float:
-        """Standard deviations by which observables differ from the model's.
+        """Standard deviations by which observables differ from what the model can be made to say.
+
+        Where parameters imitate nearly all of a difference, or would have to be shifted far, a linear estimate leaves its
+        own error: the model is observed again with the shifts made, step by step.
 
         Raises:
-            TrialError: too few levels locked.
+            TrialError: too few levels locked, or the shifted model cannot be tested.
         """
-        good = np.isfinite(observed.values) & np.isfinite(self.base.values) & np.isfinite(self.base.noise)
+        size, found, shifts = self._fitted(observed, self.base.values, np.zeros(self._nuisance.shape[1]))
+        paths = parameters(self.model)
+        own = np.arange(shifts.size) < len(paths)
+        if size <= _IMITATED * found and float(np.max(np.abs(shifts[own]))) <= _LARGEST_STEP:
+            return found
+        made = np.zeros(shifts.size)
+        for _ in range(_TURNS):
+            # What the phase at lock takes stays linear; the model is not moved by it.
+            step = np.where(own, np.clip(shifts - made, -_LARGEST_STEP, _LARGEST_STEP), 0.0)
+            made = made + step
+            edits = [
+                shifted(path, value, std, float(shift))
+                for (path, (value, std)), shift in zip(paths.items(), made, strict=False)
+            ]
+            try:
+                moved = self.observe(with_edits(self.model, edits))
+            except BenchError as error:
+                raise TrialError(str(error)) from error
+            _, found, shifts = self._fitted(observed, moved.values, made)
+            if float(np.max(np.abs((shifts - made)[own]))) < _SMALL_STEP:
+                break
+        return found
+
+    def _fitted(self, observed: Observed, values: FloatArray, shifts: FloatArray) -> tuple[float, float, FloatArray]:
+        """Size of the difference from the plain model, σ after the best shifts about given ones, and these."""
+        good = np.isfinite(observed.values) & np.isfinite(values) & np.isfinite(self.base.noise)
         levels = np.unique(self.base.level[good & (self.base.level >= 0)]).size
         if levels < min(_FEWEST_LEVELS, len(self.bench.levels)):
             raise TrialError(f"only {levels} levels locked")
         scale = 1.0 / self.base.noise[good]
-        d = (observed.values - self.base.values)[good] * scale
+        d = (observed.values - values)[good] * scale
         c = self._nuisance[good] * scale[:, np.newaxis]
-        inner = np.eye(c.shape[1]) + c.T @ c
-        along = c.T @ d
-        return math.sqrt(max(0.0, float(d @ d - along @ np.linalg.solve(inner, along))))
+        step = np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, c.T @ d - shifts)
+        rest, total = d - c @ step, shifts + step
+        whole = np.nan_to_num((observed.values - self.base.values)[good] * scale)
+        return float(np.linalg.norm(whole)), math.sqrt(float(rest @ rest + total @ total)), total
 
     def mark(self, truth: Truth, spot: Spot, value: float) -> FloatArray:
         """What a truth changes over the noise, shape (m,); zero where a level did not lock."""

@@ -156,8 +156,8 @@ class Sensitivity:
     def sigma_of(self, observed: Observed) -> float:
         """Standard deviations by which observables differ from what the model can be made to say.
 
-        Where parameters imitate nearly all of a difference, or would have to be shifted far, a linear estimate leaves its
-        own error: the model is observed again with the shifts made, step by step.
+        Where parameters imitate nearly all of a difference, or would have to be shifted far, a linear estimate leaves
+        its own error: the model is observed again with the shifts made, step by step.
 
         Raises:
             TrialError: too few levels locked, or the shifted model cannot be tested.

@@ -22,9 +22,6 @@ from nmt_diagnose.inference.scan import Direction, Score, scores
 from nmt_plant.rig import Rig
 
 _SHAPE_STARTS = (0.5, 1.0, 2.0)
-# Penalty of the prior for each parameter from which a fit of the model alone is doubted, and how it is led anew.
-_INCREDIBLE = 2.0
-_SOFTNESS = (30.0, 10.0, 3.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -55,8 +52,8 @@ class ContestSettings:
     second_of_pairs: int = 3
     pair_gain: float = 14.0
     weak: float = 30.0
-    settled: int = 5
-    close: float = 20.0
+    settled: int = 6
+    close: float = 60.0
 
 
 @dataclass(frozen=True)
@@ -136,23 +133,11 @@ class Contest:
     def null(self, used: BoolArray | None = None) -> Contender:
         """The model with its own parameters re-fitted.
 
-        A fit that ends where its prior finds it incredible may have gone the wrong way round a resonance: it starts
-        anew with evidence that counts little at first, so that the parameters stay near what is believed of them.
-
         Raises:
             FitError: the model as given has no solution for any observable.
         """
         parametrisation = Parametrisation(self.rig, self.calibration)
-        rows = self._used(used)
-        best = fit(self.problem, parametrisation, parametrisation.zero, rows)
-        if best.penalty > _INCREDIBLE * max(1, best.theta.size):
-            theta, prediction = parametrisation.zero, None
-            for softness in _SOFTNESS:
-                other = fit(self.problem, parametrisation, theta, rows, prediction, softness=softness)
-                theta, prediction = other.theta, other.prediction
-            if other.log_evidence > best.log_evidence:
-                best = other
-        return Contender((), best)
+        return Contender((), fit(self.problem, parametrisation, parametrisation.zero, self._used(used)))
 
     def _used(self, rows: BoolArray | None) -> BoolArray | None:
         return self.rows if rows is None else rows

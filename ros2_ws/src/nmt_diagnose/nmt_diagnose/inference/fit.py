@@ -13,6 +13,8 @@ from nmt_diagnose.inference.problem import BoolArray, ParametrisationLike, Predi
 _STEPS = 25
 _TRIALS = 10
 _SMALL = 0.02  # fall of χ² that is not worth a step
+_COOLING = 30.0  # fall of the inflated noise from step to step of a cold fit
+_COOLING_STEPS = 12
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,6 @@ def fit(
     jacobian: FloatArray | None = None,
     steps: int = _STEPS,
     exact: bool = True,
-    softness: float = 1.0,
 ) -> Fit:
     """Fit by Levenberg's damping, within bounds.
 
@@ -102,23 +103,23 @@ def fit(
         parametrisation: parameters with prior.
         theta: where to start, shape (n,).
         used: rows to fit; None = all.
-        start: a solution to start from.
+        start: a solution to start from; None = far from the optimum, which is approached with noise that counts large
+            at first.
         jacobian: whitened sensitivities near the start, shape (m, n); None = computed.
         steps: most steps.
         exact: compute the sensitivities anew at the estimate.
-        softness: factor on the uncertainties of the rows that steps are made with; what is told of the estimate is for
-            the uncertainties as they are.
 
     Raises:
         FitError: the model cannot be solved at the start.
     """
-    weight = softness**-2.0
     rows = np.ones(problem.size, dtype=bool) if used is None else used
     theta = np.maximum(np.asarray(theta, dtype=np.float64), parametrisation.lower)
     std, lower = parametrisation.prior_std, parametrisation.lower
     prediction = _predicted(problem, parametrisation, theta, start)
     if prediction is None:
         raise FitError("the rig at the start of the fit cannot be built")
+    if start is None and jacobian is None and steps > 0:
+        theta, prediction = _approached(problem, parametrisation, theta, rows, prediction)
     residual = problem.residual(prediction)
     # Levels that have no solution even here cannot be compared; they are left out of this fit as a whole.
     solvable = np.isfinite(residual)
@@ -126,14 +127,14 @@ def fit(
         raise FitError("the model has no solution for any of the observables")
     rows = rows & solvable
     damping, converged = 1e-4, False
-    cost = _cost(residual, rows, theta, std, weight)
+    cost = _cost(residual, rows, theta, std)
     fresh = jacobian is None
     if jacobian is None:
         jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
     for _ in range(steps):
         used_jacobian = jacobian[rows]
-        normal = weight * (used_jacobian.T @ used_jacobian) + np.diag(std**-2.0)
-        gradient = weight * (used_jacobian.T @ residual[rows]) - theta / std**2
+        normal = used_jacobian.T @ used_jacobian + np.diag(std**-2.0)
+        gradient = used_jacobian.T @ residual[rows] - theta / std**2
         trial = None
         for _ in range(_TRIALS):
             step = _bounded_step(normal, gradient, damping, theta, lower)
@@ -147,7 +148,7 @@ def fit(
             trial = _predicted(problem, parametrisation, moved, prediction)
             if trial is not None:
                 trial_residual = problem.residual(trial)
-                trial_cost = _cost(trial_residual, rows, moved, std, weight)
+                trial_cost = _cost(trial_residual, rows, moved, std)
                 if trial_cost <= cost:
                     break
                 trial = None
@@ -155,7 +156,8 @@ def fit(
                 break
             damping = max(damping, 1e-6) * 8.0
         if trial is None:
-            if fresh or promised < _SMALL + 1e-7 * cost:
+            # Sensitivities from elsewhere may promise nothing where those at the estimate would lead on.
+            if fresh or (promised < _SMALL + 1e-7 * cost and not exact):
                 converged = promised < 1.0
                 break
             jacobian, fresh = _whitened_jacobian(problem, parametrisation, theta, prediction), True
@@ -169,6 +171,53 @@ def fit(
     if exact and not fresh:
         jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
     return _finished(problem, parametrisation, theta, rows, prediction, residual, jacobian, converged)
+
+
+def _approached(
+    problem: Problem,
+    parametrisation: ParametrisationLike,
+    theta: FloatArray,
+    rows: BoolArray,
+    prediction: PredictionLike,
+) -> tuple[FloatArray, PredictionLike]:
+    """Parameters near the optimum, from a start that may be thousands of σ away.
+
+    As long as the residual is large the linearisation is wrong by more than the noise. Taken at face value it throws
+    parameters that the evidence hardly tells apart many prior deviations away, into valleys of their own. So the noise
+    counts as large as what is left, and less from step to step: the prior holds those parameters meanwhile.
+    """
+    std, lower = parametrisation.prior_std, parametrisation.lower
+    residual = problem.residual(prediction)
+    rows = rows & np.isfinite(residual)
+    count = int(rows.sum())
+    if count == 0 or theta.size == 0:
+        return theta, prediction
+    left = float(residual[rows] @ residual[rows])
+    inflation = max(1.0, left / count)
+    if inflation == 1.0:
+        return theta, prediction
+    jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)[rows]
+    for _ in range(_COOLING_STEPS):
+        if inflation <= 1.0:
+            break
+        normal = jacobian.T @ jacobian / inflation + np.diag(std**-2.0)
+        gradient = jacobian.T @ residual[rows] / inflation - theta / std**2
+        moved = np.maximum(theta + _bounded_step(normal, gradient, 0.0, theta, lower), lower)
+        trial = _predicted(problem, parametrisation, moved, prediction)
+        if trial is None:
+            break
+        trial_residual = problem.residual(trial)
+        if not np.all(np.isfinite(trial_residual[rows])):
+            break
+        trial_left = float(trial_residual[rows] @ trial_residual[rows])
+        if trial_left > 1.5 * left:
+            inflation *= 4.0
+        else:
+            theta, prediction, residual, left = moved, trial, trial_residual, trial_left
+            inflation = max(1.0, min(inflation / _COOLING, left / count))
+        if left > 1.05 * count:
+            jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)[rows]
+    return theta, prediction
 
 
 def _finished(
@@ -218,11 +267,11 @@ def _whitened_jacobian(
     return np.where(np.isfinite(jacobian), jacobian, 0.0)
 
 
-def _cost(residual: FloatArray, rows: BoolArray, theta: FloatArray, std: FloatArray, weight: float) -> float:
+def _cost(residual: FloatArray, rows: BoolArray, theta: FloatArray, std: FloatArray) -> float:
     used = residual[rows]
     if not np.all(np.isfinite(used)):
         return float("inf")
-    return float(weight * (used @ used) + np.sum((theta / std) ** 2))
+    return float(used @ used + np.sum((theta / std) ** 2))
 
 
 def _bounded_step(

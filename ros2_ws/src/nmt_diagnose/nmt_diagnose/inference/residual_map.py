@@ -11,7 +11,6 @@ from nmt_diagnose.evidence.conditions import (
     BackboneTable,
     MeasuredChannel,
     RandomTest,
-    RecordTest,
     RingDownTest,
     Test,
 )
@@ -83,6 +82,8 @@ _KINDS: tuple[tuple[str, str, float, tuple[Part, ...]], ...] = (
     ("phase of", "deg", 180.0 / np.pi, (Part.PHASE,)),
     ("harmonics of", "% of the fundamental", 100.0, (Part.REAL, Part.IMAG)),
     ("damping", "% of critical", 100.0, (Part.DAMPING,)),
+    ("line of the mains in", "", 1.0, (Part.LINE,)),
+    ("converter step of", "", 1.0, (Part.STEP,)),
     ("record of", "", 1.0, (Part.SAMPLE,)),
 )
 
@@ -114,12 +115,11 @@ def per_observable(
                     "floor": 1.0,
                     "before_unit": rms(before[mine] * scale),
                     "after_unit": rms(after[mine] * scale),
-                    "unit": unit or _record_unit(evidence, test, int(channel)),
+                    "unit": unit or _channel_unit(evidence, test, int(channel)),
                     "rows": int(mine.sum()),
                 }
     return result
 
 
-def _record_unit(evidence: Evidence, test: int, channel: int) -> str:
-    kind = evidence.tests[test]
-    return kind.channels[channel].quantity.unit if isinstance(kind, RecordTest) else ""
+def _channel_unit(evidence: Evidence, test: int, channel: int) -> str:
+    return channels_of(evidence.tests[test])[channel].quantity.unit if channel >= 0 else ""

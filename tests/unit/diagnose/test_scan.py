@@ -53,7 +53,7 @@ def test_a_parameter_at_its_bound_stays_there():
     plain = Plain(np.array([3.0, 3.0]), np.array([0.0, -np.inf]), ("strength", "b"))
     bound = fit(Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: calibration @ t)), plain, np.zeros(2))
     assert bound.theta[0] == 0.0
-    assert np.allclose(bound.settled_residual, bound.residual, atol=0.05)
+    assert np.allclose(bound.settled_residual(), bound.residual, atol=0.05)
     (score,) = scores(bound, [Direction(0, np.zeros(1), effect, True)])
     assert np.isfinite(score.gain)
 

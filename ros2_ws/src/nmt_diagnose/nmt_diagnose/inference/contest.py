@@ -166,11 +166,11 @@ class Contest:
         if base.candidates and self._plain_directions and base.sigmas < self.settings.weak:
             taken = {candidate.label for candidate in base.candidates}
             kept = [d for d in self._plain_directions if self.candidates[d.candidate].label not in taken]
-            return scores(base.fit, kept)
+            return scores(base.fit, kept, len(self.calibration))
         found = self.directions(base)
         if not base.candidates:
             self._plain_directions = found
-        return scores(base.fit, found)
+        return scores(base.fit, found, len(self.calibration))
 
     def directions(self, base: Contender) -> list[Direction]:
         """Directions of all candidates that the contender does not have yet."""

@@ -175,7 +175,7 @@ class _Diagnoser:
         found = places(self.forward, rig, cast(Prediction, null.fit.prediction), self.problem)
         sources = generic_sources(null.fit, found)
         top = self._most_promising(null, singles, pairs)
-        leftovers = generic_sources(top.fit, found) if top is not None else []
+        leftovers = generic_sources(top.fit, found, null.fit.theta.size) if top is not None else []
         judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.rig, self.confidence, top)
         as_given = self.problem.residual(given)
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])

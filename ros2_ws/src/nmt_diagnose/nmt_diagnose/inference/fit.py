@@ -13,6 +13,7 @@ from nmt_diagnose.inference.problem import BoolArray, ParametrisationLike, Predi
 _STEPS = 25
 _TRIALS = 10
 _SMALL = 0.02  # fall of χ² that is not worth a step
+_LET_GO = 1e3
 _COOLING = 30.0  # fall of the inflated noise from step to step of a cold fit
 _COOLING_STEPS = 12
 
@@ -53,19 +54,30 @@ class Fit:
         result: FloatArray = np.sqrt(np.diag(self.covariance))
         return result
 
-    @property
-    def settled_residual(self) -> FloatArray:
+    def settled_residual(self, prior_std: FloatArray | None = None) -> FloatArray:
         """Whitened residual of the used rows after the last linear step to the optimum, shape (used,).
 
         A fit ends where a step is not worth its cost. What is left of the gradient then is no evidence: a direction
         that the parameters imitate nearly would pass for one.
+
+        Args:
+            prior_std: prior for that step, shape (n,); None = that of the parametrisation.
         """
-        rows, std = self.used, self.parametrisation.prior_std
+        rows, std = self.used, self.parametrisation.prior_std if prior_std is None else prior_std
         jacobian = self.jacobian[rows]
         gradient = jacobian.T @ self.residual[rows] - self.theta / std**2
         normal = jacobian.T @ jacobian + np.diag(std**-2.0)
         step = _bounded_step(normal, gradient, 0.0, self.theta, self.parametrisation.lower)
         result: FloatArray = self.residual[rows] - jacobian @ step
+        return result
+
+    def open_prior(self, calibrated: int) -> FloatArray:
+        """The prior with everything after the first so many parameters let go, shape (n,).
+
+        A strength that its prior holds back leaves a part of its own mark; that is no sign of something else.
+        """
+        result = self.parametrisation.prior_std.copy()
+        result[calibrated:] *= _LET_GO
         return result
 
     @property

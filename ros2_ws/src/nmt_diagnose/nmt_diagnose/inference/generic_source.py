@@ -42,17 +42,21 @@ class SourceScore:
     freedom: float
 
 
-def source_score(fit: Fit, columns: FloatArray, place: str, detail: str) -> SourceScore:
+def source_score(
+    fit: Fit, columns: FloatArray, place: str, detail: str, calibrated: int | None = None
+) -> SourceScore:
     """Evidence for a source with the given whitened columns, over the fit's own model.
 
     Args:
         fit: fit of the model that the source is added to.
         columns: whitened responses, shape (m, s); their scale does not matter.
         place, detail: for the result.
+        calibrated: parameters of the fit that the model has, see :func:`nmt_diagnose.inference.scan.scores`.
     """
     rows = fit.used
     chosen = np.where(np.isfinite(columns[rows]), columns[rows], 0.0)
-    projector = Projector(fit.jacobian[rows], fit.parametrisation.prior_std)
+    prior = fit.open_prior(fit.theta.size if calibrated is None else calibrated)
+    projector = Projector(fit.jacobian[rows], prior)
     if not np.any(chosen):
         return SourceScore(place, detail, 0.0, 0.0, 0.0)
     matrix = projector.inner(chosen, chosen)
@@ -63,7 +67,7 @@ def source_score(fit: Fit, columns: FloatArray, place: str, detail: str) -> Sour
     matrix, chosen = matrix / size**2, chosen / size
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     values = np.maximum(values, 0.0)
-    along = (vectors.T @ (chosen.T @ fit.settled_residual)) ** 2
+    along = (vectors.T @ (chosen.T @ fit.settled_residual(prior))) ** 2
     keep = values > 1e-9 * values.max(initial=0.0)
     values, along = values[keep], along[keep]
     shrunk = values[None, :] + _SIZES[:, None] ** -2.0

@@ -77,19 +77,22 @@ class Projector:
         return result
 
 
-def scores(fit: Fit, directions: Sequence[Direction]) -> list[Score]:
+def scores(fit: Fit, directions: Sequence[Direction], calibrated: int | None = None) -> list[Score]:
     """Score every direction against the residual of a fit, best first.
 
     Args:
         fit: fit without the candidates.
         directions: of the candidates, at the fit's solution.
+        calibrated: parameters of the fit that the model has; the others are of effects and their prior lets go. None =
+            all.
     """
     if not directions:
         return []
     rows = fit.used
-    projector = Projector(fit.jacobian[rows], fit.parametrisation.prior_std)
+    prior = fit.open_prior(fit.theta.size if calibrated is None else calibrated)
+    projector = Projector(fit.jacobian[rows], prior)
     # The prior pulls the parameters too; at the estimate residual and pull balance: the residual alone is the score.
-    residual = fit.settled_residual
+    residual = fit.settled_residual(prior)
     columns = np.column_stack([direction.column[rows] for direction in directions])
     columns = np.where(np.isfinite(columns), columns, 0.0)
     along = columns.T @ residual

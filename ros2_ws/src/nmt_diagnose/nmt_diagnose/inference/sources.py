@@ -77,11 +77,17 @@ def places(forward: Forward, rig: Rig, prediction: Prediction, problem: Problem)
     return result
 
 
-def generic_sources(fit: Fit, found: Sequence[Place]) -> list[SourceScore]:
-    """Evidence for a source at each place, on top of a fitted model."""
+def generic_sources(fit: Fit, found: Sequence[Place], calibrated: int | None = None) -> list[SourceScore]:
+    """Evidence for a source at each place, on top of a fitted model.
+
+    Args:
+        fit: the fit.
+        found: places.
+        calibrated: its parameters that the model has; None = all.
+    """
     result = []
     for item in found:
-        scored = [source_score(fit, block, item.place, item.detail) for _, block in item.families]
+        scored = [source_score(fit, block, item.place, item.detail, calibrated) for _, block in item.families]
         gains = np.array([score.gain for score in scored])
         mean = float(np.logaddexp.reduce(gains) - np.log(gains.size))
         best = scored[int(np.argmax(gains))]

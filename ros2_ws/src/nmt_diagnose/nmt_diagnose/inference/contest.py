@@ -16,12 +16,17 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate, EffectParameter
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.evidence.conditions import PhaseResonanceTest
 from nmt_diagnose.inference.fit import Fit, FitError, fit
 from nmt_diagnose.inference.problem import BoolArray, Problem
 from nmt_diagnose.inference.scan import Direction, Score, scores
 from nmt_plant.rig import Rig
 
 _SHAPE_STARTS = (0.5, 1.0, 2.0)
+# Penalty of the prior for each parameter from which a fit of the model alone is doubted; shares of the levels that it is
+# led over then.
+_INCREDIBLE = 2.0
+_CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
 
 
 @dataclass(frozen=True)
@@ -137,7 +142,34 @@ class Contest:
             FitError: the model as given has no solution for any observable.
         """
         parametrisation = Parametrisation(self.rig, self.calibration)
-        return Contender((), fit(self.problem, parametrisation, parametrisation.zero, self._used(used)))
+        rows = self._used(used)
+        best = fit(self.problem, parametrisation, parametrisation.zero, rows)
+        if _incredible(best):
+            best = max(best, self._climbed(parametrisation, rows), key=lambda found: found.log_evidence)
+        return Contender((), best)
+
+    def _climbed(self, parametrisation: Parametrisation, used: BoolArray | None) -> Fit:
+        """The model fitted to linear tests first, then to more and more levels from below.
+
+        Far from the real parameters a nonlinear level has valleys of its own; from the levels below it is near.
+        """
+        evidence = self.problem.evidence
+        levelled = np.zeros(self.problem.size, dtype=bool)
+        rank = np.zeros(self.problem.size)
+        for number, test in enumerate(evidence.tests):
+            if isinstance(test, PhaseResonanceTest):
+                mine = evidence.rows.test == number
+                levelled |= mine
+                amplitudes = np.unique(evidence.rows.amplitude[mine])
+                rank[mine] = np.searchsorted(amplitudes, evidence.rows.amplitude[mine]) / max(1, amplitudes.size)
+        wanted = np.ones(self.problem.size, dtype=bool) if used is None else used
+        theta = parametrisation.zero
+        for share in _CLIMB:
+            rows = wanted & (~levelled | (rank < share))
+            if rows.any():
+                found = fit(self.problem, parametrisation, theta, rows)
+                theta = found.theta
+        return found
 
     def _used(self, rows: BoolArray | None) -> BoolArray | None:
         return self.rows if rows is None else rows
@@ -338,6 +370,10 @@ class Contest:
                     best = max(best, contender.fit.log_evidence)
             heads.update(single.effects)
         return self._settled(result)
+
+
+def _incredible(found: Fit) -> bool:
+    return found.penalty > _INCREDIBLE * max(1, found.theta.size)
 
 
 def _best_by_effect(contenders: Sequence[Contender]) -> list[Contender]:

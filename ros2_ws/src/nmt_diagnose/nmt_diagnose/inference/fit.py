@@ -14,8 +14,8 @@ _STEPS = 25
 _TRIALS = 10
 _SMALL = 0.02  # fall of χ² that is not worth a step
 _LET_GO = 1e3
-_COOLING = 30.0  # fall of the inflated noise from step to step of a cold fit
-_COOLING_STEPS = 12
+_COOLING = 6.0  # fall of the inflated noise from step to step of a cold fit
+_COOLING_STEPS = 25
 
 
 @dataclass(frozen=True)

@@ -95,3 +95,9 @@ def test_a_humming_channel_of_a_bag_is_named_and_the_twin_knows_its_line(tmp_pat
     assert np.any(touched["response_sensor:x4"][seen])
     assert not np.any(touched["response_sensor:x2"][seen])
     assert not np.any(touched["structure:4"][line])
+
+
+def test_an_order_that_is_folded_onto_the_line_is_no_line() -> None:
+    # The 50th order of 39 Hz, 1950 Hz, comes down to 50 Hz at 2000 samples a second.
+    assert mains_line(*window(1, 10.0, frequency=39.0), RATE, 5, 50.0) is None
+    assert mains_line(*window(1, 10.0, frequency=38.0), RATE, 5, 50.0) is not None

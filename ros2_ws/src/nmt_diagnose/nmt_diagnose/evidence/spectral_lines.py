@@ -20,6 +20,7 @@ _LONGEST_S = 4.0
 _APART = 3.0
 _NEIGHBOURS = np.concatenate((np.arange(-12, -1), np.arange(2, 13))).astype(np.float64)
 _FEWEST_NEIGHBOURS = 8
+_HIGHEST_ORDER = 60
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def mains_line(
         line_hz: Hz.
 
     Returns:
-        The line; None where a harmonic or zero lies within three lines of the spectrum, or the noise cannot be told.
+        The line; None where a harmonic, folded ones too, or zero lies within three lines of the spectrum, or the noise cannot be told.
     """
     samples = data.shape[1]
     pieces = max(1, math.ceil(samples / sample_rate / _LONGEST_S))
@@ -60,7 +61,12 @@ def mains_line(
     resolution = sample_rate / length
     fundamental = float(cycles[-1] - cycles[0]) / (samples - 1) * sample_rate
     orders = np.arange(math.ceil(line_hz / fundamental) + len(_NEIGHBOURS)) * fundamental
-    if np.abs(orders - line_hz).min() < _APART * resolution or line_hz > 0.5 * sample_rate - _APART * resolution:
+    if line_hz > 0.5 * sample_rate - _APART * resolution:
+        return None
+    # High orders of a joint that slips are folded at the sampling rate, and may come down beside the line.
+    high = np.arange(math.floor(0.5 * sample_rate / fundamental) + 1, _HIGHEST_ORDER + 1) * fundamental
+    orders = np.concatenate((orders, np.abs(high - np.round(high / sample_rate) * sample_rate)))
+    if np.abs(orders - line_hz).min() < _APART * resolution:
         return None
     near = line_hz + _NEIGHBOURS * resolution
     clear = np.abs(near[:, None] - orders).min(axis=1) > resolution

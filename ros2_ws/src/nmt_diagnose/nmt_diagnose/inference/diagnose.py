@@ -181,7 +181,7 @@ class _Diagnoser:
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])
         shares = {group.head.label: held.closed(group.head.label) for group in judgement.classes[:_JUDGED]}
         accepted = self._accepted(judgement, shares)
-        verdict = self._verdict(judgement, accepted, null, as_given, shares)
+        verdict = self._verdict(judgement, accepted, shares, self._recalibrated(null, as_given, held))
         best = self.contest.polished(accepted.head) if accepted is not None and verdict is Verdict.EFFECT else null
         gap = self._gap(verdict, null, best, as_given, held)
         ranking = self._ranking(judgement, shares)
@@ -257,26 +257,26 @@ class _Diagnoser:
         self,
         judgement: Judgement,
         accepted: ExplanationClass | None,
-        null: Contender,
-        as_given: FloatArray,
         shares: dict[str, Closed],
+        recalibrated: bool,
     ) -> Verdict:
         if judgement.log_odds < self.confidence.alarm:
-            return Verdict.CALIBRATION if self._recalibrated(null, as_given) else Verdict.NONE
+            return Verdict.CALIBRATION if recalibrated else Verdict.NONE
         given_gap = judgement.unknown / max(1e-300, 1.0 - judgement.none)
         if accepted is None:
             return Verdict.UNKNOWN
         share = shares.get(accepted.head.label)
-        explained = share is not None and share.low > 0.5 and share.value >= self.confidence.explained
+        explained = share is not None and share.low > 0.9 and share.value >= self.confidence.explained
         if given_gap > self.confidence.unknown and not explained:
             return Verdict.UNKNOWN
         return Verdict.EFFECT
 
-    def _recalibrated(self, null: Contender, as_given: FloatArray) -> bool:
-        """Whether re-fitting the model's own parameters closed a gap that was there."""
+    def _recalibrated(self, null: Contender, as_given: FloatArray, held: HeldOut) -> bool:
+        """Whether re-fitting the model's own parameters closed a gap that was there, also on data that no fit saw."""
         used = null.fit.used & np.isfinite(as_given)
         fall = float(as_given[used] @ as_given[used]) - null.fit.chi_square - null.fit.penalty
-        return fall > self.confidence.recalibration
+        unseen = held.closed(null.label, as_given).gain
+        return fall > self.confidence.recalibration and not unseen < 0.0
 
     def _gap(self, verdict: Verdict, null: Contender, best: Contender, as_given: FloatArray, held: HeldOut) -> Gap:
         given = verdict is Verdict.CALIBRATION

@@ -53,7 +53,8 @@ def mains_line(
         line_hz: Hz.
 
     Returns:
-        The line; None where a harmonic, folded ones too, or zero lies within three lines of the spectrum, or the noise cannot be told.
+        The line; None where a harmonic, folded ones too, or zero lies within three lines of the spectrum, or the noise
+        cannot be told.
     """
     samples = data.shape[1]
     pieces = max(1, math.ceil(samples / sample_rate / _LONGEST_S))

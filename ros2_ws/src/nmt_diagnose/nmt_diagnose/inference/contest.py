@@ -23,8 +23,8 @@ from nmt_diagnose.inference.scan import Direction, Score, scores
 from nmt_plant.rig import Rig
 
 _SHAPE_STARTS = (0.5, 1.0, 2.0)
-# Penalty of the prior for each parameter from which a fit of the model alone is doubted; shares of the levels that it is
-# led over then.
+# Penalty of the prior for each parameter from which a fit of the model alone is doubted; shares of the levels that it
+# is led over then.
 _INCREDIBLE = 2.0
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
 

@@ -122,3 +122,15 @@ def test_reliabilities_move_probability_between_none_named_and_unnamed() -> None
     named = 1.0 - unsure.none - unsure.unknown
     assert unsure.classes[0].probability == pytest.approx(0.5 * named)
     assert all(c.probability <= unsure.classes[0].probability for c in unsure.classes)
+
+
+def test_two_effects_at_one_point_are_a_sign_of_their_own() -> None:
+    pair = contender(2.0 * A + 2.0 * B + NOISE, (CUBIC, A), (DRAG, B))
+    singles = [contender(2.0 * A + 2.0 * B + NOISE, (CUBIC, A))]
+    plain = contender(2.0 * A + 2.0 * B + NOISE)
+    apart = judge(plain, singles, [pair], (), (), LIBRARY, RIG, PLAIN, pair)
+    assert apart.signs["second"] == 1.0
+    assert apart.signs["together"] == 0.0  # points 2 and 1
+    near = replace(pair, candidates=(CUBIC, Candidate(DRAG.effect, Placement("2", {"c2": 1.0}, 2))))
+    library = (*LIBRARY, near.candidates[1])
+    assert judge(plain, singles, [near], (), (), library, RIG, PLAIN, near).signs["together"] == 1.0

@@ -81,8 +81,8 @@ def _first(case: ScoredCase) -> bool | None:
 
 QUESTIONS = (
     Question("gap", _gap, {"log_odds": 1}),
-    Question("unnamed", _unnamed, {"unknown_odds": 1, "leftover": 1, "second": 0, "sigmas": 0}),
-    Question("first", _first, {"margin": 1, "leftover": -1, "second": 0, "rivals": 0}),
+    Question("unnamed", _unnamed, {"unknown_odds": 1, "leftover": 1, "second": 0, "together": 1, "sigmas": 0}),
+    Question("first", _first, {"margin": 1, "leftover": -1, "second": 0, "together": -1, "rivals": 0}),
 )
 
 

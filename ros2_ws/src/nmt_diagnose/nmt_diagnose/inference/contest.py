@@ -26,6 +26,8 @@ _SHAPE_STARTS = (0.5, 1.0, 2.0)
 # Penalty of the prior for each parameter from which a fit of the model alone is doubted; shares of the levels that it
 # is led over then.
 _INCREDIBLE = 2.0
+# Sensitivities of a first fit of a candidate; those that come near the best are fitted to the end.
+_REFRESHES = 3
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
 
 
@@ -268,7 +270,10 @@ class Contest:
             columns = self.problem.forward.jacobian(parametrisation, theta, prediction, own)
             added = np.nan_to_num(self.problem.whitened(columns), posinf=0.0, neginf=0.0)
             jacobian = np.column_stack([base.fit.jacobian, added])
-            result = fit(self.problem, parametrisation, theta, self._used(used), prediction, jacobian, exact=False)
+            rows = self._used(used)
+            result = fit(
+                self.problem, parametrisation, theta, rows, prediction, jacobian, exact=False, refreshes=_REFRESHES
+            )
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
             return None  # no rig, or no solution, at the start
         if used is None and np.any(base.fit.used & ~result.used):
@@ -289,8 +294,9 @@ class Contest:
         start = contender.fit
         try:
             result = fit(
-                self.problem, start.parametrisation, start.theta, used, start.prediction, start.jacobian, exact=False
-            )
+                self.problem, start.parametrisation, start.theta, used, start.prediction, start.jacobian,
+                exact=False, refreshes=_REFRESHES,
+            )  # fmt: skip
         except FitError:
             return None
         return Contender(contender.candidates, result, contender.score)

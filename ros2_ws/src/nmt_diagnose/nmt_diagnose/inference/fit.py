@@ -104,6 +104,7 @@ def fit(
     jacobian: FloatArray | None = None,
     steps: int = _STEPS,
     exact: bool = True,
+    refreshes: int = _STEPS,
 ) -> Fit:
     """Fit by Levenberg's damping, within bounds.
 
@@ -120,6 +121,7 @@ def fit(
         jacobian: whitened sensitivities near the start, shape (m, n); None = computed.
         steps: most steps.
         exact: compute the sensitivities anew at the estimate.
+        refreshes: how often sensitivities may be computed anew on the way; a fit that needs more ends unconverged.
 
     Raises:
         FitError: the model cannot be solved at the start.
@@ -169,17 +171,20 @@ def fit(
             damping = max(damping, 1e-6) * 8.0
         if trial is None:
             # Sensitivities from elsewhere may promise nothing where those at the estimate would lead on.
-            if fresh or (promised < _SMALL + 1e-7 * cost and not exact):
+            done = promised < _SMALL + 1e-7 * cost and not exact
+            if fresh or done or refreshes <= 0:
                 converged = promised < 1.0
                 break
             jacobian, fresh = _whitened_jacobian(problem, parametrisation, theta, prediction), True
+            refreshes -= 1
             continue
         kept = cost - trial_cost > 0.5 * promised
         theta, prediction, residual, cost = moved, trial, trial_residual, trial_cost
         damping *= 0.1
         fresh = False
-        if not kept:
+        if not kept and refreshes > 0:
             jacobian, fresh = _whitened_jacobian(problem, parametrisation, theta, prediction), True
+            refreshes -= 1
     if exact and not fresh:
         jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
     return _finished(problem, parametrisation, theta, rows, prediction, residual, jacobian, converged)

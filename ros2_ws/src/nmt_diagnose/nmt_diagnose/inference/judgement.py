@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -165,10 +166,17 @@ def _signs(
         "unknown_odds": _odds(unnamed, named),
         "leftover": leftover,
         "second": float(first is not None and len(first.head.candidates) > 1),
+        "together": float(first is not None and _together(first.head.candidates)),
         "margin": math.log(max(first.probability, 1e-300) / max(others, 1e-300)) if first else -math.inf,
         "sigmas": math.log1p(first.head.sigmas) if first else 0.0,
         "rivals": float(len(first.members) - 1) if first else 0.0,
     }
+
+
+def _together(candidates: Sequence[Candidate]) -> bool:
+    """Whether two effects act at one point or channel: one that has no name is often imitated so."""
+    points = [re.findall(r"\d+", candidate.placement.label) for candidate in candidates]
+    return len(points) > 1 and bool(points[0]) and all(own == points[0] for own in points)
 
 
 def _odds(left: FloatArray, right: FloatArray) -> float:

@@ -134,3 +134,12 @@ def test_two_effects_at_one_point_are_a_sign_of_their_own() -> None:
     near = replace(pair, candidates=(CUBIC, Candidate(DRAG.effect, Placement("2", {"c2": 1.0}, 2))))
     library = (*LIBRARY, near.candidates[1])
     assert judge(plain, singles, [near], (), (), library, RIG, PLAIN, near).signs["together"] == 1.0
+
+
+def test_what_a_test_finds_and_chance_would_not_is_unnamed() -> None:
+    plain = contender(NOISE)
+    often = judge(plain, [], [], (), (), LIBRARY, RIG, PLAIN, None, 1e-3)
+    never = judge(plain, [], [], (), (), LIBRARY, RIG, PLAIN, None, 1e-12)
+    assert often.log_odds < 0.0
+    assert never.log_odds > 10.0
+    assert never.unknown > 0.99

@@ -176,7 +176,11 @@ class _Diagnoser:
         sources = generic_sources(null.fit, found)
         top = self._most_promising(null, singles, pairs)
         leftovers = generic_sources(top.fit, found, null.fit.theta.size) if top is not None else []
-        judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.rig, self.confidence, top)
+        left = (top or null).fit
+        chance = min((test.p_holm for test in residual_tests(self.evidence, left.residual, left.used)), default=1.0)
+        judgement = judge(
+            null, singles, pairs, sources, leftovers, self.candidates, self.rig, self.confidence, top, chance
+        )
         as_given = self.problem.residual(given)
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])
         shares = {group.head.label: held.closed(group.head.label) for group in judgement.classes[:_JUDGED]}
@@ -206,7 +210,7 @@ class _Diagnoser:
             residual_map=residual_map(self.evidence, as_given, null.fit.residual, best.fit.residual),
             residual_tests=tuple(test.to_mapping() for test in tests),
             candidates=tuple(self._candidate(contender, null) for contender in [null, *singles, *pairs]),
-            features=self._features(judgement, null, singles, pairs, scan, sources, leftovers, as_given),
+            features=self._features(judgement, null, singles, pairs, scan, sources, leftovers, as_given, chance),
         )
         return Outcome(
             diagnosis,
@@ -409,6 +413,7 @@ class _Diagnoser:
         sources: Sequence[SourceScore],
         leftovers: Sequence[SourceScore],
         as_given: FloatArray,
+        chance: float,
     ) -> dict[str, float]:
         """Numbers from which verdicts follow; baselines are trained on them."""
         used = null.fit.used & np.isfinite(as_given)
@@ -427,6 +432,7 @@ class _Diagnoser:
             "leftover_best": max((source.gain for source in leftovers), default=0.0),
             "none": judgement.none,
             "unknown": judgement.unknown,
+            "chance": chance,
             **{f"sign:{name}": value for name, value in judgement.signs.items()},
         }
         for name in {self.candidates[score.direction.candidate].effect.name for score in scan}:

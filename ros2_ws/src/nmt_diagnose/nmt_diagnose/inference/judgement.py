@@ -18,6 +18,8 @@ from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN, Hypothesis, equivalence_classes, probabilities
 from nmt_plant.rig import Rig
 
+_UNLIKELY = math.log(1e5)
+
 
 @dataclass(frozen=True)
 class ExplanationClass:
@@ -87,6 +89,7 @@ def judge(
     rig: Rig,
     confidence: Confidence,
     best: Contender | None = None,
+    chance: float = 1.0,
 ) -> Judgement:
     """Weigh all explanations.
 
@@ -99,6 +102,8 @@ def judge(
         rig: the model.
         confidence: priors and reliabilities.
         best: the explanation that the leftovers are left by; None without leftovers.
+        chance: smallest probability, corrected for the number of tests, by which a focused test would find as much in
+            what ``best``, or the model without it, leaves.
     """
     placements: dict[str, int] = {}
     for candidate in candidates:
@@ -134,15 +139,22 @@ def judge(
         gain = source.gain - confidence.inexactness * max(by_label_gain.values(), default=0.0)
         hypotheses.append(Hypothesis(UNKNOWN, (), f"{source.place}|{source.detail}", gain, prior, None))
         contenders.append(None)
+    # What a focused test finds and no source explains: noise of another kind, for example. Unlike evidence it has no
+    # rival, so it counts from where chance would not get once in a hundred thousand diagnoses.
+    found, behind = -math.log(max(chance, 1e-300)) - _UNLIKELY, math.log(confidence.prior_unknown)
+    if best is not None:
+        if len(best.candidates) == 1:
+            behind += math.log(confidence.prior_effect / kinds)
+        else:
+            behind += math.log(2.0 * confidence.prior_pair / kinds**2)
+        behind += chosen(best)
+        found += best.fit.log_evidence - base
+    hypotheses.append(Hypothesis(UNKNOWN, (), "", found, behind, None))
+    contenders.append(None)
     if best is not None:
         for source in leftovers:
-            prior = math.log(confidence.prior_unknown / max(1, len(leftovers)))
-            if len(best.candidates) == 1:
-                prior += math.log(confidence.prior_effect / kinds)
-            else:
-                prior += math.log(2.0 * confidence.prior_pair / kinds**2)
+            prior = behind - math.log(max(1, len(leftovers)))
             gain = best.fit.log_evidence - base + source.gain - inexact(best)
-            prior += chosen(best)
             hypotheses.append(Hypothesis(UNKNOWN, (), f"{source.place}|{source.detail}", gain, prior, None))
             contenders.append(None)
     weights = probabilities(hypotheses)
@@ -255,6 +267,8 @@ def _places(
     result: dict[tuple[str, str], float] = {}
     for weight, hypothesis, contender in zip(weights, hypotheses, contenders, strict=True):
         if contender is None:
+            if not hypothesis.place:
+                continue  # a test that does not tell the place
             place, _, detail = hypothesis.place.partition("|")
             keys = [(place, detail)]
         else:

@@ -43,7 +43,7 @@ _NEIGHBOURS = 4
 _STEP = 0.1
 # Size over σ from which a difference counts as imitated by parameters; how often and how far they are shifted then,
 # and what is not worth another turn, prior standard deviations.
-_IMITATED = 20.0
+_IMITATED = 5.0
 _TURNS = 12
 _LARGEST_STEP = 1.5
 _SMALL_STEP = 0.2

@@ -87,3 +87,12 @@ def test_a_cold_fit_goes_around_a_fold_that_a_warm_one_ends_in():
     cold = fit(problem, plain, begin)
     assert abs(cold.theta[0] - 0.5) == pytest.approx(0.1, abs=1e-3)  # the cosine does not know the side
     assert cold.log_evidence > warm.log_evidence
+
+
+def test_parameters_that_hardly_differ_still_have_uncertainties():
+    column = np.linspace(1.0, 2.0, 30) * 1e6
+    matrix = np.column_stack([column, column * (1.0 + 1e-9), column])
+    model = FunctionModel(lambda t: matrix @ t)
+    result = fit(Problem(evidence_of(matrix @ np.ones(3), 1.0), model), Plain.of(3, 1.0), np.zeros(3))
+    assert np.all(np.isfinite(result.std))
+    assert np.all(result.predictive_std >= 1.0)

@@ -51,7 +51,7 @@ class Fit:
     @property
     def std(self) -> FloatArray:
         """Standard uncertainties of the estimate, shape (n,)."""
-        result: FloatArray = np.sqrt(np.diag(self.covariance))
+        result: FloatArray = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         return result
 
     def settled_residual(self, prior_std: FloatArray | None = None) -> FloatArray:
@@ -86,7 +86,9 @@ class Fit:
 
         shape (m,)
         """
-        root = np.linalg.cholesky(self.covariance + 1e-12 * np.eye(self.theta.size))
+        # By eigenvalues: of parameters that hardly differ, rounding leaves a covariance that is not quite positive.
+        values, vectors = np.linalg.eigh(0.5 * (self.covariance + self.covariance.T))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
         result: FloatArray = np.sqrt(1.0 + np.sum((self.jacobian @ root) ** 2, axis=1))
         return result
 

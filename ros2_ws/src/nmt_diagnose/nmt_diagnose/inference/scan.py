@@ -64,7 +64,8 @@ class Projector:
     def __init__(self, jacobian: FloatArray, prior_std: FloatArray) -> None:
         self._jacobian = jacobian
         n = jacobian.shape[1]
-        self._factor = np.linalg.cholesky(jacobian.T @ jacobian + np.diag(prior_std**-2.0)) if n else None
+        normal = jacobian.T @ jacobian + np.diag(prior_std**-2.0)
+        self._factor = np.linalg.cholesky(normal + 1e-12 * np.diag(np.diag(normal))) if n else None
 
     def inner(self, left: FloatArray, right: FloatArray) -> FloatArray:
         """leftᵀ (1 + J S² Jᵀ)⁻¹ right: products in the metric that the calibration leaves; (m, …) each."""

@@ -381,14 +381,14 @@ def _trained(train: Path | None, folder: Path) -> tuple[Method | None, str]:
 
 
 def development_cases(folder: Path) -> tuple[ScoredCase, ...]:
-    """Diagnosed cases of a development campaign, from which anything may be learned.
+    """Diagnosed cases of a campaign from which anything may be learned: of development, or sealed and opened since.
 
     Raises:
-        BenchError: it is a sealed one, or none.
+        BenchError: its seal has not been opened, or it is no campaign.
     """
     seal = _read(folder / "seal.json")
-    if seal.get("purpose") != "development":
-        raise BenchError(f"Only development cases may be learned from; {folder} is not such a campaign.")
+    if seal.get("purpose") != "development" and not (folder / _OPENED_FILE).is_file():
+        raise BenchError(f"Only development cases may be learned from; {folder} is sealed, and was not opened yet.")
     return read_cases(_opened(folder, seal), folder / "results")[0]
 
 

@@ -364,7 +364,7 @@ class _Diagnoser:
     def _next(self, judgement: Judgement, verdict: Verdict, null: Contender) -> tuple[NextTest, ...]:
         if not self.settings.look_ahead or verdict in (Verdict.NONE, Verdict.CALIBRATION):
             return ()
-        return next_tests(self.rig, self.evidence, null, judgement.classes, self.contest)
+        return next_tests(self.rig, self.evidence, null, judgement.classes, self.contest, none=judgement.none)
 
     def _inputs(self) -> dict[str, Any]:
         tests = []

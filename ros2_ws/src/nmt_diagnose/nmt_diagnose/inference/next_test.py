@@ -35,7 +35,7 @@ from nmt_plant.rig_model import build_elements, build_structure
 
 _LEAST = 3.0
 _MOST = 99.0  # more says nothing more
-_SURE = 0.9
+_DOUBTFUL = 0.05  # probability of no effect at all from which that is a rival
 _LINES = 80
 # Uncertainties of a kind of observable of which the tests at hand hold none.
 _TYPICAL = {
@@ -71,6 +71,7 @@ def next_tests(
     classes: Sequence[ExplanationClass],
     contest: Contest,
     most: int = 3,
+    none: float = 0.0,
 ) -> tuple[NextTest, ...]:
     """Tests that would tell the explanations that are left apart, best first.
 
@@ -81,8 +82,9 @@ def next_tests(
         classes: explanations, most probable first.
         contest: the contest that they were fitted in.
         most: tests to name.
+        none: probability of no effect at all.
     """
-    rivals = _rivals(classes, null)
+    rivals = _rivals(classes, null, none)
     if len(rivals) < 2:
         return ()
     found: list[NextTest] = []
@@ -94,7 +96,7 @@ def next_tests(
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
 
 
-def _rivals(classes: Sequence[ExplanationClass], null: Contender) -> list[Contender]:
+def _rivals(classes: Sequence[ExplanationClass], null: Contender, none: float) -> list[Contender]:
     """The two explanations that most need telling apart: of one class, or the heads of the first two."""
     if not classes:
         return []
@@ -103,7 +105,7 @@ def _rivals(classes: Sequence[ExplanationClass], null: Contender) -> list[Conten
     if len(classes) > 1 and classes[1].probability > 0.02 * classes[0].probability:
         return [classes[0].head, classes[1].head]
     # One explanation stands alone: nothing is left to settle, unless it hardly beats having none.
-    return [classes[0].head, null] if classes[0].probability < _SURE else []
+    return [classes[0].head, null] if none > _DOUBTFUL else []
 
 
 def _separation(proposal: Proposal, rivals: Sequence[Contender]) -> float:

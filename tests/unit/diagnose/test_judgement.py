@@ -16,7 +16,7 @@ from nmt_diagnose.inference.confidence import confidence as frozen
 from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.generic_source import SourceScore
-from nmt_diagnose.inference.judgement import Judgement, judge
+from nmt_diagnose.inference.judgement import Judgement, judge, with_share_left
 from nmt_diagnose.inference.problem import Problem
 
 RIG = chain()
@@ -143,3 +143,16 @@ def test_what_a_test_finds_and_chance_would_not_is_unnamed() -> None:
     assert often.log_odds < 0.0
     assert never.log_odds > 10.0
     assert never.unknown > 0.99
+
+
+def test_what_little_is_left_of_a_gap_is_all_that_can_be_unnamed() -> None:
+    source = (SourceScore("joint", "joint", 60.0, 9.0, 2.0),)
+    plain = judged(1.0 * A + NOISE, source, replace(PLAIN, unnamed=Reliability(0.0, {})))
+    found = with_share_left(plain, 0.02)
+    assert found.unknown == pytest.approx(0.02 * plain.unknown)
+    assert found.none == plain.none
+    assert sum(found.by_label.values()) == pytest.approx(1.0)
+    named = 1.0 - found.none - found.unknown
+    assert found.classes[0].probability / plain.classes[0].probability == pytest.approx(
+        named / (1.0 - plain.none - plain.unknown)
+    )

@@ -81,8 +81,8 @@ class Confidence:
         recalibration: fall of χ² by re-fitting the model's own parameters from which that is called a calibration.
         inexactness: share of an effect's own gain in evidence that anything on top of it, or unnamed in its place, must
             beat: the model of an effect is right to some percent of the effect only.
-        explained: share of the held-out gap from which a named explanation stands although something unnamed fits
-            better.
+        explained: share of the held-out gap that a named explanation must close for something unnamed behind it to
+            count for the rest only.
         equivalence: distance in standard deviations below which two explanations count as one.
         gap: reliability of there being a gap.
         unnamed: of a gap having no name in the library.

@@ -36,7 +36,7 @@ from nmt_diagnose.inference.gap import Closed, rms
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.held_out_contest import HeldOut, Refits
-from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, place_of
+from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, place_of, with_share_left
 from nmt_diagnose.inference.lock_noise import lock_nuisances
 from nmt_diagnose.inference.next_test import next_tests
 from nmt_diagnose.inference.problem import ForwardLike, Problem
@@ -184,8 +184,11 @@ class _Diagnoser:
         as_given = self.problem.residual(given)
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])
         shares = {group.head.label: held.closed(group.head.label) for group in judgement.classes[:_JUDGED]}
+        best_share = shares[judgement.classes[0].head.label] if judgement.classes else None
+        if best_share is not None and best_share.low > 0.9 and best_share.value >= self.confidence.explained:
+            judgement = with_share_left(judgement, min(max(1.0 - best_share.value, 0.0), 1.0))
         accepted = self._accepted(judgement, shares)
-        verdict = self._verdict(judgement, accepted, shares, self._recalibrated(null, as_given, held))
+        verdict = self._verdict(judgement, accepted, self._recalibrated(null, as_given, held))
         best = self.contest.polished(accepted.head) if accepted is not None and verdict is Verdict.EFFECT else null
         gap = self._gap(verdict, null, best, as_given, held)
         ranking = self._ranking(judgement, shares)
@@ -261,7 +264,6 @@ class _Diagnoser:
         self,
         judgement: Judgement,
         accepted: ExplanationClass | None,
-        shares: dict[str, Closed],
         recalibrated: bool,
     ) -> Verdict:
         if judgement.log_odds < self.confidence.alarm:
@@ -269,11 +271,7 @@ class _Diagnoser:
         given_gap = judgement.unknown / max(1e-300, 1.0 - judgement.none)
         if accepted is None:
             return Verdict.UNKNOWN
-        share = shares.get(accepted.head.label)
-        explained = share is not None and share.low > 0.9 and share.value >= self.confidence.explained
-        if given_gap > self.confidence.unknown and not explained:
-            return Verdict.UNKNOWN
-        return Verdict.EFFECT
+        return Verdict.UNKNOWN if given_gap > self.confidence.unknown else Verdict.EFFECT
 
     def _recalibrated(self, null: Contender, as_given: FloatArray, held: HeldOut) -> bool:
         """Whether re-fitting the model's own parameters closed a gap that was there, also on data that no fit saw."""

@@ -239,6 +239,27 @@ def _calibrated(
     return Judgement(1.0 - gap, gap * unnamed, tuple(scaled), places, by_label, signs)
 
 
+def with_share_left(judgement: Judgement, left: float) -> Judgement:
+    """The judgement where the best named explanation leaves only so small a share of the gap on data it has not seen.
+
+    Something unnamed may then lie behind it, but it is not what the gap is made of: its probability counts for the
+    share that is left, the rest goes to the named explanations.
+
+    Args:
+        judgement: without regard to unseen data.
+        left: share of the gap that is left, 0 to 1.
+    """
+    unknown = judgement.unknown * left
+    named = 1.0 - judgement.none - judgement.unknown
+    factor = (1.0 - judgement.none - unknown) / named if named > 0.0 else 1.0
+    by_label = {
+        label: value if label == NULL else unknown if label == UNKNOWN else value * factor
+        for label, value in judgement.by_label.items()
+    }
+    classes = tuple(replace(group, probability=group.probability * factor) for group in judgement.classes)
+    return replace(judgement, unknown=unknown, classes=classes, by_label=by_label)
+
+
 def _classes(weights: np.ndarray, contenders: Sequence[Contender | None], limit: float) -> tuple[ExplanationClass, ...]:
     by_effects: dict[tuple[str, ...], list[tuple[float, Contender]]] = {}
     for weight, contender in zip(weights, contenders, strict=True):

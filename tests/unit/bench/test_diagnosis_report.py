@@ -23,6 +23,7 @@ from nmt_bench.diagnosis_words import (
     parameters_text,
     place_text,
     probability_text,
+    rest_text,
     sigma_text,
     value_text,
     verdict_text,
@@ -251,3 +252,11 @@ def test_other_words() -> None:
     assert key_text("structure.density_kg_m3", rig) == "structure.density_kg_m3"
     for effect in library():
         assert "_" not in effect_text(effect.name)
+
+
+def test_without_a_claim_the_rest_is_too_weak_to_see_and_not_unnamed() -> None:
+    quiet = fixture.report(Verdict.NONE).diagnosis
+    quiet = replace(quiet, probabilities={"none": 0.6, "unknown": 0.3, "other": 0.05})
+    assert rest_text(quiet) == ("an effect too weak to see", pytest.approx(0.35))
+    loud = replace(quiet, verdict=Verdict.UNKNOWN)
+    assert rest_text(loud) == ("something not in the library", pytest.approx(0.3))

@@ -22,6 +22,7 @@ from nmt_bench.diagnosis_words import (
     percent,
     place_text,
     probability_text,
+    rest_text,
     sigma_text,
     value_text,
     verdict_text,
@@ -214,12 +215,14 @@ def _ranking(d: Diagnosis) -> str:
                 wrapped=(1, 2, 3),
             ),
         ))  # fmt: skip
-    for label, what in (
-        (NULL, "the model as it is, its own parameters re-fitted"),
-        (UNKNOWN, "a source at one of the places that follows no named law"),
+    rest, p_rest = rest_text(d)
+    named = rest == effect_text(UNKNOWN)
+    unnamed = "a source at one of the places that follows no named law"
+    for label, title, p, what in (
+        (NULL, effect_text(NULL), d.probabilities.get(NULL, 0.0), "the model as it is, its own parameters re-fitted"),
+        (UNKNOWN, rest, p_rest, unnamed if named else "how often that was so where the tests showed as little"),
     ):
-        p = d.probabilities.get(label, 0.0)
-        text = f'<b>{escape(effect_text(label))}</b><br><span class="small">{what}</span>'
+        text = f'<b>{escape(title)}</b><br><span class="small">{what}</span>'
         accepted = "on" if (d.verdict, label) in _WINNERS else ""
         rows.append((p, _row([_probability_cell(p, accepted), text, "", "", "", ""], wrapped=(1, 2, 3))))
     rows.sort(key=lambda item: -item[0])

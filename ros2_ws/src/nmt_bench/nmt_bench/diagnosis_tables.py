@@ -15,12 +15,13 @@ from nmt_bench.diagnosis_words import (
     percent,
     place_text,
     probability_text,
+    rest_text,
     sigma_text,
     value_text,
 )
 from nmt_bench.quantity_format import plain
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.inference.hypotheses import NULL, UNKNOWN
+from nmt_diagnose.inference.hypotheses import NULL
 
 _BAR = 16
 _RANKED = 5
@@ -50,8 +51,9 @@ def ranking_table(diagnosis: Diagnosis) -> Table | None:
         place, parameters = place_text(item.place, item.detail), parameters_text(item.parameters)
         cells = (name, place, parameters, percent(item.closed.value))
         rows.append((item.probability, cells))
-    for label in (NULL, UNKNOWN):
-        rows.append((diagnosis.probabilities.get(label, 0.0), (effect_text(label), "", "", "")))
+    rows.append((diagnosis.probabilities.get(NULL, 0.0), (effect_text(NULL), "", "", "")))
+    text, p = rest_text(diagnosis)
+    rows.append((p, (text, "", "", "")))
     rows.sort(key=lambda row: -row[0])
     shown = [row for number, row in enumerate(rows) if number < 2 or row[0] >= _LEAST]
     for p, cells in shown[:_RANKED]:

@@ -10,7 +10,7 @@ from nmt_bench.quantity_format import plain, power_of_ten, significant
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Ranked, Value, Verdict
-from nmt_diagnose.inference.hypotheses import NULL, UNKNOWN
+from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN
 from nmt_diagnose.inference.sentences import PLACES
 from nmt_plant.rig import Rig
 
@@ -20,6 +20,7 @@ VERDICTS = {
     Verdict.EFFECT: ("an unmodelled effect", "good"),
     Verdict.UNKNOWN: ("a gap that nothing in the library explains", "partly"),
 }
+_NO_GAP = (Verdict.NONE, Verdict.CALIBRATION)
 QUESTIONS = ("Where", "Which", "How far")
 
 _NAMED = 4
@@ -163,3 +164,14 @@ def closed_text(gap: Gap) -> str:
     """Share of the gap that is closed, with its interval."""
     text = percent(gap.closed)
     return f"{text} ({percent(gap.low)[:-2]} to {percent(gap.high)})" if math.isfinite(gap.low) else text
+
+
+def rest_text(diagnosis: Diagnosis) -> tuple[str, float]:
+    """What is neither no effect nor one of the ranked ones, and its probability.
+
+    Where no gap is claimed that is an effect too weak for these tests, whatever its name.
+    """
+    unknown = diagnosis.probabilities.get(UNKNOWN, 0.0)
+    if diagnosis.verdict in _NO_GAP:
+        return "an effect too weak to see", unknown + diagnosis.probabilities.get(OTHER, 0.0)
+    return effect_text(UNKNOWN), unknown

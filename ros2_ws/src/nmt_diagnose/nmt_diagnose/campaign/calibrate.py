@@ -15,7 +15,7 @@ from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
 from nmt_diagnose.campaign.score import development_cases
 from nmt_diagnose.campaign.scored_case import ScoredCase
-from nmt_diagnose.campaign.statistics import Reliability, area_under_roc, reliability
+from nmt_diagnose.campaign.statistics import ReliabilityDiagram, area_under_roc, reliability
 from nmt_diagnose.inference.confidence import bounded
 
 _RIDGE = 0.5
@@ -131,7 +131,7 @@ def learn(question: Question, cases: Sequence[ScoredCase]) -> Learned:
     for part in np.array_split(np.random.default_rng(0).permutation(y.size), 10):
         others = np.setdiff1d(np.arange(y.size), part)
         stated[part] = _probability(x[part], _fitted(x[others], y[others], limits))
-    found: Reliability = reliability(list(stated), [bool(value) for value in y], equal=True)
+    found: ReliabilityDiagram = reliability(list(stated), [bool(value) for value in y], equal=True)
     area = area_under_roc(list(stated[y > 0.5]), list(stated[y < 0.5]))
     named = dict(zip(question.signs, (float(w) for w in weights[1:]), strict=True))
     return Learned(question.name, float(weights[0]), named, y.size, float(y.mean()), found.error, area)

@@ -19,7 +19,7 @@ from nmt_diagnose.campaign.run import read_public, read_result
 from nmt_diagnose.campaign.scored_case import Answer, ScoredCase, scored_case
 from nmt_diagnose.campaign.statistics import (
     Proportion,
-    Reliability,
+    ReliabilityDiagram,
     area_under_roc,
     reliability,
     roc_curve,
@@ -109,8 +109,8 @@ class Scores:
     wrongly_unknown: Proportion
     calibrated: Proportion
     plain_none: Proportion
-    width: Reliability
-    count: Reliability
+    width: ReliabilityDiagram
+    count: ReliabilityDiagram
     closed: float
     closed_cases: int
     harm: Proportion
@@ -405,7 +405,7 @@ def _read(path: Path) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     if isinstance(value, Proportion | MethodScore):
         return value.to_mapping()
-    if isinstance(value, Reliability):
+    if isinstance(value, ReliabilityDiagram):
         return {name: _plain(getattr(value, name)) for name in value.__dataclass_fields__}
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}

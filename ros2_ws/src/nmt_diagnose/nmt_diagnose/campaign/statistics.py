@@ -81,7 +81,7 @@ def threshold_for(negative: Sequence[float], rate: float) -> float:
 
 
 @dataclass(frozen=True)
-class Reliability:
+class ReliabilityDiagram:
     """Stated probabilities beside how often they were right.
 
     Attributes:
@@ -95,11 +95,13 @@ class Reliability:
     counts: tuple[int, ...]
 
 
-def reliability(stated: Sequence[float], right: Sequence[bool], bins: int = 10, equal: bool = False) -> Reliability:
+def reliability(
+    stated: Sequence[float], right: Sequence[bool], bins: int = 10, equal: bool = False
+) -> ReliabilityDiagram:
     """Reliability over bins of equal width, or with equally many cases each."""
     p, y = np.asarray(stated, float), np.asarray(right, float)
     if p.size == 0:
-        return Reliability(math.nan, (), (), ())
+        return ReliabilityDiagram(math.nan, (), (), ())
     if equal:
         groups = [g for g in np.array_split(np.argsort(p, kind="stable"), min(bins, p.size)) if g.size]
     else:
@@ -109,4 +111,4 @@ def reliability(stated: Sequence[float], right: Sequence[bool], bins: int = 10, 
     shares = tuple(float(y[g].mean()) for g in groups)
     counts = tuple(int(g.size) for g in groups)
     error = sum(n * abs(m - s) for n, m, s in zip(counts, means, shares, strict=True)) / p.size
-    return Reliability(float(error), means, shares, counts)
+    return ReliabilityDiagram(float(error), means, shares, counts)

@@ -319,10 +319,10 @@ def phase_resonance_evidence(
     _moderate(cells)
     index_of = {channel.name: number for number, channel in enumerate(present)}
     floors = settings.floors
+    run = _Run(name, kept, levels, present, recorded, held)
     quantity_of = {channel.name: channel.quantity for channel in present}
     for index, (window, level) in enumerate(zip(kept, levels, strict=True)):
-        amplitude = level.drive if held == "voltage" else level.force_n
-        place = Place(index, 0.5 * (level.start_s + level.stop_s), level.frequency_hz, amplitude)
+        place = run.place(index, level.frequency_hz)
         omega = 2.0 * math.pi * level.frequency_hz
         slope = _frequency_per_phase(window, view, response)
         table.add(
@@ -337,28 +337,44 @@ def phase_resonance_evidence(
                 std = math.sqrt(cell.variance) / cell.scale
                 floor = floors.window(cell.part, quantity_of[cell.name], cell.harmonic)
                 table.add(cell.part, cell.value, std, floor, place, index_of[cell.name], cell.harmonic)
-    notes += _mains(name, kept, levels, present, recorded, held, floors, table)
-    notes += _steps(name, kept, levels, present, recorded, held, cells, view, table)
+    notes += _mains(run, floors, table)
+    notes += _steps(run, cells, view, table)
     return table.evidence(test, notes)
 
 
-def _mains(
-    name: str,
-    windows: Sequence[LockedWindow],
-    levels: Sequence[LockedLevel],
-    present: Sequence[MeasuredChannel],
-    recorded: Mapping[str, str],
-    held: str,
-    floors: Floors,
-    table: RowTable,
-) -> list[str]:
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """The windows of one test that are used.
+
+    Attributes:
+        name: of the test.
+        windows, levels: the windows and their conditions.
+        channels: of the model; recorded: name in the bag of each.
+        held: ``voltage`` or ``force``.
+    """
+
+    name: str
+    windows: Sequence[LockedWindow]
+    levels: Sequence[LockedLevel]
+    channels: Sequence[MeasuredChannel]
+    recorded: Mapping[str, str]
+    held: str
+
+    def place(self, index: int, frequency_hz: float) -> Place:
+        """Where a row of a window belongs."""
+        level = self.levels[index]
+        amplitude = level.drive if self.held == "voltage" else level.force_n
+        return Place(index, 0.5 * (level.start_s + level.stop_s), frequency_hz, amplitude)
+
+
+def _mains(run: _Run, floors: Floors, table: RowTable) -> list[str]:
     """Add the lines of the mains to a table; sentences on those that stand out."""
     notes = []
-    for number, channel in enumerate(present):
-        theirs = recorded[channel.name]
+    for number, channel in enumerate(run.channels):
+        theirs = run.recorded[channel.name]
         for hz in MAINS_HZ:
             found = []
-            for index, window in enumerate(windows):
+            for index, window in enumerate(run.windows):
                 line = window.mains.get(hz)
                 if line is not None and theirs in window.rows:
                     row = window.row(theirs)
@@ -372,27 +388,14 @@ def _mains(
             stands_out = mean * math.sqrt(float(weights.sum())) > _STANDS_OUT
             if stands_out:
                 unit = channel.quantity.unit
-                notes.append(f"{name}: channel {channel.name} has a line of {mean:.3g} {unit} at {hz:g} Hz.")
+                notes.append(f"{run.name}: channel {channel.name} has a line of {mean:.3g} {unit} at {hz:g} Hz.")
             if stands_out or hz == _COMMON_MAINS:
                 for index, value, std, floor in found:
-                    level = levels[index]
-                    amplitude = level.drive if held == "voltage" else level.force_n
-                    place = Place(index, 0.5 * (level.start_s + level.stop_s), hz, amplitude)
-                    table.add(Part.LINE, value, std, floor, place, number)
+                    table.add(Part.LINE, value, std, floor, run.place(index, hz), number)
     return notes
 
 
-def _steps(
-    name: str,
-    windows: Sequence[LockedWindow],
-    levels: Sequence[LockedLevel],
-    present: Sequence[MeasuredChannel],
-    recorded: Mapping[str, str],
-    held: str,
-    cells: Sequence[_Cell],
-    view: ModelView,
-    table: RowTable,
-) -> list[str]:
+def _steps(run: _Run, cells: Sequence[_Cell], view: ModelView, table: RowTable) -> list[str]:
     """Add the steps of converters that are not hidden in the noise, measured or of the model; sentences on them."""
     notes = []
     believed = {
@@ -400,17 +403,17 @@ def _steps(
         for sensor in view.rig.sensors
         if sensor.bits is not None and sensor.range is not None
     }
-    for number, channel in enumerate(present):
-        theirs = recorded[channel.name]
-        found = [k for k, window in enumerate(windows) if theirs in window.rows]
+    for number, channel in enumerate(run.channels):
+        theirs = run.recorded[channel.name]
+        found = [k for k, window in enumerate(run.windows) if theirs in window.rows]
         variances = [
-            0.5 * cell.variance * windows[cell.level].stretch.samples
+            0.5 * cell.variance * run.windows[cell.level].stretch.samples
             for cell in cells
             if cell.name == channel.name and cell.harmonic > 1
         ]
         if not found or not variances:
             continue
-        steps = [converter_step(windows[k].stretch.row(theirs)) for k in found]
+        steps = [converter_step(run.windows[k].stretch.row(theirs)) for k in found]
         # One converter has one step; at a level of few values it shows as a multiple of it.
         seen = [step for step in steps if step > 0.0]
         step = min(seen) if 2 * len(seen) > len(steps) else 0.0
@@ -420,14 +423,12 @@ def _steps(
         if max(step, expected) <= _HIDDEN_STEP * math.sqrt(total) or math.isclose(step, expected, rel_tol=0.01):
             continue
         if step > 0.0:
-            notes.append(f"{name}: channel {channel.name} is recorded in steps of {step:.3g} {channel.quantity.unit}.")
+            size = f"{step:.3g} {channel.quantity.unit}"
+            notes.append(f"{run.name}: channel {channel.name} is recorded in steps of {size}.")
         noise = math.sqrt(max(total - step**2 / 12.0, (0.1 * step) ** 2))
         floor = _STEP_SHARE * noise * math.sqrt(len(found))
         for k in found:
-            level = levels[k]
-            amplitude = level.drive if held == "voltage" else level.force_n
-            place = Place(k, 0.5 * (level.start_s + level.stop_s), level.frequency_hz, amplitude)
-            table.add(Part.STEP, step, 0.0, floor, place, number)
+            table.add(Part.STEP, step, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
     return notes
 
 

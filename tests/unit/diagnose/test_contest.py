@@ -80,3 +80,13 @@ def test_a_shifted_parameter_leaves_nothing_to_explain() -> None:
     assert null.fit.chi_square / null.fit.used.sum() == pytest.approx(1.0, abs=0.15)
     for single in own.singles(null, own.scan(null)):
         assert single.fit.log_evidence < null.fit.log_evidence + 3.0
+
+
+def test_climbing_over_the_levels_ends_where_a_fit_of_all_does() -> None:
+    shifted = real(MODEL, exciter={"resistance_ohm": 3.0 * 1.06})
+    own = contest(evidence_of_twin(shifted, seed=4, drives=LEVELS))
+    null = own.null().fit
+    climbed = own._climbed(null.parametrisation, None)  # type: ignore[arg-type]
+    assert climbed.used.sum() == null.used.sum()
+    assert climbed.log_evidence == pytest.approx(null.log_evidence, abs=0.5)
+    np.testing.assert_allclose(climbed.theta, null.theta, atol=0.2)

@@ -50,3 +50,16 @@ def test_noise_floor_is_the_scatter_whatever_a_smooth_effect_adds():
         assert noise_floor(evidence, residual, everything) == pytest.approx(scatter, rel=0.08)
         assert noise_floor(evidence, residual + smooth, everything) == pytest.approx(scatter, rel=0.08)
     assert noise_floor(evidence.take(np.arange(10)), np.zeros(10), np.ones(10, dtype=bool)) == 1.0
+
+
+def test_a_prediction_is_worse_only_beyond_its_own_scatter():
+    generator = np.random.default_rng(6)
+    levels = np.repeat(np.arange(20), 50)
+    evidence = evidence_of(np.zeros(1000), 1.0, levels)
+    noise, everything = generator.standard_normal(1000), np.ones(1000, dtype=bool)
+    assert closed(evidence, [(noise + 1.0, noise, everything)]).gain > 10.0
+    assert closed(evidence, [(noise, noise + 1.0, everything)]).gain < -10.0
+    # Noise added to a prediction of one level is one block among twenty: no sign of being worse.
+    odd = noise + 0.05 * generator.standard_normal(1000)
+    assert abs(closed(evidence, [(noise, odd, everything)]).gain) < 3.0
+    assert closed(evidence, [(noise, noise, everything)]).gain == 0.0

@@ -1,0 +1,92 @@
+"""What a σ is: the closed form where everything is linear, and the prior alone where a parameter imitates an effect."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nmt_diagnose.blind import strength
+from nmt_diagnose.blind.strength import Observed, Sensitivity
+from nmt_diagnose.blind.truths import TRUTHS
+
+ROWS = 60
+LEVEL = np.repeat(np.arange(12.0), 5)
+NOISE = np.linspace(0.5, 2.0, ROWS)
+_generator = np.random.default_rng(4)
+COLUMNS = _generator.standard_normal((ROWS, 3)) * (6.0, 2.0, 0.5)
+
+
+def observed(values: np.ndarray) -> Observed:
+    return Observed(values, NOISE, LEVEL)
+
+
+def sensitivity(columns: np.ndarray = COLUMNS) -> Sensitivity:
+    """One whose tests are arithmetic: nothing is played."""
+    own = Sensitivity.__new__(Sensitivity)
+    own.base, own._nuisance = observed(np.zeros(ROWS)), columns
+    own.model = None  # type: ignore[assignment]
+    own.bench = type("Bench", (), {"levels": tuple(range(12))})()  # type: ignore[assignment]
+    return own
+
+
+@pytest.fixture(autouse=True)
+def one_parameter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first column is a parameter of the model, in prior standard deviations; the others are of the lock."""
+    monkeypatch.setattr(strength, "parameters", lambda model: {("a",): (1.0, 0.1)})
+    monkeypatch.setattr(strength, "shifted", lambda path, value, std, deviation: deviation)
+    monkeypatch.setattr(strength, "with_edits", lambda model, edits: edits[0])
+
+
+def test_where_all_is_linear_it_is_the_generalised_distance(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = sensitivity()
+    monkeypatch.setattr(own, "observe", lambda shift: observed(COLUMNS[:, 0] * shift), raising=False)
+    for scale in (0.1, 1.0, 3.0):
+        difference = scale * _generator.standard_normal(ROWS)
+        covariance = np.diag(NOISE**2) + COLUMNS @ COLUMNS.T
+        exact = math.sqrt(difference @ np.linalg.solve(covariance, difference))
+        assert own.sigma_of(observed(difference)) == pytest.approx(exact, rel=1e-9)
+
+
+def test_what_a_parameter_imitates_costs_its_prior_however_curved(monkeypatch: pytest.MonkeyPatch) -> None:
+    direction = COLUMNS[:, 0] * 50.0
+
+    def play(shift: float) -> Observed:
+        return observed(direction * math.expm1(0.15 * shift) / 0.15)
+
+    own = sensitivity(np.column_stack([direction, COLUMNS[:, 1:]]))
+    monkeypatch.setattr(own, "observe", play, raising=False)
+    found = own.sigma_of(play(6.0))
+    assert found == pytest.approx(6.0, rel=0.02)
+    # A linear estimate would take the curvature for more.
+    linear, _ = own._fitted(play(6.0), own.base.values, np.zeros(3))[1:]
+    assert linear > 1.3 * found
+
+
+def test_cosines_leave_out_what_parameters_take() -> None:
+    own = sensitivity()
+    own_mark, other = _generator.standard_normal((2, ROWS))
+    plain = np.column_stack([own_mark, other])
+    metric = np.linalg.inv(np.eye(ROWS) + (COLUMNS / NOISE[:, None]) @ (COLUMNS / NOISE[:, None]).T)
+    np.testing.assert_allclose(own.products(plain), plain.T @ metric @ plain, rtol=1e-9)
+
+
+def test_a_former_curve_is_where_the_search_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = sensitivity()
+    tried: list[float] = []
+
+    def sigma(edits: Any) -> float:
+        tried.append(edits)
+        return 4.0 * float(edits)
+
+    truth = TRUTHS["response_gain"]
+    monkeypatch.setattr(own, "sigma", sigma)
+    object.__setattr__(own, "operating", None)
+    flat = replace(truth, edits=lambda rig, operating, spot, value: value, guess=lambda *_: 0.001, largest=math.inf)
+    own.rig = type("R", (), {"caution": 1.0})()  # type: ignore[assignment]
+    curve = own.curve(flat, None, {"points": [[4.0, 16.0], [16.0, 64.0]], "proportional": True})  # type: ignore[arg-type]
+    assert tried[0] == pytest.approx(16.0)
+    assert [value for value, _ in curve["points"]] == pytest.approx([4.0, 16.0])

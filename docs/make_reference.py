@@ -288,8 +288,7 @@ def message_table(name: str) -> str:
     parts = (MESSAGES / name).read_text(encoding="utf-8").split("\n---\n")
     titles = ("Goal", "Result", "Feedback") if name.endswith(".action") else ("",)
     return "\n\n".join(
-        (f"**{title}**\n\n" if title else "") + _message_part(part)
-        for title, part in zip(titles, parts, strict=True)
+        (f"**{title}**\n\n" if title else "") + _message_part(part) for title, part in zip(titles, parts, strict=True)
     )
 
 

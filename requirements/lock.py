@@ -61,21 +61,15 @@ def lock(source: str, python: str) -> None:
         command += ["--constraint", "-"]
     else:
         pins = []
-    resolved = subprocess.run(
-        command, check=True, input="\n".join(pins), stdout=subprocess.PIPE, text=True
-    ).stdout
+    resolved = subprocess.run(command, check=True, input="\n".join(pins), stdout=subprocess.PIPE, text=True).stdout
     lines = [HEADER.format(source=source, version=python)]
     for pin in resolved.split():
         name, version = pin.split("==")
         name = name.split("[")[0]
-        digests = sorted(
-            digest for filename, digest in files_of(name).items() if fits(filename, name, version, python)
-        )
+        digests = sorted(digest for filename, digest in files_of(name).items() if fits(filename, name, version, python))
         if not digests:
             raise SystemExit(f"{pin}: the index has no wheel for Python {python} on Linux x86_64")
-        lines.append(
-            f"{name}=={version}" + "".join(f" \\\n    --hash=sha256:{digest}" for digest in digests) + "\n"
-        )
+        lines.append(f"{name}=={version}" + "".join(f" \\\n    --hash=sha256:{digest}" for digest in digests) + "\n")
     (FOLDER / "lock").mkdir(exist_ok=True)
     (FOLDER / "lock" / f"{source}-{python}.txt").write_text("".join(lines))
     sys.stdout.write(f"{source}-{python}: {len(lines) - 1} packages\n")

@@ -242,9 +242,7 @@ def test_a_malformed_block_rejects_the_window_and_the_node_lives_on(stage, messa
 
 
 def test_messages_of_points_survive_both_ways():
-    empty = rejected_point(
-        lock_event(5, 10, 3), RATE, "Samples 7 to 8 of 'force' are missing from the window."
-    )
+    empty = rejected_point(lock_event(5, 10, 3), RATE, "Samples 7 to 8 of 'force' are missing from the window.")
     assert modal_point_from_message(fill_modal_point(ModalPoint(), empty)).identical(empty)
 
 

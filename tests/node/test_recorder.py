@@ -45,8 +45,7 @@ class Rig(Node):
     def __init__(self, context):
         super().__init__("rig", context=context, enable_rosout=False, start_parameter_services=False)
         self.blocks = {
-            name: self.create_publisher(SampleBlockMessage, name, SAMPLES_QOS)
-            for name in ("force", "acceleration")
+            name: self.create_publisher(SampleBlockMessage, name, SAMPLES_QOS) for name in ("force", "acceleration")
         }
         self.drive = self.create_publisher(Drive, "drive", SAMPLES_QOS)
         self.lock = self.create_publisher(LockEvent, "lock", SAMPLES_QOS)
@@ -54,9 +53,7 @@ class Rig(Node):
         self.extra = self.create_publisher(Float64, "temperature", 10)
         self.bag_states = []
         self.diagnostics = []
-        self.create_subscription(
-            String, "bag", lambda m: self.bag_states.append(json.loads(m.data)), STATE_QOS
-        )
+        self.create_subscription(String, "bag", lambda m: self.bag_states.append(json.loads(m.data)), STATE_QOS)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
 
     def publish_block(self, topic, first_sample, samples=20):
@@ -97,9 +94,7 @@ class Stage:
         values = {"output": str(self.path), "run_json": json.dumps(RUN), "rig_yaml": "name: beam\n", **values}
         self.recorder = RecorderNode(values, context=self.context)
         self.executor.add_node(self.recorder)
-        self.until(
-            lambda: self.rig.lock.get_subscription_count() and self.rig.run_state.get_subscription_count()
-        )
+        self.until(lambda: self.rig.lock.get_subscription_count() and self.rig.run_state.get_subscription_count())
         self.until(lambda: all(p.get_subscription_count() for p in self.rig.blocks.values()))
         self.until(lambda: self.rig.bag_states)
         return self.recorder
@@ -275,9 +270,7 @@ def test_a_full_disk_is_reported_and_the_node_lives_on(stage, monkeypatch):
         stage.rig.publish_block("force", 20 * index)
     stage.until(lambda: stage.rig.bag_states[-1]["state"] == "failed")
     assert "No space left on device" in stage.rig.bag_states[-1]["reason"]
-    stage.until(
-        lambda: any(s.level == DiagnosticStatus.ERROR for a in stage.rig.diagnostics for s in a.status)
-    )
+    stage.until(lambda: any(s.level == DiagnosticStatus.ERROR for a in stage.rig.diagnostics for s in a.status))
     assert recorder.state == "failed"
     recorder.close()
     bag = Bag.open(stage.path)
@@ -286,9 +279,7 @@ def test_a_full_disk_is_reported_and_the_node_lives_on(stage, monkeypatch):
 
 
 def test_topics_of_others_are_recorded_with_their_type(stage):
-    recorder = stage.start(
-        topics=["force", "lock", "acceleration", "run_state", "temperature:std_msgs/msg/Float64"]
-    )
+    recorder = stage.start(topics=["force", "lock", "acceleration", "run_state", "temperature:std_msgs/msg/Float64"])
     stage.until(lambda: stage.rig.extra.get_subscription_count())
     stage.rig.extra.publish(Float64(data=21.5))
     stage.rig.drive.publish(Drive())
@@ -331,9 +322,7 @@ def test_wrong_parameters_are_refused_and_leave_nothing(stage, values, sentence)
     assert not stage.path.exists()
 
 
-@pytest.mark.parametrize(
-    ("number", "whole"), [(signal.SIGINT, True), (signal.SIGTERM, True), (signal.SIGKILL, False)]
-)
+@pytest.mark.parametrize(("number", "whole"), [(signal.SIGINT, True), (signal.SIGTERM, True), (signal.SIGKILL, False)])
 def test_the_executable_under_signals(stage, number, whole):
     process = subprocess.Popen(
         [

@@ -117,9 +117,7 @@ def test_synthesis_from_the_backbone_meets_the_sweeps(
         (["--from", "360", "--to", "6000"], "half the sample"),
     ],
 )
-def test_sweep_refusals(
-    arguments: list[str], word: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_sweep_refusals(arguments: list[str], word: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", RIG, "--force", "5", *arguments, "--out", str(tmp_path / "out")]) == 2
     assert word in capfd.readouterr().err
     assert not (tmp_path / "out").exists()

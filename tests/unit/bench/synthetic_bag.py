@@ -20,9 +20,7 @@ BLOCK = 200
 FREQUENCY_HZ = 21.7
 DRIVE_POINT = 2
 POINTS = (2, 4)
-RIG_YAML = (
-    "name: beam\ndescription: A made-up beam\nassumptions:\n- The signals are pure sines & nothing else.\n"
-)
+RIG_YAML = "name: beam\ndescription: A made-up beam\nassumptions:\n- The signals are pure sines & nothing else.\n"
 
 LINEAR = LinearDescription(
     source="model",

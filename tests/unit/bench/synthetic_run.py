@@ -47,9 +47,7 @@ def damping_of(q: float) -> float:
     return 0.0051 + 0.117 * ratio**2 / (1.0 + ratio**2) ** 1.5 * 0.75
 
 
-def synthetic_run(
-    levels: int = 10, failed: int | None = 6, reference: bool = True, seed: int = 1
-) -> RunReportData:
+def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = True, seed: int = 1) -> RunReportData:
     random = np.random.default_rng(seed)
     amplitudes = np.geomspace(0.05, 1.5, levels)
     amounts = np.geomspace(3e-5, 2.4e-3, levels)
@@ -65,9 +63,7 @@ def synthetic_run(
             frequency += (target - frequency) * 0.06
             samples.append(sample - 1)
             hertz.append(frequency if amplitude else 0.0)
-            phase.append(
-                math.nan if not amplitude else error + (frequency - target) * 0.4 + 1e-4 * random.normal()
-            )
+            phase.append(math.nan if not amplitude else error + (frequency - target) * 0.4 + 1e-4 * random.normal())
             state.append(kind)
             drive.append(amplitude)
 
@@ -110,14 +106,10 @@ def synthetic_run(
         response = 0.35 * q * np.sin(omega * time)
         excerpts.append(Excerpt(index, float(level), "V", target, SAMPLE_RATE, force, response, "$x_2$", "m"))
     go(60, frequency, 1, math.nan, 0.0)
-    history = LoopHistory(
-        np.array(samples), np.array(hertz), np.array(phase), np.array(state), np.array(drive)
-    )
+    history = LoopHistory(np.array(samples), np.array(hertz), np.array(phase), np.array(state), np.array(drive))
     centre = history.sample.astype(float) - BLOCK / 2
     envelopes = [
-        Envelope(
-            name, symbol, unit, centre, -factor * history.drive_amplitude, factor * history.drive_amplitude
-        )
+        Envelope(name, symbol, unit, centre, -factor * history.drive_amplitude, factor * history.drive_amplitude)
         for name, symbol, unit, factor in (
             ("u", "$u$", "V", 1.0),
             ("f2", "$F$", "N", 2.2),
@@ -142,8 +134,7 @@ def synthetic_run(
             "name": "beam",
             "description": "Cantilever beam with a friction joint, virtual experiment of Scheel et al. 2018",
             "assumptions": [
-                "The cross-section is not in the paper; 11.56978 mm × 5.27668 mm reproduces its three "
-                "frequencies.",
+                "The cross-section is not in the paper; 11.56978 mm × 5.27668 mm reproduces its three frequencies.",
                 "Damping is proportional to the beam's stiffness alone, β = 1e-4 s.",
                 "The phase-locked loop's block diagram is missing in the paper; an adaptive filter is used.",
             ],
@@ -175,9 +166,7 @@ def _values(value: float) -> dict[str, float]:
     return {key: value for name in MEASURED for key in (name, f"{name}_std")}
 
 
-def _point(
-    index: int, q: float, omega: float, damping: float, random: np.random.Generator
-) -> dict[str, object]:
+def _point(index: int, q: float, omega: float, damping: float, random: np.random.Generator) -> dict[str, object]:
     force = 2.2 * 0.05 * 1.45**index
     measured = omega * (1 + 3e-5 * random.normal())
     values = _values(math.nan)

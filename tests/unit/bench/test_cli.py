@@ -97,9 +97,7 @@ def test_missing_bag(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None
     ("content", "expected"),
     [(b"", "empty"), (b"#ROSBAG V2.0\n" + bytes(50), "ROS 1"), (b"hello world, no bag", "not a bag")],
 )
-def test_what_is_no_bag(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, content: bytes, expected: str
-) -> None:
+def test_what_is_no_bag(capsys: pytest.CaptureFixture[str], tmp_path: Path, content: bytes, expected: str) -> None:
     file = tmp_path / "file.mcap"
     file.write_bytes(content)
     status, _, err = run(capsys, "extract", str(file), "--out", str(tmp_path / "out"))
@@ -113,9 +111,7 @@ def test_what_is_no_bag(
     ("option", "content"),
     [("--linear", "{"), ("--linear", "{}"), ("--reference", "a,b\n1,2\n"), ("--reference", "")],
 )
-def test_wrong_side_files(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, option: str, content: str
-) -> None:
+def test_wrong_side_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, option: str, content: str) -> None:
     file = tmp_path / "side"
     file.write_text(content)
     words = ("extract", str(tmp_path), "--out", str(tmp_path / "out"), option, str(file))
@@ -136,9 +132,7 @@ def test_wrong_side_files(
         ("reference", "beam", "--set", "no.such.key=1"),
     ],
 )
-def test_wrong_reference_options(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: tuple[str, ...]
-) -> None:
+def test_wrong_reference_options(capsys: pytest.CaptureFixture[str], tmp_path: Path, words: tuple[str, ...]) -> None:
     status, _, err = run(capsys, *words, "--out", str(tmp_path / "out"))
     assert status == 2
     assert one_sentence(err)
@@ -154,9 +148,7 @@ def test_results_are_not_overwritten(capsys: pytest.CaptureFixture[str], tmp_pat
     assert (tmp_path / "out" / "modal.csv").read_text() == "precious"
 
 
-def test_interrupt(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_interrupt(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -183,9 +175,7 @@ def test_unexpected_error_names_a_log(
     assert "Traceback" in Path(log[1]).read_text()
 
 
-def test_command_without_its_libraries(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_command_without_its_libraries(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(cli.COMMANDS, "run", ("nmt_bench.no_such_module", "a test"))
     status, _, err = run(capsys, "run", "beam")
     assert status == 2
@@ -218,9 +208,7 @@ def test_demo_is_the_run_of_the_beam(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert pretended_run.seen[0].out == str(Path("out") / "demo-2")
 
 
-def test_extract_writes_its_files_and_repeats_itself(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_extract_writes_its_files_and_repeats_itself(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag")
     status, out, err = run(capsys, "extract", str(bag), "--out", str(tmp_path / "out"))
     assert (status, err) == (0, "")

@@ -11,9 +11,7 @@ from nmt_core.blocks import SAMPLE_TOPICS, UNKNOWN_PHASE, BlockFlag, OscillatorP
 
 def block(first: int = 400, samples: int = 200) -> SampleBlock:
     phase = OscillatorPhase(0.5, 20.0)
-    return SampleBlock(
-        first, 1e4, Quantity.FORCE, "N", ("f2", "f4"), (2, 4), np.zeros((2, samples)), phase
-    )
+    return SampleBlock(first, 1e4, Quantity.FORCE, "N", ("f2", "f4"), (2, 4), np.zeros((2, samples)), phase)
 
 
 def test_samples_and_end():

@@ -77,9 +77,7 @@ def test_nothing_but_the_seal_tells_the_truth(tmp_path: Path) -> None:
             assert repr(edit["value"]).encode() not in data
 
 
-@pytest.mark.parametrize(
-    ("seed", "sealed", "word"), [(3, False, "odd"), (4, True, "even"), (-2, False, "negative")]
-)
+@pytest.mark.parametrize(("seed", "sealed", "word"), [(3, False, "odd"), (4, True, "even"), (-2, False, "negative")])
 def test_seeds_of_the_wrong_kind_are_refused(tmp_path: Path, seed: int, sealed: bool, word: str) -> None:
     with pytest.raises(BenchError, match=word):
         make(tmp_path / "a", seed=seed, sealed=sealed)

@@ -163,6 +163,7 @@ def test_without_recorded_phase_or_voltage_the_force_is_held(noisy: tuple[Rig, P
         assert level.force_n == pytest.approx(other.force_n, rel=1e-3)
     # Phases against the force: the difference of those against the drive.
     for level in range(len(test.levels)):
+
         def phase(evidence: Evidence, name: str, level: int = level) -> float:
             own = [c.name for c in evidence.tests[0].channels].index(name)
             rows = evidence.rows

@@ -85,16 +85,12 @@ def test_every_page_is_reached_from_the_map() -> None:
     assert set(PAGES) == reached
 
 
-@pytest.mark.parametrize(
-    ("place", "code"), python_blocks(), ids=lambda value: value if "block" in value[:60] else ""
-)
+@pytest.mark.parametrize(("place", "code"), python_blocks(), ids=lambda value: value if "block" in value[:60] else "")
 def test_python_examples_compile_and_import_what_exists(place: str, code: str) -> None:
     tree = ast.parse(code, filename=place)
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("nmt_"):
-            if WITHOUT_ROS and (
-                "harness" in node.module or "_node" in node.module or "nmt_msgs" in node.module
-            ):
+            if WITHOUT_ROS and ("harness" in node.module or "_node" in node.module or "nmt_msgs" in node.module):
                 continue
             module = importlib.import_module(node.module)
             for alias in node.names:
@@ -126,9 +122,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     from nmt_diagnose.effects.library import library
     from nmt_plant import rig
 
-    shown = {
-        region for page in REFERENCE for region in make_reference.regions(page.read_text(encoding="utf-8"))
-    }
+    shown = {region for page in REFERENCE for region in make_reference.regions(page.read_text(encoding="utf-8"))}
     files = [
         f"{path.parent.name}/{path.name}"
         for path in make_reference.MESSAGES.glob("*/*.*")
@@ -138,9 +132,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     wanted = {("message", name) for name in files}
     wanted |= {("parameters", name) for name in ("common", *make_reference.NODE_MODULES)}
     wanted |= {("options", name) for name in COMMANDS}
-    sections = {
-        name for name, kind in vars(rig).items() if isinstance(kind, type) and issubclass(kind, rig.Section)
-    }
+    sections = {name for name, kind in vars(rig).items() if isinstance(kind, type) and issubclass(kind, rig.Section)}
     wanted |= {("rig", name) for name in sections - {"Section"}}
     wanted |= {("effects", effect.place) for effect in library()} | {("priors", "all")}
     assert shown == wanted
@@ -232,6 +224,4 @@ def test_tests_named_on_the_page_of_claims_exist(claim: str) -> None:
     for path in paths:
         assert path.exists(), path
     if chosen:
-        assert any(re.search(rf"def test_\w*{chosen}", path.read_text(encoding="utf-8")) for path in paths), (
-            chosen
-        )
+        assert any(re.search(rf"def test_\w*{chosen}", path.read_text(encoding="utf-8")) for path in paths), chosen

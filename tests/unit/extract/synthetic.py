@@ -79,10 +79,7 @@ class Stream:
         for frequency in per_block:
             self.starts.append(self.starts[-1] + frequency * block / RATE)
         cycles = np.concatenate(
-            [
-                start + f * np.arange(block) / RATE
-                for start, f in zip(self.starts[:-1], per_block, strict=True)
-            ]
+            [start + f * np.arange(block) / RATE for start, f in zip(self.starts[:-1], per_block, strict=True)]
         )[:samples]
         self.cycles = cycles
         self.force = signal(cycles, np.atleast_1d(force))[np.newaxis]
@@ -103,9 +100,7 @@ class Stream:
             frequency = self.frequencies[index]
             cycles = self.starts[index] + frequency * (start - index * self.block) / RATE
             oscillator = (
-                OscillatorPhase(cycles % 1.0, frequency)
-                if self.known_phase
-                else OscillatorPhase(math.nan, math.nan)
+                OscillatorPhase(cycles % 1.0, frequency) if self.known_phase else OscillatorPhase(math.nan, math.nan)
             )
             result.append(
                 SampleBlock(

@@ -19,9 +19,7 @@ from nmt_extract.harmonics import (
 
 def random_amplitudes(seed: int, harmonics: int, channels: int = 3) -> np.ndarray:
     random = np.random.default_rng(seed)
-    amplitudes = random.normal(size=(channels, harmonics + 1)) + 1j * random.normal(
-        size=(channels, harmonics + 1)
-    )
+    amplitudes = random.normal(size=(channels, harmonics + 1)) + 1j * random.normal(size=(channels, harmonics + 1))
     amplitudes[:, 0] = amplitudes[:, 0].real
     return amplitudes
 
@@ -44,9 +42,7 @@ def test_equals_fft_over_whole_periods_of_whole_samples(periods, length):
     start=st.floats(-5.0, 5.0),
 )
 @settings(max_examples=60, deadline=None)
-def test_recovers_harmonics_without_whole_samples_or_periods(
-    seed, harmonics, samples_per_period, periods, start
-):
+def test_recovers_harmonics_without_whole_samples_or_periods(seed, harmonics, samples_per_period, periods, start):
     amplitudes = random_amplitudes(seed, harmonics)
     cycles = start + np.arange(int(periods * samples_per_period)) / samples_per_period
     data = np.array([signal(cycles, row) for row in amplitudes])
@@ -103,9 +99,7 @@ def test_same_bits_on_every_call():
     data = np.random.default_rng(7).normal(size=(4, 5003))
     cycles = np.arange(5003) * 0.00221
     first = harmonic_amplitudes(cycles, data, 10)
-    assert all(
-        harmonic_amplitudes(cycles.copy(), data.copy(), 10).tobytes() == first.tobytes() for _ in range(3)
-    )
+    assert all(harmonic_amplitudes(cycles.copy(), data.copy(), 10).tobytes() == first.tobytes() for _ in range(3))
 
 
 def test_whole_period_bounds_cut_at_whole_periods():

@@ -67,9 +67,7 @@ def test_elastic_coulomb_joint():
     friction = np.empty(samples)
     for _ in range(2):  # the first period is the transient
         for k in range(samples):
-            slider = min(
-                max(slider, displacement[k] - limit / stiffness), displacement[k] + limit / stiffness
-            )
+            slider = min(max(slider, displacement[k] - limit / stiffness), displacement[k] + limit / stiffness)
             friction[k] = stiffness * (displacement[k] - slider)
     harmonics = 200
     spectrum = np.fft.rfft(friction)[: harmonics + 1] * 2.0 / samples
@@ -136,9 +134,7 @@ def test_a_modal_point_carries_it_if_the_rig_declares_it():
     relative = np.array([0.0, 2e-6, 0.0, 1e-7])
     accelerations, force, _ = chain(relative, (JOINT + 4e5j) * relative)
     rows = np.array([*accelerations, accelerations[2]])
-    stream = Stream(
-        force, rows, samples=4000, frequencies=(370.0,), quantity=Quantity.ACCELERATION, noise=1e-4
-    )
+    stream = Stream(force, rows, samples=4000, frequencies=(370.0,), quantity=Quantity.ACCELERATION, noise=1e-4)
     layout = HysteresisLayout(2, 4, 5, M1, M3)
     topics = ("force", "acceleration")
     lock = lock_event(0, 3000, 111, frequency_hz=370.0)

@@ -27,9 +27,7 @@ def test_lower_and_upper_residual_are_recovered_exactly():
     found = fit_residuals(FREQUENCY, data, np.full(data.shape, 1e-18), [TARGET], (280.0, 460.0))
     np.testing.assert_allclose(found.lower, lower, rtol=1e-6)
     np.testing.assert_allclose(found.upper, upper, rtol=1e-4, atol=1e-12)
-    np.testing.assert_allclose(
-        found.receptance(FREQUENCY) + modal_receptance(*TARGET, FREQUENCY), data, rtol=1e-6
-    )
+    np.testing.assert_allclose(found.receptance(FREQUENCY) + modal_receptance(*TARGET, FREQUENCY), data, rtol=1e-6)
 
 
 def test_a_free_body_shows_its_mass_as_lower_residual_and_a_high_mode_its_flexibility_as_upper():

@@ -130,9 +130,7 @@ def test_residuals_complete_the_receptance(resonator):
     phi, w, z = exact.shape_matrix, np.array(exact.frequencies_rad_s), np.array(exact.damping_ratios)
     drive = phi[exact.points.index(rig.drive_point)]
     others = [index for index in range(len(w)) if index != exact.target_mode]
-    rest = sum(
-        np.outer(phi[:, r] * drive[r], 1 / (w[r] ** 2 - omega**2 + 2j * z[r] * w[r] * omega)) for r in others
-    )
+    rest = sum(np.outer(phi[:, r] * drive[r], 1 / (w[r] ** 2 - omega**2 + 2j * z[r] * w[r] * omega)) for r in others)
     found = test.target_residuals.receptance(np.array([350.0, 390.0]))
     np.testing.assert_allclose(found, rest, atol=0.02 * np.max(np.abs(rest)))
 

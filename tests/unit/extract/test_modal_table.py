@@ -69,9 +69,7 @@ def test_json_reads_back_to_the_same_bits(tmp_path_factory, measured, harmonics,
 
 
 def test_json_says_why_and_from_what(points, tmp_path):
-    write_json(
-        points, tmp_path / "modal.json", {"run_id": "r1", "nothing": math.nan, "list": (1, np.float64(2.0))}
-    )
+    write_json(points, tmp_path / "modal.json", {"run_id": "r1", "nothing": math.nan, "list": (1, np.float64(2.0))})
     document = json.loads((tmp_path / "modal.json").read_text(), parse_constant=pytest.fail)
     assert document["inputs"] == {"run_id": "r1", "nothing": None, "list": [1, 2.0]}
     assert document["points"][1]["reason"] == "Samples 1 to 2 are missing."

@@ -96,9 +96,7 @@ def make_bag(tmp_path, stream):
 
     def make(run=RUN, lock=LOCK, states=None, leave_out=(), close=True, drop=()):
         messages = Messages()
-        writer = BagWriter(
-            tmp_path / "bag", run_json=json.dumps(run) if run else "", rig_yaml="", chunk_messages=4
-        )
+        writer = BagWriter(tmp_path / "bag", run_json=json.dumps(run) if run else "", rig_yaml="", chunk_messages=4)
         writers.append(writer)
         for topic, kind in TOPICS.items():
             writer.add_topic(topic, kind)
@@ -161,9 +159,7 @@ def test_given_modes_and_settings_take_precedence(make_bag):
     path = make_bag(run=None)
     with pytest.raises(BenchError, match="does not say which linear modes"):
         extract_bag(path)
-    result = extract_bag(
-        path, linear_description(), ExtractionSettings(harmonics=4, topics=("force", "displacement"))
-    )
+    result = extract_bag(path, linear_description(), ExtractionSettings(harmonics=4, topics=("force", "displacement")))
     assert result.points[0].harmonics == 4
 
 

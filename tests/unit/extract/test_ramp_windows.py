@@ -35,12 +35,7 @@ def test_damping_of_a_transient_is_that_of_the_oscillator():
     late = points.time > 0.5
     # From the first periods on, far from the steady state, the balance holds; without dE/dt it does not.
     np.testing.assert_allclose(points.damping_ratio[late], ZETA, rtol=0.03)
-    naive = (
-        points.active_power
-        / (points.omega_rad_s * points.modal_amplitude) ** 2
-        * 2
-        / (2 * points.omega_rad_s)
-    )
+    naive = points.active_power / (points.omega_rad_s * points.modal_amplitude) ** 2 * 2 / (2 * points.omega_rad_s)
     assert np.abs(naive[late] / ZETA - 1.0).max() > 0.3
     np.testing.assert_allclose(points.omega_rad_s, OMEGA, rtol=1e-9)
 

@@ -13,9 +13,7 @@ MODES = [(40.0, 0.01, [0.3, 0.5]), (125.0, 0.03, [0.2, -0.4]), (126.0 * 2, 0.008
 
 
 def accelerance(frequency: np.ndarray) -> np.ndarray:
-    total = sum(
-        modal_receptance(np.array(shape), 2 * np.pi * f, zeta, frequency) for f, zeta, shape in MODES
-    )
+    total = sum(modal_receptance(np.array(shape), 2 * np.pi * f, zeta, frequency) for f, zeta, shape in MODES)
     return -((2 * np.pi * frequency) ** 2) * total
 
 

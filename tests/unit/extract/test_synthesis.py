@@ -115,9 +115,7 @@ def test_against_the_models_forced_response(joint_resonator, force: float, toler
     fundamental = int(np.flatnonzero(reference.orders == 1)[0])
     rows = [point - 1 for point in linear.points]
     shape = reference.normalised_shape[:, fundamental][:, rows]
-    measured = Backbone(
-        reference.modal_amplitude, reference.omega_rad_s, reference.damping_ratio, shape, linear.points
-    )
+    measured = Backbone(reference.modal_amplitude, reference.omega_rad_s, reference.damping_ratio, shape, linear.points)
     s = Synthesis(measured, linear.drive_point, OtherModes.from_modes(linear, linear.points), force)
     model = model_responses(joint_resonator, [force], 350.0, 390.0, ["a1", "a2", "a3"])[0]
     hertz = np.linspace(350.0, 390.0, 401)

@@ -9,9 +9,7 @@ from unit.extract.synthetic import FREQUENCY, RATE, Stream, extract, in_phase_ca
 from nmt_extract.uncertainty import jackknife, slope_uncertainty, sub_window_count
 
 
-@pytest.mark.parametrize(
-    ("periods", "count"), [(200, 10), (80, 10), (20, 10), (19, 9), (6, 3), (5, 0), (3, 0)]
-)
+@pytest.mark.parametrize(("periods", "count"), [(200, 10), (80, 10), (20, 10), (19, 9), (6, 3), (5, 0), (3, 0)])
 def test_number_of_sub_windows(periods, count):
     assert sub_window_count(periods) == count
 

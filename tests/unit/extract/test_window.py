@@ -64,9 +64,7 @@ def test_a_window_is_the_samples_it_names(stream):
     assert window.end_cycles - window.cycles[0] == pytest.approx(FREQUENCY * SAMPLES / RATE, abs=1e-11)
 
 
-@given(
-    st.integers(0, 1000), st.integers(1, 2000), st.sampled_from([1, 7, 50, 200, 999]), st.integers(0, 4000)
-)
+@given(st.integers(0, 1000), st.integers(1, 2000), st.sampled_from([1, 7, 50, 200, 999]), st.integers(0, 4000))
 @settings(max_examples=30, deadline=None)
 def test_any_cut_and_any_moment_of_the_lock_event(first, samples, size, when):
     stream = Stream([0.1, 1j], [[0, 1.0]] * 4, samples=4000, block=4000)
@@ -105,9 +103,7 @@ def drop(index):
 
 
 def alter(index, **changes):
-    return lambda blocks: [
-        replace(block, **changes) if i == index else block for i, block in enumerate(blocks)
-    ]
+    return lambda blocks: [replace(block, **changes) if i == index else block for i, block in enumerate(blocks)]
 
 
 def with_nan(blocks):
@@ -163,9 +159,7 @@ def test_too_few_periods_and_too_many_samples(stream):
 
 
 def altered_phase(blocks, **changes):
-    return [
-        replace(b, oscillator=b.oscillator._replace(**changes)) if i == 5 else b for i, b in enumerate(blocks)
-    ]
+    return [replace(b, oscillator=b.oscillator._replace(**changes)) if i == 5 else b for i, b in enumerate(blocks)]
 
 
 @pytest.mark.parametrize(
@@ -196,9 +190,7 @@ def test_a_swept_block_is_followed():
     force = [
         replace(
             b,
-            oscillator=OscillatorPhase(
-                cycles[b.first_sample] % 1.0, start + rate * time[b.first_sample], rate
-            ),
+            oscillator=OscillatorPhase(cycles[b.first_sample] % 1.0, start + rate * time[b.first_sample], rate),
         )
         for b in stream.blocks("force")
     ]

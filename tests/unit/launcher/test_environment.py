@@ -105,9 +105,7 @@ def test_environment_is_that_of_the_workspaces_setup_file(launcher, monkeypatch)
     for name in (*SEARCH_PATHS, "COLCON_PREFIX_PATH"):
         monkeypatch.delenv(name, raising=False)
     script = f". {setup} && exec env -0"
-    lines = subprocess.run(["bash", "-c", script], check=True, capture_output=True, text=True).stdout.split(
-        "\0"
-    )
+    lines = subprocess.run(["bash", "-c", script], check=True, capture_output=True, text=True).stdout.split("\0")
     sourced = dict(line.split("=", 1) for line in lines if "=" in line)
     computed = launcher.command_environment(STATE)
     for name in ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):

@@ -48,8 +48,6 @@ def test_numerical_modules_import_without_ros():
     assert len(modules) > 20
     path = os.pathsep.join(str(init.parent.parent) for init in SOURCES)
     environment = {**os.environ, "PYTHONPATH": path}
-    answer = subprocess.run(
-        [sys.executable, "-c", SCRIPT, *modules], capture_output=True, text=True, env=environment
-    )
+    answer = subprocess.run([sys.executable, "-c", SCRIPT, *modules], capture_output=True, text=True, env=environment)
     assert answer.returncode == 0, answer.stderr
     assert answer.stdout.strip() == ""

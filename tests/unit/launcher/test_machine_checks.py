@@ -76,9 +76,7 @@ def test_little_disk(machine, monkeypatch):
 
 def test_little_room_for_downloads(machine, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", "/")
-    monkeypatch.setattr(
-        shutil, "disk_usage", lambda f: SimpleNamespace(free=1e11 if f == str(tmp_path) else 1e8)
-    )
+    monkeypatch.setattr(shutil, "disk_usage", lambda f: SimpleNamespace(free=1e11 if f == str(tmp_path) else 1e8))
     assert "set TMPDIR" in only_trouble(machine)
 
 

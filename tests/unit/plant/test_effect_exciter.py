@@ -226,9 +226,13 @@ def test_the_backbone_of_the_structure_does_not_mind_its_exciter(override, cover
 
 
 def test_elements_on_the_side_of_the_exciter_go_with_it(tmp_path):
-    text = find_rig("beam").read_text(encoding="utf-8").replace(
-        "local_elements:\n",
-        "local_elements:\n  - {kind: cubic_spring, point: 2, side: exciter, stiffness_n_m3: 1e9}\n",
+    text = (
+        find_rig("beam")
+        .read_text(encoding="utf-8")
+        .replace(
+            "local_elements:\n",
+            "local_elements:\n  - {kind: cubic_spring, point: 2, side: exciter, stiffness_n_m3: 1e9}\n",
+        )
     )
     path = tmp_path / "rig.yaml"
     path.write_text(text, encoding="utf-8")

@@ -88,9 +88,7 @@ def test_a_stiff_clamp_is_the_rigid_one():
 
 
 def test_beam_damping_is_that_of_the_beam_without_its_clamp():
-    plain, soft = (
-        build_structure(beam(*keys)) for keys in ([], ["structure.clamp_rotational_stiffness_nm_rad=200"])
-    )
+    plain, soft = (build_structure(beam(*keys)) for keys in ([], ["structure.clamp_rotational_stiffness_nm_rad=200"]))
     np.testing.assert_allclose(soft.damping[1:, 1:], plain.damping, rtol=1e-12)
     assert soft.damping[0, 0] == pytest.approx(1e-4 * (soft.stiffness[0, 0] - 200.0))
 
@@ -121,9 +119,7 @@ def test_an_added_mass_on_the_beam_follows_rayleigh():
     base = sticking_modes(build_structure(beam()), ())
     heavy = frequencies("structure.added_masses=[{point: 7, mass_kg: 1e-5}]")
     shape = base.shapes[base.points.index(7)]
-    np.testing.assert_allclose(
-        heavy[:3] / base.frequencies[:3] - 1, -0.5 * 1e-5 * shape[:3] ** 2, rtol=2e-3
-    )
+    np.testing.assert_allclose(heavy[:3] / base.frequencies[:3] - 1, -0.5 * 1e-5 * shape[:3] ** 2, rtol=2e-3)
 
 
 def test_masses_that_leave_nothing_are_refused():
@@ -147,9 +143,7 @@ def test_loss_factor_is_twice_the_damping_ratio_of_every_mode():
     )
     structure = build_structure(rig)
     squares, shapes = eigh(structure.stiffness, structure.mass)
-    np.testing.assert_allclose(
-        np.diag(shapes.T @ structure.damping @ shapes), 0.02 * np.sqrt(squares), rtol=1e-8
-    )
+    np.testing.assert_allclose(np.diag(shapes.T @ structure.damping @ shapes), 0.02 * np.sqrt(squares), rtol=1e-8)
     assert np.abs(structure.damping - structure.damping.T).max() < 1e-9 * np.abs(structure.damping).max()
 
 

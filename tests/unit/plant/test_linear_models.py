@@ -51,9 +51,7 @@ def test_chain_of_two_masses():
     np.testing.assert_allclose(sticking_modes(chain).frequencies, np.sqrt([100.0, 300.0]))
 
 
-@pytest.mark.parametrize(
-    "arguments", [([],), ([1.0, -1.0], [1.0]), ([1.0, 1.0], [1.0, 2.0]), ([1.0, 1.0], [-1.0])]
-)
+@pytest.mark.parametrize("arguments", [([],), ([1.0, -1.0], [1.0]), ([1.0, 1.0], [1.0, 2.0]), ([1.0, 1.0], [-1.0])])
 def test_chain_refuses_nonsense(arguments):
     arguments = arguments if len(arguments) > 1 else (*arguments, [])
     with pytest.raises(ValueError, match=r"mass|springs|negative"):

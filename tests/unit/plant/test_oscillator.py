@@ -27,9 +27,7 @@ def test_phase_is_continuous_over_frequency_steps():
         assert block.phase.cycles == pytest.approx(expected % 1.0, abs=1e-12)
         assert 0.0 <= block.phase.cycles < 1.0
         k = np.arange(201)
-        np.testing.assert_allclose(
-            block.voltage, np.cos(2 * np.pi * (expected + frequency * k / RATE)), atol=1e-9
-        )
+        np.testing.assert_allclose(block.voltage, np.cos(2 * np.pi * (expected + frequency * k / RATE)), atol=1e-9)
         expected += frequency * 200 / RATE
         total.append(block.voltage)
     for before, after in pairwise(total):

@@ -39,12 +39,8 @@ def test_long_correlation_holds_values():
 
 
 def test_channels_are_independent_of_each_other():
-    a = SensorChannel(Sensor("x2", Quantity.DISPLACEMENT, 2, noise_psd=1.0), RATE, 7).measure(np.zeros(5000))[
-        0
-    ]
-    b = SensorChannel(Sensor("x4", Quantity.DISPLACEMENT, 4, noise_psd=1.0), RATE, 7).measure(np.zeros(5000))[
-        0
-    ]
+    a = SensorChannel(Sensor("x2", Quantity.DISPLACEMENT, 2, noise_psd=1.0), RATE, 7).measure(np.zeros(5000))[0]
+    b = SensorChannel(Sensor("x4", Quantity.DISPLACEMENT, 4, noise_psd=1.0), RATE, 7).measure(np.zeros(5000))[0]
     assert abs(np.corrcoef(a, b)[0, 1]) < 0.06
 
 

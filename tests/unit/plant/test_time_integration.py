@@ -114,9 +114,7 @@ def test_local_elements_against_solve_ivp(element):
         return [s[1], (force * np.sin(frequency * t) - 20_000.0 * s[0] - 0.5 * s[1] - g) / 0.5]
 
     times = np.arange(y.size) / RATE
-    solution = solve_ivp(
-        rate, (0, seconds), [0.0, 0.0], "DOP853", times, rtol=1e-10, atol=1e-13, max_step=1e-4
-    )
+    solution = solve_ivp(rate, (0, seconds), [0.0, 0.0], "DOP853", times, rtol=1e-10, atol=1e-13, max_step=1e-4)
     assert np.abs(solution.y[0]).max() > 3e-4, "the element must be at work"
     assert np.abs(y - solution.y[0]).max() < 2e-4 * np.abs(solution.y[0]).max()
 

@@ -121,9 +121,7 @@ def test_the_noise_of_the_paper_does_not_keep_it_from_locking(point, seed):
         outcome = bench.run_level(float(amplitude), window_periods=100)
         assert outcome.lock is not None, outcome.reason
         without = quiet.run_level(float(amplitude), window_periods=100)
-        assert outcome.column("frequency_hz").mean() == pytest.approx(
-            without.column("frequency_hz").mean(), rel=1e-3
-        )
+        assert outcome.column("frequency_hz").mean() == pytest.approx(without.column("frequency_hz").mean(), rel=1e-3)
         assert abs(degrees(outcome).mean()) < 1.5
 
 

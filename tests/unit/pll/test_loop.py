@@ -170,9 +170,7 @@ def test_below_a_floor_there_is_no_phase_and_no_lock(name, limit):
     loop.set_level(level(timeout=2.0))
     outputs = until(loop, blocks, LoopState.LOCK_LOST)
     assert all(math.isnan(output.phase_error) for output in outputs)
-    assert outputs[-1].transition.reason == (
-        "no lock within the time-out: force or response below its amplitude floor"
-    )
+    assert outputs[-1].transition.reason == ("no lock within the time-out: force or response below its amplitude floor")
     # The frequency is left alone while there is nothing to control by.
     assert {output.frequency_hz for output in outputs} == {OMEGA / (2 * math.pi)}
 

@@ -12,9 +12,7 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import check_values
 from nmt_pll.settings import SIGNED_SETTINGS, LoopSettings, setting_parameters, settings_from
 
-LINEAR = LinearDescription(
-    "test", 2, 1, (2,), (100.0, 700.0), (0.01, 0.02), ((1.0, 2.0),), 2.0, 690.0, 0.05, 0.04
-)
+LINEAR = LinearDescription("test", 2, 1, (2,), (100.0, 700.0), (0.01, 0.02), ((1.0, 2.0),), 2.0, 690.0, 0.05, 0.04)
 
 
 @pytest.mark.parametrize("name", sorted({item.name for item in fields(LoopSettings)} - SIGNED_SETTINGS))
@@ -31,9 +29,7 @@ def test_what_the_loop_holds_may_be_negative_but_must_be_finite(name):
         settings_from({name: math.nan})
 
 
-@pytest.mark.parametrize(
-    "name", ["phase_tolerance", "dwell_periods", "unlock_tolerance", "quiet_ramp", "delay_margin"]
-)
+@pytest.mark.parametrize("name", ["phase_tolerance", "dwell_periods", "unlock_tolerance", "quiet_ramp", "delay_margin"])
 def test_some_settings_must_be_positive(name):
     with pytest.raises(BenchError, match=f"^PLL setting '{name}' must be positive"):
         settings_from({name: 0.0})

@@ -18,9 +18,7 @@ from nmt_pll.paper_settings import PaperSettings, paper_parameters, paper_settin
 from nmt_pll.settings import LevelCommand
 
 RATE, BLOCK = 10_000.0, 200
-LINEAR = LinearDescription(
-    "model", 2, 0, (2,), (139.4,), (0.005,), ((1.0,),), 1.0, 140.0, 0.02, 0.043, 0.28, 5e-4
-)
+LINEAR = LinearDescription("model", 2, 0, (2,), (139.4,), (0.005,), ((1.0,),), 1.0, 140.0, 0.02, 0.043, 0.28, 5e-4)
 
 
 def make(**settings):
@@ -32,9 +30,7 @@ def detected(loop, force, response):
     blocks = len(force) // BLOCK
     parts = np.array(
         [
-            loop.process_signals(
-                force[k * BLOCK : (k + 1) * BLOCK], response[k * BLOCK : (k + 1) * BLOCK], False
-            )
+            loop.process_signals(force[k * BLOCK : (k + 1) * BLOCK], response[k * BLOCK : (k + 1) * BLOCK], False)
             for k in range(blocks)
         ]
     )
@@ -47,9 +43,7 @@ def test_detector_gives_half_the_sine_of_the_phase_error_at_any_amplitude(error,
     time = np.arange(40_000) / RATE
     theta = 2 * math.pi * 22.19 * time
     force = 3.0 * scale * np.cos(theta + math.pi / 2 - math.radians(error))
-    assert detected(make(), force, 1e-4 * np.cos(theta)) == pytest.approx(
-        math.sin(math.radians(error)), abs=2e-3
-    )
+    assert detected(make(), force, 1e-4 * np.cos(theta)) == pytest.approx(math.sin(math.radians(error)), abs=2e-3)
 
 
 def test_noise_lowers_the_gain_as_stated():
@@ -61,9 +55,7 @@ def test_noise_lowers_the_gain_as_stated():
     response = np.cos(theta) + 1.5 * rng.standard_normal(time.size)
     loop = make()
     expected = math.sin(error) / math.sqrt((1 + 2 * 0.8**2) * (1 + 2 * 1.5**2))
-    values = [
-        detected(loop, force[k : k + 20_000], response[k : k + 20_000]) for k in range(0, 200_000, 20_000)
-    ]
+    values = [detected(loop, force[k : k + 20_000], response[k : k + 20_000]) for k in range(0, 200_000, 20_000)]
     assert np.mean(values[1:]) == pytest.approx(expected, rel=0.08)
 
 

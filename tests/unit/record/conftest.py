@@ -29,9 +29,7 @@ def store() -> DefinitionStore:
 def make_block(store: DefinitionStore) -> Callable[..., bytes]:
     types = store.typestore.types
 
-    def make(
-        first_sample: int, samples: int = 20, channels: int = 2, frame: str = "beam", unit: str = "m"
-    ) -> bytes:
+    def make(first_sample: int, samples: int = 20, channels: int = 2, frame: str = "beam", unit: str = "m") -> bytes:
         seconds, rest = divmod(first_sample, 10_000)
         message = types[SAMPLE_BLOCK](
             header=types["std_msgs/msg/Header"](
@@ -59,9 +57,7 @@ def make_block(store: DefinitionStore) -> Callable[..., bytes]:
 def make_bag(tmp_path: Path, make_block: Callable[..., bytes]) -> Iterator[Callable[..., Path]]:
     left_open = []
 
-    def make(
-        name: str = "bag", blocks: int = 40, per_chunk: int = 5, close: bool = True, **options: Any
-    ) -> Path:
+    def make(name: str = "bag", blocks: int = 40, per_chunk: int = 5, close: bool = True, **options: Any) -> Path:
         writer = BagWriter(
             tmp_path / name,
             run_json=RUN_JSON,

@@ -76,11 +76,7 @@ def sqlite_cut_off(folder, make_bag):
 
 def metadata_of_another_storage(folder, make_bag):
     path = make_bag()
-    text = (
-        (path / "metadata.yaml")
-        .read_text()
-        .replace("storage_identifier: mcap", "storage_identifier: sqlite3")
-    )
+    text = (path / "metadata.yaml").read_text().replace("storage_identifier: mcap", "storage_identifier: sqlite3")
     (path / "metadata.yaml").write_text(text)
     return path
 
@@ -112,9 +108,7 @@ def test_what_is_no_bag_is_refused_in_a_sentence(tmp_path, make_bag, make, sente
     assert "\n" not in text
 
 
-@pytest.mark.parametrize(
-    "content", ["", "nonsense: [", "- 1\n- 2", "rosbag2_bagfile_information: 5", "\x00\x01"]
-)
+@pytest.mark.parametrize("content", ["", "nonsense: [", "- 1\n- 2", "rosbag2_bagfile_information: 5", "\x00\x01"])
 def test_damaged_metadata_does_not_hide_the_bag(make_bag, content):
     path = make_bag(blocks=5)
     (path / "metadata.yaml").write_text(content)
@@ -133,9 +127,7 @@ def test_ros1_messages_in_mcap_are_refused(tmp_path):
     with (tmp_path / "old.mcap").open("wb") as file:
         writer = Writer(file)
         writer.start("ros1")
-        channel = writer.register_channel(
-            "/force", "ros1", writer.register_schema("a/B", "ros1msg", b"int32 x")
-        )
+        channel = writer.register_channel("/force", "ros1", writer.register_schema("a/B", "ros1msg", b"int32 x"))
         writer.add_message(channel, 0, b"\0\0\0\0", 0)
         writer.finish()
     with pytest.raises(BenchError, match="holds 'ros1' messages on topic 'force'"):

@@ -49,11 +49,7 @@ def arbitrary(store, message_type, rng):
 
 def plain(message):
     if hasattr(message, "__msgtype__"):
-        return {
-            name: plain(getattr(message, name))
-            for name in message.__dataclass_fields__
-            if name != "__msgtype__"
-        }
+        return {name: plain(getattr(message, name)) for name in message.__dataclass_fields__ if name != "__msgtype__"}
     if isinstance(message, np.ndarray):
         return message.tolist()
     return [plain(item) for item in message] if isinstance(message, list) else message
@@ -135,15 +131,11 @@ def test_metadata_is_what_rosbag2_writes(make_bag):
     assert information["message_count"] == 5
     assert information["custom_data"]["rig.yaml"] == "name: beam\n"
     assert json.loads(information["custom_data"]["run.json"])["run_id"] == "run-7"
-    counts = {
-        t["topic_metadata"]["name"]: t["message_count"] for t in information["topics_with_message_count"]
-    }
+    counts = {t["topic_metadata"]["name"]: t["message_count"] for t in information["topics_with_message_count"]}
     assert counts == {"/run_record": 2, "/displacement": 3}
 
 
-@pytest.mark.parametrize(
-    "message_type", sorted({t.message_type for t in BENCH_TOPICS if "nmt_msgs" in t.message_type})
-)
+@pytest.mark.parametrize("message_type", sorted({t.message_type for t in BENCH_TOPICS if "nmt_msgs" in t.message_type}))
 def test_type_hash_is_that_of_the_build(message_type, store):
     described = SHARE / f"{message_type.rpartition('/')[2]}.json"
     if not described.is_file():

@@ -39,9 +39,7 @@ def opened(path):
 
 
 def first_samples(bag):
-    return (
-        [block.first_sample for block in bag.blocks("displacement")] if "displacement" in bag.topics else []
-    )
+    return [block.first_sample for block in bag.blocks("displacement")] if "displacement" in bag.topics else []
 
 
 def run_python(code, *arguments):

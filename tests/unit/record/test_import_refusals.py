@@ -222,9 +222,7 @@ CASES: dict[str, tuple[Case, str]] = {
         "two clocks, the columns time_f and time_a",
     ),
     "two time columns with numbers": (
-        lambda f: write(
-            f, sidecar(), {"t1": np.arange(12000) / RATE, "t2": np.arange(12000) / 1999.0, **recording()}
-        ),
+        lambda f: write(f, sidecar(), {"t1": np.arange(12000) / RATE, "t2": np.arange(12000) / 1999.0, **recording()}),
         "two clocks, the columns t1 and t2",
     ),
     "a second time column beside the named one": (

@@ -52,9 +52,7 @@ def sampled_play(w: np.ndarray, stiffness: float, limit: float) -> np.ndarray:
 def test_jenkins_fundamental_is_the_describing_function(amplitude: float) -> None:
     stiffness, limit = 2.0, 2.0
     basis = FourierBasis.up_to(7)
-    force, _, _ = LocalForces.gather([Jenkins(D, stiffness, limit)], basis).forces(
-        pure_cosine(basis, amplitude), OMEGA
-    )
+    force, _, _ = LocalForces.gather([Jenkins(D, stiffness, limit)], basis).forces(pure_cosine(basis, amplitude), OMEGA)
     reach = limit / stiffness
     turn = np.arccos(1.0 - 2.0 * reach / amplitude)
     in_phase = stiffness * amplitude / np.pi * (turn - 0.5 * np.sin(2.0 * turn))
@@ -113,9 +111,7 @@ def test_smooth_springs_against_closed_forms() -> None:
     assert force(QuadraticSpring(D, 2.0), 0) == pytest.approx(a**2, rel=1e-13)
     assert force(LinearSpring(D, 2.0), 1) == pytest.approx(2.0 * a, rel=1e-13)
     assert force(LinearDamper(D, 2.0), 1) == pytest.approx(2j * OMEGA * a, rel=1e-13)
-    assert force(QuadraticDrag(D, 2.0), 1) == pytest.approx(
-        2j * (OMEGA * a) ** 2 * 8.0 / (3.0 * np.pi), rel=1e-6
-    )
+    assert force(QuadraticDrag(D, 2.0), 1) == pytest.approx(2j * (OMEGA * a) ** 2 * 8.0 / (3.0 * np.pi), rel=1e-6)
 
 
 def test_stops_against_closed_forms() -> None:
@@ -134,9 +130,7 @@ def test_stops_against_closed_forms() -> None:
 
 def test_preloaded_stop_in_full_contact_is_a_spring_with_an_offset() -> None:
     basis = FourierBasis.up_to(3)
-    force = LocalForces.gather([UnilateralStop(D, 5.0, -3.0)], basis).forces(pure_cosine(basis, 2.0), OMEGA)[
-        0
-    ]
+    force = LocalForces.gather([UnilateralStop(D, 5.0, -3.0)], basis).forces(pure_cosine(basis, 2.0), OMEGA)[0]
     assert harmonic(basis, force, 0) == pytest.approx(15.0, rel=1e-13)
     assert harmonic(basis, force, 1) == pytest.approx(10.0, rel=1e-13)
 

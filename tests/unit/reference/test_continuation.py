@@ -27,9 +27,7 @@ def test_branch_passes_both_folds() -> None:
     assert branch.complete
     assert branch.folds == 2
     assert not branch.single_valued
-    np.testing.assert_allclose(
-        branch.points[:, 0] ** 3 - branch.points[:, 0], branch.points[:, 1], atol=1e-10
-    )
+    np.testing.assert_allclose(branch.points[:, 0] ** 3 - branch.points[:, 0], branch.points[:, 1], atol=1e-10)
     roots = sorted(float(point[0]) for point in branch.passages(0.0))
     np.testing.assert_allclose(roots, [-1.0, 0.0, 1.0], atol=1e-4)
 
@@ -65,9 +63,7 @@ def test_corrector_does_not_jump_to_a_neighbouring_branch() -> None:
 
     control = StepControl(first_step=0.3, largest_step=1.0, largest_turn=4.0)
     branch = follow_branch(stairs, solve_at_parameter(stairs, np.array([-4.0, 0.0])), 1.0, control)
-    np.testing.assert_allclose(
-        branch.points[:, 0], 4.0 * np.tanh(20.0 * (branch.points[:, 1] - 0.5)), atol=1e-6
-    )
+    np.testing.assert_allclose(branch.points[:, 0], 4.0 * np.tanh(20.0 * (branch.points[:, 1] - 0.5)), atol=1e-6)
 
 
 def test_no_solution_is_said() -> None:

@@ -72,9 +72,7 @@ def test_jenkins_oscillator_one_harmonic_closed_form() -> None:
     structure = lumped_chain([m], [], None, [k], [0.0])
     reach = limit / kt
     amplitude = reach * np.array([0.2, 0.9, 1.05, 1.5, 3.0, 20.0, 200.0])
-    result = epmc_backbone(
-        structure, [Jenkins(ONE, kt, limit)], amplitude * np.sqrt(m), FourierBasis.up_to(1)
-    )
+    result = epmc_backbone(structure, [Jenkins(ONE, kt, limit)], amplitude * np.sqrt(m), FourierBasis.up_to(1))
     turn = np.arccos(1.0 - 2.0 * np.minimum(reach / amplitude, 1.0))
     omega = np.sqrt((k + kt / np.pi * (turn - 0.5 * np.sin(2.0 * turn))) / m)
     dissipated = 4.0 * limit * np.maximum(amplitude - reach, 0.0)

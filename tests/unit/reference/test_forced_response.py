@@ -41,9 +41,7 @@ def test_linear_rig_without_local_elements(beam, shaker) -> None:
     system = assemble(beam, [], 4, shaker)
     response = frequency_response(ForcedProblem(system, BASIS, 116.5), 1.0, 100.0, 130.0, points=20)
     for item in response.responses:
-        np.testing.assert_allclose(
-            item.unknowns[1, :14], system.response(item.angular_frequency)[0][:14], rtol=1e-9
-        )
+        np.testing.assert_allclose(item.unknowns[1, :14], system.response(item.angular_frequency)[0][:14], rtol=1e-9)
 
 
 def test_duffing_one_harmonic_closed_form() -> None:
@@ -137,9 +135,7 @@ def test_agreement_of_stop_and_mean_value_with_the_time_domain_plant() -> None:
     measured = steady_state(system, [displacement_row(system, 0)], 1.0, omega, 80, 4096)[0]
     problem = ForcedProblem(system, FourierBasis.up_to(30), 20.0)
     item = frequency_response(problem, 1.0, 10.0, 23.0, points=60).at(omega)[0]
-    np.testing.assert_allclose(
-        (measured[:6] - item.unknowns[:6, 0]) / abs(item.unknowns[1, 0]), 0.0, atol=1e-5
-    )
+    np.testing.assert_allclose((measured[:6] - item.unknowns[:6, 0]) / abs(item.unknowns[1, 0]), 0.0, atol=1e-5)
 
 
 def test_agreement_of_attachments_with_the_time_domain_plant() -> None:

@@ -107,10 +107,7 @@ def test_stop_against_the_perturbed_map_of_one_period() -> None:
         return plant.physical_state[:2].copy()
 
     steps = np.diag([1e-6, 2e-5])
-    columns = [
-        (after_a_period(settled + step) - after_a_period(settled - step)) / (2.0 * step.sum())
-        for step in steps
-    ]
+    columns = [(after_a_period(settled + step) - after_a_period(settled - step)) / (2.0 * step.sum()) for step in steps]
     expected = np.linalg.eigvals(np.array(columns).T)
     multipliers = floquet_stability(problem, item).multipliers
     np.testing.assert_allclose(np.sort_complex(multipliers), np.sort_complex(expected), atol=2e-3)

@@ -17,9 +17,7 @@ def add_rig_options(parser: argparse.ArgumentParser, example: str = "") -> None:
     parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
     parser.add_argument("--seed", metavar="N", type=int, help="seed of all noise (default: the rig's)")
     shown = f", for example {example}" if example else ""
-    parser.add_argument(
-        "--set", metavar="KEY=VALUE", action="append", default=[], help=_SET_HELP.format(example=shown)
-    )
+    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=_SET_HELP.format(example=shown))
 
 
 def add_pacing_option(parser: argparse.ArgumentParser) -> None:

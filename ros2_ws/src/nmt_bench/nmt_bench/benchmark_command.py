@@ -63,9 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1.0 <= arguments.seconds <= 3600.0:
         raise BenchError(f"--seconds must be between 1 and 3600, got {arguments.seconds:g}.")
     if arguments.json is not None and not arguments.json.absolute().parent.is_dir():
-        raise BenchError(
-            f"The folder of {arguments.json} does not exist; make it or give another --json file."
-        )
+        raise BenchError(f"The folder of {arguments.json} does not exist; make it or give another --json file.")
 
     from nmt_bench import benchmark_figures
     from nmt_bench.terminal import make_console
@@ -109,11 +107,7 @@ def figure_table(figures: Sequence[Figure]) -> Table:
         if figure.value is None:
             table.add_row(figure.name, "—", "", Text(figure.note, style="yellow"), "")
             continue
-        verdict = {True: Text("met", style="green"), False: Text("missed", style="red"), None: Text("")}[
-            figure.met
-        ]
+        verdict = {True: Text("met", style="green"), False: Text("missed", style="red"), None: Text("")}[figure.met]
         beside = "" if figure.beside is None else f"{significant(figure.beside, 3)} {figure.unit}"
-        table.add_row(
-            figure.name, f"{significant(figure.value, 3)} {figure.unit}", beside, figure.note, verdict
-        )
+        table.add_row(figure.name, f"{significant(figure.value, 3)} {figure.unit}", beside, figure.note, verdict)
     return table

@@ -64,12 +64,8 @@ def plant_figures(seconds: float) -> list[Figure]:
             _AT_LEAST,
             kernel >= LIMIT_KERNEL,
         ),
-        Figure(
-            "plant: time integration", kernel, "× real time", result.peer, "scipy solve_ivp, same equations"
-        ),
-        Figure(
-            "plant: whole device", result.device, "× real time", None, "with oscillator, sensors and safety"
-        ),
+        Figure("plant: time integration", kernel, "× real time", result.peer, "scipy solve_ivp, same equations"),
+        Figure("plant: whole device", result.device, "× real time", None, "with oscillator, sensors and safety"),
     ]
 
 

@@ -135,9 +135,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         kind = type(error).__name__
         log = write_error_log(words)
-        _complain(
-            command, f"This should not have happened ({kind}: {_first_line(error)}); details are in {log}."
-        )
+        _complain(command, f"This should not have happened ({kind}: {_first_line(error)}); details are in {log}.")
         return EXIT_UNEXPECTED
 
 
@@ -167,9 +165,7 @@ def write_error_log(words: Sequence[str]) -> Path:
     stamp = time.strftime("%Y%m%d-%H%M%S")
     handle, name = tempfile.mkstemp(prefix=f"nmt-error-{stamp}-", suffix=".log", text=True)
     with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(
-            f"nmt {_version()}, Python {sys.version}\narguments: {list(words)!r}\n\n{traceback.format_exc()}"
-        )
+        file.write(f"nmt {_version()}, Python {sys.version}\narguments: {list(words)!r}\n\n{traceback.format_exc()}")
     return Path(name)
 
 

@@ -79,9 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     settings = _settings(bag.run_start, arguments.harmonics)
     result = extract_opened_bag(bag, linear, settings)
     if not result.points:
-        raise BenchError(
-            f"The bag {arguments.bag} gave no modal point; its run may have ended before the first lock."
-        )
+        raise BenchError(f"The bag {arguments.bag} gave no modal point; its run may have ended before the first lock.")
     with OutputFolder(arguments.out, arguments.force) as folder:
         write_results(result.points, folder, result.inputs)
         if not arguments.no_report:
@@ -116,9 +114,7 @@ def _comparison(points: Sequence[ModalPoint], recorded: Sequence[ModalPoint]) ->
         return "The bag holds no live results to compare with."
     by_level = {point.level_index: point for point in recorded}
     shared = [point for point in points if point.level_index in by_level]
-    different = [
-        point.level_index + 1 for point in shared if not point.identical(by_level[point.level_index])
-    ]
+    different = [point.level_index + 1 for point in shared if not point.identical(by_level[point.level_index])]
     if different:
         levels = ", ".join(map(str, different))
         return f"Level {levels} differs from the live result: settings or blocks were others at the time."

@@ -262,9 +262,7 @@ class Bench:
         (self.out / "run.json").write_text(json.dumps(self.plan.run, indent=2) + "\n", encoding="utf-8")
 
         self.context = Context()
-        rclpy.init(
-            args=[], context=self.context, domain_id=domain.id, signal_handler_options=SignalHandlerOptions.NO
-        )
+        rclpy.init(args=[], context=self.context, domain_id=domain.id, signal_handler_options=SignalHandlerOptions.NO)
         self._cleanup.callback(self._shut_context)
         self.executor = EventsExecutor(context=self.context)
         self._cleanup.callback(self._shut_executor)

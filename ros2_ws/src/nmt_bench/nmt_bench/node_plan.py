@@ -227,8 +227,10 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
     response = _response_topic(rig)
     topics = _sample_topics(rig)
     extraction = ExtractionSettings(
-        harmonics=rig.extraction.harmonics, topics=_extraction_topics(rig, topics),
-        power_balance=test.strategy == "ramp", hysteresis=_hysteresis_layout(rig),
+        harmonics=rig.extraction.harmonics,
+        topics=_extraction_topics(rig, topics),
+        power_balance=test.strategy == "ramp",
+        hysteresis=_hysteresis_layout(rig),
     )
     layout = extraction.hysteresis
     pll = _loop_values(test, linear, response)
@@ -303,9 +305,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
     return NodePlan(values, run, goal)
 
 
-def expected_peers(
-    topics: Sequence[str], extracted: Sequence[str], response: str
-) -> dict[str, list[str]]:
+def expected_peers(topics: Sequence[str], extracted: Sequence[str], response: str) -> dict[str, list[str]]:
     """For every node the ``topic:count`` list of connections it waits for before it calls itself ready.
 
     Args:

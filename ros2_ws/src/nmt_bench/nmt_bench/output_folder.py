@@ -100,8 +100,7 @@ class OutputFolder:
                 self._work.chmod(0o777 & ~_umask())
         except OSError as error:
             raise BenchError(
-                f"The results folder {self.path} cannot be written ({_reason(error)}); choose another with "
-                "--out."
+                f"The results folder {self.path} cannot be written ({_reason(error)}); choose another with --out."
             ) from error
         return self._work
 

@@ -174,7 +174,6 @@ def _amplitudes(text: str) -> list[float]:
         good = False
     if not good:
         raise BenchError(
-            "--amplitudes must be q1:q2:n with 0 < q1 < q2 (m√kg) and n ≥ 2 as in 1e-5:1e-2:100, got "
-            f"'{text}'."
+            f"--amplitudes must be q1:q2:n with 0 < q1 < q2 (m√kg) and n ≥ 2 as in 1e-5:1e-2:100, got '{text}'."
         )
     return [float(value) for value in np.geomspace(low, high, count)]

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from nmt_extract.modal_point import ModalPoint
 
+
 def frequency_figure(data: RunReportData) -> ReportFigure:
     """ω̃ over q with standard uncertainties, and the deviation from the reference where there is one."""
     points = data.good_points
@@ -88,10 +89,7 @@ def damping_figure(data: RunReportData) -> ReportFigure:
     if data.reference is not None:
         _deviation(residual, data, abscissa, points, damping, damping_std, 1)
     _finish(main, residual, abscissa, x)
-    caption = (
-        f"Modal damping ratio δ̃ over {abscissa.html}. Bars: standard uncertainty."
-        + _reference_caption(data)
-    )
+    caption = f"Modal damping ratio δ̃ over {abscissa.html}. Bars: standard uncertainty." + _reference_caption(data)
     label = "Modal damping ratio over modal amplitude"
     return ReportFigure("damping", "Damping δ̃(q)", caption, svg_text(figure, "damping", label, tips))
 
@@ -129,12 +127,8 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
         "γ<sub>A</sub>: fundamental content of force and drive-point acceleration; MAC: correlation with "
         "the linear mode."
     )
-    label = (
-        "Power-based mode indicator, fundamental contents and modal assurance criterion over modal amplitude"
-    )
-    return ReportFigure(
-        "indicators", "Quality of the isolation", caption, svg_text(figure, "indicators", label, tips)
-    )
+    label = "Power-based mode indicator, fundamental contents and modal assurance criterion over modal amplitude"
+    return ReportFigure("indicators", "Quality of the isolation", caption, svg_text(figure, "indicators", label, tips))
 
 
 def participation_figure(data: RunReportData) -> ReportFigure | None:
@@ -171,9 +165,7 @@ def participation_figure(data: RunReportData) -> ReportFigure | None:
     _log_x(phase, x)
     caption = "Participation Γ = Φ⁺φ̃₁ of the linear modes in the nonlinear mode: magnitude and phase."
     label = "Participation of the linear modes over modal amplitude"
-    return ReportFigure(
-        "participation", "Modal participation Γ", caption, svg_text(figure, "participation", label)
-    )
+    return ReportFigure("participation", "Modal participation Γ", caption, svg_text(figure, "participation", label))
 
 
 def amplitude_figure(data: RunReportData) -> ReportFigure:
@@ -204,9 +196,7 @@ def amplitude_figure(data: RunReportData) -> ReportFigure:
     _decade_ticks(lower.xaxis, *lower.get_xlim())
     caption = "Modal amplitude and fundamental of the excitation force at each level."
     label = "Modal amplitude and force over level"
-    return ReportFigure(
-        "amplitudes", "Amplitude and force", caption, svg_text(figure, "amplitudes", label, tips)
-    )
+    return ReportFigure("amplitudes", "Amplitude and force", caption, svg_text(figure, "amplitudes", label, tips))
 
 
 def _column(points: Sequence[ModalPoint], name: str) -> tuple[Any, Any]:
@@ -276,9 +266,7 @@ def _axes_with_residual(with_residual: bool, right: float = 0.715) -> tuple[Figu
     return figure, main, residual
 
 
-def _reference_line(
-    main: Axes, data: RunReportData, abscissa: Abscissa, column: str, factor: float, x: Any
-) -> None:
+def _reference_line(main: Axes, data: RunReportData, abscissa: Abscissa, column: str, factor: float, x: Any) -> None:
     if data.reference is None:
         return
     curve = data.reference

@@ -38,9 +38,7 @@ MODAL_COLUMNS = (
     ModalColumn("frequency_hz", "f̃", "f̃", "Hz", decimals=4),
     ModalColumn("omega_rad_s", "ω̃", "ω̃", "rad/s", decimals=3),
     ModalColumn("damping_ratio", "δ̃", "δ̃", "%", factor=100.0, decimals=3),
-    ModalColumn(
-        "hysteresis_damping", "δ<sub>hyst</sub>", "δ_hyst", "%", factor=100.0, decimals=3, optional=True
-    ),
+    ModalColumn("hysteresis_damping", "δ<sub>hyst</sub>", "δ_hyst", "%", factor=100.0, decimals=3, optional=True),
     ModalColumn("modal_amplitude", "<i>q</i>", "q", "m√kg", scaled=True),
     ModalColumn("force_n", "|<i>F</i><sub>1</sub>|", "|F₁|", "N", decimals=4),
     ModalColumn("pbmif", "PBMIF", "PBMIF", ""),

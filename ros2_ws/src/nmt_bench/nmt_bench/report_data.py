@@ -217,8 +217,7 @@ def read_reference(path: Path, label: str = "EPMC reference") -> ReferenceCurve:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise BenchError(
-            f"The reference {path} cannot be read as text; give the reference.csv that './nmt reference' "
-            "writes."
+            f"The reference {path} cannot be read as text; give the reference.csv that './nmt reference' writes."
         ) from error
     rows: list[list[float]] = []
     columns = [0, 1, 2]
@@ -229,22 +228,16 @@ def read_reference(path: Path, label: str = "EPMC reference") -> ReferenceCurve:
         if not rows and not _is_number(cells[0]):
             missing = [name for name in names if name not in cells]
             if missing:
-                raise BenchError(
-                    f"The reference {path} has no column '{missing[0]}'; it needs {', '.join(names)}."
-                )
+                raise BenchError(f"The reference {path} has no column '{missing[0]}'; it needs {', '.join(names)}.")
             columns = [cells.index(name) for name in names]
             continue
         try:
             rows.append([float(cells[column]) for column in columns])
         except (ValueError, IndexError) as error:
-            raise BenchError(
-                f"The reference {path} line {number} is not three numbers: '{line.strip()}'."
-            ) from error
+            raise BenchError(f"The reference {path} line {number} is not three numbers: '{line.strip()}'.") from error
     table = np.array(rows, dtype=np.float64)
     if len(rows) < 2 or not np.all(np.isfinite(table)) or not np.all(table[:, 0] > 0.0):
-        raise BenchError(
-            f"The reference {path} needs at least two points with finite values and modal_amplitude > 0."
-        )
+        raise BenchError(f"The reference {path} needs at least two points with finite values and modal_amplitude > 0.")
     table = table[np.argsort(table[:, 0], kind="stable")]
     return ReferenceCurve(label, table[:, 0], table[:, 1], table[:, 2])
 

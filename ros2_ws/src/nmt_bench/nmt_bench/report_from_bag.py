@@ -71,9 +71,7 @@ def report_data_from_bag(
                 )
             )
         elif topic == "level":
-            levels.append(
-                LevelStart(int(message.index), float(message.amplitude), int(message.apply_at_sample))
-            )
+            levels.append(LevelStart(int(message.index), float(message.amplitude), int(message.apply_at_sample)))
         elif topic == "lock":
             locks.append(_lock(message))
         else:
@@ -101,9 +99,7 @@ def report_data_from_bag(
 class _Signal:
     """One channel on its way through the bag: envelope over stretches of blocks, samples of the excerpts."""
 
-    def __init__(
-        self, symbol: str, point: int, blocks: int, shortest: float, spans: Sequence[tuple[int, int]]
-    ) -> None:
+    def __init__(self, symbol: str, point: int, blocks: int, shortest: float, spans: Sequence[tuple[int, int]]) -> None:
         self._symbol = symbol
         self._point = point
         self._blocks_per_stretch = max(1, math.ceil(blocks / STRETCHES))
@@ -159,9 +155,7 @@ class _Signal:
 
     def _close_stretch(self, end_sample: int) -> None:
         values = np.concatenate(self._gathered)
-        self._envelope.append(
-            (0.5 * (self._first + end_sample), np.fmin.reduce(values), np.fmax.reduce(values))
-        )
+        self._envelope.append((0.5 * (self._first + end_sample), np.fmin.reduce(values), np.fmax.reduce(values)))
         self._gathered.clear()
 
 

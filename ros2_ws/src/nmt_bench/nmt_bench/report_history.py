@@ -58,9 +58,7 @@ def history_figure(data: RunReportData) -> ReportFigure | None:
     _lost_spans((frequency, phase), time, history.state)
     if np.any(history.state == LoopState.LOCK_LOST):
         frequency.fill_between([], [], [], color=RED, alpha=0.14, label="lock lost")
-    frequency.legend(
-        loc="upper right", ncols=3, frameon=True, facecolor="white", framealpha=0.9, edgecolor="none"
-    )
+    frequency.legend(loc="upper right", ncols=3, frameon=True, facecolor="white", framealpha=0.9, edgecolor="none")
     _level_numbers(strip, data)
     _level_starts((frequency, phase), data)
     frequency.set_ylabel("frequency / Hz")
@@ -104,9 +102,7 @@ def envelope_figure(data: RunReportData) -> ReportFigure | None:
     figure = Figure(figsize=(12.9, 1.2 + 1.35 * count))
     panels = np.atleast_1d(figure.subplots(count, 1, sharex=True))
     bottom = 0.55 / figure.get_figheight()
-    figure.subplots_adjust(
-        left=0.062, right=0.985, bottom=bottom, top=1.0 - 0.35 / figure.get_figheight(), hspace=0.12
-    )
+    figure.subplots_adjust(left=0.062, right=0.985, bottom=bottom, top=1.0 - 0.35 / figure.get_figheight(), hspace=0.12)
     for axes, envelope, colour in zip(panels, data.envelopes, (MUTED, BLUE, ORANGE, GREEN), strict=False):
         _windows(axes, data)
         time = envelope.sample / data.sample_rate
@@ -148,20 +144,14 @@ def excerpt_figure(data: RunReportData) -> ReportFigure | None:
         if index + columns >= len(chosen):
             panels[index].set_xlabel("time in the window / periods")
             panels[index].tick_params(labelbottom=True)
-    some = (
-        f" {len(chosen)} of {len(data.excerpts)} levels are shown."
-        if len(chosen) < len(data.excerpts)
-        else ""
-    )
+    some = f" {len(chosen)} of {len(data.excerpts)} levels are shown." if len(chosen) < len(data.excerpts) else ""
     symbol = chosen[0].response_symbol
     caption = (
         f"Force (blue, left axis, N) and response {_html_symbol(symbol)} at the drive point (orange, right "
         f"axis) at the start of each window.{some}"
     )
     label = "Force and drive-point response over a few periods at every level"
-    return ReportFigure(
-        "signals", "Force and response in time", caption, svg_text(figure, "signals", label), wide=True
-    )
+    return ReportFigure("signals", "Force and response in time", caption, svg_text(figure, "signals", label), wide=True)
 
 
 def chosen_excerpts(excerpts: Sequence[Excerpt]) -> list[Excerpt]:
@@ -224,9 +214,7 @@ def _excerpt(axes: Axes, excerpt: Excerpt, first_column: bool, last_column: bool
         side.spines[spine].set_visible(True)
     other.grid(False)
     if last_column:
-        other.set_ylabel(
-            f"{excerpt.response_symbol} / {unit_text(excerpt.response_unit)}", color=ORANGE, fontsize=8
-        )
+        other.set_ylabel(f"{excerpt.response_symbol} / {unit_text(excerpt.response_unit)}", color=ORANGE, fontsize=8)
     if first_column:
         axes.set_ylabel("$F$ / N", color=BLUE, fontsize=8)
     axes.set_title(
@@ -270,9 +258,7 @@ def _stretches(state: Any) -> list[tuple[int, int, int]]:
 def _windows(axes: Axes, data: RunReportData) -> None:
     for lock in data.locks:
         first = lock.window_first_sample / data.sample_rate
-        axes.axvspan(
-            first, first + lock.window_samples / data.sample_rate, color=_WINDOW, linewidth=0, zorder=0
-        )
+        axes.axvspan(first, first + lock.window_samples / data.sample_rate, color=_WINDOW, linewidth=0, zorder=0)
 
 
 def _level_starts(panels: Iterable[Axes], data: RunReportData) -> None:

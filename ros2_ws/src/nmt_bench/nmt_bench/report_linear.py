@@ -57,9 +57,7 @@ def exact_modes(rig: Rig) -> ExactModes:
 
     structure = build_structure(rig)
     modes = sticking_modes(structure, build_elements(rig, structure))
-    return ExactModes(
-        np.asarray(modes.frequencies / (2.0 * np.pi)), modes.damping_ratios, modes.shapes, modes.points
-    )
+    return ExactModes(np.asarray(modes.frequencies / (2.0 * np.pi)), modes.damping_ratios, modes.shapes, modes.points)
 
 
 def match(mode: LinearMode, exact: ExactModes, points: Sequence[int]) -> ModeErrors:
@@ -102,9 +100,7 @@ def linear_page(outcome: LinearOutcome, exact: ExactModes | None) -> str:
     ]
     if test.plant is not None:
         plant = test.plant
-        cards.append(
-            ("With exciter", f"{plain(plant.frequency_hz, 3)} Hz", f"{plain(100 * plant.damping_ratio, 3)} %")
-        )
+        cards.append(("With exciter", f"{plain(plant.frequency_hz, 3)} Hz", f"{plain(100 * plant.damping_ratio, 3)} %"))
     facts = [
         ("Run", str(outcome.run.get("run_id") or "")),
         ("Started", str(outcome.run.get("started") or "").replace("T", " ")),
@@ -165,15 +161,17 @@ def _mode_table(test: LinearTest, exact: ExactModes | None) -> str:
         ]
         if exact is not None:
             errors = match(mode, exact, test.points)
-            errors_rows.append([
-                name,
-                plain(errors.exact_frequency_hz, 4),
-                plain(100 * errors.exact_damping_ratio, 4),
-                plain(100 * errors.frequency, 4),
-                plain(100 * errors.damping, 3),
-                f"{errors.mac_defect:.1e}",
-                plain(100 * errors.scale, 3),
-            ])
+            errors_rows.append(
+                [
+                    name,
+                    plain(errors.exact_frequency_hz, 4),
+                    plain(100 * errors.exact_damping_ratio, 4),
+                    plain(100 * errors.frequency, 4),
+                    plain(100 * errors.damping, 3),
+                    f"{errors.mac_defect:.1e}",
+                    plain(100 * errors.scale, 3),
+                ]
+            )
         rows.append(row)
     note = (
         "Explained: share of the response’s power around the mode that the fit explains. From averages: poles of the "

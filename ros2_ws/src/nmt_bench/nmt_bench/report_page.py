@@ -42,9 +42,7 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         ("files", "Files and settings", _files(data) + _settings(data)),
     ]
     body = "".join(
-        f'<section id="{key}"><h2>{escape(name)}</h2>{html}</section>\n'
-        for key, name, html in sections
-        if html
+        f'<section id="{key}"><h2>{escape(name)}</h2>{html}</section>\n' for key, name, html in sections if html
     )
     links = "".join(f'<a href="#{key}">{escape(name)}</a>' for key, name, html in sections if html)
     return (
@@ -200,9 +198,7 @@ def _modal_table(data: RunReportData) -> str:
     if not data.points:
         return "<p>The run gave no modal point.</p>"
     points, columns = data.good_points, shown_columns(data.good_points)
-    exponents = {
-        c.name: engineering_exponent(getattr(p, c.name) for p in points) if c.scaled else 0 for c in columns
-    }
+    exponents = {c.name: engineering_exponent(getattr(p, c.name) for p in points) if c.scaled else 0 for c in columns}
     unit = unit_text(data.points[0].level_unit)
     head = f'<th>Level<span class="unit">{escape(unit)}</span></th>' + "".join(
         f"<th>{c.symbol}<span "
@@ -231,9 +227,7 @@ def _modal_table(data: RunReportData) -> str:
                 column.decimals,
             )
             value, _, std = text.partition(" ± ")
-            cells.append(
-                f"<td>{value}" + (f' <span class="std">± {escape(std)}</span>' if std else "") + "</td>"
-            )
+            cells.append(f"<td>{value}" + (f' <span class="std">± {escape(std)}</span>' if std else "") + "</td>")
         if data.reference is not None:
             expected = data.reference.at(point.modal_amplitude)
             cells.append(f"<td>{plain(100 * (point.omega_rad_s / expected[0] - 1), 4)}</td>")
@@ -286,11 +280,7 @@ def _assumptions(data: RunReportData) -> str:
     items = data.rig.get("assumptions") or []
     if isinstance(items, str):
         items = [items]
-    return (
-        f'<ul class="plain">{"".join(f"<li>{escape(str(item))}</li>" for item in items)}</ul>'
-        if items
-        else ""
-    )
+    return f'<ul class="plain">{"".join(f"<li>{escape(str(item))}</li>" for item in items)}</ul>' if items else ""
 
 
 def _files(data: RunReportData) -> str:

@@ -53,9 +53,7 @@ def shape_figure(data: RunReportData) -> ReportFigure | None:
     magnitude.set_ylabel(r"$|\tilde\varphi_1|$ / kg$^{-1/2}$")
     magnitude.set_ylim(bottom=0.0)
     phase.set_ylabel("phase / °")
-    largest = max(
-        (abs(float(value)) for line in phase.lines for value in np.atleast_1d(line.get_ydata())), default=0.0
-    )
+    largest = max((abs(float(value)) for line in phase.lines for value in np.atleast_1d(line.get_ydata())), default=0.0)
     if largest > 60.0:
         phase.set_ylim(-195, 195)
         phase.set_yticks((-180, -90, 0, 90, 180))
@@ -110,9 +108,7 @@ def level_bar(figure: Figure, points: list[ModalPoint], place: tuple[float, floa
     shown = np.unique(np.linspace(0, count - 1, min(count, 8)).round().astype(int))
     bar = figure.colorbar(scale, cax=axes, ticks=shown)
     bar.ax.set_yticklabels([significant(points[index].level, 3) for index in shown])
-    bar.ax.set_title(
-        f"level / {points[0].level_unit.replace('^2', '²')}", fontsize=8, fontweight="normal", loc="left"
-    )
+    bar.ax.set_title(f"level / {points[0].level_unit.replace('^2', '²')}", fontsize=8, fontweight="normal", loc="left")
     bar.ax.minorticks_off()
     bar.ax.tick_params(length=0, labelsize=8)
     bar.outline.set_visible(False)

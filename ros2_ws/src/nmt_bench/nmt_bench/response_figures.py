@@ -62,16 +62,24 @@ def response_figure(
         style = "o" if stepped else "-"
         for axes, data in ((top, np.abs(values)), (bottom, _degrees(values))):
             axes.plot(
-                table.frequency_hz, data, style, color=colours[table.level],
-                markersize=3.5, linewidth=1.8, label=once(label),
+                table.frequency_hz,
+                data,
+                style,
+                color=colours[table.level],
+                markersize=3.5,
+                linewidth=1.8,
+                label=once(label),
             )
             label = "_"
         for axes in between:
             for overlay in overlays:
                 if overlay.level == table.level and np.all(np.diff(overlay.frequency_hz) > 0):
                     axes.plot(
-                        table.frequency_hz, _excess(overlay, row, table.frequency_hz, values),
-                        style if stepped or table.rate_hz_s > 0 else "--", color=colours[table.level], markersize=2.5,
+                        table.frequency_hz,
+                        _excess(overlay, row, table.frequency_hz, values),
+                        style if stepped or table.rate_hz_s > 0 else "--",
+                        color=colours[table.level],
+                        markersize=2.5,
                     )
     for number, overlay in enumerate(overlays):
         dashes = (0, (4, 2)) if number < len(levels) else (0, (1, 1.5))

@@ -42,9 +42,7 @@ class ResponsePage:
         """The whole page; the same text for the same content."""
         policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
         present = [section for section in self.sections if section[2]]
-        body = "".join(
-            f'<section id="{key}"><h2>{escape(name)}</h2>{html}</section>\n' for key, name, html in present
-        )
+        body = "".join(f'<section id="{key}"><h2>{escape(name)}</h2>{html}</section>\n' for key, name, html in present)
         links = "\n".join(f'<a href="#{key}">{escape(name)}</a>' for key, name, _ in present)
         text, kind = self.verdict
         cards = "".join(
@@ -91,12 +89,11 @@ def html_table(head: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]], n
         for k, (name, unit) in enumerate(head)
     )
     body = "".join(
-        "<tr>" + "".join(f'<td{" class=text" if k == 0 else ""}>{cell}</td>' for k, cell in enumerate(row)) + "</tr>"
+        "<tr>" + "".join(f"<td{' class=text' if k == 0 else ''}>{cell}</td>" for k, cell in enumerate(row)) + "</tr>"
         for row in rows
     )
-    return (
-        f'<div class="scroll"><table><thead><tr>{cells}</tr></thead><tbody>{body}</tbody></table></div>'
-        + (f'<p class="note">{note}</p>' if note else "")
+    return f'<div class="scroll"><table><thead><tr>{cells}</tr></thead><tbody>{body}</tbody></table></div>' + (
+        f'<p class="note">{note}</p>' if note else ""
     )
 
 

@@ -128,9 +128,7 @@ def record_sample_run(bag: Path, rig: Rig, levels: Sequence[float], window_perio
             sample = force.end_sample
             blocks += 1
             if sample > longest:
-                raise BenchError(
-                    "The sample run does not come to an end; its loop neither locks nor gives up."
-                )
+                raise BenchError("The sample run does not come to an end; its loop neither locks nor gives up.")
             if output.lock is not None:
                 window_end = output.lock.first_sample + output.lock.samples
                 locked += 1

@@ -259,9 +259,7 @@ def force_lines(forces: Sequence[HeldForce]) -> list[str]:
     return lines
 
 
-def comparison_lines(
-    comparisons: Sequence[tuple[FrequencyResponseTable, ResonanceError]], what: str
-) -> list[str]:
+def comparison_lines(comparisons: Sequence[tuple[FrequencyResponseTable, ResonanceError]], what: str) -> list[str]:
     """Errors near resonance as sentences."""
     return [
         f"{table.level:g} {table.level_unit}, {error.channel}: peak {error.peak_amplitude:.4g} at "
@@ -353,17 +351,26 @@ def _report(
         ]
         for h in forces
     ]
-    force_html = html_table(
-        (("Force", ""), ("Rate", "Hz/s"), ("Error, rms", "%"), ("Error, largest", "%"), ("at", "Hz")),
-        force_rows,
-        "Fundamental of the force by order analysis, over the whole sweep once the amplitude had settled at its start.",
-    ) if forces else ""
-    comparison_html = html_table(
-        COMPARISON_HEAD,
-        comparison_rows(comparisons),
-        "Model’s steady response against the measurement. " + DEFINITIONS
-        + " A sweep at r Hz/s finds the peak of a resonance of decay δ (rad/s) about r/δ Hz late.",
-    ) if comparisons else ""
+    force_html = (
+        html_table(
+            (("Force", ""), ("Rate", "Hz/s"), ("Error, rms", "%"), ("Error, largest", "%"), ("at", "Hz")),
+            force_rows,
+            "Fundamental of the force by order analysis, over the whole sweep once the amplitude had settled at its start.",
+        )
+        if forces
+        else ""
+    )
+    comparison_html = (
+        html_table(
+            COMPARISON_HEAD,
+            comparison_rows(comparisons),
+            "Model’s steady response against the measurement. "
+            + DEFINITIONS
+            + " A sweep at r Hz/s finds the peak of a resonance of decay δ (rad/s) about r/δ Hz late.",
+        )
+        if comparisons
+        else ""
+    )
     stepped = arguments.stepped is not None
     start, stop = (t.frequency_hz[[0, -1]] for t in (tables[0], tables[0]))
     page = ResponsePage(

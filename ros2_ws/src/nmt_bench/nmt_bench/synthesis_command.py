@@ -134,9 +134,7 @@ def _points(points: Sequence[Any]) -> tuple[int, ...]:
     raise BenchError("This run has no locked level, so there is no backbone to synthesise from.")
 
 
-def _others(
-    path: Path | None, inputs: dict[str, Any], points: Sequence[int]
-) -> tuple[LinearDescription, OtherModes]:
+def _others(path: Path | None, inputs: dict[str, Any], points: Sequence[int]) -> tuple[LinearDescription, OtherModes]:
     """Linear description and what the other modes add."""
     from nmt_core.linear_description import LinearDescription
     from nmt_extract.synthesis import OtherModes
@@ -294,9 +292,7 @@ def _report(
         else:
             figures = [synthesis_figure(overlays, row, channel) for row, channel in enumerate(channels)]
     worst = max((abs(e.amplitude_error) for _, e in comparisons), default=math.nan)
-    verdict = (
-        f"Peak amplitudes within {100 * worst:.2g} % of the sweeps" if comparisons else "No sweep to compare with"
-    )
+    verdict = f"Peak amplitudes within {100 * worst:.2g} % of the sweeps" if comparisons else "No sweep to compare with"
     table = html_table(COMPARISON_HEAD, comparison_rows(comparisons), "Synthesis against the sweep. " + DEFINITIONS)
     page = ResponsePage(
         kicker="Synthesis from the backbone",

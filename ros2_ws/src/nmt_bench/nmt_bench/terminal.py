@@ -60,9 +60,7 @@ def make_console(stream: TextIO | None = None) -> Console:
     return Console(file=stream, highlight=False, width=_PLAIN_WIDTH, no_color=True, force_terminal=False)
 
 
-def modal_table(
-    points: Sequence[ModalPoint], reference: ReferenceCurve | None = None, width: int = 160
-) -> Table:
+def modal_table(points: Sequence[ModalPoint], reference: ReferenceCurve | None = None, width: int = 160) -> Table:
     """Modal properties of each level with standard uncertainties, as many of them as fit.
 
     Args:
@@ -96,11 +94,7 @@ def _table(
 ) -> Table:
     good = [point for point in points if point.status == Status.OK]
     unit = unit_text(points[0].level_unit) if points else "V"
-    how = (
-        "value ± standard uncertainty"
-        if write is uncertain
-        else "value(standard uncertainty of its last digits)"
-    )
+    how = "value ± standard uncertainty" if write is uncertain else "value(standard uncertainty of its last digits)"
     table = Table(
         title=f"Modal properties: {how}",
         title_justify="left",
@@ -110,9 +104,7 @@ def _table(
     )
     table.add_column(f"level\n{unit}", justify="right", no_wrap=True)
     columns = [column for column in shown_columns(good) if column.name not in left_out]
-    exponents = {
-        c.name: engineering_exponent(getattr(p, c.name) for p in good) if c.scaled else 0 for c in columns
-    }
+    exponents = {c.name: engineering_exponent(getattr(p, c.name) for p in good) if c.scaled else 0 for c in columns}
     for column in columns:
         head = " ".join(filter(None, (power_of_ten(exponents[column.name]), column.unit)))
         table.add_column(f"{column.plain_symbol}\n{head or '1'}", justify="right", no_wrap=True)
@@ -172,9 +164,7 @@ class RunProgress:
     Use as a context manager and call :meth:`update` with each feedback.
     """
 
-    def __init__(
-        self, sample_rate: float, levels: int, unit: str = "V", console: Console | None = None
-    ) -> None:
+    def __init__(self, sample_rate: float, levels: int, unit: str = "V", console: Console | None = None) -> None:
         self._rate = sample_rate
         self._levels = levels
         self._unit = unit_text(unit)

@@ -121,6 +121,5 @@ class Excitation:
         for start in frequencies_hz:
             if not 0.0 < (end - start) / rate < _LONGEST:
                 raise BenchError(
-                    f"A rate of {rate:g} Hz/s does not lead from {start:g} to {end:g} Hz within 1e6 s; "
-                    "mind its sign."
+                    f"A rate of {rate:g} Hz/s does not lead from {start:g} to {end:g} Hz within 1e6 s; mind its sign."
                 )

@@ -123,9 +123,7 @@ def _construct(
     line = f"line {node.start_mark.line + 1}"
     budget[0] -= 1
     if budget[0] < 0 or len(path) > _DEEPEST:
-        raise BenchError(
-            f"{name} {line}: the file is nested too deeply or repeats itself; write it out plainly."
-        )
+        raise BenchError(f"{name} {line}: the file is nested too deeply or repeats itself; write it out plainly.")
     places.setdefault(path, line)
     if isinstance(node, yaml.MappingNode):
         result: dict[str, Any] = {}
@@ -142,10 +140,7 @@ def _construct(
             result[key] = _construct(loader, value_node, (*path, key), places, name, budget)
         return result
     if isinstance(node, yaml.SequenceNode):
-        return [
-            _construct(loader, item, (*path, index), places, name, budget)
-            for index, item in enumerate(node.value)
-        ]
+        return [_construct(loader, item, (*path, index), places, name, budget) for index, item in enumerate(node.value)]
     try:
         return loader.construct_object(node)
     except ValueError as error:

@@ -92,9 +92,7 @@ class ExtractNode(BenchNode):
             try:
                 values["hysteresis"] = json.loads(text)
             except json.JSONDecodeError as error:
-                raise BenchError(
-                    f"Parameter 'hysteresis_json' of {self.get_name()} is not JSON: {error}."
-                ) from error
+                raise BenchError(f"Parameter 'hysteresis_json' of {self.get_name()} is not JSON: {error}.") from error
             if not isinstance(values["hysteresis"], dict):
                 raise BenchError(f"Parameter 'hysteresis_json' of {self.get_name()} must be a JSON object.")
         return ExtractionSettings.from_mapping(values)

@@ -64,9 +64,7 @@ class Extractor:
             locked = self._lock_samples.get(level_index, -1)
             never_locked = not self._acquiring_since <= locked <= last_sample or locked < 0
             if never_locked and level_index not in self._passed_over:
-                self._not_locked.append(
-                    self._not_locked_point(last_sample, level_index, reason, response_unit)
-                )
+                self._not_locked.append(self._not_locked_point(last_sample, level_index, reason, response_unit))
         self._assembler.add_state(last_sample, state, reason)
 
     def add_level(self, index: int, amplitude: float, unit: str) -> None:

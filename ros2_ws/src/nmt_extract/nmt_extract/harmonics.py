@@ -126,9 +126,7 @@ def whole_period_bounds(cycles: FloatArray, periods: int, segments: int) -> Inde
     Returns:
         Sample bounds, shape ``(segments + 1,)``.
     """
-    edges = cycles[0] + np.array(
-        [round(periods * k / segments) for k in range(1, segments)], dtype=np.float64
-    )
+    edges = cycles[0] + np.array([round(periods * k / segments) for k in range(1, segments)], dtype=np.float64)
     # A sample that lies on the edge but for rounding opens the next segment.
     inner = np.searchsorted(cycles, edges - 1e-9)
     return np.concatenate(([0], inner, [cycles.shape[0]])).astype(np.int64)

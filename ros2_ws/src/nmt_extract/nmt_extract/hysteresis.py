@@ -45,9 +45,7 @@ class HysteresisLayout:
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value < math.inf:
                 raise BenchError(f"Hysteresis layout: '{name}' must be a mass above 0 kg, got {value!r}.")
         if len({self.excited_point, self.middle_point, self.free_point}) != 3:
-            raise BenchError(
-                "Hysteresis layout: the three masses must be measured at three different points."
-            )
+            raise BenchError("Hysteresis layout: the three masses must be measured at three different points.")
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -122,9 +120,7 @@ def hysteresis_loop(
     joint_force = -layout.free_mass_kg * free[1:]
     spring_force = layout.excited_mass_kg * first[1:] - force[1:]
     if not np.abs(relative[0]) > 0.0 or not np.abs(stretch[0]) > 0.0:
-        raise BenchError(
-            "The masses do not move against each other, so there is no hysteresis loop to evaluate."
-        )
+        raise BenchError("The masses do not move against each other, so there is no hysteresis loop to evaluate.")
     # Area of the loop: ∮ f dx = π Σ n Im(f_n conj(x_n)).
     work = float(np.pi * (orders * (np.conj(relative) * joint_force).imag).sum())
     rotation = np.exp(2j * np.pi * np.outer(np.arange(_SAMPLES) / _SAMPLES, orders))

@@ -64,9 +64,7 @@ class Linearity:
 def linearity(test: LinearTest, lower: LinearTest, level: float, lower_level: float) -> Linearity:
     """Compare the target mode of two records of different level (V rms)."""
     here = test.target_mode
-    there = min(
-        (*lower.modes, *lower.further_modes), key=lambda mode: abs(mode.frequency_hz - here.frequency_hz)
-    )
+    there = min((*lower.modes, *lower.further_modes), key=lambda mode: abs(mode.frequency_hz - here.frequency_hz))
     return Linearity(
         level,
         lower_level,

@@ -243,9 +243,7 @@ def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
     terms = [_term(mode) for mode in kept]
     lumped = fit_residuals(frequency, receptance, variance, terms, _overall_band(kept, settings))
     neighbours = [mode for mode in found if mode is not target]
-    alone = fit_residuals(
-        frequency, receptance, variance, [_term(target)], _target_band(target, neighbours, settings)
-    )
+    alone = fit_residuals(frequency, receptance, variance, [_term(target)], _target_band(target, neighbours, settings))
     return LinearTest(
         points=channels.points,
         modes=kept,
@@ -586,9 +584,7 @@ def _overall_band(modes: tuple[LinearMode, ...], settings: LinearTestSettings) -
     return max(settings.band_hz[0], 0.6 * modes[0].frequency_hz), min(settings.band_hz[1], 1.2 * modes[-1].frequency_hz)
 
 
-def _target_band(
-    target: LinearMode, others: list[LinearMode], settings: LinearTestSettings
-) -> tuple[float, float]:
+def _target_band(target: LinearMode, others: list[LinearMode], settings: LinearTestSettings) -> tuple[float, float]:
     """A quarter below and above the target, at most halfway to the next mode."""
     frequency = target.frequency_hz
     width = min([0.25 * frequency, *(0.5 * abs(mode.frequency_hz - frequency) for mode in others)])

@@ -74,6 +74,4 @@ class MessageFeed:
         if not gives_modal_points(message):
             self._extractor.pass_over_level(int(message.index))
             return
-        self._extractor.add_level(
-            int(message.index), float(message.amplitude), level_unit(int(message.control))
-        )
+        self._extractor.add_level(int(message.index), float(message.amplitude), level_unit(int(message.control)))

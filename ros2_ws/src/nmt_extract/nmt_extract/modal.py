@@ -105,12 +105,8 @@ def modal_quantities(
     coordinates = (np.linalg.pinv(linear_shapes) * shape[:, np.newaxis, :]).sum(axis=2)
     amplitude = np.sqrt(_energy(coordinates))
     # Phase and amplitude of nothing are meaningless; rounding of zero signals stays far below.
-    if not (
-        np.all(amplitude > 0.0) and np.all(force_amplitude > 0.0) and np.all(np.abs(velocity[:, 0]) > 0.0)
-    ):
-        raise BenchError(
-            "There is no force or no response at the excitation frequency; check sensors and drive."
-        )
+    if not (np.all(amplitude > 0.0) and np.all(force_amplitude > 0.0) and np.all(np.abs(velocity[:, 0]) > 0.0)):
+        raise BenchError("There is no force or no response at the excitation frequency; check sensors and drive.")
     self_excitation = 2.0 * power[:, 0] / (omega * amplitude) ** 2
     linear = linear_shapes[:, target_mode]
     correlation = np.abs((linear * shape).sum(axis=1)) ** 2 / ((linear * linear).sum() * _energy(shape))
@@ -131,9 +127,7 @@ def modal_quantities(
     )
 
 
-def modal_point(
-    window: Window, linear: LinearDescription, settings: ExtractionSettings | None = None
-) -> ModalPoint:
+def modal_point(window: Window, linear: LinearDescription, settings: ExtractionSettings | None = None) -> ModalPoint:
     """Modal properties of a window with their standard uncertainties.
 
     Displacements come from displacement sensors if all points of the linear modes have one, else from
@@ -176,9 +170,7 @@ class _Evaluation:
     def _find_rows(self) -> None:
         self.force_row = self._row(Quantity.FORCE, self.linear.drive_point)
         if self.force_row is None:
-            forces = [
-                row for row, channel in enumerate(self.window.channels) if channel.quantity is Quantity.FORCE
-            ]
+            forces = [row for row, channel in enumerate(self.window.channels) if channel.quantity is Quantity.FORCE]
             if len(forces) != 1:
                 raise BenchError(
                     f"There is no force channel at drive point {self.linear.drive_point}; "
@@ -226,9 +218,7 @@ class _Evaluation:
         window = self.window
         self.fitted = window.cycles is None
         if window.cycles is None:
-            frequency = fit_frequency(
-                window.data[self.force_row], window.sample_rate, window.lock.frequency_hz
-            )
+            frequency = fit_frequency(window.data[self.force_row], window.sample_rate, window.lock.frequency_hz)
             samples: FloatArray = np.arange(window.samples, dtype=np.float64)
             self.cycles: FloatArray = samples * (frequency / window.sample_rate)
             end = window.samples * (frequency / window.sample_rate)
@@ -239,8 +229,7 @@ class _Evaluation:
         self.periods = round(self.advance)
         if self.periods < self.settings.minimum_periods:
             raise BenchError(
-                f"The window holds {self.periods} whole periods; at least {self.settings.minimum_periods} "
-                "are needed."
+                f"The window holds {self.periods} whole periods; at least {self.settings.minimum_periods} are needed."
             )
 
     def _find_harmonics(self) -> None:
@@ -351,9 +340,7 @@ class _Evaluation:
         force = amplitudes[:, self.force_row]
         drive = self._integrated(amplitudes[:, self.drive_row], self.drive_quantity, omega, 0)
         shape = self._integrated(amplitudes[:, self.shape_rows], self.shape_quantity, omega, 0)[:, :, 1]
-        values = modal_quantities(
-            omega, force, drive, drive, shape, linear.shape_matrix, linear.target_mode
-        )
+        values = modal_quantities(omega, force, drive, drive, shape, linear.shape_matrix, linear.target_mode)
         return balance(
             np.asarray(0.5 * (bounds[1:] + bounds[:-1]) / window.sample_rate, dtype=np.float64),
             window.samples / window.sample_rate,
@@ -372,9 +359,7 @@ class _Evaluation:
         return jackknife(value[1:], float(value[0]))
 
     @staticmethod
-    def _integrated(
-        amplitudes: ComplexArray, quantity: Quantity, omega: FloatArray, derivative: int
-    ) -> ComplexArray:
+    def _integrated(amplitudes: ComplexArray, quantity: Quantity, omega: FloatArray, derivative: int) -> ComplexArray:
         """The ``derivative``-th time derivative of the displacement; n = 0 is NaN where unknown."""
         power = derivative - _INTEGRATIONS[quantity]
         if power == 0:
@@ -397,15 +382,11 @@ class _Evaluation:
                     accelerations.append(self._integrated(self.amplitudes[:, row], quantity, omega, 2))
                     break
             else:
-                raise BenchError(
-                    f"No response is measured at point {point}, which the hysteresis layout names."
-                )
+                raise BenchError(f"No response is measured at point {point}, which the hysteresis layout names.")
         first, middle, free = accelerations
         return np.array(
             [
-                hysteresis_loop(
-                    layout, float(omega[k]), (first[k], middle[k], free[k]), force[k]
-                ).damping_ratio
+                hysteresis_loop(layout, float(omega[k]), (first[k], middle[k], free[k]), force[k]).damping_ratio
                 for k in range(omega.shape[0])
             ]
         )

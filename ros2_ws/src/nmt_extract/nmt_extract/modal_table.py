@@ -71,9 +71,7 @@ def read_csv(path: Path | str) -> dict[str, list[float]]:
     """
     rows = list(csv.reader(io.StringIO(_read(Path(path)))))
     if not rows or tuple(rows[0]) != COLUMNS:
-        raise BenchError(
-            f"{path} is not a table of modal points; its first line must be {','.join(COLUMNS)}."
-        )
+        raise BenchError(f"{path} is not a table of modal points; its first line must be {','.join(COLUMNS)}.")
     columns: dict[str, list[float]] = {name: [] for name in COLUMNS}
     for number, row in enumerate(rows[1:], start=2):
         try:
@@ -84,9 +82,7 @@ def read_csv(path: Path | str) -> dict[str, list[float]]:
     return columns
 
 
-def write_json(
-    points: Iterable[ModalPoint], path: Path | str, inputs: Mapping[str, Any] | None = None
-) -> None:
+def write_json(points: Iterable[ModalPoint], path: Path | str, inputs: Mapping[str, Any] | None = None) -> None:
     """Write ``modal.json``: all fields, harmonics and reasons.
 
     Args:
@@ -123,9 +119,7 @@ def read_json(path: Path | str) -> tuple[list[ModalPoint], dict[str, Any]]:
         raise BenchError(f"{path} is not a file of modal points ('{FORMAT}'): {error}.") from error
 
 
-def write_results(
-    points: Sequence[ModalPoint], folder: Path | str, inputs: Mapping[str, Any] | None = None
-) -> None:
+def write_results(points: Sequence[ModalPoint], folder: Path | str, inputs: Mapping[str, Any] | None = None) -> None:
     """Write ``modal.csv`` and ``modal.json`` into a folder that exists, and ``hysteresis.csv`` where there are loops.
 
     There are where ``inputs["extraction"]["hysteresis"]`` names points and masses of a chain with a joint.
@@ -157,9 +151,7 @@ def write_loops(points: Iterable[ModalPoint], layout: HysteresisLayout, path: Pa
         for phase, (displacement, force) in enumerate(
             zip(loop.relative_displacement[::step], loop.force[::step], strict=True)
         ):
-            writer.writerow(
-                [repr(float(v)) for v in (point.level, phase / LOOP_SAMPLES, displacement, force)]
-            )
+            writer.writerow([repr(float(v)) for v in (point.level, phase / LOOP_SAMPLES, displacement, force)])
     _write_whole(Path(path), text.getvalue())
 
 
@@ -223,6 +215,4 @@ def _write_whole(path: Path, text: str) -> None:
     try:
         write_whole(path, text)
     except OSError as error:
-        raise BenchError(
-            f"{path} cannot be written: {error.strerror}; check the folder and the free space."
-        ) from error
+        raise BenchError(f"{path} cannot be written: {error.strerror}; check the folder and the free space.") from error

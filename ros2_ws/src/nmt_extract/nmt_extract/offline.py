@@ -107,9 +107,7 @@ def _require_phase_resonance(run: dict[str, Any], bag: Any) -> None:
     names = {item.label: item for item in TestKind}
     if kind in names and not names[kind].gives_modal_points:
         label = str(kind).replace("_", " ")
-        raise BenchError(
-            f"The bag {bag.path} holds a {label} test; modal points come from phase resonance tests."
-        )
+        raise BenchError(f"The bag {bag.path} holds a {label} test; modal points come from phase resonance tests.")
 
 
 def _linear_of(run: dict[str, Any], bag: Any) -> LinearDescription:
@@ -126,9 +124,7 @@ def _linear_of(run: dict[str, Any], bag: Any) -> LinearDescription:
 def _settings_of(run: dict[str, Any], bag: Any) -> ExtractionSettings:
     values = run.get("extraction") or {}
     if not isinstance(values, dict):
-        raise BenchError(
-            f"The bag {bag.path} has an 'extraction' entry that is not a mapping in its start record."
-        )
+        raise BenchError(f"The bag {bag.path} has an 'extraction' entry that is not a mapping in its start record.")
     if "topics" not in values:
         present = [t for t in ("force", "displacement", "velocity", "acceleration") if _count(bag, t)]
         if "force" in present and len(present) > 1:
@@ -137,9 +133,7 @@ def _settings_of(run: dict[str, Any], bag: Any) -> ExtractionSettings:
 
 
 def _require(bag: Any, settings: ExtractionSettings) -> None:
-    has = (
-        ", ".join(sorted(topic for topic, (_, count) in bag.topics.items() if count)) or "no messages at all"
-    )
+    has = ", ".join(sorted(topic for topic, (_, count) in bag.topics.items() if count)) or "no messages at all"
     missing = [topic for topic in settings.topics if not _count(bag, topic)]
     if missing:
         raise BenchError(

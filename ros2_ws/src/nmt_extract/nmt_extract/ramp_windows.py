@@ -44,9 +44,7 @@ class RampPoints:
     energy_rate: FloatArray
 
 
-def ramp_points(
-    window: Window, linear: LinearDescription, periods: int = 4, harmonics: int = 1
-) -> RampPoints:
+def ramp_points(window: Window, linear: LinearDescription, periods: int = 4, harmonics: int = 1) -> RampPoints:
     """Modal properties of consecutive sub-windows of a stretch whose level changes slowly.
 
     Args:
@@ -74,8 +72,7 @@ def ramp_points(
     parts = whole // periods
     if parts < 3:
         raise BenchError(
-            f"The stretch holds {whole} periods; a ramp needs three sub-windows of {periods} periods at "
-            "least."
+            f"The stretch holds {whole} periods; a ramp needs three sub-windows of {periods} periods at least."
         )
     kept = int(np.searchsorted(window.cycles, window.cycles[0] + parts * periods - 1e-9))
     cycles = window.cycles[:kept]

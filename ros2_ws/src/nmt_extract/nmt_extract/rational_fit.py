@@ -310,9 +310,7 @@ def structure_mode(fit: RationalFit, near_hz: complex, force_row: int | None) ->
         up, down = values.copy(), values.copy()
         up[index] += step
         down[index] -= step
-        slopes[:, index] = (
-            _mode_of(fit, up, root, force_row) - _mode_of(fit, down, root, force_row)
-        ) / (2.0 * step)
+        slopes[:, index] = (_mode_of(fit, up, root, force_row) - _mode_of(fit, down, root, force_row)) / (2.0 * step)
     return StructureMode(complex(result[0]), result[1:], slopes @ fit.covariance @ slopes.conj().T)
 
 

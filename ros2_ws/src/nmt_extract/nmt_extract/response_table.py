@@ -69,9 +69,7 @@ def read_response_csv(path: Path | str) -> list[FrequencyResponseTable]:
     channels = tuple(name.removesuffix("_real") for name in names[::3])
     expected = [name + part for name in channels for part in _PARTS]
     if not rows or tuple(rows[0][:fixed]) != FIXED_COLUMNS or names != expected or not channels:
-        raise BenchError(
-            f"{path} is not the frf.csv of a sweep; its first columns must be {','.join(FIXED_COLUMNS)}."
-        )
+        raise BenchError(f"{path} is not the frf.csv of a sweep; its first columns must be {','.join(FIXED_COLUMNS)}.")
     segments: dict[int, list[list[float]]] = {}
     units: dict[int, str] = {}
     for line, row in enumerate(rows[1:], start=2):

@@ -42,13 +42,9 @@ class ExtractionSettings:
         ):
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-                raise BenchError(
-                    f"Extraction setting '{name}' must be a whole number in {low}..{high}, got {value!r}."
-                )
+                raise BenchError(f"Extraction setting '{name}' must be a whole number in {low}..{high}, got {value!r}.")
         if not isinstance(self.power_balance, bool):
-            raise BenchError(
-                f"Extraction setting 'power_balance' must be true or false, got {self.power_balance!r}."
-            )
+            raise BenchError(f"Extraction setting 'power_balance' must be true or false, got {self.power_balance!r}.")
         unknown = [topic for topic in self.topics if topic not in _TOPICS]
         if unknown or len(set(self.topics)) != len(self.topics):
             raise BenchError(
@@ -77,17 +73,11 @@ class ExtractionSettings:
         known = {field.name for field in fields(cls)}
         for key in values:
             if key not in known:
-                raise BenchError(
-                    f"Extraction setting '{key}' is not known; there are {', '.join(sorted(known))}."
-                )
+                raise BenchError(f"Extraction setting '{key}' is not known; there are {', '.join(sorted(known))}.")
         data = dict(values)
         if "topics" in data:
-            if not isinstance(data["topics"], (list, tuple)) or not all(
-                isinstance(t, str) for t in data["topics"]
-            ):
-                raise BenchError(
-                    f"Extraction setting 'topics' must be a list of names, got {data['topics']!r}."
-                )
+            if not isinstance(data["topics"], (list, tuple)) or not all(isinstance(t, str) for t in data["topics"]):
+                raise BenchError(f"Extraction setting 'topics' must be a list of names, got {data['topics']!r}.")
             data["topics"] = tuple(data["topics"])
         if data.get("hysteresis") is not None:
             data["hysteresis"] = HysteresisLayout.from_mapping(data["hysteresis"])

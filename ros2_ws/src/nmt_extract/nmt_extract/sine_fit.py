@@ -43,12 +43,8 @@ def fit_frequency(signal: FloatArray, sample_rate: float, guess_hz: float, harmo
         BenchError: there is no periodic signal, or the fit does not converge.
     """
     if not np.ptp(signal) > 0.0:
-        raise BenchError(
-            "The force is constant, so the excitation frequency cannot be found; check the force sensor."
-        )
-    frequency = (
-        guess_hz if math.isfinite(guess_hz) and guess_hz > 0.0 else _strongest_line(signal, sample_rate)
-    )
+        raise BenchError("The force is constant, so the excitation frequency cannot be found; check the force sensor.")
+    frequency = guess_hz if math.isfinite(guess_hz) and guess_hz > 0.0 else _strongest_line(signal, sample_rate)
     harmonics = max(1, resolvable_harmonics(harmonics, sample_rate / frequency))
     periods = _FIRST_PERIODS
     while True:

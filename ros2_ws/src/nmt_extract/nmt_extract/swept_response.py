@@ -143,9 +143,7 @@ class SweptResponse:
         try:
             return self.channels.index(channel)
         except ValueError:
-            raise BenchError(
-                f"The sweep has no channel '{channel}'; it has {', '.join(self.channels)}."
-            ) from None
+            raise BenchError(f"The sweep has no channel '{channel}'; it has {', '.join(self.channels)}.") from None
 
 
 def default_duration(frequency_hz: float, rate_hz_s: float) -> float:

@@ -202,7 +202,11 @@ class OtherModes:
                 f"for each point: {error}."
             ) from error
         return cls(
-            lower, upper, np.empty(0), np.empty(0), np.empty((len(points), 0)),
+            lower,
+            upper,
+            np.empty(0),
+            np.empty(0),
+            np.empty((len(points), 0)),
             "lower and upper residual of the linear test",
         )
 

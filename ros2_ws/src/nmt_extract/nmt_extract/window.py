@@ -309,16 +309,14 @@ class WindowAssembler:
     def _assemble(self, lock: LockEvent) -> Window:
         if 0 < lock.window_periods < self._minimum_periods:
             raise _SpoiledError(
-                f"The window holds {lock.window_periods} whole periods; at least {self._minimum_periods} "
-                "are needed."
+                f"The window holds {lock.window_periods} whole periods; at least {self._minimum_periods} are needed."
             )
         parts = [_TopicPart(topic, self._blocks_of(topic, lock), lock) for topic in self._topics]
         rate = parts[0].sample_rate
         for part in parts:
             if part.sample_rate != rate:
                 raise _SpoiledError(
-                    f"'{part.topic}' was sampled at {part.sample_rate:g} Hz, "
-                    f"'{parts[0].topic}' at {rate:g} Hz."
+                    f"'{part.topic}' was sampled at {part.sample_rate:g} Hz, '{parts[0].topic}' at {rate:g} Hz."
                 )
         channels = tuple(channel for part in parts for channel in part.channels)
         data = np.empty((len(channels), lock.window_samples))
@@ -341,8 +339,7 @@ class WindowAssembler:
                 break
             if record.first > position:
                 raise _SpoiledError(
-                    f"Samples {position} to {min(record.first, end) - 1} of '{topic}' are missing from the "
-                    "window."
+                    f"Samples {position} to {min(record.first, end) - 1} of '{topic}' are missing from the window."
                 )
             if record.first < position and blocks:
                 raise _SpoiledError(f"'{topic}' repeats samples from {record.first} on within the window.")
@@ -374,8 +371,7 @@ class _TopicPart:
         for block in blocks:
             self._check(block, head)
         self.channels = tuple(
-            Channel(name, head.quantity, point)
-            for name, point in zip(head.channels, head.points, strict=True)
+            Channel(name, head.quantity, point) for name, point in zip(head.channels, head.points, strict=True)
         )
 
     @staticmethod
@@ -424,9 +420,7 @@ class _TopicPart:
         if not finite.all():
             sample = int(np.argmin(finite.all(axis=0)))
             channel = self._blocks[0].channels[int(np.argmin(finite[:, sample]))]
-            raise _SpoiledError(
-                f"Channel '{channel}' of '{self.topic}' has no valid value at sample {first + sample}."
-            )
+            raise _SpoiledError(f"Channel '{channel}' of '{self.topic}' has no valid value at sample {first + sample}.")
 
     def phase(self) -> tuple[FloatArray | None, float]:
         """Unwrapped excitation phase at each sample of the window and at the sample after it, cycles."""

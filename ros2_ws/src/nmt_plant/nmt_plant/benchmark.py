@@ -103,9 +103,7 @@ def solve_ivp_peer(
 
         corner.terminal = True  # type: ignore[attr-defined]
         corner.direction = -1.0  # type: ignore[attr-defined]
-        solution = solve_ivp(
-            rate, (now, duration), state, method, rtol=rtol, atol=atol, jac=matrix, events=corner
-        )
+        solution = solve_ivp(rate, (now, duration), state, method, rtol=rtol, atol=atol, jac=matrix, events=corner)
         if not solution.success:
             raise RuntimeError(solution.message)
         times.append(solution.t[1:])

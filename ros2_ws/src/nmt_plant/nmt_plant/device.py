@@ -73,9 +73,7 @@ class DriveCommand:
         ):
             return  # the ordinary case, once a block
         if self.waveform not in tuple(Waveform):
-            raise BenchError(
-                f"drive command: waveform {self.waveform} is unknown; use OFF, SINE, RANDOM or SWEEP."
-            )
+            raise BenchError(f"drive command: waveform {self.waveform} is unknown; use OFF, SINE, RANDOM or SWEEP.")
         for name in ("frequency_hz", "amplitude", "ramp", "band_low_hz", "band_high_hz", "frequency_end_hz"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
@@ -93,9 +91,7 @@ class DriveCommand:
                 raise BenchError("drive command: rate_hz_s must lead from frequency_hz to frequency_end_hz.")
         for order, value in self.harmonics:
             if order < 2 or not (math.isfinite(value.real) and math.isfinite(value.imag)):
-                raise BenchError(
-                    "drive command: harmonics need an order of at least 2 and a finite amplitude."
-                )
+                raise BenchError("drive command: harmonics need an order of at least 2 and a finite amplitude.")
 
 
 class DeviceState(Enum):

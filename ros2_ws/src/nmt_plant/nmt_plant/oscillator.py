@@ -96,17 +96,13 @@ def check_command(command: DriveCommand, sample_rate: float) -> None:
         if command.harmonics:
             highest *= max(order for order, _ in command.harmonics)
     if highest >= nyquist:
-        raise BenchError(
-            f"the drive reaches {highest:g} Hz; it must stay below half the sample rate, {nyquist:g} Hz."
-        )
+        raise BenchError(f"the drive reaches {highest:g} Hz; it must stay below half the sample rate, {nyquist:g} Hz.")
 
 
 class BandNoise:
     """Gaussian noise of unit variance between two frequencies, reproducible whatever the block length."""
 
-    def __init__(
-        self, low_hz: float, high_hz: float, sample_rate: float, generator: np.random.Generator
-    ) -> None:
+    def __init__(self, low_hz: float, high_hz: float, sample_rate: float, generator: np.random.Generator) -> None:
         if not 0 < low_hz < high_hz < 0.5 * sample_rate:
             raise BenchError(
                 f"the random band {low_hz} to {high_hz} Hz must lie between 0 and half the sample rate, "

@@ -115,9 +115,7 @@ def compute_reference(
     structure = build_structure(rig)
     elements = build_elements(rig, structure)
     amplitudes = (
-        default_amplitudes(rig, points)
-        if modal_amplitudes is None
-        else np.asarray(modal_amplitudes, dtype=np.float64)
+        default_amplitudes(rig, points) if modal_amplitudes is None else np.asarray(modal_amplitudes, dtype=np.float64)
     )
     basis = FourierBasis.up_to(harmonics, odd_only)
     backbone = epmc_backbone(structure, elements, amplitudes, basis, rig.test.mode - 1, control=control)
@@ -177,9 +175,7 @@ def with_exciter_at(rig: Rig, point: int | None) -> Rig:
         section.model_copy(update={"point": point}) if section.side == "exciter" else section
         for section in rig.local_elements
     ]
-    return rig.model_copy(
-        update={"exciter": rig.exciter.model_copy(update={"point": point}), "local_elements": moved}
-    )
+    return rig.model_copy(update={"exciter": rig.exciter.model_copy(update={"point": point}), "local_elements": moved})
 
 
 def single_point_reference(
@@ -217,9 +213,7 @@ def single_point_reference(
     drives = volts * input_per_volt(rig)
     if drives.size and np.all(np.isfinite(drives)) and drives[0] > 0.0:
         lead_in = drives[0] * np.array([1e-3])
-        backbone = phase_resonant_backbone(
-            problem, np.concatenate((lead_in, drives)), control, skip_unreached=True
-        )
+        backbone = phase_resonant_backbone(problem, np.concatenate((lead_in, drives)), control, skip_unreached=True)
         responses = backbone.responses[1:]
     else:
         raise BenchError("levels must be positive and ascending voltages; give at least one.")
@@ -269,7 +263,5 @@ def write_reference_csv(reference: Reference, path: str | Path) -> Path:
         target.parent.mkdir(parents=True, exist_ok=True)
         write_whole(target, "\n".join(lines) + "\n")
     except OSError as failure:
-        raise BenchError(
-            f"cannot write {target}: {failure.strerror}; choose another output folder."
-        ) from failure
+        raise BenchError(f"cannot write {target}: {failure.strerror}; choose another output folder.") from failure
     return target

@@ -499,9 +499,7 @@ class Rig(Section):
         """Channel name: as given, or f, x, v, a with the point, u for voltage, i for current."""
         if sensor.channel is not None:
             return sensor.channel
-        letter = {"force": "f", "displacement": "x", "velocity": "v", "acceleration": "a"}.get(
-            sensor.quantity
-        )
+        letter = {"force": "f", "displacement": "x", "velocity": "v", "acceleration": "a"}.get(sensor.quantity)
         if letter is None:
             return {"voltage": "u", "current": "i"}[sensor.quantity]
         return f"{letter}{self.sensor_point(sensor)}"
@@ -538,8 +536,7 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
     for path, point in _points_used(rig):
         if point not in points:
             raise BenchError(
-                f"{document.place(path)}: {_dotted(path)} is {point}, but the structure has points "
-                f"1 to {points[-1]}."
+                f"{document.place(path)}: {_dotted(path)} is {point}, but the structure has points 1 to {points[-1]}."
             )
     for index, element in enumerate(rig.local_elements):
         if element.other_point == element.point:

@@ -209,9 +209,7 @@ def _attachment(section: ElementSection, direction: Array) -> Attachment:
         return FractionalDamper(direction, section.coefficient_n_sa_m, section.order, low, high)
     if isinstance(section, TunedMassQuadraticSection):
         frequency = 2.0 * np.pi * section.frequency_hz
-        return TunedMassQuadratic(
-            direction, section.mass_kg, frequency, section.damping_ratio, section.coupling_n_m2
-        )
+        return TunedMassQuadratic(direction, section.mass_kg, frequency, section.damping_ratio, section.coupling_n_m2)
     if isinstance(section, RattlingMassSection):
         return RattlingMass(
             direction,

@@ -25,6 +25,7 @@ from .analogue_chain import AnalogueChain
 _HUM_SEED = 0x48554D
 _DROP_SEED = 0x44524F50
 
+
 @dataclass(frozen=True)
 class Sensor:
     """One channel.
@@ -97,9 +98,7 @@ class SensorChannel:
         self._last = 0.0
 
     def _noise(self, samples: int) -> FloatArray:
-        index = np.floor((self._sample + np.arange(samples)) / self._samples_per_value + 1e-9).astype(
-            np.int64
-        )
+        index = np.floor((self._sample + np.arange(samples)) / self._samples_per_value + 1e-9).astype(np.int64)
         first = self._drawn
         fresh = self._generator.standard_normal(int(index[-1]) + 1 - first)
         values = np.concatenate([[self._last], fresh])

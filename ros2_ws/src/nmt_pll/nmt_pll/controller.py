@@ -41,7 +41,6 @@ class GainSchedule:
         integral = self.bandwidth_limit * decay / (1.0 + self.plant.mass_ratio)
         return ControllerGains(integral / min(self.cutoff, total), integral)
 
-
     @property
     def amplitude_bandwidth(self) -> float:
         """Bandwidth of the amplitude controller, rad/s: slow beside the phase loop."""

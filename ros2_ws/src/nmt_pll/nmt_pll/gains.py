@@ -91,7 +91,5 @@ def closed_form_gains(plant: LoopPlant, cutoff: float, imaginary_part: float = 0
     real_part = -(d + 1.0) / 3.0
     ratio = plant.structure_decay / plant.plant_decay
     proportional = ratio * (3.0 * real_part**2 + imaginary_part**2 - d) * cutoff / (1.0 + plant.mass_ratio)
-    integral = (
-        ratio * (-real_part * (real_part**2 + imaginary_part**2)) * cutoff**2 / (1.0 + plant.mass_ratio)
-    )
+    integral = ratio * (-real_part * (real_part**2 + imaginary_part**2)) * cutoff**2 / (1.0 + plant.mass_ratio)
     return ControllerGains(proportional, integral)

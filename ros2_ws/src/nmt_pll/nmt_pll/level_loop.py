@@ -187,9 +187,7 @@ class LevelLoop(ABC):
         try:
             return block.points.index(self.drive_point)
         except ValueError:
-            raise ValueError(
-                f"no {block.quantity.topic} channel at the drive point {self.drive_point}"
-            ) from None
+            raise ValueError(f"no {block.quantity.topic} channel at the drive point {self.drive_point}") from None
 
     def _stopped_from_outside(self, flags: int) -> str:
         """Why the drive has to go to zero whatever the phase says; empty if it need not."""

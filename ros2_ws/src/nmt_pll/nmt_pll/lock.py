@@ -204,9 +204,7 @@ class LockCriteria:
         """
         limit = self.unlock_tolerance + 2.0 * statistics.mean_std
         if abs(statistics.mean) > limit:
-            return (
-                f"mean phase error {math.degrees(statistics.mean):.2f} deg exceeds {math.degrees(limit):.2f} deg"
-            )
+            return f"mean phase error {math.degrees(statistics.mean):.2f} deg exceeds {math.degrees(limit):.2f} deg"
         if statistics.scatter > 2.0 * self.scatter_limit:
             return (
                 f"phase scatter {math.degrees(statistics.scatter):.1f} deg exceeds "

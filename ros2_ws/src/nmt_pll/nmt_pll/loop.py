@@ -25,7 +25,6 @@ _VELOCITY_LEAD = {
 }
 
 
-
 class PhaseLockedLoop(LevelLoop):
     """Adaptive Fourier filter, scheduled PI controller and lock state machine.
 
@@ -66,9 +65,7 @@ class PhaseLockedLoop(LevelLoop):
             settings.unlock_tolerance,
         )
         dwell_time = settings.dwell_periods * 2.0 * math.pi / mode
-        self.dwell = Dwell(
-            math.ceil(dwell_time / self.block_duration), 2.0 / (self.cutoff * self.block_duration)
-        )
+        self.dwell = Dwell(math.ceil(dwell_time / self.block_duration), 2.0 / (self.cutoff * self.block_duration))
         self.decay = self.plant.structure_decay
         self._response_quantity = Quantity.DISPLACEMENT
         self._closed_from = 0
@@ -128,9 +125,7 @@ class PhaseLockedLoop(LevelLoop):
         amplitudes = force_amplitude, response_amplitude
         return self._output(end, self.controller.output, error, amplitudes, lock, flags)
 
-    def _measure(
-        self, force: FloatArray, response: FloatArray, phase: OscillatorPhase
-    ) -> tuple[float, float, float]:
+    def _measure(self, force: FloatArray, response: FloatArray, phase: OscillatorPhase) -> tuple[float, float, float]:
         """Phase error (NaN if not valid), force amplitude and response amplitude after the block."""
         if math.isnan(phase.cycles) or not phase.frequency_hz > 0:
             return math.nan, 0.0, 0.0

@@ -139,8 +139,7 @@ class PaperLoop(LevelLoop):
         sign = _SIGN.get(response.quantity)
         if sign is None:
             raise ValueError(
-                f"the paper's loop needs a displacement or an acceleration, "
-                f"not a {response.quantity.name.lower()}"
+                f"the paper's loop needs a displacement or an acceleration, not a {response.quantity.name.lower()}"
             )
         end = force.end_sample
         flags = force.flags | response.flags
@@ -211,9 +210,7 @@ class PaperLoop(LevelLoop):
         if self.machine.state == LoopState.LOCKED or end < self._window_from or not full:
             return None
         mean = self._mean_error()
-        scatter = math.sqrt(
-            math.fsum((error - mean) ** 2 for error in self._errors) / (len(self._errors) - 1)
-        )
+        scatter = math.sqrt(math.fsum((error - mean) ** 2 for error in self._errors) / (len(self._errors) - 1))
         if abs(mean) > self.settings.phase_tolerance or scatter > self.settings.scatter_limit:
             return None
         reason = f"mean phase error {math.degrees(mean):.3f} deg after the waiting time"

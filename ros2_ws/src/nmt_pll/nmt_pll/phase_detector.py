@@ -16,9 +16,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @njit(cache=True)
-def _track(
-    coefficients: ComplexArray, data: FloatArray, cycles: float, step: float, bend: float, gain: float
-) -> None:
+def _track(coefficients: ComplexArray, data: FloatArray, cycles: float, step: float, bend: float, gain: float) -> None:
     """Update ``coefficients`` (channels, harmonics + 1) sample by sample; phase k: cycles + step k + bend k²."""
     channels, samples = data.shape
     harmonics = coefficients.shape[1]

@@ -139,14 +139,10 @@ class _GivenFrequencyLoop(LevelLoop):
             return 0j, 0j
         return values
 
-    def _answer(
-        self, end: int, phasors: tuple[complex, complex], lock: LockWindow | None, flags: int
-    ) -> LoopOutput:
+    def _answer(self, end: int, phasors: tuple[complex, complex], lock: LockWindow | None, flags: int) -> LoopOutput:
         apply = end + self._delay
         frequency = self._frequency_at(apply)
-        output = self._output(
-            end, 2.0 * math.pi * frequency, math.nan, (abs(phasors[0]), abs(phasors[1])), lock, flags
-        )
+        output = self._output(end, 2.0 * math.pi * frequency, math.nan, (abs(phasors[0]), abs(phasors[1])), lock, flags)
         moving = self._moves_for > 0 and self._moves_from <= apply < self._moves_from + self._moves_for
         if not moving:
             return output._replace(frequency_hz=frequency, waveform=WAVEFORM_SINE)
@@ -235,7 +231,9 @@ class _GivenFrequencyLoop(LevelLoop):
         level = self._level
         assert level is not None
         self._held = {
-            CONTROL_FORCE: abs(phasors[0]), CONTROL_RESPONSE: abs(phasors[1]), CONTROL_VOLTAGE: self._commanded
+            CONTROL_FORCE: abs(phasors[0]),
+            CONTROL_RESPONSE: abs(phasors[1]),
+            CONTROL_VOLTAGE: self._commanded,
         }[level.control]
         if self._stage == _Stage.FADE:
             if end < self._until:

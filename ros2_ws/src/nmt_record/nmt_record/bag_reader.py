@@ -59,9 +59,7 @@ class Bag:
                     "ROS 2 ones (cdr); convert it with 'rosbags-convert'."
                 )
             if self._types.setdefault(name, channel.message_type) != channel.message_type:
-                raise BenchError(
-                    f"The bag {path} holds two types of message on topic '{name}'; split it by type."
-                )
+                raise BenchError(f"The bag {path} holds two types of message on topic '{name}'; split it by type.")
             self.topics[name] = (channel.message_type, self.topics.get(name, ("", 0))[1] + count)
         self._typestore: Any = None
         self.run_start: dict[str, Any] | None = None
@@ -96,10 +94,7 @@ class Bag:
         """
         missing = [name for name in map(bench_name, names) if self.topics.get(name, ("", 0))[1] == 0]
         if missing:
-            has = (
-                ", ".join(sorted(name for name, (_, count) in self.topics.items() if count))
-                or "no messages at all"
-            )
+            has = ", ".join(sorted(name for name, (_, count) in self.topics.items() if count)) or "no messages at all"
             raise BenchError(
                 f"The bag {self.path} has no messages on {', '.join(missing)} (it has {has}); "
                 "record a run of the bench or name another bag."
@@ -150,9 +145,7 @@ class Bag:
         """
         topic = bench_name(topic)
         if self._types.get(topic, SAMPLE_BLOCK) != SAMPLE_BLOCK:
-            raise BenchError(
-                f"Topic '{topic}' of the bag {self.path} holds {self._types[topic]}, not samples."
-            )
+            raise BenchError(f"Topic '{topic}' of the bag {self.path} holds {self._types[topic]}, not samples.")
         self.require_topics(topic)
         cut = first_sample is not None or stop_sample is not None
         for _, _, _, raw in self.raw_messages([topic]):
@@ -296,11 +289,7 @@ class _McapSource:
         self.lost_bytes = sum(file.lost_bytes for file in files)
 
     def channels(self) -> list[tuple[Channel, int]]:
-        return [
-            (channel, file.counts.get(key, 0))
-            for file in self._files
-            for key, channel in file.channels.items()
-        ]
+        return [(channel, file.counts.get(key, 0)) for file in self._files for key, channel in file.channels.items()]
 
     def raw(self, wanted: set[str] | None) -> Iterator[RawMessage]:
         for file in self._files:
@@ -321,9 +310,7 @@ class _RosbagsSource:
         self._channels: list[tuple[Channel, int]] = []
         with self._reader() as reader:
             for item in reader.connections:
-                definition = MessageDefinition(
-                    item.msgdef.data, item.digest, _ENCODINGS.get(item.msgdef.format, "")
-                )
+                definition = MessageDefinition(item.msgdef.data, item.digest, _ENCODINGS.get(item.msgdef.format, ""))
                 channel = Channel(item.topic, item.msgtype, definition, item.ext.serialization_format, [])
                 self._channels.append((channel, item.msgcount))
 
@@ -406,9 +393,7 @@ def _open_folder(folder: Path) -> tuple[_Source, dict[str, str]]:
 
 def _readable(files: list[McapFile], path: Path) -> list[McapFile]:
     if any(file.damage for file in files) and not any(file.channels for file in files):
-        raise BenchError(
-            f"The bag {path} was cut off before its first whole chunk; nothing in it can be read."
-        )
+        raise BenchError(f"The bag {path} was cut off before its first whole chunk; nothing in it can be read.")
     return files
 
 

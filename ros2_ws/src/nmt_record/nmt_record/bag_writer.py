@@ -100,9 +100,7 @@ class BagWriter:
         self._times: tuple[int, int] | None = None
         self._safe: tuple[dict[str, int], tuple[int, int] | None] = ({}, None)
         if not hasattr(Writer, "flush"):
-            raise BenchError(
-                "The installed 'mcap' package cannot flush a chunk; install mcap 1.6.0 or newer."
-            )
+            raise BenchError("The installed 'mcap' package cannot flush a chunk; install mcap 1.6.0 or newer.")
         self._open(open_file)
         if records:
             self.add_topic("run_record", RUN_RECORD, Service.STATE)
@@ -160,9 +158,7 @@ class BagWriter:
                 Also if the bag is no longer open.
         """
         if self.state != "open":
-            raise BenchError(
-                self.failure or f"The bag {self.path} is closed; a closed bag takes no more messages."
-            )
+            raise BenchError(self.failure or f"The bag {self.path} is closed; a closed bag takes no more messages.")
         if receive_time_ns is None:
             # The wall clock may be set back; the order of the file must stay the order of reception.
             receive_time_ns = max(self._clock(), self._newest)
@@ -242,9 +238,7 @@ class BagWriter:
             self.add_stop(exit_state, reason, stamp_ns, **extra)
         self.flush()
         try:
-            self._mcap.add_metadata(
-                "rosbag2", {"serialized_metadata": yaml.safe_dump(self._metadata()).strip()}
-            )
+            self._mcap.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(self._metadata()).strip()})
             self._mcap.finish()
             self._file.keep()
             self._file.close()
@@ -291,9 +285,7 @@ class BagWriter:
 
     def _register(self, topic: str) -> int:
         if topic not in self._known:
-            raise BenchError(
-                f"Topic '{topic}' has not been made known to the bag {self.path}; call add_topic first."
-            )
+            raise BenchError(f"Topic '{topic}' has not been made known to the bag {self.path}; call add_topic first.")
         message_type, definition, profiles = self._known[topic]
         key = (message_type, definition.text)
         if key not in self._schemas:
@@ -318,9 +310,7 @@ class BagWriter:
 
     def _write_record(self, kind: int, run_json: str, rig_yaml: str, stamp_ns: int) -> None:
         types = local_definitions().typestore.types
-        stamp = types["builtin_interfaces/msg/Time"](
-            sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000
-        )
+        stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000)
         record = types[RUN_RECORD](stamp=stamp, kind=kind, run_json=run_json, rig_yaml=rig_yaml)
         self.write_message("run_record", record, publish_time_ns=stamp_ns)
 
@@ -351,8 +341,7 @@ class BagWriter:
             "relative_file_paths": [self.file_path.name],
             **span,
             "topics_with_message_count": [
-                {"topic_metadata": self._topics[topic], "message_count": count}
-                for topic, count in self.counts.items()
+                {"topic_metadata": self._topics[topic], "message_count": count} for topic, count in self.counts.items()
             ],
             "compression_format": "",
             "compression_mode": "",
@@ -364,9 +353,7 @@ class BagWriter:
     def _write_metadata(self) -> None:
         target = self.path / "metadata.yaml"
         part = self.path / "metadata.yaml.part"
-        text = yaml.dump(
-            {"rosbag2_bagfile_information": self._metadata()}, Dumper=_PlainDumper, sort_keys=False
-        )
+        text = yaml.dump({"rosbag2_bagfile_information": self._metadata()}, Dumper=_PlainDumper, sort_keys=False)
         try:
             part.write_text(text, encoding="utf-8")
             part.replace(target)

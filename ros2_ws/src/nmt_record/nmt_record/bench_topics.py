@@ -38,10 +38,7 @@ class BenchTopic:
 
 
 BENCH_TOPICS: tuple[BenchTopic, ...] = (
-    *(
-        BenchTopic(name, SAMPLE_BLOCK, Service.SAMPLES)
-        for name in SAMPLE_TOPICS
-    ),
+    *(BenchTopic(name, SAMPLE_BLOCK, Service.SAMPLES) for name in SAMPLE_TOPICS),
     BenchTopic("drive", "nmt_msgs/msg/Drive", Service.SAMPLES),
     BenchTopic("frequency", "nmt_msgs/msg/Frequency", Service.SAMPLES),
     BenchTopic("level", "nmt_msgs/msg/Level", Service.SAMPLES),

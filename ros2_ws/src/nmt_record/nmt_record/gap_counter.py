@@ -73,9 +73,7 @@ class GapCounter:
 
     def bench_time(self) -> float:
         """Bench time after the newest sample, s; 0 before the first."""
-        return max(
-            (s.next_sample / s.sample_rate for s in self.topics.values() if s.sample_rate > 0), default=0.0
-        )
+        return max((s.next_sample / s.sample_rate for s in self.topics.values() if s.sample_rate > 0), default=0.0)
 
     def as_dict(self) -> dict[str, dict[str, int]]:
         """For the stop record."""

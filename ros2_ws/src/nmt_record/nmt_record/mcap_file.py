@@ -136,9 +136,7 @@ class McapFile:
                         ) from error
                     yield from messages
         except OSError as error:
-            raise BenchError(
-                f"The bag file {self.path} cannot be read: {error.strerror or error}."
-            ) from error
+            raise BenchError(f"The bag file {self.path} cannot be read: {error.strerror or error}.") from error
 
     def _read_index(self, file: Any) -> bool:
         """Take channels and chunks from the summary; False if there is none to rely on."""
@@ -157,10 +155,7 @@ class McapFile:
         statistics = summary and summary.statistics
         if not summary or not statistics or (statistics.message_count and not summary.chunk_indexes):
             return False
-        if (
-            len(summary.channels) != statistics.channel_count
-            or len(summary.schemas) != statistics.schema_count
-        ):
+        if len(summary.channels) != statistics.channel_count or len(summary.schemas) != statistics.schema_count:
             return False
         try:
             for channel in summary.channels.values():
@@ -177,9 +172,7 @@ class McapFile:
         for index in sorted(summary.chunk_indexes, key=lambda item: item.chunk_start_offset):
             seen = frozenset(index.message_index_offsets) or frozenset(self.channels)
             self.stretches.append(
-                Stretch(
-                    index.chunk_start_offset + _RECORD.size, index.chunk_length - _RECORD.size, True, seen
-                )
+                Stretch(index.chunk_start_offset + _RECORD.size, index.chunk_length - _RECORD.size, True, seen)
             )
         self.counts = {cid: int(statistics.channel_message_counts.get(cid, 0)) for cid in self.channels}
         return True
@@ -216,12 +209,7 @@ class McapFile:
 
     def _add(self, stretch: Stretch) -> None:
         before = self.stretches[-1] if self.stretches else None
-        if (
-            before
-            and not before.chunk
-            and not stretch.chunk
-            and before.offset + before.length == stretch.offset
-        ):
+        if before and not before.chunk and not stretch.chunk and before.offset + before.length == stretch.offset:
             self.stretches[-1] = Stretch(
                 before.offset, before.length + stretch.length, False, before.channels | stretch.channels
             )
@@ -350,9 +338,7 @@ def _string(data: bytes | memoryview, position: int, end: int) -> tuple[str, int
     return str(data[position + 4 : stop], "utf-8"), stop
 
 
-def _channel(
-    topic: str, serialization: str, metadata: dict[str, str], schema: tuple[str, str, str]
-) -> Channel:
+def _channel(topic: str, serialization: str, metadata: dict[str, str], schema: tuple[str, str, str]) -> Channel:
     name, encoding, text = schema
     try:
         profiles = yaml.safe_load(metadata.get("offered_qos_profiles", "")) or []

@@ -283,9 +283,7 @@ def _text(values: dict[str, Any], text: str, file: str) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(
-            f"Parameter '{file}' of recorder names {path}, which cannot be read: {error}."
-        ) from error
+        raise BenchError(f"Parameter '{file}' of recorder names {path}, which cannot be read: {error}.") from error
 
 
 def main(args: list[str] | None = None) -> int:

@@ -166,8 +166,7 @@ def _write_function(file: Any, function: UffFunction, binary: bool) -> None:
         f"{function.function_type:5d}{0:10d}{0:5d}{0:10d}"
         f" {'NONE':<10}{function.response_node:10d}{function.response_direction:4d}"
         f" {'NONE':<10}{function.reference_node:10d}{function.reference_direction:4d}",
-        f"{6 if is_complex else 4:10d}{values.shape[0]:10d}{int(even):10d}"
-        f"{minimum:13.5E}{increment:13.5E}{0.0:13.5E}",
+        f"{6 if is_complex else 4:10d}{values.shape[0]:10d}{int(even):10d}{minimum:13.5E}{increment:13.5E}{0.0:13.5E}",
         *(
             f"{axis.data_type:10d}{0:5d}{0:5d}{0:5d} {_text(axis.label, 20):<20} {_text(axis.unit, 20):<20}"
             for axis in (function.abscissa_axis, function.ordinate_axis, function.denominator_axis, Axis())

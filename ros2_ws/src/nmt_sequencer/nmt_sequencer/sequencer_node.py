@@ -199,9 +199,7 @@ class SequencerNode(BenchNode):
         self._publish_all()
 
     def _on_lock(self, message: LockEvent) -> None:
-        self.machine.on_lock(
-            message.level_index, message.sample, message.window_first_sample + message.window_samples
-        )
+        self.machine.on_lock(message.level_index, message.sample, message.window_first_sample + message.window_samples)
         self._publish_all()
 
     def _on_point(self, message: ModalPoint) -> None:

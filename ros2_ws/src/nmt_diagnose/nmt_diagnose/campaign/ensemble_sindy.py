@@ -122,9 +122,7 @@ def _window(bag: Bag, segment: Segment, rig: Rig) -> tuple[FloatArray, dict[str,
         response = response / np.where(orders == 0, np.inf, -((orders * omega) ** 2))
     modal = np.linalg.pinv(shapes) @ response
     angle = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
-    q, v, acceleration = (
-        _in_time(modal[target] * (1j * orders * omega) ** power, angle) for power in (0, 1, 2)
-    )
+    q, v, acceleration = (_in_time(modal[target] * (1j * orders * omega) ** power, angle) for power in (0, 1, 2))
     drive = modes.shapes[modes.points.index(rig.drive_point), target]
     driving = drive * _in_time(harmonics[0], angle)
     frequency, damping = float(modes.frequencies[target]), float(modes.damping_ratios[target])

@@ -115,7 +115,6 @@ def _microslip_report(values: Mapping[str, float]) -> Reported:
     }
 
 
-
 BOUNDARY_EFFECTS: tuple[Effect, ...] = (
     Effect(
         name="clamp_compliance",

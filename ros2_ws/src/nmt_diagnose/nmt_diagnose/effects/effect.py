@@ -10,9 +10,7 @@ from nmt_plant.rig import Rig
 
 from .operating_range import OperatingRange
 
-Place = Literal[
-    "structure", "boundary", "joint", "exciter", "force_sensor", "response_sensor", "controller", "time"
-]
+Place = Literal["structure", "boundary", "joint", "exciter", "force_sensor", "response_sensor", "controller", "time"]
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,7 @@ LARGE_SIGNAL = "Klippel, J. Audio Eng. Soc. 54 (2006) 907 (large-signal paramete
 
 def _stinger_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
     point = rig.drive_point
-    lateral = Placement(
-        "lateral", {"k": 0.02 * operating.effective_stiffness(point)}, point, option="lateral"
-    )
+    lateral = Placement("lateral", {"k": 0.02 * operating.effective_stiffness(point)}, point, option="lateral")
     if not isinstance(rig.structure, BeamSection):
         return (lateral,)
     inertia = operating.effective_inertia[point]
@@ -26,7 +24,10 @@ def _stinger_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement,
 
 def _with_stinger(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
     spring = LinearSpringSection.model_construct(
-        kind="linear_spring", point=rig.drive_point, side="exciter", stiffness_n_m=values["k"],
+        kind="linear_spring",
+        point=rig.drive_point,
+        side="exciter",
+        stiffness_n_m=values["k"],
         rotation=placement.option == "rotation",
     )
     return with_element(rig, spring)

@@ -52,9 +52,7 @@ def _mass_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ..
         point = rig.sensor_point(sensor)
         # Sensors at one point are one mass.
         if point not in found:
-            found[point] = Placement(
-                channel, {"m": operating.typical_mass(point)}, point, index=index, channel=channel
-            )
+            found[point] = Placement(channel, {"m": operating.typical_mass(point)}, point, index=index, channel=channel)
     return tuple(found.values())
 
 

@@ -547,7 +547,7 @@ def _moderate(cells: list[_Cell]) -> None:
     """Draw the variances of a channel together, harmonic by harmonic, and add what drifts."""
     groups: dict[tuple[str, object, int], list[_Cell]] = {}
     for cell in cells:
-        kind: object = (cell.part if cell.harmonic == 1 else min(cell.harmonic, 2))
+        kind: object = cell.part if cell.harmonic == 1 else min(cell.harmonic, 2)
         groups.setdefault((cell.name, kind, cell.freedom), []).append(cell)
     for (_, _, freedom), group in groups.items():
         variances, degrees = moderated(np.array([cell.variance for cell in group]), float(freedom))

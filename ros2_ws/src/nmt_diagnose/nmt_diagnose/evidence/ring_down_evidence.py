@@ -56,9 +56,7 @@ def period_fundamentals(
     return amplitudes, np.asarray(middle, dtype=np.float64)
 
 
-def decay_of(
-    samples: FloatArray, sample_rate: float, frequency_hz: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def decay_of(samples: FloatArray, sample_rate: float, frequency_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Phase and logarithm of the amplitude of a decay, period by period.
 
     Args:
@@ -186,9 +184,7 @@ def ring_down_evidence(
         damping = -rate / omega
         if not rate_std / omega < max(_WORST_DAMPING * abs(damping), 1e-5):
             break
-        place = Place(
-            len(amplitudes), stretch.start_s + float(time[node]), omega / (2.0 * math.pi), math.exp(level)
-        )
+        place = Place(len(amplitudes), stretch.start_s + float(time[node]), omega / (2.0 * math.pi), math.exp(level))
         table.add(Part.LOG_FREQUENCY, math.log(omega), omega_std / omega, floors.decay_log_frequency, place, 0, 1)
         table.add(Part.DAMPING, damping, rate_std / omega, floors.decay_damping * abs(damping), place, 0, 1)
         amplitudes.append(math.exp(level))

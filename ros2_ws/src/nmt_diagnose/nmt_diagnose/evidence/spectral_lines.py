@@ -36,9 +36,7 @@ class Line:
     std: FloatArray
 
 
-def mains_line(
-    cycles: FloatArray, data: FloatArray, sample_rate: float, harmonics: int, line_hz: float
-) -> Line | None:
+def mains_line(cycles: FloatArray, data: FloatArray, sample_rate: float, harmonics: int, line_hz: float) -> Line | None:
     """Amplitude of a line of the mains in a window of steady oscillation.
 
     The line is fitted beside the harmonics, in pieces short enough for a mains that wanders; its phase is free. The

@@ -42,9 +42,7 @@ class SourceScore:
     freedom: float
 
 
-def source_score(
-    fit: Fit, columns: FloatArray, place: str, detail: str, calibrated: int | None = None
-) -> SourceScore:
+def source_score(fit: Fit, columns: FloatArray, place: str, detail: str, calibrated: int | None = None) -> SourceScore:
     """Evidence for a source with the given whitened columns, over the fit's own model.
 
     Args:

@@ -83,9 +83,7 @@ def _clamp_vectors(rig: Rig, size: int) -> list[FloatArray]:
     return [rotation / np.linalg.norm(rotation), lateral / np.linalg.norm(lateral)]
 
 
-def with_sources(
-    parts: RigParts, vectors: FloatArray, measured: FloatArray, settings: TwinSettings
-) -> LinearModel:
+def with_sources(parts: RigParts, vectors: FloatArray, measured: FloatArray, settings: TwinSettings) -> LinearModel:
     """Linear model with the sources as further inputs behind the drive."""
     feed = np.zeros((parts.rows.feedthrough.shape[0], vectors.shape[1]))
     r = parts.coordinates
@@ -164,7 +162,7 @@ def _level_sources(
     t, _ = model.at(1j * order * state.omega)
     for k in range(count):
         amount = UNIT * force * turn * np.exp(1j * np.angle(channels[twin.force_row, 1]))
-        size = float(np.max(np.abs(t[:r + parts.channels.shape[0], r + 1 + k]))) or 1.0
+        size = float(np.max(np.abs(t[: r + parts.channels.shape[0], r + 1 + k]))) or 1.0
         residual = np.zeros(nz)
         for i in range(r):
             own = -t[i, r + 1 + k] * amount

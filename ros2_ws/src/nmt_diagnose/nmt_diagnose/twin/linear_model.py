@@ -60,7 +60,6 @@ class LinearModel:
         )
         return result
 
-
     def partial_fractions(self, rows: NDArray[np.int64]) -> tuple[FloatArray, ...]:
         """Some outputs as Σ_k (c_k + s e_k) / (s² − σ_k s + π_k) + rest, in real numbers.
 

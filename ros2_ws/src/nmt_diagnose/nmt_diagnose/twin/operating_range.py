@@ -100,9 +100,7 @@ def operating_range(rig: Rig, tests: Sequence[Test], settings: TwinSettings | No
 Found = tuple[RigParts, float, float, np.ndarray, np.ndarray]
 
 
-def _motions(
-    rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
-) -> list[Found]:
+def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settings: TwinSettings) -> list[Found]:
     """Parts, ω, drive, channel amplitudes and unknowns at the ends of a test."""
     if isinstance(test, PhaseResonanceTest):
         return _resonant(rig, test, channels, settings)

@@ -89,8 +89,7 @@ class PartsCache:
             and (
                 rig.sensors is other.sensors
                 or all(
-                    a is b
-                    or (a.mass_kg == b.mass_kg and a.transverse == b.transverse)
+                    a is b or (a.mass_kg == b.mass_kg and a.transverse == b.transverse)
                     for a, b in zip(rig.sensors, other.sensors, strict=True)
                 )
             )

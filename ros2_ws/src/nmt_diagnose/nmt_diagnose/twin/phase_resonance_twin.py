@@ -122,9 +122,7 @@ class PhaseResonanceTwin:
         index = setup.index(self.channels)
         self._own = index
         self._force, self._response = index[self.force], index[self.response]
-        self._voltages = [
-            i for i, channel in enumerate(setup.channels) if channel.quantity == Quantity.VOLTAGE
-        ]
+        self._voltages = [i for i, channel in enumerate(setup.channels) if channel.quantity == Quantity.VOLTAGE]
 
     def _problem(self, position: int) -> LevelProblem:
         level = self.test.levels[position]

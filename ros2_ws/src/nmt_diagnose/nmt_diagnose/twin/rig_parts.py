@@ -98,9 +98,7 @@ def with_exciter_at(rig: Rig, point: int) -> Rig:
         element.model_copy(update={"point": point}) if element.side == "exciter" else element
         for element in rig.local_elements
     ]
-    return rig.model_copy(
-        update={"exciter": rig.exciter.model_copy(update={"point": point}), "local_elements": moved}
-    )
+    return rig.model_copy(update={"exciter": rig.exciter.model_copy(update={"point": point}), "local_elements": moved})
 
 
 def rig_parts(

@@ -122,9 +122,7 @@ class LocalForces:
                 members.append([element])
         if not directions:
             if idle_direction is None:
-                raise BenchError(
-                    "harmonic balance needs a local element or an idle direction; the rig has none."
-                )
+                raise BenchError("harmonic balance needs a local element or an idle direction; the rig has none.")
             directions, members = [np.asarray(idle_direction, dtype=np.float64)], [[]]
 
         highest = int(basis.orders[-1])
@@ -147,9 +145,7 @@ class LocalForces:
                     kinds.append(element.kind)
                     parameters.append(p)
                     degree = POLYNOMIAL_DEGREE.get(element.kind)
-                    needed = max(
-                        needed, SMOOTH_SAMPLES[element.kind] if degree is None else (degree + 1) * highest + 1
-                    )
+                    needed = max(needed, SMOOTH_SAMPLES[element.kind] if degree is None else (degree + 1) * highest + 1)
                 else:
                     raise BenchError(
                         f"harmonic balance does not know local element {type(element).__name__}; "
@@ -179,9 +175,7 @@ class LocalForces:
         """Number r of local coordinates."""
         return int(self.directions.shape[0])
 
-    def forces(
-        self, displacement: FloatArray, angular_frequency: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def forces(self, displacement: FloatArray, angular_frequency: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Fourier coefficients of the local forces and their derivatives.
 
         Args:
@@ -283,9 +277,7 @@ def local_forces(
             stiffness = 0.0
             damping = 0.0
             for e in range(sampled_start[i], sampled_start[i + 1]):
-                g_e, k_e, c_e, _ = element_response(
-                    kinds[e], parameters[e], w, angular_frequency * slope, 0.0
-                )
+                g_e, k_e, c_e, _ = element_response(kinds[e], parameters[e], w, angular_frequency * slope, 0.0)
                 g += g_e
                 stiffness += k_e
                 damping += c_e

@@ -396,9 +396,7 @@ def _varying_force_factor(
     shaker: ElectrodynamicShaker, size: int, coil: int, current: int
 ) -> tuple[Coupling, Coupling]:
     """What G (1 + b₁ x_C + b₂ x_C²) adds to the force on the coil and to the voltage it induces."""
-    parameters = coupling_parameters(
-        shaker.force_factor, shaker.force_factor_linear, shaker.force_factor_quadratic
-    )
+    parameters = coupling_parameters(shaker.force_factor, shaker.force_factor_linear, shaker.force_factor_quadratic)
     force, voltage = np.zeros(size), np.zeros(size)
     force[coil], voltage[current] = -1.0, 1.0
     rows = np.zeros((4, 2, size))

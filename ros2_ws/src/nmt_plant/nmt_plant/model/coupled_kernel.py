@@ -54,9 +54,7 @@ def coupled_forces(
         tangents[q, 1] = 0.0
     for e in range(kinds.size):
         q = element_port[e]
-        g, g_w, g_v = frozen_response(
-            kinds[e], parameters, e, branch[e], kinematics[q], kinematics[own + q], slider[e]
-        )
+        g, g_w, g_v = frozen_response(kinds[e], parameters, e, branch[e], kinematics[q], kinematics[own + q], slider[e])
         forces[q] += g
         tangents[q, 0] += g_w
         tangents[q, 1] += g_v
@@ -211,9 +209,7 @@ def integrate_coupled(
                 for e in range(elements):
                     q = element_port[e]
                     if (
-                        next_branch(
-                            kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[own + q], slider[e]
-                        )
+                        next_branch(kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[own + q], slider[e])
                         != branch[e]
                     ):
                         corner = True

@@ -83,12 +83,9 @@ class EpmcProblem:
     ) -> None:
         for name in ("mass", "damping", "stiffness"):
             matrix = getattr(structure, name)
-            if not np.allclose(
-                matrix, matrix.T, rtol=1e-9, atol=1e-12 * float(np.abs(matrix).max(initial=0.0))
-            ):
+            if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=1e-12 * float(np.abs(matrix).max(initial=0.0))):
                 raise BenchError(
-                    f"the {name} matrix of the structure must be symmetric for the EPMC reference; "
-                    "check the rig file."
+                    f"the {name} matrix of the structure must be symmetric for the EPMC reference; check the rig file."
                 )
         if not 0 <= mode < structure.size:
             raise BenchError(f"mode {mode + 1} does not exist: the structure has {structure.size} modes.")
@@ -106,9 +103,7 @@ class EpmcProblem:
             damping += element.linear_damping * outer
         squares, vectors = eigh(stiffness, structure.mass)
         if squares[mode] <= 0.0:
-            raise BenchError(
-                f"mode {mode + 1} is a rigid-body mode; choose an elastic mode for the reference."
-            )
+            raise BenchError(f"mode {mode + 1} is a rigid-body mode; choose an elastic mode for the reference.")
         self.linear_frequency = float(np.sqrt(squares[mode]))
         self.linear_shape: FloatArray = vectors[:, mode]
         participation = self.impedance.shapes.T @ structure.mass @ self.linear_shape
@@ -169,9 +164,7 @@ class EpmcProblem:
         omega, excitation = z[r * size + 2] * self.linear_frequency, z[r * size + 3] * self.linear_frequency
         force = self.local.forces(z[: r * size].reshape(r, size) * amplitude, omega)[0]
         amplitudes = self.basis.to_complex(-force / amplitude).T
-        shapes = harmonic_responses(
-            self.impedance, self.basis, omega, excitation, self.local.directions.T, amplitudes
-        )
+        shapes = harmonic_responses(self.impedance, self.basis, omega, excitation, self.local.directions.T, amplitudes)
         _, _, modal = self._evaluate(z)
         shapes[self.basis.fundamental] = self.impedance.shapes @ modal
         return shapes
@@ -363,9 +356,7 @@ def epmc_backbone(
     if amplitudes.size == 0 or not np.all(np.isfinite(amplitudes)) or amplitudes[0] <= 0.0:
         raise BenchError("modal amplitudes of the reference must be positive and finite; check the q range.")
     if np.any(np.diff(amplitudes) <= 0.0):
-        raise BenchError(
-            "modal amplitudes of the reference must be ascending and different; check the q range."
-        )
+        raise BenchError("modal amplitudes of the reference must be ascending and different; check the q range.")
     basis = basis or FourierBasis.up_to(7)
     problem = EpmcProblem(structure, elements, basis, mode, samples)
     logs = np.log10(amplitudes)

@@ -158,16 +158,12 @@ class ForcedProblem:
         inputs = np.zeros((self.basis.orders.size, self.local.coordinates + 1), dtype=np.complex128)
         inputs[:, :-1] = -self.basis.to_complex(force).T
         inputs[self.basis.fundamental, -1] = drive
-        unknowns = harmonic_responses(
-            self.impedance, self.basis, angular_frequency, 0.0, self.input_columns, inputs
-        )
+        unknowns = harmonic_responses(self.impedance, self.basis, angular_frequency, 0.0, self.input_columns, inputs)
         rows = force_rows(self.system)
         s = 1j * self.basis.orders * angular_frequency
         stinger = unknowns @ rows[0] + s * (unknowns @ rows[1]) + s**2 * (unknowns @ rows[2])
         stinger = stinger + self.system.force.feedthrough * inputs[:, -1]
-        return PeriodicResponse(
-            float(angular_frequency), drive, self.basis.orders, unknowns, stinger, displacement
-        )
+        return PeriodicResponse(float(angular_frequency), drive, self.basis.orders, unknowns, stinger, displacement)
 
 
 def force_rows(system: ElectromechanicalSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -308,9 +304,7 @@ class _ForceHeld:
 
     def __call__(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         n = z.size - 2
-        residual, jacobian, drive_point, drive_jacobian = self.problem.evaluate(
-            z[:n], z[-1] * self.span, z[n]
-        )
+        residual, jacobian, drive_point, drive_jacobian = self.problem.evaluate(z[:n], z[-1] * self.span, z[n])
         force = drive_point[1]
         condition = np.log10(abs(force)) + z[n] - self.log_force
         slope = (np.conj(force) * drive_jacobian[1]).real / (abs(force) ** 2 * np.log(10.0))
@@ -395,9 +389,7 @@ def frequency_response(
     if not (np.isfinite(amplitude) and amplitude > 0.0):
         raise BenchError(f"the amplitude of a frequency response must be positive, got {amplitude}.")
     if not (start > 0.0 and stop > 0.0 and start != stop):
-        raise BenchError(
-            f"a frequency response needs two different positive frequencies, got {start} and {stop}."
-        )
+        raise BenchError(f"a frequency response needs two different positive frequencies, got {start} and {stop}.")
     span = abs(stop - start)
     system: _DriveHeld | _ForceHeld
     if held == "drive":

@@ -40,9 +40,7 @@ class FourierBasis:
             BenchError: ``harmonics`` is smaller than one.
         """
         if harmonics < 1:
-            raise BenchError(
-                f"harmonics must be at least 1, got {harmonics}; give the highest harmonic order to keep."
-            )
+            raise BenchError(f"harmonics must be at least 1, got {harmonics}; give the highest harmonic order to keep.")
         return cls.of(range(1, harmonics + 1, 2) if odd_only else range(harmonics + 1))
 
     @classmethod

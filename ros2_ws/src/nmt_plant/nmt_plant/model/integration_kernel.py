@@ -365,9 +365,7 @@ def integrate(
                 for e in range(elements):
                     q = element_port[e]
                     if (
-                        next_branch(
-                            kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[ports + q], slider[e]
-                        )
+                        next_branch(kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[ports + q], slider[e])
                         != branch[e]
                     ):
                         corner = True

@@ -63,8 +63,10 @@ class IwanJoint:
 
         From F_S = ∫ φ ρ dφ; for φ_min = 0 it is Segalman's F_S (1 + β) / (K_T (β + (χ + 1) / (χ + 2))).
         """
-        return self.slip_force * (1.0 + self.stiffness_ratio) / (
-            self.tangential_stiffness * (self.stiffness_ratio + self._mean_ratio(self.onset_ratio, 1.0))
+        return (
+            self.slip_force
+            * (1.0 + self.stiffness_ratio)
+            / (self.tangential_stiffness * (self.stiffness_ratio + self._mean_ratio(self.onset_ratio, 1.0)))
         )
 
     def slider_table(self) -> tuple[Array, Array]:

@@ -237,9 +237,7 @@ class BacklashDamper(LocalElement):
 
 
 @compiled
-def element_response(
-    kind: int, p: Array, w: float, v: float, slider: float
-) -> tuple[float, float, float, float]:
+def element_response(kind: int, p: Array, w: float, v: float, slider: float) -> tuple[float, float, float, float]:
     """Force and tangents of one element at relative displacement w (m) and velocity v (m/s).
 
     Args:

@@ -150,12 +150,7 @@ def phase_resonant_backbone(
         NotConvergedError: phase resonance could not be followed.
     """
     drives = np.asarray(drive_amplitudes, dtype=np.float64)
-    if (
-        drives.size == 0
-        or not np.all(np.isfinite(drives))
-        or drives[0] <= 0.0
-        or np.any(np.diff(drives) <= 0.0)
-    ):
+    if drives.size == 0 or not np.all(np.isfinite(drives)) or drives[0] <= 0.0 or np.any(np.diff(drives) <= 0.0):
         raise BenchError("drive amplitudes must be positive, ascending and different; check the levels.")
     system = _Quadrature(problem)
     logs = np.log10(drives)
@@ -175,9 +170,7 @@ def phase_resonant_backbone(
         )
     solutions = [start]
     for value in logs[1:][logs[1:] <= highest]:
-        solutions.append(
-            solve_at_parameter(system, branch.at_parameter(float(value)), what="phase resonance")
-        )
+        solutions.append(solve_at_parameter(system, branch.at_parameter(float(value)), what="phase resonance"))
     return PhaseResonantBackbone(tuple(system.response(z) for z in solutions), branch)
 
 
@@ -259,9 +252,7 @@ def extract_mode(
         columns["force_n"][k] = abs(force[fundamental])
         columns["pbmif"][k] = abs(active) / apparent
         columns["gamma_force"][k] = abs(force[fundamental]) / np.linalg.norm(force[oscillating])
-        columns["gamma_acceleration"][k] = abs(acceleration[fundamental]) / np.linalg.norm(
-            acceleration[oscillating]
-        )
+        columns["gamma_acceleration"][k] = abs(acceleration[fundamental]) / np.linalg.norm(acceleration[oscillating])
         columns["full_modal_amplitude"][k] = np.sqrt(full_square)
         columns["exact_damping_ratio"][k] = power / (omega**3 * full_square)
         phase = response.unknowns[fundamental, drive] / abs(response.unknowns[fundamental, drive])

@@ -20,9 +20,7 @@ TWO_PI = 2.0 * np.pi
 
 
 @njit(cache=True)
-def evaluate(
-    coefficients: FloatArray, orders: IntArray, offsets: IntArray, angle: float
-) -> tuple[float, float, float]:
+def evaluate(coefficients: FloatArray, orders: IntArray, offsets: IntArray, angle: float) -> tuple[float, float, float]:
     """w, dw/dθ and d²w/dθ² of the real Fourier coefficients at one angle (rad)."""
     value = 0.0
     slope = 0.0
@@ -256,9 +254,7 @@ def jenkins_phases(
             if period == 1:
                 rising = corner_values[p + 1] > corner_values[p]
                 level = (slip_force - offset_force) / stiffness
-                phases[p, 0] = level_crossing(
-                    coefficients, orders, offsets, corner_angles[p], right, rising, level
-                )
+                phases[p, 0] = level_crossing(coefficients, orders, offsets, corner_angles[p], right, rising, level)
             phases[p, 1] = slip_force
             anchor = right
             offset_force = slip_force - stiffness * corner_values[p + 1]
@@ -330,9 +326,7 @@ def add_piecewise_forces(
             limit = jenkins[e, 1]
             if stiffness * amplitude <= limit:
                 continue
-            phases = jenkins_phases(
-                coefficients, orders, offsets, corner_angles, corner_values, stiffness, limit
-            )
+            phases = jenkins_phases(coefficients, orders, offsets, corner_angles, corner_values, stiffness, limit)
             for p in range(count):
                 left = corner_angles[p]
                 right = corner_angles[p + 1]

@@ -168,9 +168,7 @@ def _piecewise_schedule(
                 springs[i] += stiffness
                 continue
             sticking = [
-                piece
-                for left, end in zip(angles[:-1], phases[:, 0], strict=True)
-                for piece in _wrapped(left, end)
+                piece for left, end in zip(angles[:-1], phases[:, 0], strict=True) for piece in _wrapped(left, end)
             ]
             ends = [float(angle % TWO_PI) or TWO_PI for angle in angles[1:][slips]]
             friction.append(_Friction(i, float(stiffness), sticking, [round(end, 13) for end in ends]))

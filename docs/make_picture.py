@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 from nmt_extract.modal_table import read_csv
-from nmt_plant.reference import compute_reference
-from nmt_plant.rig import load_rig
+from nmt_rig.reference import compute_reference
+from nmt_rig.rig import load_rig
 
 Place = tuple[float, float]
 TARGET = Path(__file__).resolve().parent / "images" / "bench.svg"

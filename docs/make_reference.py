@@ -327,7 +327,7 @@ def parameters_table(name: str) -> str:
 
 def rig_table(name: str) -> str:
     """Keys of one section of the rig file, by the name of its model."""
-    from nmt_plant import rig
+    from nmt_rig import rig
 
     model = getattr(rig, name)
     bases = [base for base in (rig.ElementSection, rig.StructureSection) if issubclass(model, base) and base != model]

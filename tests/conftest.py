@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from nmt_bench.bench_domain import BenchDomain
-from nmt_bench.shared_memory import remove_dead_segments
+from nmt_bench.orchestration.bench_domain import BenchDomain
+from nmt_bench.orchestration.shared_memory import remove_dead_segments
 
 TESTS = Path(__file__).resolve().parent
 

@@ -19,9 +19,9 @@ from nmt_core.errors import BenchError
 from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import write_csv
 from nmt_extract.offline import extract_bag
-from nmt_plant.reference import single_point_reference
-from nmt_plant.rig import load_rig
 from nmt_record.bag_reader import Bag
+from nmt_rig.reference import single_point_reference
+from nmt_rig.rig import load_rig
 from nmt_sequencer.run_machine import ResultCode
 
 SAMPLES = ("force", "displacement", "acceleration", "voltage")

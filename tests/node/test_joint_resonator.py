@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from nmt_bench.harness import Bench, RunResult
-from nmt_bench.report import report_data_from_bag, report_html
 from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
 from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import LOOP_SAMPLES, write_results
 from nmt_extract.offline import extract_bag
-from nmt_plant.reference import compute_reference
-from nmt_plant.rig import IwanSection, load_rig
-from nmt_plant.rig_model import build_iwan
+from nmt_report.run_report import report_data_from_bag, report_html
+from nmt_rig.reference import compute_reference
+from nmt_rig.rig import IwanSection, load_rig
+from nmt_rig.rig_model import build_iwan
 from nmt_sequencer.run_machine import ResultCode
 
 LEVELS = [0.6, 3.0, 12.0]

@@ -10,11 +10,11 @@ import pytest
 pytest.importorskip("rclpy")
 
 from nmt_bench.harness import Bench
-from nmt_bench.studies.case import StudyCase
-from nmt_bench.studies.case_reference import single_point_at
 from nmt_core.errors import BenchError
 from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag
+from nmt_study.case import StudyCase
+from nmt_study.case_reference import single_point_at
 
 
 @pytest.mark.parametrize(("control", "unit", "levels"), [("response", "m", (5e-5, 2e-4)), ("force", "N", (0.05, 1.0))])

@@ -9,13 +9,14 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from nmt_bench import cli, node_plan
+from nmt_bench import cli
+from nmt_bench.commands.linear_input import check_fits, read_linear
 from nmt_bench.harness import Bench
-from nmt_bench.linear_input import check_fits, read_linear
 from nmt_core.errors import BenchError
 from nmt_extract.modal_point import Status
-from nmt_plant import linear_description as model_description
-from nmt_plant.rig import load_rig
+from nmt_rig import linear_description as model_description
+from nmt_rig.rig import load_rig
+from nmt_session import node_plan
 
 RIGS = {
     # rig: duration of the record (s), level (V) and periods of the run

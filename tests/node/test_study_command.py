@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from nmt_bench import cli
-from nmt_bench.studies import case_runner
+from nmt_study import case_runner
 
 
 def test_a_study_runs_compares_and_is_not_run_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd) -> None:

@@ -4,7 +4,7 @@ setup(
     name="nmt_bench",
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"": ["py.typed", "rigs/*.yaml", "templates/*"]},
+    package_data={"": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/nmt_bench"]),
         ("share/nmt_bench", ["package.xml"]),

@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from nmt_bench.diagnosis_curves import Models
-from nmt_bench.diagnosis_report import DiagnosisReport
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.conditions import (
     LockedLevel,
@@ -33,7 +31,9 @@ from nmt_diagnose.inference.diagnosis import (
 )
 from nmt_diagnose.inference.gap import rms
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
-from nmt_plant.rig import load_rig
+from nmt_report.diagnosis_curves import Models
+from nmt_report.diagnosis_report import DiagnosisReport
+from nmt_rig.rig import load_rig
 
 DRIVES = (0.1, 0.2, 0.4, 0.8, 1.6)
 FORCE = MeasuredChannel("f2", Quantity.FORCE, 2)

@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 
-from nmt_bench.report_data import (
+from nmt_core.linear_description import LinearDescription
+from nmt_extract.modal_point import MEASURED, ModalPoint, Status
+from nmt_report.run_data import (
     Envelope,
     Excerpt,
     FileEntry,
@@ -16,8 +18,6 @@ from nmt_bench.report_data import (
     ReferenceCurve,
     RunReportData,
 )
-from nmt_core.linear_description import LinearDescription
-from nmt_extract.modal_point import MEASURED, ModalPoint, Status
 
 SAMPLE_RATE = 10_000.0
 BLOCK = 200

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nmt_bench.cli import main
-from nmt_plant.rig import find_rig
+from nmt_rig.rig import find_rig
 
 BEAM = find_rig("beam").read_text(encoding="utf-8")
 

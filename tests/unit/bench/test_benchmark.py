@@ -8,11 +8,11 @@ import pytest
 
 from nmt_bench import benchmark_figures, cli
 from nmt_bench.benchmark_figures import Figure
-from nmt_bench.sample_run import record_sample_run
 from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag
-from nmt_plant.reference import single_point_reference
-from nmt_plant.rig import load_rig
+from nmt_rig.reference import single_point_reference
+from nmt_rig.rig import load_rig
+from nmt_session.sample_run import record_sample_run
 
 
 def test_sample_run_measures_what_harmonic_balance_predicts(tmp_path: Path) -> None:

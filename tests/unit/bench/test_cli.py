@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from unit.bench.synthetic_bag import write_bag
 
-from nmt_bench import cli, output_folder
+from nmt_bench import cli
+from nmt_bench.commands import output_folder
 from nmt_core.errors import BenchError
 
 
@@ -152,7 +153,7 @@ def test_interrupt(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Monke
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("nmt_bench.extract_command.check_output", interrupt)
+    monkeypatch.setattr("nmt_bench.commands.extract_command.check_output", interrupt)
     status, _, err = run(capsys, "extract", "bag", "--out", str(tmp_path / "out"))
     assert status == 130
     assert one_sentence(err)
@@ -164,7 +165,7 @@ def test_unexpected_error_names_a_log(
     def fail(*_: object) -> None:
         raise ZeroDivisionError("nobody foresaw this")
 
-    monkeypatch.setattr("nmt_bench.extract_command.check_output", fail)
+    monkeypatch.setattr("nmt_bench.commands.extract_command.check_output", fail)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     status, _, err = run(capsys, "extract", "bag", "--out", str(tmp_path / "out"))
     assert status == 1

@@ -14,7 +14,7 @@ from unit.diagnose.evidence_bags import altered, record, rig_with_noise, with_da
 from nmt_bench.cli import main
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_diagnose.effects.library import library
-from nmt_plant.rig import find_rig, load_rig
+from nmt_rig.rig import find_rig, load_rig
 
 GAIN = 0.05
 KEPT = ("response_gain", "cubic_stiffness", "phase_offset")

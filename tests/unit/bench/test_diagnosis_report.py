@@ -14,9 +14,12 @@ import numpy as np
 import pytest
 from unit.bench import diagnosis_fixture as fixture
 
-from nmt_bench.diagnosis_curves import courses, harmonic_courses, observables_csv
-from nmt_bench.diagnosis_report import diagnosis_page
-from nmt_bench.diagnosis_words import (
+from nmt_diagnose.effects.library import library
+from nmt_diagnose.evidence.observables import Part
+from nmt_diagnose.inference.diagnosis import Ranked, Share, Value, Verdict
+from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv
+from nmt_report.diagnosis_report import diagnosis_page
+from nmt_report.diagnosis_words import (
     class_text,
     effect_text,
     key_text,
@@ -28,10 +31,7 @@ from nmt_bench.diagnosis_words import (
     value_text,
     verdict_text,
 )
-from nmt_diagnose.effects.library import library
-from nmt_diagnose.evidence.observables import Part
-from nmt_diagnose.inference.diagnosis import Ranked, Share, Value, Verdict
-from nmt_plant.rig import load_rig
+from nmt_rig.rig import load_rig
 
 _VOID = {"meta", "link", "br", "img", "hr", "input"}
 

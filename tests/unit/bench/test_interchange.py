@@ -17,10 +17,10 @@ from nmt_bench.cli import main
 from nmt_extract import extract_bag
 from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import read_csv
-from nmt_plant.rig import find_rig
 from nmt_record import Bag
 from nmt_record.observables import observable_tables
 from nmt_record.segments import read_signals, segments
+from nmt_rig.rig import find_rig
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from nmt_bench.cli import main
-from nmt_bench.linear_input import check_fits, read_linear
+from nmt_bench.commands.linear_input import check_fits, read_linear
 from nmt_core.errors import BenchError
-from nmt_plant.linear_description import linear_description
-from nmt_plant.rig import load_rig
+from nmt_rig.linear_description import linear_description
+from nmt_rig.rig import load_rig
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,9 @@ import pytest
 import yaml
 
 from nmt_bench.cli import main
-from nmt_bench.node_plan import NODES
 from nmt_core.linear_description import LinearDescription
-from nmt_plant.rig import load_rig
+from nmt_rig.rig import load_rig
+from nmt_session.node_plan import NODES
 
 
 def test_the_files_describe_one_test(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

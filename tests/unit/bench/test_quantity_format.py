@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nmt_bench.quantity_format import (
+from nmt_report.quantity_format import (
     concise,
     duration,
     engineering_exponent,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nmt_bench.cli import main
-from nmt_bench.report_data import read_reference
+from nmt_report.run_data import read_reference
 
 
 def test_the_given_table_is_met(data_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

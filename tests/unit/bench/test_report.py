@@ -13,13 +13,13 @@ import pytest
 from unit.bench.synthetic_bag import FREQUENCY_HZ, SAMPLE_RATE, write_bag
 from unit.bench.synthetic_run import damping_of, omega_of, synthetic_run
 
-from nmt_bench.report import list_files, read_reference, report_data_from_bag, report_html, write_report
-from nmt_bench.report_data import ReferenceCurve
-from nmt_bench.report_history import MOST_PANELS, chosen_excerpts, thinned
-from nmt_bench.report_page import verdict, worst_deviation
 from nmt_core.errors import BenchError
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.offline import extract_bag
+from nmt_report.history_figures import MOST_PANELS, chosen_excerpts, thinned
+from nmt_report.run_data import ReferenceCurve
+from nmt_report.run_page import verdict, worst_deviation
+from nmt_report.run_report import list_files, read_reference, report_data_from_bag, report_html, write_report
 
 FIGURES = (
     "backbone",

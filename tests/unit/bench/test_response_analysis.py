@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmt_bench.report_svg import figure_style
-from nmt_bench.response_analysis import _until_given_up, held_force
-from nmt_bench.response_figures import Overlay, force_figure, response_figure, synthesis_figure
-from nmt_bench.response_page import ResponsePage, html_figures, html_table
 from nmt_extract.swept_response import FrequencyResponseTable
+from nmt_report.response_analysis import _until_given_up, held_force
+from nmt_report.response_figures import Overlay, force_figure, response_figure, synthesis_figure
+from nmt_report.response_page import ResponsePage, html_figures, html_table
+from nmt_report.svg import figure_style
 
 
 def table(force: np.ndarray, unit: str = "N") -> FrequencyResponseTable:

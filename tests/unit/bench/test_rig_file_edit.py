@@ -7,16 +7,16 @@ from pathlib import Path
 import pytest
 from unit.bench import diagnosis_fixture as fixture
 
-from nmt_bench.diagnosis_model import assumptions, model_text
-from nmt_bench.rig_file_edit import changed_keys, edited_rig_text
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.twin.operating_range import operating_range
-from nmt_plant.rig import Rig, find_rig, load_rig
 from nmt_plant.simulated_rig import SimulatedRig
+from nmt_report.diagnosis_model import assumptions, model_text
+from nmt_rig.rig import Rig, find_rig, load_rig
+from nmt_rig.rig_file_edit import changed_keys, edited_rig_text
 
 
 def comments(text: str) -> list[str]:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from nmt_bench.studies.case import StudyCase
-from nmt_bench.studies.rival_methods import METHODS, RANGE, cases, derived_results, expected, outcomes
-from nmt_plant.rig import load_rig
+from nmt_rig.rig import load_rig
+from nmt_study.case import StudyCase
+from nmt_study.rival_methods import METHODS, RANGE, cases, derived_results, expected, outcomes
 
 
 def test_cases_keep_the_limits_and_have_a_frequency_for_every_level() -> None:
@@ -31,7 +31,7 @@ def test_cases_keep_the_limits_and_have_a_frequency_for_every_level() -> None:
 
 def test_expected_resonances_are_those_of_the_rig() -> None:
     """Frequencies of stepped sines lie around the resonance only as long as the table fits the rig file."""
-    from nmt_plant.reference import compute_reference
+    from nmt_rig.reference import compute_reference
 
     acceleration = np.array([60.0, 250.0, 700.0, 1700.0])
     omega = 2.0 * math.pi * expected(acceleration)[0]

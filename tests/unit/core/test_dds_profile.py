@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
-from nmt_bench.bench_domain import bench_environment
+from nmt_bench.orchestration.bench_domain import bench_environment
 from nmt_core.dds_profile import PROFILE, dds_environment
 
 NAMESPACE = {"d": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}

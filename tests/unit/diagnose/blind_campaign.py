@@ -6,13 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from nmt_diagnose.blind.blind_rigs import BLIND_RIGS, BlindRig
-from nmt_diagnose.blind.laboratory import BenchSettings
-from nmt_diagnose.blind.make import Made, make_campaign
-from nmt_diagnose.blind.operating import Operating
-from nmt_diagnose.blind.strength import spot_key
-from nmt_diagnose.blind.strength_table import StrengthTable
-from nmt_diagnose.blind.truths import TRUTHS
+from nmt_blind.cases.blind_rigs import BLIND_RIGS, BlindRig
+from nmt_blind.cases.laboratory import BenchSettings
+from nmt_blind.cases.make import Made, make_campaign
+from nmt_blind.cases.operating import Operating
+from nmt_blind.cases.strength import spot_key
+from nmt_blind.cases.strength_table import StrengthTable
+from nmt_blind.cases.truths import TRUTHS
 
 SHORT = BenchSettings(
     levels=(0.5, 1.0), window_periods=10, ramp=0.1, random_level=0.15, band_hz=(5.0, 500.0), duration=1.0,

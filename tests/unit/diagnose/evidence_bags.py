@@ -14,8 +14,6 @@ from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.test_kind import TestKind
 from nmt_core.wire import BlockReader, BlockWriter
 from nmt_plant.device import DriveCommand, Waveform
-from nmt_plant.linear_description import linear_description
-from nmt_plant.rig import Rig, load_rig
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.random_drive import RandomDrive
@@ -24,6 +22,8 @@ from nmt_record.bag_reader import Bag
 from nmt_record.bag_writer import BagWriter
 from nmt_record.bench_topics import SAMPLE_BLOCK, parse_topic
 from nmt_record.message_definitions import local_definitions
+from nmt_rig.linear_description import linear_description
+from nmt_rig.rig import Rig, load_rig
 
 SAMPLES = ("force", "displacement", "acceleration", "voltage")
 LEVELS = (0.1, 0.3, 0.6, 1.2)

@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 from unit.diagnose.blind_campaign import make
 
-from nmt_core.errors import BenchError
-from nmt_diagnose.campaign.baselines import FeatureClassifier, bayesian_information, least_chi_square
-from nmt_diagnose.campaign.run import read_result, run_campaign
-from nmt_diagnose.campaign.score import compute_scores, score_campaign
-from nmt_diagnose.campaign.score_sheet import markdown, page, print_scores, write_sheets
-from nmt_diagnose.campaign.scored_case import ScoredCase, effect_set, scored_case
-from nmt_diagnose.campaign.statistics import (
+from nmt_blind.campaign.baselines import FeatureClassifier, bayesian_information, least_chi_square
+from nmt_blind.campaign.run import read_result, run_campaign
+from nmt_blind.campaign.score import compute_scores, score_campaign
+from nmt_blind.campaign.score_sheet import markdown, page, print_scores, write_sheets
+from nmt_blind.campaign.scored_case import ScoredCase, effect_set, scored_case
+from nmt_blind.campaign.statistics import (
     Proportion,
     area_under_roc,
     reliability,
     roc_curve,
     threshold_for,
 )
+from nmt_core.errors import BenchError
 
 
 def diagnosis(verdict: str, effect: str = "", p: float = 0.9, **more: Any) -> dict[str, Any]:

@@ -33,8 +33,8 @@ def check(folder: Path, contract: str) -> subprocess.CompletedProcess[str]:
     [
         ("truth", "blind/leak.py", "from nmt_diagnose.twin import forward"),
         ("truth", "blind/leak.py", "from nmt_diagnose.effects.library import library"),
-        ("truth", "blind/leak.py", "from nmt_plant.reference import single_point_reference"),
-        ("blind", "inference/leak.py", "from nmt_diagnose.blind.draw import draw_cases"),
+        ("truth", "blind/leak.py", "from nmt_rig.reference import single_point_reference"),
+        ("blind", "inference/leak.py", "from nmt_blind.cases.draw import draw_cases"),
         ("blind", "evidence/leak.py", "from nmt_plant.simulated_rig import SimulatedRig"),
     ],
 )

@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nmt_blind.campaign.ensemble_sindy import sparse_terms
+from nmt_blind.cases.blind_rigs import BLIND_RIGS, blind_rig
+from nmt_blind.cases.laboratory import record_backbone, record_random
+from nmt_blind.cases.quiet_tests import play_backbone, play_random
+from nmt_blind.cases.rig_edits import Edit, with_edits
+from nmt_blind.cases.strength import Sensitivity, value_at
+from nmt_blind.cases.strength_table import load_table
+from nmt_blind.cases.truths import KNOWN, OPEN, TRUTHS
 from nmt_core.test_kind import TestKind
-from nmt_diagnose.blind.blind_rigs import BLIND_RIGS, blind_rig
-from nmt_diagnose.blind.laboratory import record_backbone, record_random
-from nmt_diagnose.blind.quiet_tests import play_backbone, play_random
-from nmt_diagnose.blind.rig_edits import Edit, with_edits
-from nmt_diagnose.blind.strength import Sensitivity, value_at
-from nmt_diagnose.blind.strength_table import load_table
-from nmt_diagnose.blind.truths import KNOWN, OPEN, TRUTHS
-from nmt_diagnose.campaign.ensemble_sindy import sparse_terms
 from nmt_extract.offline import extract_bag
-from nmt_plant.reference import single_point_reference
-from nmt_plant.rig import Rig
 from nmt_record.bag_reader import Bag
 from nmt_record.segments import read_signals, segments
+from nmt_rig.reference import single_point_reference
+from nmt_rig.rig import Rig
 
 BEAM = blind_rig("beam")
 MODEL = BEAM.model()

@@ -11,16 +11,16 @@ from pathlib import Path
 import pytest
 from unit.diagnose.blind_campaign import SHORT, made_up_table, make, operating, short_rig
 
+from nmt_blind.cases.draw import MIXTURE, STRENGTHS, draw_cases
+from nmt_blind.cases.laboratory import record_backbone, record_random
+from nmt_blind.cases.make import bag_hash, make_campaign
+from nmt_blind.cases.priors import LARGEST_SHIFT, parameters
+from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
+from nmt_blind.cases.strength import spot_key
+from nmt_blind.cases.truths import KNOWN, NEAR_TWINS, OPEN, TRUTHS, truth_named
 from nmt_core.errors import BenchError
-from nmt_diagnose.blind.draw import MIXTURE, STRENGTHS, draw_cases
-from nmt_diagnose.blind.laboratory import record_backbone, record_random
-from nmt_diagnose.blind.make import bag_hash, make_campaign
-from nmt_diagnose.blind.priors import LARGEST_SHIFT, parameters
-from nmt_diagnose.blind.rig_edits import Edit, rig_yaml, with_edits
-from nmt_diagnose.blind.strength import spot_key
-from nmt_diagnose.blind.truths import KNOWN, NEAR_TWINS, OPEN, TRUTHS, truth_named
-from nmt_plant.rig import load_rig
 from nmt_record.bag_reader import Bag
+from nmt_rig.rig import load_rig
 
 RIG = short_rig()
 MODEL = RIG.model()

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmt_diagnose.blind import strength
-from nmt_diagnose.blind.strength import Observed, Sensitivity
-from nmt_diagnose.blind.truths import TRUTHS
+from nmt_blind.cases import strength
+from nmt_blind.cases.strength import Observed, Sensitivity
+from nmt_blind.cases.truths import TRUTHS
 
 ROWS = 60
 LEVEL = np.repeat(np.arange(12.0), 5)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nmt_blind.campaign.calibrate import QUESTIONS, calibrate, learn
+from nmt_blind.campaign.scored_case import ScoredCase, scored_case
 from nmt_core.errors import BenchError
-from nmt_diagnose.campaign.calibrate import QUESTIONS, calibrate, learn
-from nmt_diagnose.campaign.scored_case import ScoredCase, scored_case
 from nmt_diagnose.inference.confidence import CONFIDENCE_FILE, Reliability, confidence
 
 GAP, UNNAMED, FIRST = QUESTIONS

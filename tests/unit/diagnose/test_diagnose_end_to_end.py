@@ -13,7 +13,7 @@ from unit.diagnose.twin_evidence import chain, evidence_of_twin, real
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.inference.diagnose import DiagnosisSettings, Outcome, diagnose_evidence
 from nmt_diagnose.inference.diagnosis import Verdict
-from nmt_plant.rig import Rig
+from nmt_rig.rig import Rig
 
 MODEL = chain()
 KNOWN = ("cubic_stiffness", "phase_offset", "viscous_damping")

@@ -17,7 +17,7 @@ from nmt_core.test_kind import TestKind
 from nmt_diagnose.evidence.conditions import PhaseResonanceTest
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.read_evidence import read_evidence
-from nmt_plant.rig import load_rig
+from nmt_rig.rig import load_rig
 
 RIG = rig_with_noise()
 

@@ -16,7 +16,7 @@ from nmt_diagnose.evidence.read_evidence import read_evidence
 from nmt_diagnose.evidence.settings import EvidenceSettings
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.settings import TwinSettings
-from nmt_plant.rig import Rig
+from nmt_rig.rig import Rig
 
 # The twin refines the mesh at least twice; so does the plant here.
 MESH = ["structure.mesh_refinement=2"]

@@ -16,8 +16,8 @@ from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.read_evidence import read_evidence
 from nmt_diagnose.evidence.record_evidence import interpolated, spread_samples, white_noise
 from nmt_diagnose.evidence.summary import as_inputs, found_tests, table_lines
-from nmt_plant.rig import Rig, load_rig
 from nmt_record.imported_run import read_import, write_import
+from nmt_rig.rig import Rig, load_rig
 
 RATE = 1e7 / 2**14
 NATURAL_HZ, RATIO = 68.6, 0.047

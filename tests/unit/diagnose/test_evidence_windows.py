@@ -19,8 +19,8 @@ from nmt_diagnose.evidence.moderated_variance import moderated
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.random_evidence import REACH, choose_bins, local_responses
 from nmt_diagnose.evidence.read_evidence import read_evidence
-from nmt_plant.model.linear_modes import damped_modes
-from nmt_plant.rig import Rig, load_rig
+from nmt_rig.model.linear_modes import damped_modes
+from nmt_rig.rig import Rig, load_rig
 
 LINEAR = ["local_elements=[]"]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nmt_bench.cli import main
-from nmt_plant.rig import load_rig
+from nmt_rig.rig import load_rig
 
 RATE = 1e7 / 2**14
 HOW_TO = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "diagnose-a-record.md"

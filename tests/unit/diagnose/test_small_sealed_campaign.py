@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from nmt_diagnose.blind.make import make_campaign
-from nmt_diagnose.campaign.run import run_campaign
-from nmt_diagnose.campaign.score import Scores, score_campaign
-from nmt_diagnose.campaign.statistics import Proportion
+from nmt_blind.campaign.run import run_campaign
+from nmt_blind.campaign.score import Scores, score_campaign
+from nmt_blind.campaign.statistics import Proportion
+from nmt_blind.cases.make import make_campaign
 
 CASES, SEED, JOBS = 20, 9001, 2
 

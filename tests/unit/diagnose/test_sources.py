@@ -13,7 +13,7 @@ from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.sources import generic_sources, places
 from nmt_diagnose.twin.forward import Forward
-from nmt_plant.rig import Rig
+from nmt_rig.rig import Rig
 
 MODEL = chain()
 

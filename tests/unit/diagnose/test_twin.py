@@ -21,14 +21,14 @@ from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_plant.device import DriveCommand, Waveform
-from nmt_plant.model.forced_response import ForcedProblem
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.model.linear_modes import sticking_modes
-from nmt_plant.model.phase_resonance import phase_resonant_backbone
-from nmt_plant.rig import Rig, load_rig, validate_rig
-from nmt_plant.rig_file import RigDocument
-from nmt_plant.rig_model import build_elements, build_structure, build_system
 from nmt_plant.simulated_rig import SimulatedRig
+from nmt_rig.model.forced_response import ForcedProblem
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.model.linear_modes import sticking_modes
+from nmt_rig.model.phase_resonance import phase_resonant_backbone
+from nmt_rig.rig import Rig, load_rig, validate_rig
+from nmt_rig.rig_file import RigDocument
+from nmt_rig.rig_model import build_elements, build_structure, build_system
 
 PLAIN = TwinSettings(harmonics=7, mesh_refinement=1)
 

@@ -22,7 +22,7 @@ from nmt_diagnose.evidence.observables import Part
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_diagnose.twin.settings import TwinSettings
-from nmt_plant.rig import Rig, load_rig
+from nmt_rig.rig import Rig, load_rig
 
 # label -> θ; strengths in scales, shapes as ln of scales.
 ON_THE_CHAIN = {

@@ -11,8 +11,8 @@ from unit.diagnose.twin_tests import chain, level, locked, noise_test, rows_of
 
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.twin.forward import Forward
-from nmt_plant.rig import Rig, validate_rig
-from nmt_plant.rig_file import RigDocument
+from nmt_rig.rig import Rig, validate_rig
+from nmt_rig.rig_file import RigDocument
 
 DRIVES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.2, 1.6)
 FREQUENCY = 21.0

@@ -10,8 +10,8 @@ import numpy as np
 from nmt_core.blocks import Quantity
 from nmt_diagnose.evidence.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest
 from nmt_diagnose.evidence.observables import Part, Rows
-from nmt_plant.rig import Rig, validate_rig
-from nmt_plant.rig_file import RigDocument
+from nmt_rig.rig import Rig, validate_rig
+from nmt_rig.rig_file import RigDocument
 
 SHAKER = {
     "kind": "electrodynamic_shaker", "point": 1, "table_mass_kg": 0.024, "table_stiffness_n_m": 20707.0,

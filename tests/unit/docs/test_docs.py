@@ -98,7 +98,7 @@ def test_python_examples_compile_and_import_what_exists(place: str, code: str) -
 
 
 def test_the_rig_of_the_guide_loads(tmp_path: Path) -> None:
-    from nmt_plant.rig import load_rig
+    from nmt_rig.rig import load_rig
 
     text = (DOCS / "how-to" / "write-a-rig-file.md").read_text(encoding="utf-8")
     complete = re.search(r"```yaml\n(name:.*?)```", text, re.S)
@@ -120,7 +120,7 @@ def test_generated_tables_are_up_to_date(page: Path) -> None:
 
 def test_every_message_section_node_and_command_has_its_table() -> None:
     from nmt_diagnose.effects.library import library
-    from nmt_plant import rig
+    from nmt_rig import rig
 
     shown = {region for page in REFERENCE for region in make_reference.regions(page.read_text(encoding="utf-8"))}
     files = [
@@ -146,7 +146,7 @@ def test_a_stale_table_is_seen() -> None:
 
 
 def test_every_rig_key_has_a_meaning_and_no_other() -> None:
-    from nmt_plant import rig
+    from nmt_rig import rig
 
     for name, meanings in make_reference.RIG_MEANINGS.items():
         fields = set(getattr(rig, name).model_fields)

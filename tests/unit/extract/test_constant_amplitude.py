@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from nmt_bench.response_analysis import model_responses
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.constant_amplitude import SolvedPoints, fit_at_amplitudes, half_power, modal_amplitudes, solve_points
 from nmt_extract.swept_response import FrequencyResponseTable
-from nmt_plant.linear_description import linear_description
-from nmt_plant.reference import compute_reference
-from nmt_plant.rig import load_rig
+from nmt_report.response_analysis import model_responses
+from nmt_rig.linear_description import linear_description
+from nmt_rig.reference import compute_reference
+from nmt_rig.rig import load_rig
 
 OMEGA, DAMPING, MASS = 2.0 * math.pi * 100.0, 0.004, 2.0
 LINEAR = LinearDescription("test", 1, 0, (1,), (OMEGA,), (DAMPING,), ((MASS**-0.5,),), MASS**-0.5, OMEGA, DAMPING, 0.0)

@@ -15,10 +15,10 @@ from nmt_core.linear_description import LinearDescription
 from nmt_extract.linear_file import Linearity, description, frf_table, linear_mapping, linearity
 from nmt_extract.linear_test import LinearTest, LinearTestSettings, _target_of, linear_test
 from nmt_plant.device import DriveCommand, Waveform
-from nmt_plant.linear_description import linear_description
-from nmt_plant.rig import Rig, load_rig
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_record.segments import Signals
+from nmt_rig.linear_description import linear_description
+from nmt_rig.rig import Rig, load_rig
 
 BAND = (10.0, 2000.0)
 

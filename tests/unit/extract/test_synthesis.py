@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nmt_bench.response_analysis import interpolate_curve, model_responses
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.synthesis import Backbone, OtherModes, Synthesis, peak, resonance_error
-from nmt_plant.linear_description import linear_description
-from nmt_plant.reference import compute_reference
-from nmt_plant.rig import load_rig
+from nmt_report.response_analysis import interpolate_curve, model_responses
+from nmt_rig.linear_description import linear_description
+from nmt_rig.reference import compute_reference
+from nmt_rig.rig import load_rig
 
 OMEGA, DAMPING = 2 * np.pi * 370.0, 0.004
 SHAPE = np.array([0.4, 0.5 + 0.01j, -0.6])

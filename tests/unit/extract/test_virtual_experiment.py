@@ -12,10 +12,10 @@ from nmt_extract.lock_event import LockEvent
 from nmt_extract.modal_point import Status
 from nmt_extract.settings import ExtractionSettings
 from nmt_plant.device import DriveCommand, Waveform
-from nmt_plant.linear_description import linear_description
-from nmt_plant.reference import single_point_reference
-from nmt_plant.rig import load_rig
 from nmt_plant.simulated_rig import SimulatedRig
+from nmt_rig.linear_description import linear_description
+from nmt_rig.reference import single_point_reference
+from nmt_rig.rig import load_rig
 
 VOLTS = 1.0
 

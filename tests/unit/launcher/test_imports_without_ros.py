@@ -33,7 +33,7 @@ print("\\n".join(failed))
 def may_use_ros(module: str) -> bool:
     """Whether the design lets a module import ROS 2."""
     last = module.rpartition(".")[2]
-    bench = module.startswith(("nmt_bench.harness", "nmt_bench.run_command"))
+    bench = module.startswith(("nmt_bench.harness", "nmt_bench.commands.run_command"))
     return bench or last.endswith("_node") or last == "conversions"
 
 

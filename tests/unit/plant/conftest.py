@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from nmt_plant.model.assembly import ElectromechanicalSystem, assemble
-from nmt_plant.model.beam import euler_bernoulli_cantilever
-from nmt_plant.model.local_elements import Jenkins
-from nmt_plant.model.shaker import ElectrodynamicShaker
-from nmt_plant.model.structure import Structure
-from nmt_plant.rig import Rig, load_rig
+from nmt_rig.model.assembly import ElectromechanicalSystem, assemble
+from nmt_rig.model.beam import euler_bernoulli_cantilever
+from nmt_rig.model.local_elements import Jenkins
+from nmt_rig.model.shaker import ElectrodynamicShaker
+from nmt_rig.model.structure import Structure
+from nmt_rig.rig import Rig, load_rig
 
 SHAKER = ElectrodynamicShaker(0.024, 20707.0, 28.33, 0.019, 8.42e7, 57.17, 15.48, 140e-6, 3.0)
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from nmt_plant.device import DriveCommand, Waveform
-from nmt_plant.rig import Rig, load_rig, validate_rig
-from nmt_plant.rig_file import RigDocument
 from nmt_plant.simulated_rig import SimulatedRig
+from nmt_rig.rig import Rig, load_rig, validate_rig
+from nmt_rig.rig_file import RigDocument
 
 RATE = 10_000.0
 MASS, SPRING, DAMPER = 0.5, 20_000.0, 2.0

@@ -9,8 +9,8 @@ from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
 from nmt_plant.device import Device, DeviceState, DeviceStateError, DriveCommand, Waveform
 from nmt_plant.loopback_device import LoopbackDevice
-from nmt_plant.rig import load_rig
 from nmt_plant.simulated_rig import SimulatedRig
+from nmt_rig.rig import load_rig
 
 
 def simulated_beam() -> Device:

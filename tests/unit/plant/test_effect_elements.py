@@ -9,12 +9,12 @@ import pytest
 from scipy.integrate import cumulative_simpson, solve_ivp
 from unit.plant.effect_rigs import DAMPER, MASS, RATE, SPRING, harmonic, oscillator, run
 
-from nmt_plant.model.assembly import assemble, displacement_output
-from nmt_plant.model.attachments import BoucWen, FractionalDamper, LuGre
-from nmt_plant.model.chain import lumped_chain
-from nmt_plant.model.local_elements import Jenkins
-from nmt_plant.model.time_integration import TimeIntegrator
-from nmt_plant.rig_model import build_system
+from nmt_rig.model.assembly import assemble, displacement_output
+from nmt_rig.model.attachments import BoucWen, FractionalDamper, LuGre
+from nmt_rig.model.chain import lumped_chain
+from nmt_rig.model.local_elements import Jenkins
+from nmt_rig.model.time_integration import TimeIntegrator
+from nmt_rig.rig_model import build_system
 
 FORCE, HZ = 8.0, 30.0
 

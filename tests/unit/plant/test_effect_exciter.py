@@ -8,12 +8,12 @@ from scipy.integrate import cumulative_simpson, solve_ivp
 from unit.plant.effect_rigs import DAMPER, MASS, RATE, SPRING, beam, harmonic, oscillator, run
 
 from nmt_core.errors import BenchError
-from nmt_plant.linear_description import linear_description
-from nmt_plant.model.assembly import current_output, displacement_output, velocity_output
-from nmt_plant.model.time_integration import TimeIntegrator
-from nmt_plant.reference import compute_reference, single_point_reference, with_exciter_at
-from nmt_plant.rig import find_rig, load_rig
-from nmt_plant.rig_model import build_system
+from nmt_rig.linear_description import linear_description
+from nmt_rig.model.assembly import current_output, displacement_output, velocity_output
+from nmt_rig.model.time_integration import TimeIntegrator
+from nmt_rig.reference import compute_reference, single_point_reference, with_exciter_at
+from nmt_rig.rig import find_rig, load_rig
+from nmt_rig.rig_model import build_system
 
 SHAKER = {
     "kind": "electrodynamic_shaker",

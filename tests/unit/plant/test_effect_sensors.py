@@ -8,9 +8,9 @@ from unit.plant.effect_rigs import RATE, beam, harmonic, oscillator, run
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_plant.analogue_chain import AnalogueChain
-from nmt_plant.rig import load_rig
-from nmt_plant.sensors import Sensor, SensorChannel
+from nmt_rig.analogue_chain import AnalogueChain
+from nmt_rig.rig import load_rig
+from nmt_rig.sensors import Sensor, SensorChannel
 
 FREQUENCIES = (2.0, 20.0, 100.0, 250.0)
 

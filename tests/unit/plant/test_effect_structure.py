@@ -9,9 +9,9 @@ from scipy.optimize import brentq
 from unit.plant.effect_rigs import DAMPER, MASS, SPRING, beam, harmonic, oscillator, run
 
 from nmt_core.errors import BenchError
-from nmt_plant.linear_description import linear_description
-from nmt_plant.model.linear_modes import damped_modes, sticking_modes
-from nmt_plant.rig_model import build_structure, build_system
+from nmt_rig.linear_description import linear_description
+from nmt_rig.model.linear_modes import damped_modes, sticking_modes
+from nmt_rig.rig_model import build_structure, build_system
 
 LENGTH, WIDTH, HEIGHT, YOUNG, DENSITY = 0.7, 0.00527668, 0.01156978, 185e9, 7830.0
 BENDING = YOUNG * WIDTH * HEIGHT**3 / 12

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_plant.model.iwan import IwanJoint
-from nmt_plant.model.local_elements import JENKINS, LINEAR_SPRING
-from nmt_plant.rig import load_rig
-from nmt_plant.rig_model import build_elements, build_structure
-from nmt_plant.slipping_reference import softened
+from nmt_rig.model.iwan import IwanJoint
+from nmt_rig.model.local_elements import JENKINS, LINEAR_SPRING
+from nmt_rig.rig import load_rig
+from nmt_rig.rig_model import build_elements, build_structure
+from nmt_rig.slipping_reference import softened
 
 
 def monotonic_force(joint: IwanJoint, displacement: float) -> float:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmt_plant.model.assembly import assemble
-from nmt_plant.model.beam import euler_bernoulli_cantilever
-from nmt_plant.model.chain import lumped_chain
-from nmt_plant.model.linear_modes import damped_modes, sticking_modes
-from nmt_plant.model.local_elements import Jenkins
-from nmt_plant.model.propagator import phi_functions, propagator, state_space
-from nmt_plant.model.shaker import ElectrodynamicShaker
-from nmt_plant.model.structure import Structure
+from nmt_rig.model.assembly import assemble
+from nmt_rig.model.beam import euler_bernoulli_cantilever
+from nmt_rig.model.chain import lumped_chain
+from nmt_rig.model.linear_modes import damped_modes, sticking_modes
+from nmt_rig.model.local_elements import Jenkins
+from nmt_rig.model.propagator import phi_functions, propagator, state_space
+from nmt_rig.model.shaker import ElectrodynamicShaker
+from nmt_rig.model.structure import Structure
 
 
 def test_beam_meets_the_anchors(beam, joint):

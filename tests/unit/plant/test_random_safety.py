@@ -6,8 +6,8 @@ import numpy as np
 
 from nmt_core.blocks import BlockFlag, Quantity
 from nmt_plant.device import DriveCommand, Waveform
-from nmt_plant.rig import load_rig
 from nmt_plant.simulated_rig import SimulatedRig
+from nmt_rig.rig import load_rig
 
 
 def started(*overrides: str) -> SimulatedRig:

@@ -9,8 +9,8 @@ import pytest
 
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_plant.linear_description import linear_description
-from nmt_plant.rig import find_rig, load_rig
+from nmt_rig.linear_description import linear_description
+from nmt_rig.rig import find_rig, load_rig
 
 
 @pytest.fixture(scope="module")

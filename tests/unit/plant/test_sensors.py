@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nmt_core.blocks import Quantity
-from nmt_plant.sensors import Sensor, SensorChannel
+from nmt_rig.sensors import Sensor, SensorChannel
 
 RATE = 10_000.0
 

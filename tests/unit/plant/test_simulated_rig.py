@@ -11,8 +11,8 @@ from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
 from nmt_plant.benchmark import run_benchmark
 from nmt_plant.device import DriveCommand, Waveform
-from nmt_plant.rig import load_rig
 from nmt_plant.simulated_rig import TICK_ORDER, SimulatedRig
+from nmt_rig.rig import load_rig
 
 NOISY = ["sensors.0.noise_psd=2e-9", "sensors.0.noise_correlation_time_s=1e-5"]
 

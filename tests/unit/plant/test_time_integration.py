@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import simpson, solve_ivp
 
 from nmt_plant.benchmark import solve_ivp_peer
-from nmt_plant.model.assembly import (
+from nmt_rig.model.assembly import (
     OutputRow,
     acceleration_output,
     assemble,
@@ -15,8 +15,8 @@ from nmt_plant.model.assembly import (
     displacement_output,
     input_output,
 )
-from nmt_plant.model.chain import lumped_chain
-from nmt_plant.model.local_elements import (
+from nmt_rig.model.chain import lumped_chain
+from nmt_rig.model.local_elements import (
     CubicSpring,
     Jenkins,
     LinearDamper,
@@ -29,8 +29,8 @@ from nmt_plant.model.local_elements import (
     UnilateralStop,
     element_response,
 )
-from nmt_plant.model.propagator import state_space
-from nmt_plant.model.time_integration import IntegrationError, TimeIntegrator
+from nmt_rig.model.propagator import state_space
+from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator
 
 RATE = 10_000.0
 

@@ -10,11 +10,11 @@ import numpy as np
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.test_kind import TestKind
 from nmt_plant.device import DriveCommand, Waveform
-from nmt_plant.rig import load_rig
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.lock import LoopState
 from nmt_pll.settings import CONTROL_FORCE, LevelCommand, LoopSettings
 from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
+from nmt_rig.rig import load_rig
 
 
 @dataclass

@@ -10,10 +10,10 @@ import pytest
 from unit.pll.closed_loop import ClosedLoop
 
 from nmt_core.blocks import BlockFlag, Quantity
-from nmt_plant.linear_description import linear_description
-from nmt_plant.rig import load_rig
 from nmt_pll.lock import LoopState
 from nmt_pll.settings import CONTROL_FORCE, CONTROL_RESPONSE, LoopSettings
+from nmt_rig.linear_description import linear_description
+from nmt_rig.rig import load_rig
 
 RANGES = {2: (0.05, 1.5), 4: (1.0, 15.0), 5: (1.5, 20.0), 6: (1.5, 20.0)}
 LINEAR_LEVEL = {2: 0.05, 4: 0.5, 5: 0.5, 6: 0.5}

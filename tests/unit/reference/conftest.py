@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nmt_plant.model.beam import euler_bernoulli_cantilever
-from nmt_plant.model.local_elements import Jenkins, LocalElement
-from nmt_plant.model.shaker import ElectrodynamicShaker
-from nmt_plant.model.structure import Structure
+from nmt_rig.model.beam import euler_bernoulli_cantilever
+from nmt_rig.model.local_elements import Jenkins, LocalElement
+from nmt_rig.model.shaker import ElectrodynamicShaker
+from nmt_rig.model.structure import Structure
 
 
 @pytest.fixture(scope="session")

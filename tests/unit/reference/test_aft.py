@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_plant.model.aft import LocalForces
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.model.local_elements import (
+from nmt_rig.model.aft import LocalForces
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.model.local_elements import (
     CubicSpring,
     Jenkins,
     LinearDamper,

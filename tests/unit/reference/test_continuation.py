@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_plant.model.continuation import (
+from nmt_rig.model.continuation import (
     Branch,
     NotConvergedError,
     StepControl,

@@ -8,11 +8,11 @@ from scipy.linalg import eigh
 from scipy.special import ellipk
 
 from nmt_core.errors import BenchError
-from nmt_plant.model.chain import lumped_chain
-from nmt_plant.model.epmc import EpmcProblem, epmc_backbone
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.model.local_elements import CubicSpring, Jenkins
-from nmt_plant.model.structure import Structure
+from nmt_rig.model.chain import lumped_chain
+from nmt_rig.model.epmc import EpmcProblem, epmc_backbone
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.model.local_elements import CubicSpring, Jenkins
+from nmt_rig.model.structure import Structure
 
 ONE = np.array([1.0])
 

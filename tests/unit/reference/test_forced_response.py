@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_plant.model.assembly import OutputRow, assemble
-from nmt_plant.model.attachments import BoucWen, FractionalDamper, TunedMassQuadratic
-from nmt_plant.model.chain import lumped_chain
-from nmt_plant.model.forced_response import ForcedProblem, _DriveHeld, _ForceHeld, frequency_response
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.model.local_elements import CubicSpring, Jenkins, QuadraticDrag, UnilateralStop
-from nmt_plant.model.phase_resonance import _Quadrature
-from nmt_plant.model.time_integration import TimeIntegrator
+from nmt_rig.model.assembly import OutputRow, assemble
+from nmt_rig.model.attachments import BoucWen, FractionalDamper, TunedMassQuadratic
+from nmt_rig.model.chain import lumped_chain
+from nmt_rig.model.forced_response import ForcedProblem, _DriveHeld, _ForceHeld, frequency_response
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.model.local_elements import CubicSpring, Jenkins, QuadraticDrag, UnilateralStop
+from nmt_rig.model.phase_resonance import _Quadrature
+from nmt_rig.model.time_integration import TimeIntegrator
 
 ONE = np.array([1.0])
 BASIS = FourierBasis.up_to(7)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmt_plant.linear_description import linear_description
-from nmt_plant.reference import compute_reference, single_point_reference
-from nmt_plant.rig import load_rig
+from nmt_rig.linear_description import linear_description
+from nmt_rig.reference import compute_reference, single_point_reference
+from nmt_rig.rig import load_rig
 
 TWO_PI = 2.0 * np.pi
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_plant.model.assembly import assemble
-from nmt_plant.model.epmc import epmc_backbone
-from nmt_plant.model.forced_response import ForcedProblem
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.model.linear_modes import sticking_modes
-from nmt_plant.model.phase_resonance import (
+from nmt_rig.model.assembly import assemble
+from nmt_rig.model.epmc import epmc_backbone
+from nmt_rig.model.forced_response import ForcedProblem
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.model.linear_modes import sticking_modes
+from nmt_rig.model.phase_resonance import (
     estimated_mass,
     extract_mode,
     linear_phase_resonance,
@@ -129,7 +129,7 @@ def test_linear_phase_resonance_is_that_of_the_structure_alone(beam, joint, shak
 
 
 def test_drive_without_phase_resonance_is_refused(beam, shaker) -> None:
-    from nmt_plant.model.local_elements import Jenkins
+    from nmt_rig.model.local_elements import Jenkins
 
     elements = [Jenkins(beam.direction(2), 5e4, 1.0)]
     reference = float(sticking_modes(beam, elements, 2).frequencies[1])
@@ -139,7 +139,7 @@ def test_drive_without_phase_resonance_is_refused(beam, shaker) -> None:
 
 
 def test_levels_beyond_a_fold_are_refused_or_left_out(beam, shaker) -> None:
-    from nmt_plant.model.local_elements import Jenkins
+    from nmt_rig.model.local_elements import Jenkins
 
     elements = [Jenkins(beam.direction(2), 8e3, 1.0)]
     reference = float(sticking_modes(beam, elements, 2).frequencies[1])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_plant.reference import (
+from nmt_rig.reference import (
     REFERENCE_COLUMNS,
     compute_reference,
     convergence_table,
@@ -14,7 +14,7 @@ from nmt_plant.reference import (
     single_point_reference,
     write_reference_csv,
 )
-from nmt_plant.rig import Rig, load_rig
+from nmt_rig.rig import Rig, load_rig
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_plant.reference import single_point_reference
-from nmt_plant.rig import load_rig
-from nmt_plant.slipping_reference import single_point_reference_from_above, softened
+from nmt_rig.reference import single_point_reference
+from nmt_rig.rig import load_rig
+from nmt_rig.slipping_reference import single_point_reference_from_above, softened
 
 KEY = "local_elements.0.tangential_stiffness_n_m"
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmt_plant.model.assembly import OutputRow, assemble
-from nmt_plant.model.chain import lumped_chain
-from nmt_plant.model.forced_response import ForcedProblem, frequency_response
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.model.linear_modes import damped_modes
-from nmt_plant.model.local_elements import CubicSpring, Jenkins, UnilateralStop
-from nmt_plant.model.stability import floquet_stability
-from nmt_plant.model.time_integration import TimeIntegrator
+from nmt_rig.model.assembly import OutputRow, assemble
+from nmt_rig.model.chain import lumped_chain
+from nmt_rig.model.forced_response import ForcedProblem, frequency_response
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.model.linear_modes import damped_modes
+from nmt_rig.model.local_elements import CubicSpring, Jenkins, UnilateralStop
+from nmt_rig.model.stability import floquet_stability
+from nmt_rig.model.time_integration import TimeIntegrator
 
 ONE = np.array([1.0])
 

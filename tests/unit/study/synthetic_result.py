@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from nmt_bench.studies.case import StudyCase
-from nmt_bench.studies.case_reference import case_rig, epmc_at, single_point_at
 from nmt_extract.modal_point import MEASURED, Status
-from nmt_plant.linear_description import linear_description
+from nmt_rig.linear_description import linear_description
+from nmt_study.case import StudyCase
+from nmt_study.case_reference import case_rig, epmc_at, single_point_at
 
 
 def perfect_result(case: StudyCase, lost: tuple[int, ...] = ()) -> dict[str, Any]:

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from nmt_bench.studies.case import JOINT_KEY, StudyCase
-from nmt_bench.studies.case_store import CaseStore
 from nmt_core.errors import BenchError
+from nmt_study.case import JOINT_KEY, StudyCase
+from nmt_study.case_store import CaseStore
 
 CASE = StudyCase("point_2", "point 2", 2, (0.1, 0.3), loop_values={"cutoff": 20.0}, labels={"exciter": 2})
 

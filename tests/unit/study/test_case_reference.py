@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nmt_bench.studies.case import JOINT_KEY, StudyCase
-from nmt_bench.studies.case_reference import (
+from nmt_core.errors import BenchError
+from nmt_rig.reference import compute_reference, single_point_reference
+from nmt_rig.rig import load_rig
+from nmt_study.case import JOINT_KEY, StudyCase
+from nmt_study.case_reference import (
     epmc_at,
     fold_intervals,
     levels_for_amplitudes,
     single_point_at,
 )
-from nmt_core.errors import BenchError
-from nmt_plant.reference import compute_reference, single_point_reference
-from nmt_plant.rig import load_rig
 
 
 @pytest.mark.parametrize("point", [2, 6])

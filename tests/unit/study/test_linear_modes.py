@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nmt_bench.studies.linear_modes import amplitude_and_damping, distorted
 from nmt_extract.modal import modal_quantities
+from nmt_study.linear_modes import amplitude_and_damping, distorted
 
 RNG = np.random.default_rng(1)
 PHI = RNG.standard_normal((4, 2))

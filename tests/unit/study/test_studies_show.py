@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from unit.study.synthetic_result import perfect_result
 
-from nmt_bench.report_svg import figure_style
-from nmt_bench.studies import (
+from nmt_core.errors import BenchError
+from nmt_report.svg import figure_style
+from nmt_rig.rig import load_rig
+from nmt_study import (
     STUDIES,
     bench_time,
     exciter_location,
@@ -19,11 +21,9 @@ from nmt_bench.studies import (
     linear_modes,
     noise,
 )
-from nmt_bench.studies.study_report import index_page, study_page
-from nmt_bench.studies.study_runner import load_study
-from nmt_bench.studies.study_table import level_rows, summary_row
-from nmt_core.errors import BenchError
-from nmt_plant.rig import load_rig
+from nmt_study.study_report import index_page, study_page
+from nmt_study.study_runner import load_study
+from nmt_study.study_table import level_rows, summary_row
 
 
 def shown(module, results):

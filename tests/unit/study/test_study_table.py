@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from unit.study.synthetic_result import perfect_result
 
-from nmt_bench.studies.case import StudyCase
-from nmt_bench.studies.study_table import COLUMNS, at_amplitude, csv_text, level_rows, summary_row
+from nmt_study.case import StudyCase
+from nmt_study.study_table import COLUMNS, at_amplitude, csv_text, level_rows, summary_row
 
 
 @pytest.fixture(scope="module")

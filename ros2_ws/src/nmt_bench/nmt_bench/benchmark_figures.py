@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_bench.sample_run import record_sample_run
 from nmt_core.errors import BenchError
+from nmt_session.sample_run import record_sample_run
 
 LIMIT_KERNEL = 200.0
 LIMIT_PROCESSES = 40.0
@@ -49,7 +49,7 @@ class Figure:
 def plant_figures(seconds: float) -> list[Figure]:
     """Time integration of the beam beside its limit and beside scipy's solve_ivp."""
     from nmt_plant.benchmark import run_benchmark
-    from nmt_plant.rig import load_rig
+    from nmt_rig.rig import load_rig
 
     rig = load_rig("beam")
     run_benchmark(rig, 0.2, 0.01)  # compiles or loads the kernel
@@ -71,11 +71,11 @@ def plant_figures(seconds: float) -> list[Figure]:
 
 def reference_figures(_: float) -> list[Figure]:
     """Harmonic balance of the beam: EPMC backbone and a forced response beside their limits."""
-    from nmt_plant.model.forced_response import ForcedProblem, frequency_response
-    from nmt_plant.model.fourier_basis import FourierBasis
-    from nmt_plant.reference import compute_reference
-    from nmt_plant.rig import load_rig
-    from nmt_plant.rig_model import build_system
+    from nmt_rig.model.forced_response import ForcedProblem, frequency_response
+    from nmt_rig.model.fourier_basis import FourierBasis
+    from nmt_rig.reference import compute_reference
+    from nmt_rig.rig import load_rig
+    from nmt_rig.rig_model import build_system
 
     rig = load_rig("beam")
     amplitudes = np.geomspace(1e-5, 2e-2, 100)
@@ -113,8 +113,8 @@ def bag_figures(seconds: float) -> list[Figure]:
     from rosbags.highlevel import AnyReader
 
     from nmt_extract.offline import extract_opened_bag
-    from nmt_plant.rig import load_rig
     from nmt_record.bag_reader import Bag
+    from nmt_rig.rig import load_rig
 
     rig = load_rig("beam")
     with tempfile.TemporaryDirectory(prefix="nmt-benchmark-") as folder:

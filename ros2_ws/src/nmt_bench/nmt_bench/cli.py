@@ -32,29 +32,35 @@ EXIT_INTERRUPTED = 130
 PROGRAM = "./nmt"
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("nmt_bench.demo_command", "the paper's virtual experiment, from the first node to the report"),
-    "run": ("nmt_bench.run_command", "one test of a rig: step the level, lock, record, extract, report"),
-    "extract": ("nmt_bench.extract_command", "modal properties from a recorded bag; equal to the live ones"),
-    "linear": ("nmt_bench.linear_command", "linear modal test: random excitation, frequency responses, fitted modes"),
-    "sweep": ("nmt_bench.sweep_command", "sine sweep or stepped sine with a held force; frequency responses"),
+    "demo": ("nmt_bench.commands.demo_command", "the paper's virtual experiment, from the first node to the report"),
+    "run": ("nmt_bench.commands.run_command", "one test of a rig: step the level, lock, record, extract, report"),
+    "extract": ("nmt_bench.commands.extract_command", "modal properties from a recorded bag; equal to the live ones"),
+    "linear": (
+        "nmt_bench.commands.linear_command",
+        "linear modal test: random drive, frequency responses, fitted modes",
+    ),
+    "sweep": ("nmt_bench.commands.sweep_command", "sine sweep or stepped sine with a held force; frequency responses"),
     "synthesis": (
-        "nmt_bench.synthesis_command",
+        "nmt_bench.commands.synthesis_command",
         "frequency response from a backbone alone, beside measured sweeps",
     ),
     "diagnose": (
-        "nmt_bench.diagnose_command",
+        "nmt_bench.commands.diagnose_command",
         "where model and real rig part, which effect causes it, how far the gap shrinks",
     ),
-    "import": ("nmt_bench.import_command", "data measured elsewhere (CSV, NPZ, UFF58, tables) as a bag"),
-    "export": ("nmt_bench.export_command", "a recording as UFF58, CSV or NPZ, ready for './nmt import'"),
+    "import": ("nmt_bench.commands.import_command", "data measured elsewhere (CSV, NPZ, UFF58, tables) as a bag"),
+    "export": ("nmt_bench.commands.export_command", "a recording as UFF58, CSV or NPZ, ready for './nmt import'"),
     "reference": (
-        "nmt_bench.reference_command",
+        "nmt_bench.commands.reference_command",
         "computed backbone of a rig's model (EPMC, harmonic balance)",
     ),
-    "study": ("nmt_bench.study_command", "the paper's studies, all cases, compared with references"),
-    "blind": ("nmt_bench.blind_command", "blind check of the diagnosis: make sealed cases, diagnose them, score"),
-    "params": ("nmt_bench.params_command", "parameter file of a rig for starting the nodes with 'ros2 run'"),
-    "benchmark": ("nmt_bench.benchmark_command", "speed of this machine beside limits and peers"),
+    "study": ("nmt_bench.commands.study_command", "the paper's studies, all cases, compared with references"),
+    "blind": (
+        "nmt_bench.commands.blind_command",
+        "blind check of the diagnosis: make sealed cases, diagnose, score",
+    ),
+    "params": ("nmt_bench.commands.params_command", "parameter file of a rig for starting the nodes with 'ros2 run'"),
+    "benchmark": ("nmt_bench.commands.benchmark_command", "speed of this machine beside limits and peers"),
 }
 """Module and one line of help of each command; ``test``, ``doctor`` and ``setup`` belong to the launcher."""
 

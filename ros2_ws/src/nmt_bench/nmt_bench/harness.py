@@ -36,11 +36,9 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from nmt_bench.bench_domain import BenchDomain, bench_environment
-from nmt_bench.node_plan import NODES, NodePlan, TestPlan, plan_nodes
-from nmt_bench.node_processes import NodeProcesses
-from nmt_bench.rig_snapshot import rig_text
-from nmt_bench.shared_memory import remove_dead_segments
+from nmt_bench.orchestration.bench_domain import BenchDomain, bench_environment
+from nmt_bench.orchestration.node_processes import NodeProcesses
+from nmt_bench.orchestration.shared_memory import remove_dead_segments
 from nmt_core.base_node import STATE_QOS, calm_collector
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
@@ -49,9 +47,11 @@ from nmt_extract.conversions import modal_point_from_message
 from nmt_extract.modal_point import ModalPoint
 from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import RunState
-from nmt_plant.rig import Rig, load_rig
+from nmt_rig.rig import Rig, load_rig
+from nmt_rig.rig_snapshot import rig_text
 from nmt_sequencer.level_plan import parse_levels
 from nmt_sequencer.run_machine import ResultCode
+from nmt_session.node_plan import NODES, NodePlan, TestPlan, plan_nodes
 
 START_TIMEOUT = 60.0
 _POLL = 0.02
@@ -126,7 +126,7 @@ class Bench:
         domain_id: ROS domain; None = any that no other bench uses.
         node_values: further parameters by node name.
         control: what the levels are: ``voltage`` (V), ``response`` (m or m/s²) or ``force`` (N).
-        strategy: ``stepped`` or ``ramp``, see :class:`nmt_bench.node_plan.TestPlan`.
+        strategy: ``stepped`` or ``ramp``, see :class:`nmt_session.node_plan.TestPlan`.
         test, frequencies_hz, band_hz, rate_hz_s, frequency_end_hz, duration: kind of test and its settings, see there.
             A stepped sine with several frequencies and one level is run at that level at each of them.
 

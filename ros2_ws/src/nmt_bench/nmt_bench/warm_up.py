@@ -5,15 +5,15 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from nmt_bench.sample_run import record_sample_run
 from nmt_diagnose.twin.warm_up import warm_up_twin
 from nmt_extract.offline import extract_bag
-from nmt_plant.linear_description import linear_description
-from nmt_plant.reference import compute_reference, single_point_reference
-from nmt_plant.rig import load_rig
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings
+from nmt_rig.linear_description import linear_description
+from nmt_rig.reference import compute_reference, single_point_reference
+from nmt_rig.rig import load_rig
+from nmt_session.sample_run import record_sample_run
 
 
 def warm_up() -> None:

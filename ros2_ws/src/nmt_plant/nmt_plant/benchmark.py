@@ -10,15 +10,14 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from nmt_core.blocks import FloatArray
-
-from .device import DriveCommand, Waveform
-from .linear_description import linear_description
-from .model.assembly import ElectromechanicalSystem
-from .model.local_elements import JENKINS
-from .model.propagator import state_space
-from .rig import Rig
-from .rig_model import build_system
-from .simulated_rig import SimulatedRig
+from nmt_plant.device import DriveCommand, Waveform
+from nmt_plant.simulated_rig import SimulatedRig
+from nmt_rig.linear_description import linear_description
+from nmt_rig.model.assembly import ElectromechanicalSystem
+from nmt_rig.model.local_elements import JENKINS
+from nmt_rig.model.propagator import state_space
+from nmt_rig.rig import Rig
+from nmt_rig.rig_model import build_system
 
 
 @dataclass(frozen=True)

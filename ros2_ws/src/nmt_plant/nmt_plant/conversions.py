@@ -6,8 +6,7 @@ from typing import Any
 
 from nmt_core.errors import BenchError
 from nmt_core.wire import read_drive
-
-from .device import DriveCommand, Waveform
+from nmt_plant.device import DriveCommand, Waveform
 
 
 def command_from_message(message: Any) -> DriveCommand:

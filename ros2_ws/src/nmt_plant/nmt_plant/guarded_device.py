@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 from nmt_core.blocks import BlockFlag, FloatArray, OscillatorPhase, Quantity, SampleBlock
-
-from .device import Device, DriveCommand, Waveform
-from .limits import LimitGuard
-from .oscillator import Oscillator, OscillatorBlock, check_command
-from .watchdog import DriveWatchdog
+from nmt_plant.device import Device, DriveCommand, Waveform
+from nmt_plant.limits import LimitGuard
+from nmt_plant.oscillator import Oscillator, OscillatorBlock, check_command
+from nmt_plant.watchdog import DriveWatchdog
 
 # The order in which `tick` works; tests hold it to this.
 TICK_ORDER = ("commands", "measure", "compute", "safety", "actuate", "publish")

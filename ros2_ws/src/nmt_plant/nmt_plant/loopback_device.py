@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from nmt_core.blocks import FloatArray, Quantity
-
-from .guarded_device import ChannelGroup, GuardedDevice, GuardSettings
-from .oscillator import OscillatorBlock
+from nmt_plant.guarded_device import ChannelGroup, GuardedDevice, GuardSettings
+from nmt_plant.oscillator import OscillatorBlock
 
 
 class LoopbackDevice(GuardedDevice):

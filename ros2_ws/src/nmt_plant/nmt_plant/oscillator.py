@@ -16,8 +16,7 @@ from scipy.signal import butter, sosfilt, sosfreqz
 from nmt_core.blocks import FloatArray, OscillatorPhase
 from nmt_core.errors import BenchError
 from nmt_core.ramp import half_cosine
-
-from .device import DriveCommand, Waveform
+from nmt_plant.device import DriveCommand, Waveform
 
 
 @njit(cache=True)

@@ -16,12 +16,11 @@ from nmt_core.parameters import Parameter
 from nmt_core.wire import BlockWriter
 from nmt_msgs.msg import Drive, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
-
-from .conversions import command_from_bytes, command_from_message
-from .device import Device, DeviceFault, DeviceState
-from .lockstep import LockstepGate
-from .rig import load_rig
-from .simulated_rig import SimulatedRig
+from nmt_plant.conversions import command_from_bytes, command_from_message
+from nmt_plant.device import Device, DeviceFault, DeviceState
+from nmt_plant.lockstep import LockstepGate
+from nmt_plant.simulated_rig import SimulatedRig
+from nmt_rig.rig import load_rig
 
 PARAMETERS = (
     Parameter("rig_file", "", "", "Rig file to simulate: a path, or the name of a rig that comes with the bench."),

@@ -9,12 +9,12 @@ import numpy as np
 
 from nmt_core.blocks import BlockFlag, FloatArray, Quantity
 from nmt_core.errors import BenchError
-
-from .device import DeviceFault, DriveCommand
-from .drift import Drift
-from .guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings
-from .limits import within_limit
-from .model.assembly import (
+from nmt_plant.device import DeviceFault, DriveCommand
+from nmt_plant.guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings
+from nmt_plant.limits import within_limit
+from nmt_plant.oscillator import OscillatorBlock
+from nmt_rig.drift import Drift
+from nmt_rig.model.assembly import (
     ElectromechanicalSystem,
     OutputRow,
     acceleration_output,
@@ -23,11 +23,10 @@ from .model.assembly import (
     input_output,
     velocity_output,
 )
-from .model.time_integration import IntegrationError, TimeIntegrator
-from .oscillator import OscillatorBlock
-from .rig import Rig, ShakerSection
-from .rig_model import build_system, input_per_volt
-from .sensors import Sensor, SensorChannel
+from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator
+from nmt_rig.rig import Rig, ShakerSection
+from nmt_rig.rig_model import build_system, input_per_volt
+from nmt_rig.sensors import Sensor, SensorChannel
 
 __all__ = ["TICK_ORDER", "SimulatedRig", "rig_sensors", "sensor_output", "sensor_row"]
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from nmt_plant.rig import BeamSection, IwanSection, JenkinsSection, Rig
-
-from .effect import Effect, EffectParameter, Placement, Reported
-from .operating_range import OperatingRange
-from .rig_edit import with_element, with_value
-from .structure_effects import spots
+from nmt_diagnose.effects.effect import Effect, EffectParameter, Placement, Reported
+from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.rig_edit import with_element, with_value
+from nmt_diagnose.effects.structure_effects import spots
+from nmt_rig.rig import BeamSection, IwanSection, JenkinsSection, Rig
 
 # Slip displacement as multiples of the largest amplitude: above 1 the contact sticks and is a spring.
 SLIP_GRID = (0.03, 0.1, 0.3, 0.7)

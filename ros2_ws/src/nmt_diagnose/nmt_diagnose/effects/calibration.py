@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import exp, log
 
-from nmt_plant.rig import (
+from nmt_diagnose.effects.effect import Place
+from nmt_diagnose.effects.rig_edit import Path, value_at, with_value
+from nmt_rig.rig import (
     BeamSection,
     ChainSection,
     CubicSpringSection,
@@ -24,9 +26,6 @@ from nmt_plant.rig import (
     TwoSidedGapSection,
     UnilateralStopSection,
 )
-
-from .effect import Place
-from .rig_edit import Path, value_at, with_value
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from nmt_plant.rig import Rig
-
-from .operating_range import OperatingRange
+from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_rig.rig import Rig
 
 Place = Literal["structure", "boundary", "joint", "exciter", "force_sensor", "response_sensor", "controller", "time"]
 

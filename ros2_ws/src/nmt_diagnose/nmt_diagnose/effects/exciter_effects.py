@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from nmt_plant.rig import BeamSection, CubicSpringSection, LinearSpringSection, Rig, ShakerSection
-
-from .effect import Effect, EffectParameter, Placement, Reported
-from .operating_range import OperatingRange
-from .rig_edit import value_at, with_element, with_value
+from nmt_diagnose.effects.effect import Effect, EffectParameter, Placement, Reported
+from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.rig_edit import value_at, with_element, with_value
+from nmt_rig.rig import BeamSection, CubicSpringSection, LinearSpringSection, Rig, ShakerSection
 
 LARGE_SIGNAL = "Klippel, J. Audio Eng. Soc. 54 (2006) 907 (large-signal parameters of electrodynamic transducers)"
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 from functools import cache
 
 from nmt_core.errors import BenchError
-from nmt_plant.rig import Rig
-
-from .boundary_effects import BOUNDARY_EFFECTS, JOINT_EFFECTS
-from .effect import Candidate, Effect
-from .exciter_effects import EXCITER_EFFECTS
-from .operating_range import OperatingRange
-from .sensor_effects import SENSOR_EFFECTS
-from .structure_effects import STRUCTURE_EFFECTS
-from .time_effects import CONTROLLER_EFFECTS, TIME_EFFECTS
+from nmt_diagnose.effects.boundary_effects import BOUNDARY_EFFECTS, JOINT_EFFECTS
+from nmt_diagnose.effects.effect import Candidate, Effect
+from nmt_diagnose.effects.exciter_effects import EXCITER_EFFECTS
+from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.sensor_effects import SENSOR_EFFECTS
+from nmt_diagnose.effects.structure_effects import STRUCTURE_EFFECTS
+from nmt_diagnose.effects.time_effects import CONTROLLER_EFFECTS, TIME_EFFECTS
+from nmt_rig.rig import Rig
 
 
 @cache

@@ -10,10 +10,9 @@ from math import exp
 import numpy as np
 
 from nmt_core.blocks import FloatArray
-from nmt_plant.rig import Rig
-
-from .calibration import CalibrationParameter
-from .effect import Candidate, EffectParameter, Placement
+from nmt_diagnose.effects.calibration import CalibrationParameter
+from nmt_diagnose.effects.effect import Candidate, EffectParameter, Placement
+from nmt_rig.rig import Rig
 
 # Prior standard deviations of θ: a strength of three scales is still ordinary.
 STRENGTH_STD = 3.0

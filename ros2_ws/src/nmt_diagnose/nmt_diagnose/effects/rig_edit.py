@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TypeAlias
 
-from nmt_plant.rig import AnyElement, Rig
+from nmt_rig.rig import AnyElement, Rig
 
 Path: TypeAlias = tuple[str | int, ...]
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from math import exp, pi
 
-from nmt_plant.rig import Rig, SensorSection, TransverseSection
-
-from .effect import Effect, EffectParameter, Place, Placement, Reported
-from .operating_range import OperatingRange
-from .rig_edit import value_at, with_value
+from nmt_diagnose.effects.effect import Effect, EffectParameter, Place, Placement, Reported
+from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.rig_edit import value_at, with_value
+from nmt_rig.rig import Rig, SensorSection, TransverseSection
 
 RESPONSES = ("displacement", "velocity", "acceleration")
 MAINS_HZ = (50.0, 60.0)

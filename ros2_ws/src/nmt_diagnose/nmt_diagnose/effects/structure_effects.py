@@ -6,7 +6,10 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from nmt_plant.rig import (
+from nmt_diagnose.effects.effect import Effect, EffectParameter, Placement
+from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.rig_edit import with_element, with_value
+from nmt_rig.rig import (
     AddedMassSection,
     ChainSection,
     CubicSpringSection,
@@ -19,10 +22,6 @@ from nmt_plant.rig import (
     TwoSidedGapSection,
     UnilateralStopSection,
 )
-
-from .effect import Effect, EffectParameter, Placement
-from .operating_range import OperatingRange
-from .rig_edit import with_element, with_value
 
 # Gaps as multiples of the largest amplitude at their point: a stop that is not reached does nothing.
 GAP_GRID = (0.1, 0.3, 0.5, 0.7, 0.9)

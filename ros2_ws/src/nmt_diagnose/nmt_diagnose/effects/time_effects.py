@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from nmt_plant.rig import IwanSection, JenkinsSection, Rig, TanhFrictionSection
-
-from .effect import Effect, EffectParameter, Placement
-from .operating_range import OperatingRange
-from .rig_edit import value_at, with_value
+from nmt_diagnose.effects.effect import Effect, EffectParameter, Placement
+from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.rig_edit import value_at, with_value
+from nmt_rig.rig import IwanSection, JenkinsSection, Rig, TanhFrictionSection
 
 
 def _preload_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.conditions import MeasuredChannel
-from nmt_plant.linear_description import linear_description
-from nmt_plant.model.assembly import ElectromechanicalSystem
-from nmt_plant.rig import Rig
-from nmt_plant.rig_model import build_system, input_per_volt
+from nmt_rig.linear_description import linear_description
+from nmt_rig.model.assembly import ElectromechanicalSystem
+from nmt_rig.rig import Rig
+from nmt_rig.rig_model import build_system, input_per_volt
 
 ComplexArray = NDArray[np.complex128]
 

@@ -27,10 +27,10 @@ from nmt_diagnose.evidence.ring_down_evidence import ring_down_evidence
 from nmt_diagnose.evidence.row_table import empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
 from nmt_diagnose.evidence.table_evidence import table_evidence
-from nmt_plant.rig import Rig
 from nmt_record.bag_reader import Bag
 from nmt_record.observables import observable_tables
 from nmt_record.segments import Segment, segments
+from nmt_rig.rig import Rig
 
 _LOCKED = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE)
 _FEW_LEVELS = 3

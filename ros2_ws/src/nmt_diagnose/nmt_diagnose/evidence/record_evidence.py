@@ -27,7 +27,7 @@ from nmt_diagnose.evidence.model_view import ModelView
 from nmt_diagnose.evidence.observables import Evidence, Part, joined
 from nmt_diagnose.evidence.row_table import Place, RowTable, empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
-from nmt_plant.model.linear_modes import damped_modes
+from nmt_rig.model.linear_modes import damped_modes
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _DECAY = 5.0

@@ -23,7 +23,7 @@ from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.row_table import Place, RowTable, empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
 from nmt_extract.harmonics import resolvable_harmonics, segment_moments, solve_moments
-from nmt_plant.model.linear_modes import damped_modes
+from nmt_rig.model.linear_modes import damped_modes
 
 _HALF_WIDTH = 3
 _FEWEST_PERIODS = 12

@@ -13,8 +13,8 @@ from nmt_diagnose.evidence.model_view import ORDER, ModelView, nearest_ratio
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.row_table import Place, RowTable, empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
-from nmt_plant.rig import Rig
 from nmt_record.observables import ObservableTable
+from nmt_rig.rig import Rig
 
 _WRONG_FREQUENCY = 1.6
 _WITHOUT_STD = 0.02

@@ -20,7 +20,7 @@ from nmt_diagnose.evidence.conditions import PhaseResonanceTest
 from nmt_diagnose.inference.fit import Fit, FitError, fit
 from nmt_diagnose.inference.problem import BoolArray, Problem
 from nmt_diagnose.inference.scan import Direction, Score, scores
-from nmt_plant.rig import Rig
+from nmt_rig.rig import Rig
 
 _SHAPE_STARTS = (0.5, 1.0, 2.0)
 # Penalty of the prior for each parameter from which a fit of the model alone is doubted; shares of the levels that it

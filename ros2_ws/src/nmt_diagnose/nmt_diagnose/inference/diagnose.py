@@ -46,7 +46,7 @@ from nmt_diagnose.inference.sentences import sentences
 from nmt_diagnose.inference.sources import generic_sources, places
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.operating_range import operating_range
-from nmt_plant.rig import Rig, load_rig
+from nmt_rig.rig import Rig, load_rig
 
 Progress = Callable[[str], None]
 _RANKED = 8

@@ -16,7 +16,7 @@ from nmt_diagnose.inference.confidence import Confidence
 from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN, Hypothesis, equivalence_classes, probabilities
-from nmt_plant.rig import Rig
+from nmt_rig.rig import Rig
 
 _UNLIKELY = math.log(1e5)
 

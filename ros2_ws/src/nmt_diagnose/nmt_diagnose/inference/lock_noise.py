@@ -16,7 +16,7 @@ from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.inference.problem import Nuisance, PredictionLike
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.settings import TwinSettings
-from nmt_plant.rig import Rig
+from nmt_rig.rig import Rig
 
 _STEP = 1e-4
 _LEAST = 0.1

@@ -30,8 +30,8 @@ from nmt_diagnose.inference.judgement import ExplanationClass
 from nmt_diagnose.inference.problem import ForwardLike, Problem
 from nmt_diagnose.inference.scan import Projector
 from nmt_diagnose.twin.forward import Forward
-from nmt_plant.rig import Rig
-from nmt_plant.rig_model import build_elements, build_structure
+from nmt_rig.rig import Rig
+from nmt_rig.rig_model import build_elements, build_structure
 
 _LEAST = 3.0
 _MOST = 99.0  # more says nothing more

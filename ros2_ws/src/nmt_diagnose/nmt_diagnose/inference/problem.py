@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.evidence.observables import Evidence, IntArray, Part
-from nmt_plant.rig import Rig
+from nmt_rig.rig import Rig
 
 BoolArray = NDArray[np.bool_]
 

@@ -20,7 +20,7 @@ from nmt_diagnose.inference.generic_source import SourceScore, source_score
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.residual_map import channels_of
 from nmt_diagnose.twin.forward import Forward, Prediction
-from nmt_plant.rig import ElementSection, Rig
+from nmt_rig.rig import ElementSection, Rig
 
 _NAME = re.compile(r"(?P<kind>level|line) (?P<number>\d+)(?: order (?P<order>\d+))?(?: (?P<part>re|im))?(?P<rest>.*)$")
 # Range of ln(level) and ln(line) over which a source keeps its size.

@@ -9,11 +9,10 @@ import numpy as np
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.conditions import BackboneTable, LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.evidence.observables import Part, Rows
-from nmt_plant.rig import Rig, ShakerSection
-
-from .parts_cache import PartsCache, Setup
-from .phase_resonance_twin import PeriodicState, PhaseResonanceTwin
-from .settings import TwinSettings
+from nmt_diagnose.twin.parts_cache import PartsCache, Setup
+from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin
+from nmt_diagnose.twin.settings import TwinSettings
+from nmt_rig.rig import Rig, ShakerSection
 
 
 class BackboneTwin:

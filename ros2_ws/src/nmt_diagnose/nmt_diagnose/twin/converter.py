@@ -6,9 +6,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from nmt_core.blocks import FloatArray
-from nmt_plant.model.fourier_basis import FourierBasis
-
-from .linear_model import ComplexArray
+from nmt_diagnose.twin.linear_model import ComplexArray
+from nmt_rig.model.fourier_basis import FourierBasis
 
 SAMPLES = 512
 # Beyond this many steps of amplitude the staircase adds less than a hundredth of a step to any harmonic.

@@ -12,10 +12,9 @@ import numpy as np
 from numba import njit
 
 from nmt_core.blocks import FloatArray
-from nmt_plant.model.aft import LocalTables
-
-from .linear_model import ComplexArray, transfer_at
-from .periodic_kernel import harmonic_forces
+from nmt_diagnose.twin.linear_model import ComplexArray, transfer_at
+from nmt_diagnose.twin.periodic_kernel import harmonic_forces
+from nmt_rig.model.aft import LocalTables
 
 
 @njit(cache=True)

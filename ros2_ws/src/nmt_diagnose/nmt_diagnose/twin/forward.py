@@ -21,16 +21,15 @@ from nmt_diagnose.evidence.conditions import (
     Test,
 )
 from nmt_diagnose.evidence.observables import Part, Rows
-from nmt_plant.rig import Rig
-
-from .backbone_twin import BackboneTwin
-from .influence import Source, random_influence, resonance_influence, source_of
-from .parts_cache import PartsCache, joint_setup
-from .phase_resonance_twin import PhaseResonanceTwin
-from .random_twin import RandomTwin
-from .record_twin import RecordTwin
-from .ring_down_twin import RingDownTwin
-from .settings import TwinSettings
+from nmt_diagnose.twin.backbone_twin import BackboneTwin
+from nmt_diagnose.twin.influence import Source, random_influence, resonance_influence, source_of
+from nmt_diagnose.twin.parts_cache import PartsCache, joint_setup
+from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
+from nmt_diagnose.twin.random_twin import RandomTwin
+from nmt_diagnose.twin.record_twin import RecordTwin
+from nmt_diagnose.twin.ring_down_twin import RingDownTwin
+from nmt_diagnose.twin.settings import TwinSettings
+from nmt_rig.rig import Rig
 
 # Relative distance within which a line of the evidence is that of the mains.
 LINE_WIDTH = 0.01

@@ -14,14 +14,13 @@ import numpy as np
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.evidence.observables import Part
-from nmt_plant.rig import BeamSection, Rig
-
-from .linear_model import ComplexArray, LinearModel, OutputRows, linear_model
-from .parts_cache import PartsCache
-from .phase_resonance_twin import PeriodicState, PhaseResonanceTwin, resting_tangent
-from .random_twin import RandomTwin
-from .rig_parts import RigParts
-from .settings import TwinSettings
+from nmt_diagnose.twin.linear_model import ComplexArray, LinearModel, OutputRows, linear_model
+from nmt_diagnose.twin.parts_cache import PartsCache
+from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin, resting_tangent
+from nmt_diagnose.twin.random_twin import RandomTwin
+from nmt_diagnose.twin.rig_parts import RigParts
+from nmt_diagnose.twin.settings import TwinSettings
+from nmt_rig.rig import BeamSection, Rig
 
 # Share of the fundamental force (or of a channel's fundamental) that a unit source is.
 UNIT = 0.01

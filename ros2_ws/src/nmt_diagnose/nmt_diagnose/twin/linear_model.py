@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from nmt_core.blocks import FloatArray
-from nmt_plant.model.assembly import ElectromechanicalSystem
+from nmt_rig.model.assembly import ElectromechanicalSystem
 
 ComplexArray = NDArray[np.complex128]
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
-from nmt_plant.model.aft import POLYNOMIAL_DEGREE, LocalTables
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.model.local_elements import (
+from nmt_rig.model.aft import POLYNOMIAL_DEGREE, LocalTables
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.model.local_elements import (
     JENKINS,
     PARAMETER_COUNT,
     QUADRATIC_DRAG,

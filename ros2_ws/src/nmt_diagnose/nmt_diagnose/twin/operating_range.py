@@ -12,14 +12,13 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.evidence.conditions import MeasuredChannel, PhaseResonanceTest, RandomTest, RecordTest, Test
 from nmt_diagnose.evidence.observables import Rows
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.rig import BeamSection, ChainSection, Rig
-from nmt_plant.rig_model import build_system
-
-from .parts_cache import PartsCache, Setup
-from .phase_resonance_twin import PhaseResonanceTwin, resting_tangent
-from .rig_parts import RigParts
-from .settings import TwinSettings
+from nmt_diagnose.twin.parts_cache import PartsCache, Setup
+from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin, resting_tangent
+from nmt_diagnose.twin.rig_parts import RigParts
+from nmt_diagnose.twin.settings import TwinSettings
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.rig import BeamSection, ChainSection, Rig
+from nmt_rig.rig_model import build_system
 
 
 def operating_range(rig: Rig, tests: Sequence[Test], settings: TwinSettings | None = None) -> OperatingRange:

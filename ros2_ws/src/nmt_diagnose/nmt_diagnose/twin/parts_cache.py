@@ -6,11 +6,17 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from nmt_diagnose.evidence.conditions import MeasuredChannel
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.rig import Rig
-
-from .rig_parts import RigParts, channel_sections, channel_table, limit_table, rig_parts, with_exciter_at
-from .settings import TwinSettings
+from nmt_diagnose.twin.rig_parts import (
+    RigParts,
+    channel_sections,
+    channel_table,
+    limit_table,
+    rig_parts,
+    with_exciter_at,
+)
+from nmt_diagnose.twin.settings import TwinSettings
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.rig import Rig
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,8 @@ import numpy as np
 from numba import njit
 
 from nmt_core.blocks import FloatArray
-from nmt_plant.model.aft import LocalTables, local_forces
-
-from .linear_model import ComplexArray, transfer_at
+from nmt_diagnose.twin.linear_model import ComplexArray, transfer_at
+from nmt_rig.model.aft import LocalTables, local_forces
 
 # What is given besides the phase: ln of the drive's amplitude, or ln of the fundamental of one channel.
 DRIVE_GIVEN = -1

@@ -13,16 +13,15 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.evidence.conditions import MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.evidence.observables import Part, Rows
-from nmt_plant.model.aft import local_forces
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.rig import Rig
-
-from .converter import recorded_harmonics
-from .linear_model import ComplexArray
-from .parts_cache import PartsCache, Setup
-from .periodic_kernel import DRIVE_GIVEN, evaluate, factor_forces, newton, sensor_gain
-from .rig_parts import RigParts
-from .settings import TwinSettings
+from nmt_diagnose.twin.converter import recorded_harmonics
+from nmt_diagnose.twin.linear_model import ComplexArray
+from nmt_diagnose.twin.parts_cache import PartsCache, Setup
+from nmt_diagnose.twin.periodic_kernel import DRIVE_GIVEN, evaluate, factor_forces, newton, sensor_gain
+from nmt_diagnose.twin.rig_parts import RigParts
+from nmt_diagnose.twin.settings import TwinSettings
+from nmt_rig.model.aft import local_forces
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.rig import Rig
 
 VELOCITY_POWER = {Quantity.DISPLACEMENT: 1, Quantity.VELOCITY: 0, Quantity.ACCELERATION: -1}
 # Part of the measured frequency within which the model's resonance is looked for.

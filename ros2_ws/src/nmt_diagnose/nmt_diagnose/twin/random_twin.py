@@ -12,15 +12,14 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.evidence.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.evidence.observables import Part, Rows
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.rig import Rig
-
-from .linear_model import ComplexArray
-from .parts_cache import PartsCache, Setup
-from .periodic_kernel import sensor_gain
-from .phase_resonance_twin import resting_tangent
-from .rig_parts import RigParts
-from .settings import TwinSettings
+from nmt_diagnose.twin.linear_model import ComplexArray
+from nmt_diagnose.twin.parts_cache import PartsCache, Setup
+from nmt_diagnose.twin.periodic_kernel import sensor_gain
+from nmt_diagnose.twin.phase_resonance_twin import resting_tangent
+from nmt_diagnose.twin.rig_parts import RigParts
+from nmt_diagnose.twin.settings import TwinSettings
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.rig import Rig
 
 # |W|² of the Hann window at a line's neighbours and at itself.
 HANN = np.array([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])

@@ -12,16 +12,15 @@ import numpy as np
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.evidence.conditions import MeasuredChannel
-from nmt_plant.model.aft import LocalTables
-from nmt_plant.model.assembly import ElectromechanicalSystem
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.model.local_elements import LinearDamper, LinearSpring, LocalElement
-from nmt_plant.rig import BeamSection, ForceSection, Rig, SensorSection, ShakerSection
-from nmt_plant.rig_model import build_elements, build_exciter_elements, build_structure, build_system
-
-from .linear_model import LinearModel, OutputRows, linear_model
-from .local_tables import local_tables
-from .settings import TwinSettings
+from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model
+from nmt_diagnose.twin.local_tables import local_tables
+from nmt_diagnose.twin.settings import TwinSettings
+from nmt_rig.model.aft import LocalTables
+from nmt_rig.model.assembly import ElectromechanicalSystem
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.model.local_elements import LinearDamper, LinearSpring, LocalElement
+from nmt_rig.rig import BeamSection, ForceSection, Rig, SensorSection, ShakerSection
+from nmt_rig.rig_model import build_elements, build_exciter_elements, build_structure, build_system
 
 COVERED = frozenset(
     {

@@ -14,15 +14,14 @@ import numpy as np
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.conditions import RingDownTest
 from nmt_diagnose.evidence.observables import Part, Rows
-from nmt_plant.model.fourier_basis import FourierBasis
-from nmt_plant.rig import Rig
-
-from .decay_kernel import evaluate_decay
-from .parts_cache import PartsCache, Setup
-from .periodic_kernel import sensor_gain
-from .phase_resonance_twin import resting_tangent
-from .rig_parts import RigParts
-from .settings import TwinSettings
+from nmt_diagnose.twin.decay_kernel import evaluate_decay
+from nmt_diagnose.twin.parts_cache import PartsCache, Setup
+from nmt_diagnose.twin.periodic_kernel import sensor_gain
+from nmt_diagnose.twin.phase_resonance_twin import resting_tangent
+from nmt_diagnose.twin.rig_parts import RigParts
+from nmt_diagnose.twin.settings import TwinSettings
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.rig import Rig
 
 DecayState = tuple[FloatArray, tuple[str, ...], float]
 LARGEST_STEP = 0.05

@@ -15,9 +15,8 @@ from nmt_diagnose.evidence.conditions import (
     Test,
 )
 from nmt_diagnose.evidence.observables import Part, Rows
-from nmt_plant.rig import Rig
-
-from .forward import Forward
+from nmt_diagnose.twin.forward import Forward
+from nmt_rig.rig import Rig
 
 
 def warm_up_twin(rig: Rig) -> None:

@@ -1,0 +1,113 @@
+"""``./nmt benchmark``: speed of this machine beside limits and peers measured in the same run."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nmt_core.errors import BenchError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from nmt_bench.benchmark_figures import Figure
+
+    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+PARTS = ("plant", "reference", "bag", "bench")
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "benchmark",
+        help="speed of this machine beside limits and peers",
+        description=(
+            "Measures the plant's time integration, the harmonic-balance reference, the work per block of each "
+            "node, reading and extracting bags, and the whole bench with its nodes in one process and in one "
+            "process each. Each figure is printed beside its limit, or beside a peer measured in the same run. "
+            "Takes about a minute on an idle machine."
+        ),
+    )
+    parser.add_argument("--json", metavar="FILE", type=Path, help="also write the figures to this JSON file")
+    parser.add_argument(
+        "--part",
+        choices=PARTS,
+        action="append",
+        help="measure this part only; may be repeated (default: all parts)",
+    )
+    parser.add_argument(
+        "--seconds",
+        metavar="S",
+        type=float,
+        default=20.0,
+        help="bench time of each timed run, s (default: 20); longer is steadier",
+    )
+    parser.add_argument("--check", action="store_true", help="exit with code 1 if a limit is missed")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and print.
+
+    Returns:
+        0; with ``--check`` 1 if a limit is missed.
+
+    Raises:
+        BenchError: a wrong option.
+    """
+    if not 1.0 <= arguments.seconds <= 3600.0:
+        raise BenchError(f"--seconds must be between 1 and 3600, got {arguments.seconds:g}.")
+    if arguments.json is not None and not arguments.json.absolute().parent.is_dir():
+        raise BenchError(f"The folder of {arguments.json} does not exist; make it or give another --json file.")
+
+    from nmt_bench import benchmark_figures
+    from nmt_bench.commands.terminal import make_console
+
+    console = make_console()
+    parts: dict[str, Callable[[float], list[Figure]]] = {
+        "plant": benchmark_figures.plant_figures,
+        "reference": benchmark_figures.reference_figures,
+        "bag": benchmark_figures.bag_figures,
+        "bench": benchmark_figures.bench_figures,
+    }
+    figures: list[Figure] = []
+    for name in arguments.part or PARTS:
+        with console.status(f"measuring: {name}"):
+            figures += parts[name](arguments.seconds)
+    console.print(figure_table(figures))
+    if arguments.json is not None:
+        text = json.dumps({"figures": [asdict(figure) for figure in figures]}, indent=1, ensure_ascii=False)
+        arguments.json.write_text(text + "\n", encoding="utf-8")
+        console.print(f"Figures in {arguments.json}", markup=False)
+    sys.stdout.flush()
+    missed = [figure for figure in figures if figure.met is False]
+    return 1 if arguments.check and missed else 0
+
+
+def figure_table(figures: Sequence[Figure]) -> Table:
+    """The figures beside their limits and peers."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    from nmt_report.quantity_format import significant
+
+    table = Table(box=SIMPLE_HEAD, header_style="bold")
+    table.add_column("figure")
+    table.add_column("measured", justify="right", no_wrap=True)
+    table.add_column("beside", justify="right", no_wrap=True)
+    table.add_column("limit or peer")
+    table.add_column("")
+    for figure in figures:
+        if figure.value is None:
+            table.add_row(figure.name, "—", "", Text(figure.note, style="yellow"), "")
+            continue
+        verdict = {True: Text("met", style="green"), False: Text("missed", style="red"), None: Text("")}[figure.met]
+        beside = "" if figure.beside is None else f"{significant(figure.beside, 3)} {figure.unit}"
+        table.add_row(figure.name, f"{significant(figure.value, 3)} {figure.unit}", beside, figure.note, verdict)
+    return table

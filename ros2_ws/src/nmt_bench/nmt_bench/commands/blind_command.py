@@ -1,0 +1,267 @@
+"""``./nmt blind``: the blind check of the diagnosis — make sealed cases, diagnose them, score."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nmt_core.errors import BenchError
+
+if TYPE_CHECKING:
+    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+EXIT_DONE, EXIT_FAILED = 0, 1
+RIGS = ("beam", "joint_resonator")
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Add the command, its parts and their options."""
+    parser = subparsers.add_parser(
+        "blind",
+        help="blind check of the diagnosis: make sealed cases, diagnose them, score",
+        description=(
+            "Checks the diagnosis on simulated tests whose truth it cannot know. 'make' seals the truth and writes "
+            "bags, 'run' diagnoses them, 'score' opens the seal and compares. All parts go on where they stopped."
+        ),
+    )
+    parts = parser.add_subparsers(dest="part", metavar="PART", title="parts", required=True)
+    _add_make(parts)
+    _add_run(parts)
+    _add_score(parts)
+    _add_calibrate(parts)
+    _add_strengths(parts)
+
+
+def _add_make(parts: Subparsers) -> None:
+    make = parts.add_parser("make", help="draw cases, seal their truth, record their bags")
+    make.add_argument("--rig", choices=RIGS, default="beam", help="rig of the cases (default: beam)")
+    make.add_argument("--cases", metavar="N", type=int, default=400, help="number of cases (default: 400)")
+    make.add_argument(
+        "--seed", metavar="S", type=int, required=True, help="seed: even for development, odd for a sealed campaign"
+    )
+    make.add_argument("--sealed", action="store_true", help="a sealed campaign; needs an odd seed")
+    make.add_argument(
+        "--kinds",
+        metavar="KIND,…",
+        default="",
+        help="only these kinds of case: null, effect, open, compound, twin, withheld (default: all)",
+    )
+    _add_folder(make)
+    _add_jobs(make)
+
+
+def _add_run(parts: Subparsers) -> None:
+    run_part = parts.add_parser("run", help="diagnose all cases that have no result yet; the truth stays sealed")
+    _add_folder(run_part)
+    _add_results(run_part)
+    _add_jobs(run_part)
+    run_part.add_argument(
+        "--scheduler", metavar="ADDRESS", default="", help="Dask scheduler, tcp://host:port, in place of own processes"
+    )
+    run_part.add_argument(
+        "--discard-bags", action="store_true", help="remove the bags of a case once it is diagnosed; hashes stay"
+    )
+    run_part.add_argument("--again", action="store_true", help="diagnose cases that have a result, too")
+
+
+def _add_score(parts: Subparsers) -> None:
+    score = parts.add_parser("score", help="open the seal and compare the results with the truth")
+    _add_folder(score)
+    _add_results(score)
+    score.add_argument("--again", action="store_true", help="score although the seal has been opened before; is noted")
+    score.add_argument(
+        "--train",
+        metavar="DIR",
+        type=Path,
+        help="diagnosed development campaign that the generic classifier learns from",
+    )
+    score.add_argument(
+        "--docs", metavar="FILE", type=Path, nargs="?", const=Path("docs/diagnosis-results.md"),
+        help="write the score sheet as a page of the documentation, too (default: docs/diagnosis-results.md)",
+    )  # fmt: skip
+
+
+def _add_calibrate(parts: Subparsers) -> None:
+    part = parts.add_parser(
+        "calibrate", help="learn from diagnosed development campaigns how reliable the signs of a diagnosis are"
+    )
+    part.add_argument("campaigns", metavar="DIR", nargs="+", type=Path, help="folders of development campaigns")
+    part.add_argument("--out", metavar="FILE", type=Path, required=True, help="calibration to write, confidence.json")
+
+
+def _add_strengths(parts: Subparsers) -> None:
+    strengths = parts.add_parser("strengths", help="table of strengths of all effects of a rig, in standard deviations")
+    strengths.add_argument("--rig", choices=RIGS, default="beam", help="the rig (default: beam)")
+    strengths.add_argument("--effects", metavar="NAME,…", default="", help="only these effects (default: all)")
+    strengths.add_argument("--table", metavar="FILE", type=Path, help="the table (default: the program's own)")
+    _add_jobs(strengths)
+
+
+def _add_folder(part: argparse.ArgumentParser) -> None:
+    part.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder of the campaign")
+
+
+def _add_results(part: argparse.ArgumentParser) -> None:
+    part.add_argument(
+        "--results", metavar="DIR", type=Path, help="folder of the results (default: results in the campaign's folder)"
+    )
+
+
+def _add_jobs(part: argparse.ArgumentParser) -> None:
+    part.add_argument("--jobs", metavar="N", type=int, help="worker processes (default: one for each core)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do one part.
+
+    Returns:
+        0 if all went well, 1 if some cases have no diagnosis.
+
+    Raises:
+        BenchError: a folder, seed or option is refused.
+    """
+    parts = {"make": _make, "run": _run, "score": _score, "calibrate": _calibrate, "strengths": _strengths}
+    status = parts[arguments.part](arguments)
+    sys.stdout.flush()
+    return status
+
+
+def _make(arguments: argparse.Namespace) -> int:
+    from nmt_blind.cases.make import make_campaign
+
+    kinds = tuple(word.strip() for word in arguments.kinds.split(",") if word.strip())
+    with _Bar("making cases") as bar:
+        made = make_campaign(
+            arguments.out,
+            arguments.rig,
+            arguments.cases,
+            arguments.seed,
+            kinds,
+            arguments.sealed,
+            _jobs(arguments),
+            on_seal=lambda digest: bar.say(f"seal of the truth: sha256 {digest}"),
+            progress=lambda done, total: bar.update(done, total),
+        )
+    each = f"; {made.seconds / made.new:.2f} s of computing a new case" if made.new else ""
+    bar.say(f"{made.cases} cases, {made.new} of them new{each}; {made.megabytes:.0f} MB of bags in {made.folder}")
+    bar.say(f"end of the hash trail: sha256 {made.trail}")
+    return EXIT_DONE
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from nmt_blind.campaign.run import run_campaign
+
+    with _Bar("diagnosing") as bar:
+        done = run_campaign(
+            arguments.out,
+            arguments.results,
+            _jobs(arguments),
+            arguments.scheduler,
+            arguments.discard_bags,
+            arguments.again,
+            progress=lambda number, total, case: bar.update(number, total),
+        )
+    each = f", {done.seconds:.1f} s each (median)" if done.new else ""
+    bar.say(f"{done.done} of {done.cases} cases have a result, {done.new} of them new{each}; results in {done.results}")
+    if done.failed:
+        bar.say(f"{done.failed} diagnoses ended without a verdict; their results say why")
+    return EXIT_FAILED if done.failed else EXIT_DONE
+
+
+def _score(arguments: argparse.Namespace) -> int:
+    from nmt_blind.campaign.score import score_campaign
+    from nmt_blind.campaign.score_sheet import print_scores, write_sheets
+
+    scores = score_campaign(arguments.out, arguments.results, arguments.again, arguments.train)
+    files = write_sheets(scores, arguments.out, arguments.docs)
+    for line in print_scores(scores):
+        _console().print(line, markup=False)
+    _console().print(f"written: {', '.join(str(file) for file in files)}", markup=False)
+    return EXIT_DONE
+
+
+def _calibrate(arguments: argparse.Namespace) -> int:
+    from nmt_blind.campaign.calibrate import calibrate
+    from nmt_diagnose.inference.confidence import CONFIDENCE_FILE
+
+    for item in calibrate(arguments.campaigns, CONFIDENCE_FILE, arguments.out):
+        weights = ", ".join(f"{name} {weight:+.3f}" for name, weight in item.weights.items())
+        _console().print(
+            f"{item.name}: {item.cases} cases, {100 * item.share:.0f} % yes; bias {item.bias:+.3f}, {weights}; "
+            f"calibration error {item.error:.3f}, area under the curve {item.area:.3f} (on cases left out)",
+            markup=False,
+            soft_wrap=True,
+        )
+    _console().print(f"written: {arguments.out}; it is used once it is the program's own", markup=False)
+    return EXIT_DONE
+
+
+def _strengths(arguments: argparse.Namespace) -> int:
+    from nmt_blind.cases.blind_rigs import blind_rig
+    from nmt_blind.cases.strength_table import make_table, table_file
+
+    rig = blind_rig(arguments.rig)
+    names = tuple(word.strip() for word in arguments.effects.split(",") if word.strip())
+    with _Bar("measuring strengths") as bar:
+        table = make_table(
+            rig, names, _jobs(arguments), arguments.table, progress=lambda done, total, key: bar.update(done, total)
+        )
+    bar.say(f"{len(table.curves)} curves in {arguments.table or table_file(rig)}")
+    return EXIT_DONE
+
+
+def _jobs(arguments: argparse.Namespace) -> int:
+    if arguments.jobs is not None:
+        if arguments.jobs < 1:
+            raise BenchError(f"--jobs must be at least 1, got {arguments.jobs}.")
+        return int(arguments.jobs)
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:
+        return os.cpu_count() or 1
+
+
+def _console() -> Any:
+    from nmt_bench.commands.terminal import make_console
+
+    return make_console()
+
+
+class _Bar:
+    """Progress with time spent and left; a line now and then where the output is no terminal."""
+
+    _QUIET = 30.0  # s between lines
+
+    def __init__(self, title: str) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+        from rich.progress import TimeRemainingColumn as Left
+
+        self._title = title
+        self._console = _console()
+        self._live = bool(self._console.is_terminal)
+        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), Left()
+        self._bar = Progress(*columns, console=self._console, disable=not self._live)
+        self._task = self._bar.add_task(title, total=None)
+        self._said = time.monotonic()
+
+    def __enter__(self) -> _Bar:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def update(self, done: int, total: int) -> None:
+        """So many of so many are done."""
+        self._bar.update(self._task, completed=done, total=total)
+        if not self._live and (time.monotonic() - self._said > self._QUIET or done == total):
+            self._said = time.monotonic()
+            self._console.print(f"{self._title}: {done} of {total}", markup=False)
+
+    def say(self, sentence: str) -> None:
+        """A line above the bar."""
+        self._console.print(sentence, markup=False, soft_wrap=True)

@@ -1,0 +1,242 @@
+"""``./nmt diagnose``: where the gap between a model and recordings of the real rig lies, and which effect causes it."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import sys
+import time
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_core.errors import BenchError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from nmt_diagnose.inference.diagnose import Outcome
+    from nmt_diagnose.inference.diagnosis import Diagnosis
+
+    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+EXIT_DONE = 0
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "diagnose",
+        help="where a model and recordings of the real rig part, which effect causes it, and how far the gap shrinks",
+        description=(
+            "Compares a rig file with recordings of the real rig: re-fits the model's own parameters, weighs every "
+            "effect of the library at every place, and says where the gap lies, which effect causes it and how far it "
+            "shrinks on data kept out of the fit; or that there is no gap, or that nothing in the library explains it."
+        ),
+    )
+    parser.add_argument(
+        "--model", metavar="RIG", required=True, help="name of a rig (for example beam) or path of a rig file"
+    )
+    parser.add_argument(
+        "--real",
+        metavar="BAG",
+        type=Path,
+        action="append",
+        required=True,
+        help="results folder or bag of './nmt run', 'linear' or 'import' on the real rig; may be repeated: different "
+        "tests tell more effects apart",
+    )
+    parser.add_argument(
+        "--floor",
+        metavar="BAG",
+        type=Path,
+        action="append",
+        default=[],
+        help="repeat of a test among --real: what differs between the two no model can explain; may be repeated",
+    )
+    parser.add_argument(
+        "--set",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="change a value of the model before the diagnosis; may be repeated",
+    )
+    parser.add_argument(
+        "--without",
+        metavar="EFFECT",
+        action="append",
+        default=[],
+        help="leave an effect out of the library; may be repeated",
+    )
+    parser.add_argument(
+        "--hold-out",
+        metavar="TEST",
+        action="append",
+        default=[],
+        help="keep a test (named as its folder) out of every fit and judge the gap by it alone; may be repeated "
+        "(default: levels and whole tests in turn)",
+    )
+    add_output_options(parser, "diagnosis.json, report.html, model.yaml, observables.csv")
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="seed of the intervals (default: 0)")
+    parser.add_argument("--quiet", action="store_true", help="no progress display")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Diagnose, write the results, print the verdict.
+
+    Returns:
+        0 whatever the verdict is.
+
+    Raises:
+        BenchError: the rig, a bag or an option is refused.
+    """
+    check_output(arguments.out, arguments.force)
+    if arguments.seed < 0:
+        raise BenchError(f"--seed must not be negative, got {arguments.seed}.")
+
+    from nmt_bench.commands.terminal import make_console
+    from nmt_diagnose.effects.library import effect_named
+    from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
+    from nmt_rig.rig import find_rig, load_rig
+
+    withheld = tuple(dict.fromkeys(name.strip().replace("-", "_").replace(" ", "_") for name in arguments.without))
+    for name in withheld:
+        try:
+            effect_named(name)
+        except BenchError as error:
+            raise BenchError(f"--without: {error}") from error
+    rig = load_rig(arguments.model, arguments.set)
+    console = make_console()
+    started = time.monotonic()
+    with DiagnosisProgress(console, arguments.quiet) as progress:
+        held_out = tuple(dict.fromkeys(arguments.hold_out))
+        settings = DiagnosisSettings(withheld=withheld, seed=arguments.seed, hold_out=held_out)
+        outcome = diagnose_bags(rig, arguments.real, arguments.floor, settings, progress.update)
+        diagnosis = replace(
+            outcome.diagnosis,
+            inputs=complete_inputs(outcome.diagnosis.inputs, find_rig(arguments.model), arguments.set, arguments.floor),
+        )
+        progress.update("writing the report")
+        with OutputFolder(arguments.out, arguments.force) as folder:
+            remark = write_results(replace(outcome, diagnosis=diagnosis), folder, find_rig(arguments.model))
+    show(diagnosis, console)
+    if remark:
+        console.print(remark, style="yellow", markup=False, soft_wrap=True)
+    new = "" if remark else f" New rig file: {arguments.out / 'model.yaml'}"
+    console.print(f"Diagnosed in {time.monotonic() - started:.0f} s.{new}", markup=False, soft_wrap=True)
+    console.print(f"Report: {(arguments.out / 'report.html').resolve()}", markup=False, soft_wrap=True)
+    sys.stdout.flush()
+    return EXIT_DONE
+
+
+def complete_inputs(inputs: dict[str, Any], model: Path, overrides: list[str], floor: list[Path]) -> dict[str, Any]:
+    """What ``inputs`` of ``diagnosis.json`` says beyond what the diagnosis knows: files, overrides, versions."""
+    try:
+        code = version("nmt_bench")
+    except PackageNotFoundError:
+        code = ""
+    repeats = {str(path) for path in floor}
+    bags = [
+        {**bag, "role": "repeat, for the floor" if bag.get("path") in repeats else "real side"}
+        for bag in inputs.get("bags", ())
+    ]
+    return {
+        **inputs,
+        "bags": bags,
+        "model_file": {"path": str(model), "sha256": hashlib.sha256(model.read_bytes()).hexdigest()},
+        "overrides": list(overrides),
+        "version": f"nmt {code}".strip(),
+    }
+
+
+def write_results(outcome: Outcome, folder: Path, model: Path) -> str:
+    """Write diagnosis.json, report.html, model.yaml and observables.csv to a folder.
+
+    Args:
+        outcome: of the diagnosis.
+        folder: where to.
+        model: rig file that the given model was loaded from.
+
+    Returns:
+        A sentence where there is no model.yaml because no rig file may hold the fitted values; else empty.
+    """
+    from nmt_core.whole_file import write_whole
+    from nmt_report.diagnosis_curves import Models, observables_csv
+    from nmt_report.diagnosis_model import model_text
+    from nmt_report.diagnosis_report import DiagnosisReport, diagnosis_page
+
+    models = Models(outcome.as_given, outcome.refitted, outcome.final)
+    outcome.diagnosis.write(folder / "diagnosis.json")
+    remark, text = "", model.read_text(encoding="utf-8")
+    try:
+        text = model_text(text, model.name, outcome.given, outcome.model, outcome.diagnosis)
+        write_whole(folder / "model.yaml", text)
+    except BenchError as error:
+        remark = f"There is no model.yaml: the fitted values are no rig ({error})"
+    write_whole(folder / "observables.csv", observables_csv(outcome.evidence, models))
+    report = DiagnosisReport(outcome.diagnosis, outcome.evidence, models, outcome.given)
+    write_whole(folder / "report.html", diagnosis_page(report))
+    return remark
+
+
+class DiagnosisProgress:
+    """What is being done: one line that changes on a terminal, plain lines elsewhere.
+
+    Args:
+        console: where to show it.
+        quiet: show nothing.
+    """
+
+    def __init__(self, console: Console, quiet: bool = False) -> None:
+        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        self._console, self._quiet = console, quiet
+        self._live = console.is_terminal and not quiet
+        self._progress = Progress(
+            SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=console, transient=True,
+            disable=not self._live,
+        )  # fmt: skip
+        self._task = self._progress.add_task("starting", total=None)
+
+    def __enter__(self) -> DiagnosisProgress:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def update(self, sentence: str) -> None:
+        """Show what is being done now."""
+        from rich.markup import escape
+
+        if self._live:
+            self._progress.update(self._task, description=escape(sentence))
+        elif not self._quiet:
+            self._console.print(sentence, markup=False, soft_wrap=True)
+
+
+def show(diagnosis: Diagnosis, console: Console) -> None:
+    """Print the verdict, the places, the ranking, what was re-fitted and the next test."""
+    from rich.text import Text
+
+    from nmt_report.diagnosis_tables import calibration_table, next_table, place_table, ranking_table
+    from nmt_report.diagnosis_words import QUESTIONS, verdict_text
+
+    text, kind = verdict_text(diagnosis)
+    style = {"good": "bold green", "partly": "bold yellow", "bad": "bold red"}[kind]
+    console.print()
+    console.print(Text(f"Verdict: {text}", style=style), soft_wrap=True)
+    questions = [*QUESTIONS, "What next"]
+    for number, sentence in enumerate(diagnosis.sentences):
+        question = questions[number] if number < len(questions) else ""
+        console.print(Text.assemble((f"{question:<10}", "bold"), sentence), soft_wrap=not console.is_terminal)
+    console.print()
+    for table in (
+        ranking_table(diagnosis), place_table(diagnosis), calibration_table(diagnosis), next_table(diagnosis),
+    ):  # fmt: skip
+        if table is not None:
+            console.print(table)
+    for note in diagnosis.notes:
+        console.print(Text(note, style="yellow"), soft_wrap=True)

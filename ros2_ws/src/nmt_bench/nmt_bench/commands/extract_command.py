@@ -1,0 +1,131 @@
+"""``./nmt extract``: modal properties from a recorded bag, by the code of the live node."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_core.errors import BenchError
+
+if TYPE_CHECKING:
+    from nmt_extract.modal_point import ModalPoint
+    from nmt_extract.settings import ExtractionSettings
+    from nmt_record.bag_reader import Bag
+
+    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "extract",
+        help="modal properties from a recorded bag; equal to the live ones",
+        description=(
+            "Extracts modal frequency, damping, amplitude and shape from every locked window of a recorded "
+            "bag, with the code of the live node: the results are the same, bit for bit. Opens bags of "
+            "killed recorders too and says what they lost."
+        ),
+    )
+    parser.add_argument(
+        "bag",
+        metavar="BAG",
+        type=Path,
+        help="rosbag2 folder (MCAP or SQLite), .mcap or .db3 file, or the results folder of a run",
+    )
+    add_output_options(parser, "modal.csv, modal.json, report.html")
+    parser.add_argument(
+        "--linear",
+        metavar="FILE",
+        type=Path,
+        help="linear.json to use in place of the linear modes named in the bag",
+    )
+    parser.add_argument(
+        "--harmonics",
+        metavar="H",
+        type=int,
+        help="highest harmonic to extract, 1 to 200 (default: as recorded in the bag)",
+    )
+    parser.add_argument(
+        "--reference",
+        metavar="FILE",
+        type=Path,
+        help="reference.csv of './nmt reference' to compare with in table and report",
+    )
+    parser.add_argument("--no-report", action="store_true", help="write modal.csv and modal.json only")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Extract, write the results, print the table.
+
+    Raises:
+        BenchError: no bag, nothing to extract in it, or the results cannot be written.
+    """
+    check_output(arguments.out, arguments.force)
+
+    from nmt_bench.commands.linear_input import read_linear
+    from nmt_bench.commands.terminal import make_console, print_modal_table
+    from nmt_extract.modal_table import write_results
+    from nmt_extract.offline import extract_opened_bag
+    from nmt_record.bag_reader import Bag
+    from nmt_report.run_data import read_reference
+
+    linear = read_linear(arguments.linear) if arguments.linear is not None else None
+    reference = read_reference(arguments.reference) if arguments.reference is not None else None
+    bag = Bag.open(arguments.bag)
+    settings = _settings(bag.run_start, arguments.harmonics)
+    result = extract_opened_bag(bag, linear, settings)
+    if not result.points:
+        raise BenchError(f"The bag {arguments.bag} gave no modal point; its run may have ended before the first lock.")
+    with OutputFolder(arguments.out, arguments.force) as folder:
+        write_results(result.points, folder, result.inputs)
+        if not arguments.no_report:
+            from nmt_report.run_report import list_files, report_data_from_bag, write_report
+
+            data = report_data_from_bag(bag, result.points, reference)
+            data.linear = result.linear
+            data.files = list_files(folder)
+            write_report(data, folder / "report.html")
+    console = make_console()
+    if result.loss:
+        console.print(result.loss, style="yellow", markup=False)
+    print_modal_table(result.points, reference, console)
+    if linear is None and settings is None:
+        console.print(_comparison(result.points, recorded_points(bag)), markup=False)
+    written = ("modal.csv", "modal.json", "hysteresis.csv", "report.html")
+    names = ", ".join(name for name in written if (arguments.out / name).exists())
+    console.print(f"Results in {arguments.out}: {names}", markup=False)
+    sys.stdout.flush()
+    return 0
+
+
+def recorded_points(bag: Bag) -> list[ModalPoint]:
+    """The modal points that the live node published, as recorded."""
+    from nmt_extract.conversions import modal_point_from_message
+
+    return [modal_point_from_message(message) for _, _, message in bag.messages(["modal_point"])]
+
+
+def _comparison(points: Sequence[ModalPoint], recorded: Sequence[ModalPoint]) -> str:
+    if not recorded:
+        return "The bag holds no live results to compare with."
+    by_level = {point.level_index: point for point in recorded}
+    shared = [point for point in points if point.level_index in by_level]
+    different = [point.level_index + 1 for point in shared if not point.identical(by_level[point.level_index])]
+    if different:
+        levels = ", ".join(map(str, different))
+        return f"Level {levels} differs from the live result: settings or blocks were others at the time."
+    return f"Equal to the live results bit for bit ({len(shared)} of {len(points)} levels compared)."
+
+
+def _settings(run: dict[str, object] | None, harmonics: int | None) -> ExtractionSettings | None:
+    if harmonics is None:
+        return None
+    from nmt_extract.settings import ExtractionSettings
+
+    recorded = (run or {}).get("extraction")
+    values = dict(recorded) if isinstance(recorded, dict) else {}
+    return ExtractionSettings.from_mapping({**values, "harmonics": harmonics})

@@ -1,0 +1,50 @@
+"""A linear description that comes from a file, for loop and extraction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+
+if TYPE_CHECKING:
+    from nmt_rig.rig import Rig
+
+
+def read_linear(path: Path) -> LinearDescription:
+    """Read a ``linear.json``, or the one in a folder of results.
+
+    Raises:
+        BenchError: no such file, or not a linear description.
+    """
+    path = path / "linear.json" if path.is_dir() else path
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BenchError(f"The linear description {path} cannot be read; give a linear.json file.") from error
+    try:
+        return LinearDescription.from_json(text)
+    except BenchError as error:
+        raise BenchError(f"{path}: {error}") from error
+
+
+def check_fits(linear: LinearDescription, rig: Rig, source: Path | str) -> None:
+    """Refuse a description that belongs to another set-up.
+
+    Raises:
+        BenchError: another drive point, or a point without a sensor on this rig.
+    """
+    if linear.drive_point != rig.drive_point:
+        raise BenchError(
+            f"{source} was measured with the exciter at point {linear.drive_point}, but rig {rig.name} has it at point "
+            f"{rig.drive_point}; make a new one with './nmt linear' or change --exciter."
+        )
+    sensors = rig.response_points(Quantity[rig.extraction.quantity.upper()])
+    missing = [point for point in linear.points if point not in sensors]
+    if missing:
+        raise BenchError(
+            f"{source} has shapes at point {', '.join(map(str, missing))}, where rig {rig.name} has no "
+            f"{rig.extraction.quantity} sensor; make a new one with './nmt linear'."
+        )

@@ -1,0 +1,179 @@
+"""``./nmt reference``: the computed backbone of a rig's model."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_core.errors import BenchError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from nmt_report.run_data import ReferenceCurve
+    from nmt_rig.reference import Reference
+    from nmt_rig.rig import Rig
+
+    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+
+CONVERGENCE_ORDERS = (1, 3, 5, 7, 20, 61)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "reference",
+        help="computed backbone of a rig's model (EPMC, harmonic balance)",
+        description=(
+            "Computes modal frequency and damping over modal amplitude of a rig's model by the extended "
+            "periodic motion concept (EPMC) with harmonic balance: what a perfect test of the mode would "
+            "give. Give the file to './nmt extract --reference' to compare a test with it."
+        ),
+    )
+    parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
+    add_output_options(parser, "reference.csv")
+    parser.add_argument(
+        "--set",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="change a value of the rig file, for example local_elements.0.slip_force_n=2; may be repeated",
+    )
+    parser.add_argument(
+        "--harmonics", metavar="H", type=int, default=7, help="highest harmonic order, 1 to 200 (default: 7)"
+    )
+    parser.add_argument(
+        "--amplitudes",
+        metavar="q1:q2:n",
+        help=(
+            "modal amplitudes in m√kg: n values from q1 to q2 in geometric steps (default: 100 values that "
+            "cover the rig's levels generously)"
+        ),
+    )
+    parser.add_argument(
+        "--compare",
+        metavar="FILE",
+        type=Path,
+        help="table with the columns of reference.csv to compare with, at its own amplitudes unless --amplitudes "
+        "is given",
+    )
+    parser.add_argument(
+        "--convergence",
+        action="store_true",
+        help=f"also print how the result converges over {', '.join(map(str, CONVERGENCE_ORDERS))} harmonics",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compute and write ``reference.csv``.
+
+    Raises:
+        BenchError: a wrong rig, option or folder, or no solution.
+    """
+    check_output(arguments.out, arguments.force)
+    if not 1 <= arguments.harmonics <= 200:
+        raise BenchError(f"--harmonics must be a whole number from 1 to 200, got {arguments.harmonics}.")
+
+    from nmt_bench.commands.terminal import make_console
+    from nmt_report.run_data import read_reference
+    from nmt_rig.reference import compute_reference, write_reference_csv
+    from nmt_rig.rig import load_rig
+
+    amplitudes = _amplitudes(arguments.amplitudes) if arguments.amplitudes else None
+    given = read_reference(arguments.compare) if arguments.compare is not None else None
+    if given is not None and amplitudes is None:
+        amplitudes = [float(q) for q in given.modal_amplitude]
+    rig = load_rig(arguments.rig, arguments.set)
+    compute_reference(rig, arguments.harmonics, amplitudes, points=5 if amplitudes is None else 100)  # compiles
+    began = time.perf_counter()
+    reference = compute_reference(rig, arguments.harmonics, amplitudes)
+    elapsed = time.perf_counter() - began
+    with OutputFolder(arguments.out, arguments.force) as folder:
+        write_reference_csv(reference, folder / "reference.csv")
+    console = make_console()
+    for line in _summary(reference):
+        console.print(line, markup=False)
+    console.print(f"solved in {elapsed:.3f} s once compiled", markup=False)
+    if given is not None:
+        console.print(_comparison(reference, given, arguments.compare), markup=False, soft_wrap=True)
+    if arguments.convergence:
+        console.print(_convergence(rig, reference))
+    console.print(f"Results in {arguments.out}: reference.csv", markup=False)
+    sys.stdout.flush()
+    return 0
+
+
+def _comparison(reference: Reference, given: ReferenceCurve, path: Path) -> str:
+    """Largest relative distances to a table, at its own amplitudes or those within both curves."""
+    import numpy as np
+
+    errors = []
+    for q, omega, damping in zip(
+        reference.modal_amplitude, reference.omega_rad_s, reference.damping_ratio, strict=True
+    ):
+        expected = given.at(float(q))
+        errors.append((abs(omega / expected[0] - 1.0), abs(damping / expected[1] - 1.0)))
+    inside = np.array([pair for pair in errors if np.all(np.isfinite(pair))])
+    if not inside.size:
+        return f"{path} has no modal amplitude in common with the reference."
+    worst = inside.max(axis=0)
+    return (
+        f"against {path} at {len(inside)} amplitudes: largest relative error of modal frequency {worst[0]:.1e}, "
+        f"of damping ratio {worst[1]:.1e}"
+    )
+
+
+def _convergence(rig: Rig, reference: Reference) -> Table:
+    """Distance of truncated series to the finest."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from nmt_rig.reference import convergence_table
+
+    table = Table(title="Convergence over harmonics", title_justify="left", box=SIMPLE_HEAD)
+    for head in ("harmonics", "modal frequency", "damping ratio"):
+        table.add_column(head, justify="right")
+    rows = convergence_table(rig, CONVERGENCE_ORDERS, reference.modal_amplitude)
+    for row in rows[:-1]:
+        table.add_row(str(row.harmonics), f"{row.omega_error:.1e}", f"{row.damping_error:.1e}")
+    table.caption = f"largest relative distance to {rows[-1].harmonics} harmonics over the backbone"
+    return table
+
+
+def _summary(reference: Reference) -> list[str]:
+    from math import pi
+
+    from nmt_report.quantity_format import significant
+
+    q, omega, damping = reference.modal_amplitude, reference.omega_rad_s, reference.damping_ratio
+    lines = [
+        f"{q.size} points with {reference.harmonics} harmonics, q from {significant(q[0], 3)} to "
+        f"{significant(q[-1], 3)} m√kg",
+        f"modal frequency {omega.min() / (2 * pi):.4f} to {omega.max() / (2 * pi):.4f} Hz, modal damping "
+        f"ratio {100 * damping.min():.3f} to {100 * damping.max():.3f} %, highest at q = "
+        f"{significant(float(q[damping.argmax()]), 3)} m√kg",
+    ]
+    if not reference.single_valued:
+        lines.append("The backbone folds over q; the first passage is given.")
+    return lines
+
+
+def _amplitudes(text: str) -> list[float]:
+    import numpy as np
+
+    parts = text.split(":")
+    try:
+        low, high, count = float(parts[0]), float(parts[1]), int(parts[2])
+        good = len(parts) == 3 and 0.0 < low < high < float("inf") and 2 <= count <= 100_000
+    except (ValueError, IndexError):
+        good = False
+    if not good:
+        raise BenchError(
+            f"--amplitudes must be q1:q2:n with 0 < q1 < q2 (m√kg) and n ≥ 2 as in 1e-5:1e-2:100, got '{text}'."
+        )
+    return [float(value) for value in np.geomspace(low, high, count)]

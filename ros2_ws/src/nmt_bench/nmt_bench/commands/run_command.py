@@ -1,0 +1,281 @@
+"""``./nmt run``: one test of a rig from the first node to the report."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nmt_bench.commands.bench_options import add_latency_option, add_pacing_option, add_process_options, add_rig_options
+from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_core.errors import BenchError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from nmt_bench.harness import Bench, RunResult
+    from nmt_report.run_data import ReferenceCurve
+
+    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "run",
+        help="one test of a rig: step the level, lock, record, extract, report",
+        description=(
+            "Tests a rig: the phase-locked loop holds phase resonance at the drive point, the level is stepped, "
+            "and every locked window gives a modal point. Everything is recorded to a bag. Ctrl-C ramps the drive "
+            "to zero, closes the bag and reports what was measured."
+        ),
+    )
+    parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
+    add_output_options(parser, "bag/, modal.csv, modal.json, report.html, rig.yaml, run.json")
+    parser.add_argument(
+        "--linear",
+        metavar="FILE",
+        type=Path,
+        help="linear.json of './nmt linear' for loop and extraction (default: the linear modes of the rig's model)",
+    )
+    parser.add_argument(
+        "--levels",
+        metavar="PLAN",
+        help="levels in the unit of --control: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or a "
+        "list a,b,c (default: the rig's, in V)",
+    )
+    parser.add_argument(
+        "--strategy",
+        choices=("stepped", "ramp"),
+        default="stepped",
+        help="stepped: wait for lock at every level; ramp: lock once, then windows of 20 periods during slow ramps, "
+        "evaluated by the balance of power (default: stepped)",
+    )
+    parser.add_argument(
+        "--control",
+        choices=("voltage", "response", "force"),
+        default="voltage",
+        help="what the levels are: drive voltage (V), amplitude of the drive-point response that is held (m or "
+        "m/s^2), or force fundamental that is held (N) (default: voltage)",
+    )
+    parser.add_argument(
+        "--direction",
+        choices=("up", "down", "both", "given"),
+        default="given",
+        help="order of the levels: up, down, up and down again, or as given (default)",
+    )
+    parser.add_argument("--periods", metavar="N", type=int, help="whole periods a window (default: the rig's)")
+    parser.add_argument("--ramp", metavar="S", type=float, help="half-cosine between levels, s (default: the rig's)")
+    parser.add_argument(
+        "--timeout", metavar="S", type=float, help="bench time a level may take to lock, s (default: the rig's)"
+    )
+    parser.add_argument(
+        "--stop-on-lost-lock", action="store_true", help="end the test at the first level that does not lock"
+    )
+    parser.add_argument(
+        "--pll",
+        choices=("adaptive", "paper"),
+        help="phase-locked loop: adaptive filter with guard band, or the paper's (default: the rig's, else adaptive)",
+    )
+    add_pacing_option(parser)
+    add_latency_option(parser)
+    add_rig_options(parser, "local_elements.0.slip_force_n=2")
+    parser.add_argument(
+        "--reference",
+        metavar="FILE",
+        help="reference.csv to compare with; 'none' for no comparison (default: computed from the rig's model)",
+    )
+    add_process_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the test, write the results, print the table.
+
+    Returns:
+        0 if the plan was worked through and a level locked, 130 after Ctrl-C, 1 otherwise.
+
+    Raises:
+        BenchError: the rig, a level or an option is refused, or the nodes do not start.
+    """
+    check_output(arguments.out, arguments.force)
+
+    from nmt_bench.commands.linear_input import check_fits, read_linear
+    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.harness import Bench
+
+    linear = read_linear(arguments.linear) if arguments.linear is not None else None
+    bench = Bench(
+        arguments.rig,
+        levels=_levels(arguments),
+        out=arguments.out,
+        processes=not arguments.one_process,
+        overrides=arguments.set,
+        exciter=arguments.exciter,
+        seed=arguments.seed,
+        pacing=arguments.pacing,
+        latency_blocks=arguments.latency_blocks,
+        window_periods=arguments.periods,
+        ramp=arguments.ramp,
+        timeout=arguments.timeout,
+        stop_on_lost_lock=arguments.stop_on_lost_lock,
+        domain_id=arguments.domain,
+        node_values={"pll": {"loop": arguments.pll}} if arguments.pll else None,
+        control=arguments.control,
+        strategy=arguments.strategy,
+        linear=linear,
+    )
+    if linear is not None:
+        check_fits(linear, bench.rig, arguments.linear)
+    console = make_console()
+    with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
+        result = measure(bench, console, arguments.quiet)
+        reference = _reference(arguments.reference, bench, result)
+        unwritten = _write_results(result, bench, folder, reference)
+    _summarise(result, bench, reference, console, folder, unwritten)
+    sys.stdout.flush()
+    return EXIT_FAILED if unwritten and not result.interrupted else _exit_code(result)
+
+
+def _levels(arguments: argparse.Namespace) -> list[float] | str | None:
+    if arguments.direction == "given":
+        return arguments.levels  # type: ignore[no-any-return]
+    from nmt_rig.rig import load_rig
+    from nmt_sequencer.level_plan import directed, parse_levels
+
+    plan = arguments.levels or load_rig(arguments.rig, arguments.set).test.levels
+    return directed(parse_levels(plan), arguments.direction)
+
+
+def measure(bench: Bench, console: Any, quiet: bool) -> RunResult:
+    """Start the nodes and run the test, with a progress display unless ``quiet``."""
+    from nmt_bench.commands.terminal import RunProgress
+    from nmt_report.columns import unit_text
+
+    began = time.monotonic()
+    with bench:
+        if quiet:
+            return bench.run()
+        console.print(
+            f"{bench.rig.name}, drive point {bench.rig.drive_point}, {len(bench.test.levels)} levels from "
+            f"{min(bench.test.levels):g} to {max(bench.test.levels):g} {unit_text(bench.test.level_unit)}, "
+            f"run {bench.test.run_id}; nodes started in {time.monotonic() - began:.1f} s",
+            markup=False,
+        )
+        count, unit = len(bench.test.levels), bench.test.level_unit
+        with RunProgress(bench.rig.sample_rate_hz, count, unit, console) as progress:
+            return bench.run(progress.update)
+
+
+def _reference(choice: str | None, bench: Bench, result: RunResult) -> ReferenceCurve | None:
+    """The backbone to compare with: a file, or EPMC of the rig's model, solved at the measured amplitudes too."""
+    if choice == "none":
+        return None
+    import numpy as np
+
+    from nmt_report.run_data import ReferenceCurve, read_reference
+
+    if choice is not None:
+        return read_reference(Path(choice))
+    from nmt_rig.reference import compute_reference
+
+    measured = [point.modal_amplitude for point in result.points if np.isfinite(point.modal_amplitude)]
+    if not measured:
+        return None
+    grid = np.geomspace(0.5 * min(measured), 2.0 * max(measured), 150)
+    try:
+        computed = compute_reference(bench.rig, 15, np.unique(np.concatenate([grid, measured])))
+    except (BenchError, ArithmeticError, ValueError):
+        return None  # the measurement stands without its comparison
+    return ReferenceCurve(
+        "EPMC (harmonic balance)", computed.modal_amplitude, computed.omega_rad_s, computed.damping_ratio
+    )
+
+
+def _write_results(result: RunResult, bench: Bench, folder: Path, reference: ReferenceCurve | None) -> str:
+    """Write tables and report; what could not be written, as a sentence: the measurement is not to be lost for it."""
+    from nmt_extract.modal_table import write_results
+    from nmt_report.run_report import list_files, report_data_from_bag, write_report
+
+    inputs = {
+        "run_id": bench.test.run_id,
+        "rig": bench.rig.name,
+        "linear": bench.plan.run["linear"],
+        "extraction": bench.plan.run["extraction"],
+        "result": result.code.name,
+        "message": result.message,
+    }
+    try:
+        if result.points:
+            write_results(result.points, folder, inputs)
+        if result.bag is not None and result.bag.exists():
+            data = report_data_from_bag(result.bag, list(result.points) or None, reference)
+            data.files = list_files(folder)
+            write_report(data, folder / "report.html")
+    except (OSError, BenchError) as error:
+        why = error.strerror.lower() if isinstance(error, OSError) and error.strerror else str(error).rstrip(".")
+        return (
+            f"The results could not all be written ({why}); what was recorded is in {folder / 'bag'}: "
+            f"make room and run './nmt extract {folder} --out DIR'."
+        )
+    return ""
+
+
+def _summarise(
+    result: RunResult,
+    bench: Bench,
+    reference: ReferenceCurve | None,
+    console: Any,
+    folder: Path,
+    unwritten: str,
+) -> None:
+    from nmt_bench.commands.terminal import print_modal_table
+    from nmt_sequencer.run_machine import ResultCode
+
+    if result.points:
+        print_modal_table(result.points, reference, console)
+    style = None if result.code == ResultCode.SUCCEEDED else "yellow"
+    console.print(result.message, style=style, markup=False)
+    if result.bench_time > 0:
+        levels = max(1, len(result.points))
+        console.print(
+            f"Bench time {result.bench_time:.1f} s ({result.bench_time / levels:.1f} s a level) in "
+            f"{result.wall_time:.1f} s: {result.real_time_factor:.1f} × real time; bag {result.bag_state}.",
+            markup=False,
+        )
+    for line in result.remarks:
+        console.print(line, markup=False)
+    if unwritten:
+        console.print(unwritten, style="red", markup=False, soft_wrap=True)
+    if (folder / "report.html").exists():
+        console.print(f"Report: {(folder / 'report.html').resolve()}", markup=False, soft_wrap=True)
+
+
+def _exit_code(result: RunResult) -> int:
+    from nmt_extract.modal_point import Status
+    from nmt_sequencer.run_machine import ResultCode
+
+    if result.interrupted:
+        return EXIT_INTERRUPTED
+    if not any(point.status == Status.OK for point in result.points):
+        return EXIT_FAILED
+    return EXIT_DONE if result.code == ResultCode.SUCCEEDED and result.bag_state == "closed" else EXIT_FAILED
+
+
+@contextmanager
+def terminate_as_interrupt() -> Iterator[None]:
+    """Let SIGTERM end a run as Ctrl-C does: by a ramp to zero."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)

@@ -1,0 +1,197 @@
+"""``./nmt study``: the paper's studies of the virtual experiment against references computed here."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nmt_core.errors import BenchError
+from nmt_core.whole_file import write_whole
+from nmt_study import STUDIES
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from nmt_study.study import Finding
+    from nmt_study.study_runner import CaseReport
+    from nmt_study.study_table import SummaryRow
+
+    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+EXIT_DONE, EXIT_FAILED = 0, 1
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Add the command and its options."""
+    listed = "\n".join(f"  {name:<18}{summary}" for name, (_, summary) in STUDIES.items())
+    parser = subparsers.add_parser(
+        "study",
+        help="one of the paper's studies, all cases, compared with references",
+        description=(
+            "Runs the cases of a study through the bench's nodes in lockstep, in parallel over the cores, and compares "
+            "every level with two references: EPMC (error of the method) and the single-point phase-resonant test "
+            "(error of the test). A finished case is kept; the same command again goes on where it stopped."
+        ),
+        epilog=f"studies:\n{listed}\n  {'all':<18}all of them, each in a folder of its own",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("name", metavar="NAME", choices=(*STUDIES, "all"), help="name of the study, or all")
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help="folder for the results (study.csv, report.html, cases/); one of the same study is gone on with",
+    )
+    parser.add_argument("--force", action="store_true", help="begin anew in a folder that has results")
+    parser.add_argument("--quick", action="store_true", help="few, short cases: shows that it works, no more")
+    parser.add_argument("--jobs", metavar="N", type=int, help="worker processes (default: one for each core)")
+    parser.add_argument("--keep-bags", action="store_true", help="keep the recording of every case in bags/")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the study, write table and report, print the summary.
+
+    Returns:
+        0 if every case has a result, else 1.
+
+    Raises:
+        BenchError: the folder holds something else, or an option is refused.
+    """
+    jobs = arguments.jobs if arguments.jobs is not None else _cores()
+    if jobs < 1:
+        raise BenchError(f"--jobs must be at least 1, got {arguments.jobs}.")
+    from nmt_bench.commands.terminal import make_console
+
+    console = make_console()
+    began = time.monotonic()
+    if arguments.name == "all":
+        complete = _run_all(arguments, jobs, console)
+    else:
+        complete, *_ = _run_study(arguments.name, arguments.out, arguments, jobs, console)
+    from nmt_report.quantity_format import duration
+
+    console.print(f"{duration(time.monotonic() - began)}; results in {arguments.out}", markup=False)
+    sys.stdout.flush()
+    return EXIT_DONE if complete else EXIT_FAILED
+
+
+def _cores() -> int:
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:
+        return os.cpu_count() or 1
+
+
+def _run_all(arguments: argparse.Namespace, jobs: int, console: Any) -> bool:
+    from nmt_study.case_store import CaseStore
+    from nmt_study.study_report import index_page
+    from nmt_study.study_table import csv_text
+
+    CaseStore(arguments.out, "all", arguments.force)
+    shutil.rmtree(arguments.out / "cases", ignore_errors=True)
+    complete, entries, rows = True, [], []
+    for name in STUDIES:
+        whole, title, summary, findings, study_rows = _run_study(name, arguments.out / name, arguments, jobs, console)
+        complete = complete and whole
+        entries.append((name, title, summary, findings))
+        rows += study_rows
+    write_whole(arguments.out / "study.csv", csv_text(rows))
+    write_whole(arguments.out / "report.html", index_page(entries, arguments.quick))
+    return complete
+
+
+def _run_study(
+    name: str, folder: Path, arguments: argparse.Namespace, jobs: int, console: Any
+) -> tuple[bool, str, list[SummaryRow], Sequence[Finding], list[Any]]:
+    from nmt_report.svg import figure_style
+    from nmt_study.case_store import CaseStore
+    from nmt_study.study_report import study_page
+    from nmt_study.study_runner import load_study, run_cases
+    from nmt_study.study_table import csv_text, level_rows, summary_row
+
+    module = load_study(name)
+    store = CaseStore(folder, name, arguments.force)
+    cases = module.cases(arguments.quick)
+    todo = store.missing(cases)
+    done = len(cases) - len(todo)
+    text = f"{module.TITLE}: {len(cases)} cases"
+    console.print(text + (f", {done} of them done before" if done else ""), style="bold", markup=False)
+    progress = _Progress(console, len(todo))
+    bags = folder / "bags" if arguments.keep_bags else None
+    reports = run_cases(name, cases, store, jobs, bags, progress.case_done)
+    failures = [report for report in reports if report.result is None]
+    results = [result for case in cases if (result := store.load(case)) is not None]
+    if not results:
+        raise BenchError(
+            f"No case of the study {name} has a result: {failures[0].failure if failures else 'none ran'}."
+        )
+    rows = [level_rows(name, result) for result in results]
+    summary = [summary_row(result, own) for result, own in zip(results, rows, strict=True)]
+    with figure_style():
+        output = module.show(results)
+    table = [row for own in rows for row in own] + list(output.extra_rows)
+    write_whole(folder / "study.csv", csv_text(table))
+    page = study_page(name, module.TITLE, results, summary, table, output, arguments.quick)
+    write_whole(folder / "report.html", page)
+    print_summary(console, summary, output.findings)
+    for report in failures:
+        console.print(f"Case {report.case.name} failed: {report.failure}", style="red", markup=False)
+    return not failures, module.TITLE, summary, output.findings, table
+
+
+def print_summary(console: Any, summary: Sequence[SummaryRow], findings: Sequence[Finding]) -> None:
+    """Largest errors of each case, and the statements checked."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from nmt_report.quantity_format import plain, significant
+
+    table = Table(box=SIMPLE_HEAD, header_style="bold")
+    table.add_column("case")
+    for head in ("levels", "test ω̃\n%", "test δ̃\n%", "method ω̃\n%", "method δ̃\n%", "periods\nper level"):
+        table.add_column(head, justify="right", no_wrap=True)
+    table.add_column("note")
+    for row in summary:
+        table.add_row(
+            row.case,
+            f"{row.locked}/{row.levels}",
+            *(significant(100.0 * value, 2) for value in (*row.single_point, *row.epmc)),
+            plain(row.periods, 1),
+            row.note,
+        )
+    console.print(table)
+    words = {True: ("holds", "green"), False: ("does not hold", "red"), None: ("open", "dim")}
+    for finding in findings:
+        word, style = words[finding.holds]
+        console.print(f"{word}: {finding.claim} {finding.found}.", style=style, markup=False)
+
+
+class _Progress:
+    """One line for each case as it ends."""
+
+    def __init__(self, console: Any, total: int) -> None:
+        self._console = console
+        self._total = total
+        self._count = 0
+        self._began = time.monotonic()
+
+    def case_done(self, report: CaseReport) -> None:
+        """Say what became of a case and how long the rest may take."""
+        from nmt_report.quantity_format import duration
+
+        self._count += 1
+        elapsed = time.monotonic() - self._began
+        rest = elapsed / self._count * (self._total - self._count)
+        if report.result is None:
+            what = f"failed: {report.failure}"
+        else:
+            run = report.result["run"]
+            what = f"{run['message']} {duration(run['bench_time_s'])} of bench time"
+        left = f"; about {duration(rest)} left" if self._count < self._total else ""
+        self._console.print(f"  {self._count}/{self._total} {report.case.title}: {what}{left}", markup=False)

@@ -1,0 +1,404 @@
+"""``./nmt sweep``: sine sweep or stepped sine with a held force, and the frequency responses from it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nmt_bench.commands.bench_options import add_latency_option, add_pacing_option, add_process_options, add_rig_options
+from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_core.errors import BenchError
+
+if TYPE_CHECKING:
+    from nmt_bench.harness import Bench, RunResult
+    from nmt_extract.swept_response import FrequencyResponseTable
+    from nmt_extract.synthesis import ResonanceError
+    from nmt_report.response_analysis import HeldForce, ModelResponse
+
+    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
+_MOST_STEPS = 2000
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "sweep",
+        help="sine sweep or stepped sine with a held force; frequency responses",
+        description=(
+            "Sweeps the frequency slowly while a controller holds the amplitude of the force's fundamental, records "
+            "everything, and finds the frequency responses of all sensors by order analysis. With --stepped the "
+            "frequency stands still at N places instead. Where the rig is simulated, the steady response of its "
+            "model (harmonic balance) is laid over the measurement."
+        ),
+    )
+    parser.add_argument("rig", metavar="RIG", help="name of a rig (for example joint_resonator) or path of a rig file")
+    add_output_options(parser, "bag/, frf.csv, report.html, rig.yaml, run.json", replace="replace")
+    parser.add_argument(
+        "--force",
+        dest="levels",
+        metavar="F[,F2…]",
+        required=True,
+        help="amplitudes held, one sweep each: N; with --control voltage V, with --control response m/s^2 or m",
+    )
+    parser.add_argument("--from", dest="start", metavar="f1", type=float, required=True, help="first frequency, Hz")
+    parser.add_argument("--to", dest="stop", metavar="f2", type=float, required=True, help="last frequency, Hz")
+    parser.add_argument(
+        "--rate", metavar="r", type=float, default=0.2, help="sweep rate, Hz/s, without sign (default: 0.2)"
+    )
+    parser.add_argument(
+        "--stepped", metavar="N", type=int, help="stand still at N evenly spaced frequencies instead of sweeping"
+    )
+    parser.add_argument(
+        "--direction",
+        choices=("given", "up", "down"),
+        default="given",
+        help="from the lower to the higher frequency, the reverse, or as given (default)",
+    )
+    parser.add_argument(
+        "--control",
+        choices=("force", "voltage", "response"),
+        default="force",
+        help="amplitude that is held (default: force)",
+    )
+    parser.add_argument(
+        "--periods", metavar="N", type=int, help="--stepped: whole periods a window (default: the rig's)"
+    )
+    parser.add_argument("--ramp", metavar="S", type=float, help="half-cosine to the amplitude, s (default: the rig's)")
+    add_rig_options(parser, "test.ramp_s=1")
+    add_pacing_option(parser)
+    add_latency_option(parser)
+    parser.add_argument("--points", metavar="N", type=int, default=400, help="frequencies of frf.csv (default: 400)")
+    parser.add_argument(
+        "--reference", choices=("model", "none"), default="model", help="what to compare with (default: the model)"
+    )
+    add_process_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Sweep, analyse, write the results, print the figures.
+
+    Returns:
+        0 if every level gave a response, 130 after Ctrl-C, 1 otherwise.
+
+    Raises:
+        BenchError: the rig, a level or an option is refused, or the nodes do not start.
+    """
+    levels, start, stop = _checked(arguments)
+    check_output(arguments.out, arguments.replace, "replace")
+
+    from nmt_bench.commands.run_command import measure, terminate_as_interrupt
+    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.harness import Bench
+
+    bench = Bench(
+        arguments.rig,
+        out=arguments.out,
+        processes=not arguments.one_process,
+        overrides=arguments.set,
+        exciter=arguments.exciter,
+        seed=arguments.seed,
+        pacing=arguments.pacing,
+        latency_blocks=arguments.latency_blocks,
+        ramp=arguments.ramp,
+        domain_id=arguments.domain,
+        control=arguments.control,
+        **_excitation(arguments, levels, start, stop),
+    )
+    console = make_console()
+    with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.replace, live=True) as folder:
+        result = measure(bench, console, arguments.quiet)
+        return _finish(arguments, bench, result, levels, folder, console)
+
+
+def _checked(arguments: argparse.Namespace) -> tuple[list[float], float, float]:
+    """Levels and frequencies in the order of the test."""
+    from nmt_sequencer.level_plan import parse_levels
+
+    levels = parse_levels(arguments.levels)
+    start, stop = arguments.start, arguments.stop
+    if not (0 < start < float("inf") and 0 < stop < float("inf") and start != stop):
+        raise BenchError(f"--from and --to must be two different positive frequencies, got {start:g} and {stop:g} Hz.")
+    if arguments.direction != "given" and (start > stop) == (arguments.direction == "up"):
+        start, stop = stop, start
+    if not 0 < arguments.rate < float("inf"):
+        raise BenchError(f"--rate must be positive, got {arguments.rate:g} Hz/s; --direction says which way.")
+    if arguments.stepped is not None and not 2 <= arguments.stepped <= _MOST_STEPS:
+        raise BenchError(f"--stepped needs 2 to {_MOST_STEPS} frequencies, got {arguments.stepped}.")
+    if not 10 <= arguments.points <= 100_000:
+        raise BenchError(f"--points must be 10 to 100000, got {arguments.points}.")
+    return levels, start, stop
+
+
+def _excitation(arguments: argparse.Namespace, levels: list[float], start: float, stop: float) -> dict[str, Any]:
+    """Arguments of the bench that say what is done at the levels."""
+    from nmt_rig.rig import load_rig
+
+    limit = load_rig(arguments.rig, arguments.set).limits.voltage_v
+    values: dict[str, Any] = {"node_values": {"pll": {"voltage_limit": 0.95 * limit}}} if limit else {}
+    if arguments.stepped is None:
+        rate = arguments.rate if stop > start else -arguments.rate
+        return {
+            **values,
+            "test": "sweep",
+            "levels": levels,
+            "frequencies_hz": (start,),
+            "rate_hz_s": rate,
+            "frequency_end_hz": stop,
+        }
+    step = (stop - start) / (arguments.stepped - 1)
+    frequencies = [start + k * step for k in range(arguments.stepped)]
+    return {
+        **values,
+        "test": "stepped_sine",
+        "levels": [level for level in levels for _ in frequencies],
+        "frequencies_hz": tuple(frequencies * len(levels)),
+        "window_periods": arguments.periods,
+    }
+
+
+def _finish(
+    arguments: argparse.Namespace, bench: Bench, result: RunResult, levels: list[float], folder: Path, console: Any
+) -> int:
+    """Analyse the bag, write and print."""
+    from nmt_extract.response_table import write_response_csv
+    from nmt_record.bag_reader import Bag
+    from nmt_report.quantity_format import duration
+    from nmt_report.response_analysis import held_force, responses_of_bag
+    from nmt_sequencer.run_machine import ResultCode
+
+    tables: list[FrequencyResponseTable] = []
+    remarks: list[str] = []
+    if result.code != ResultCode.SUCCEEDED or "not" in result.message:
+        remarks.append(result.message)
+    if result.bag is not None and result.bag.exists():
+        try:
+            tables, more = responses_of_bag(Bag.open(result.bag), arguments.points)
+            remarks += more
+        except BenchError as error:
+            remarks.append(str(error))
+    models = _model(arguments, bench, tables, remarks) if tables else []
+    comparisons = compare(tables, models)
+    forces = [held for held in map(held_force, tables) if held is not None]
+    if tables:
+        write_response_csv(tables, folder / "frf.csv")
+        text = _report(arguments, bench, result, tables, models, comparisons, forces, remarks)
+        from nmt_core.whole_file import write_whole
+
+        write_whole(folder / "report.html", text)
+    for line in (*force_lines(forces), *comparison_lines(comparisons, "the model's steady response")):
+        console.print(line, markup=False)
+    for line in remarks:
+        console.print(line, style="yellow", markup=False, soft_wrap=True)
+    if result.bench_time > 0:
+        console.print(
+            f"Bench time {duration(result.bench_time)} in {result.wall_time:.1f} s: "
+            f"{result.real_time_factor:.1f} × real time; bag {result.bag_state}.",
+            markup=False,
+        )
+    if tables:
+        console.print(f"Report: {(folder / 'report.html').resolve()}", markup=False, soft_wrap=True)
+    sys.stdout.flush()
+    if result.interrupted:
+        return EXIT_INTERRUPTED
+    complete = result.code == ResultCode.SUCCEEDED and result.bag_state == "closed" and not remarks
+    return EXIT_DONE if complete and len(tables) == len(levels) else EXIT_FAILED
+
+
+def _model(
+    arguments: argparse.Namespace, bench: Bench, tables: Sequence[FrequencyResponseTable], remarks: list[str]
+) -> list[ModelResponse]:
+    """The model's steady responses; none where the level was no force or none is wanted."""
+    if arguments.reference == "none" or any(table.level_unit != "N" for table in tables):
+        return []
+    from nmt_report.response_analysis import model_responses
+
+    low, high = sorted((arguments.start, arguments.stop))
+    try:
+        return model_responses(bench.rig, [table.level for table in tables], low, high, tables[0].channels)
+    except (BenchError, ArithmeticError, ValueError) as error:
+        remarks.append(f"The model's response was not found, so there is nothing to compare with: {error}")
+        return []
+
+
+def compare(
+    tables: Sequence[FrequencyResponseTable], models: Sequence[ModelResponse]
+) -> list[tuple[FrequencyResponseTable, ResonanceError]]:
+    """Model against measurement, every level and channel; the model takes the place of the synthesis."""
+    import numpy as np
+
+    from nmt_extract.synthesis import resonance_error
+
+    by_level = {model.level: model for model in models}
+    found = []
+    for table in tables:
+        model = by_level.get(table.level)
+        if model is None:
+            continue
+        for row, channel in enumerate(table.channels):
+            computed = model.at(row, table.frequency_hz)
+            curve = model.frequency_hz, np.abs(model.responses[row])
+            error = resonance_error(channel, table.frequency_hz, table.frf[row] * table.force_n, computed, curve)
+            found.append((table, error))
+    return found
+
+
+def force_lines(forces: Sequence[HeldForce]) -> list[str]:
+    """Force error of each level as sentences."""
+    lines = []
+    for held in forces:
+        way = "stepped" if held.rate_hz_s == 0 else f"{held.rate_hz_s:+.3g} Hz/s"
+        lines.append(
+            f"{held.level:g} N, {way}: force error {100 * held.rms:.3f} % rms, largest {100 * held.worst:+.3f} % at "
+            f"{held.worst_at_hz:.2f} Hz"
+        )
+    return lines
+
+
+def comparison_lines(comparisons: Sequence[tuple[FrequencyResponseTable, ResonanceError]], what: str) -> list[str]:
+    """Errors near resonance as sentences."""
+    return [
+        f"{table.level:g} {table.level_unit}, {error.channel}: peak {error.peak_amplitude:.4g} at "
+        f"{error.peak_frequency_hz:.3f} Hz; {what}: peak {100 * error.amplitude_error:+.2f} %, frequency "
+        f"{100 * error.frequency_error:+.3f} %, rms in the half-power band {100 * error.rms_error:.2f} % "
+        f"(moduli {100 * error.modulus_rms_error:.2f} %)"
+        for table, error in comparisons
+    ]
+
+
+DEFINITIONS = (
+    "Peak: largest value, by a parabola through 1/modulus² of five points (three of both, at "
+    "the measured frequencies, where the band has fewer than 40). "
+    "Half-power band: where the measured modulus is at least "
+    "its peak over √2. Rms: root mean square of the complex difference over that band, divided by the measured peak; "
+    "(moduli): of the difference of the moduli."
+)
+
+
+def comparison_rows(comparisons: Sequence[tuple[FrequencyResponseTable, ResonanceError]]) -> list[list[str]]:
+    """Cells of the table of errors."""
+    from nmt_report.quantity_format import plain, significant
+    from nmt_report.response_figures import channel_text
+
+    rows = []
+    for table, e in comparisons:
+        way = "stepped" if table.rate_hz_s == 0 else "up" if table.rate_hz_s > 0 else "down"
+        rows.append(
+            [
+                f"{significant(table.level)} {table.level_unit}, {way}: {channel_text(e.channel)[0]}",
+                significant(e.peak_amplitude),
+                plain(e.peak_frequency_hz, 3),
+                plain(100 * e.amplitude_error, 2),
+                plain(100 * e.frequency_error, 3),
+                plain(100 * e.rms_error, 2),
+                plain(100 * e.modulus_rms_error, 2),
+                f"{plain(e.band_hz[0], 2)} … {plain(e.band_hz[1], 2)}",
+            ]
+        )
+    return rows
+
+
+COMPARISON_HEAD = (
+    ("Measured", ""),
+    ("Peak", "m/s² or m"),
+    ("at", "Hz"),
+    ("Peak error", "%"),
+    ("Frequency error", "%"),
+    ("Rms", "%"),
+    ("Rms, moduli", "%"),
+    ("Half-power band", "Hz"),
+)
+
+
+def _report(
+    arguments: argparse.Namespace,
+    bench: Bench,
+    result: RunResult,
+    tables: Sequence[FrequencyResponseTable],
+    models: Sequence[ModelResponse],
+    comparisons: Sequence[tuple[FrequencyResponseTable, ResonanceError]],
+    forces: Sequence[HeldForce],
+    remarks: Sequence[str],
+) -> str:
+    from nmt_report.quantity_format import duration, plain, significant
+    from nmt_report.response_figures import Overlay, force_figure, response_figure
+    from nmt_report.response_page import ResponsePage, html_figures, html_table
+    from nmt_report.svg import figure_style
+
+    overlays = [
+        Overlay("model, steady (harmonic balance)", model.level, model.frequency_hz, model.responses)
+        for model in models
+    ]
+    caption = "Modulus of the fundamental and its phase relative to the force, every level." + (
+        " Dashed: steady response of the rig’s model at the same force; between: how far it lies from the measurement."
+        if overlays
+        else ""
+    )
+    with figure_style():
+        force = force_figure(tables)
+        figures = [response_figure(tables, channel, overlays, caption) for channel in tables[0].channels]
+    force_rows = [
+        [
+            f"{significant(h.level)} N",
+            "stepped" if h.rate_hz_s == 0 else plain(h.rate_hz_s, 3),
+            plain(100 * h.rms, 3),
+            plain(100 * h.worst, 3),
+            plain(h.worst_at_hz, 2),
+        ]
+        for h in forces
+    ]
+    force_html = (
+        html_table(
+            (("Force", ""), ("Rate", "Hz/s"), ("Error, rms", "%"), ("Error, largest", "%"), ("at", "Hz")),
+            force_rows,
+            "Fundamental of the force by order analysis, over the whole sweep once the amplitude had settled at its "
+            "start.",
+        )
+        if forces
+        else ""
+    )
+    comparison_html = (
+        html_table(
+            COMPARISON_HEAD,
+            comparison_rows(comparisons),
+            "Model’s steady response against the measurement. "
+            + DEFINITIONS
+            + " A sweep at r Hz/s finds the peak of a resonance of decay δ (rad/s) about r/δ Hz late.",
+        )
+        if comparisons
+        else ""
+    )
+    stepped = arguments.stepped is not None
+    start, stop = (t.frequency_hz[[0, -1]] for t in (tables[0], tables[0]))
+    page = ResponsePage(
+        kicker="Stepped sine" if stepped else "Controlled sweep",
+        heading=bench.rig.name,
+        subtitle=bench.rig.description,
+        verdict=(
+            f"{len(tables)} level{'s' if len(tables) > 1 else ''} measured"
+            + (f", force held within {100 * max(abs(h.worst) for h in forces):.2g} %" if forces else ""),
+            "partly" if remarks else "good",
+        ),
+        notices=remarks,
+        facts=[
+            ("Run", bench.test.run_id),
+            ("Held", {"force": "force", "voltage": "drive voltage", "response": "response"}[arguments.control]),
+            ("Frequencies", f"{plain(float(start[0]), 2)} to {plain(float(stop[1]), 2)} Hz"),
+            ("Rate", f"{arguments.stepped} steps" if stepped else f"{arguments.rate:g} Hz/s"),
+            ("Exciter", f"at point {bench.rig.drive_point}"),
+            ("Sampling", f"{bench.rig.sample_rate_hz:g} Hz"),
+            ("Bench time", duration(result.bench_time)),
+        ],
+        sections=[
+            ("force", "Held force", force_html + html_figures([force])),
+            ("responses", "Frequency responses", html_figures(figures)),
+            ("comparison", "Near the resonance", comparison_html),
+        ],
+        footer="Fundamentals A₁ of x(t) = Re Σ A<sub>n</sub> e<sup>inθ</sup> with the recorded phase θ of the "
+        "excitation. SI units.",
+    )
+    return page.html()

@@ -1,0 +1,122 @@
+"""The bench's nodes as processes: started, watched, ended; free of ROS."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from nmt_core.errors import BenchError
+from nmt_session.node_plan import NODES, NodePlan
+
+_GRACE = 5.0
+_PR_SET_PDEATHSIG = 1
+
+
+class NodeProcesses:
+    """One process a node; each ends with its parent, whatever kills that.
+
+    Args:
+        plan: parameters of the nodes.
+        out: folder that gets ``nodes.yaml`` (parameters for ``ros2 run``) and ``log/``.
+        environment: additional environment variables.
+    """
+
+    def __init__(self, plan: NodePlan, out: Path, environment: Mapping[str, str]) -> None:
+        self._plan = plan
+        self._log = out / "log"
+        self._parameters = out / "nodes.yaml"
+        self._environment = {**os.environ, **environment}
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self) -> None:
+        """Start all nodes.
+
+        Raises:
+            BenchError: an executable is missing or cannot be started.
+        """
+        self._log.mkdir(parents=True, exist_ok=True)
+        self._plan.write_parameters(self._parameters)
+        self._environment.setdefault("ROS_LOG_DIR", str(self._log))
+        for name in self._plan.values:
+            package, executable, _ = NODES[name]
+            command = [str(find_executable(package, executable))]
+            command += ["--ros-args", "--params-file", str(self._parameters)]
+            with open(self._log / f"{name}.log", "wb") as log:
+                try:
+                    self._processes[name] = subprocess.Popen(
+                        command,
+                        stdin=subprocess.DEVNULL,
+                        stdout=log,
+                        stderr=subprocess.STDOUT,
+                        env=self._environment,
+                        # Ctrl-C in the terminal is for the command line alone: it ramps the drive down first.
+                        start_new_session=True,
+                        preexec_fn=_die_with_parent,
+                    )
+                except OSError as error:
+                    raise BenchError(f"Node {name} cannot be started ({error}); run './nmt setup' again.") from error
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Process ids by node name."""
+        return {name: process.pid for name, process in self._processes.items()}
+
+    def first_dead(self) -> str:
+        """Name of a node whose process has ended; empty if all live."""
+        return next((name for name, process in self._processes.items() if process.poll() is not None), "")
+
+    def last_words(self, name: str) -> str:
+        """How the process ended and the last line of its log."""
+        process = self._processes.get(name)
+        code = process.poll() if process else None
+        how = ""
+        if code is not None and code < 0:
+            how = f"killed by {signal.Signals(-code).name}"
+        elif code:
+            how = f"exit code {code}"
+        with contextlib.suppress(OSError, IndexError):
+            lines = (self._log / f"{name}.log").read_text(errors="replace").strip().splitlines()
+            return ": ".join(part for part in (how, lines[-1].strip()) if part)
+        return how
+
+    def end(self) -> None:
+        """Ask every process to end, wait, then kill what is left."""
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGTERM)
+        deadline = time.monotonic() + _GRACE
+        for process in self._processes.values():
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(max(0.0, deadline - time.monotonic()))
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+
+
+def find_executable(package: str, executable: str) -> Path:
+    """Path of a node's executable, as ``ros2 run`` would find it.
+
+    Raises:
+        BenchError: the workspace is not built or not sourced.
+    """
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        path = Path(prefix) / "lib" / package / executable
+        if prefix and path.is_file():
+            return path
+    raise BenchError(
+        f"Executable '{executable}' of package {package} was not found on AMENT_PREFIX_PATH; build the workspace with "
+        "'./nmt setup', or source ros2_ws/install/setup.bash."
+    )
+
+
+def _die_with_parent() -> None:
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -1,0 +1,162 @@
+"""Learns from diagnosed development cases how reliable the signs of a diagnosis are."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize
+
+from nmt_blind.campaign.score import development_cases
+from nmt_blind.campaign.scored_case import ScoredCase
+from nmt_blind.campaign.statistics import ReliabilityDiagram, area_under_roc, reliability
+from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
+from nmt_core.whole_file import write_whole
+from nmt_diagnose.inference.confidence import bounded
+
+_RIDGE = 0.5
+_FEWEST = 20
+
+_Limits = tuple[float | None, float | None]
+_LIMITS: dict[int, _Limits] = {1: (0.0, None), -1: (None, 0.0), 0: (None, None)}
+
+Asked = Callable[[ScoredCase], "bool | None"]
+"""Whether a case is one; None = the question is not about it."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question that a reliability answers.
+
+    Attributes:
+        name: key in ``confidence.json``.
+        answer: of a case whose truth is known.
+        signs: what is learned from, and the sign that each weight must have (0 = any): more of an odds must not make
+            the answer less probable, whatever few cases say.
+    """
+
+    name: str
+    answer: Asked
+    signs: dict[str, int]
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What was learned for a question.
+
+    Attributes:
+        name: of the question.
+        bias, weights: of the reliability.
+        cases: that it was asked of; share: of those with the answer yes.
+        error: expected calibration error on the same cases, each left out in its tenth.
+        area: under the curve of right and false answers, likewise.
+    """
+
+    name: str
+    bias: float
+    weights: dict[str, float]
+    cases: int
+    share: float
+    error: float
+    area: float
+
+
+def _gap(case: ScoredCase) -> bool | None:
+    return case.kind != "null"
+
+
+def _unnamed(case: ScoredCase) -> bool | None:
+    return case.unknown if case.kind != "null" and case.answer.alarm else None
+
+
+def _first(case: ScoredCase) -> bool | None:
+    if not (case.known and case.answer.alarm and case.answer.ranking):
+        return None
+    return case.answer.first(case.truth)
+
+
+QUESTIONS = (
+    Question("gap", _gap, {"log_odds": 1}),
+    Question("unnamed", _unnamed, {"unknown_odds": 1, "leftover": 1, "second": 0, "together": 1, "sigmas": 0}),
+    Question("first", _first, {"margin": 1, "leftover": -1, "second": 0, "together": -1, "rivals": 0}),
+)
+
+
+def calibrate(folders: Sequence[Path], file: Path, target: Path) -> tuple[Learned, ...]:
+    """Learn all reliabilities and write them into a copy of a calibration.
+
+    Args:
+        folders: diagnosed development campaigns.
+        file: the calibration whose priors and thresholds are kept.
+        target: file to write.
+
+    Raises:
+        BenchError: no development campaign, or too few cases.
+    """
+    cases = [case for folder in folders for case in development_cases(folder) if case.details.get("features")]
+    try:
+        values = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BenchError(f"The calibration {file} cannot be read ({error}).") from error
+    learned = tuple(learn(question, cases) for question in QUESTIONS)
+    for item in learned:
+        weights = {name: round(weight, 4) for name, weight in item.weights.items()}
+        values[item.name] = {"bias": round(item.bias, 4), "weights": weights}
+    write_whole(target, json.dumps(values, indent=2) + "\n")
+    return learned
+
+
+def learn(question: Question, cases: Sequence[ScoredCase]) -> Learned:
+    """Logistic regression with a small ridge.
+
+    Raises:
+        BenchError: too few cases that the question is about.
+    """
+    answers = [question.answer(case) for case in cases]
+    asked = [case for case, answer in zip(cases, answers, strict=True) if answer is not None]
+    y = np.array([float(answer) for answer in answers if answer is not None])
+    if y.size < _FEWEST or not 0.0 < y.mean() < 1.0:
+        raise BenchError(
+            f"Only {y.size} development cases tell about '{question.name}', or all tell the same; diagnose more."
+        )
+    x = np.array([_row(case, question) for case in asked])
+    limits = [_LIMITS[sign] for sign in question.signs.values()]
+    weights = _fitted(x, y, limits)
+    # Each tenth judged by what the others teach.
+    stated = np.empty(y.size)
+    for part in np.array_split(np.random.default_rng(0).permutation(y.size), 10):
+        others = np.setdiff1d(np.arange(y.size), part)
+        stated[part] = _probability(x[part], _fitted(x[others], y[others], limits))
+    found: ReliabilityDiagram = reliability(list(stated), [bool(value) for value in y], equal=True)
+    area = area_under_roc(list(stated[y > 0.5]), list(stated[y < 0.5]))
+    named = dict(zip(question.signs, (float(w) for w in weights[1:]), strict=True))
+    return Learned(question.name, float(weights[0]), named, y.size, float(y.mean()), found.error, area)
+
+
+def _row(case: ScoredCase, question: Question) -> list[float]:
+    features = case.details["features"]
+    # A sign that is not finite has no number in the file: it is the lowest of its range.
+    values = {name: features.get(f"sign:{name}") for name in question.signs}
+    return [bounded(name, -np.inf if value is None else float(value)) for name, value in values.items()]
+
+
+def _probability(x: FloatArray, weights: FloatArray) -> FloatArray:
+    result: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(weights[0] + x @ weights[1:], -30.0, 30.0)))
+    return result
+
+
+def _fitted(x: FloatArray, y: FloatArray, limits: Sequence[_Limits]) -> FloatArray:
+    def loss(weights: FloatArray) -> tuple[float, FloatArray]:
+        p = np.clip(_probability(x, weights), 1e-12, 1.0 - 1e-12)
+        value = -float(y @ np.log(p) + (1.0 - y) @ np.log(1.0 - p)) + 0.5 * _RIDGE * float(weights[1:] @ weights[1:])
+        gradient = np.append((p - y).sum(), x.T @ (p - y) + _RIDGE * weights[1:])
+        return value, gradient
+
+    start = np.zeros(x.shape[1] + 1)
+    bounds = [_LIMITS[0], *limits]
+    result: FloatArray = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x
+    return result

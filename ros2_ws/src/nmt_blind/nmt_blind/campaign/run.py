@@ -1,0 +1,193 @@
+"""Diagnoses all cases of a blind check; the sealed truth is never opened here."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_core.whole_file import write_whole
+
+RESULT_FORMAT = "nmt blind result 1"
+_PUBLIC_FILE = "public.json"
+
+Diagnose = Callable[[Path, Sequence[Path], str], dict[str, Any]]
+"""From model, bags and the withheld effects (joined by commas, empty = none) to what ``diagnosis.json`` holds."""
+
+
+@dataclass(frozen=True)
+class CampaignRun:
+    """What a run of a campaign came to.
+
+    Attributes:
+        results: folder of the results.
+        cases: cases of the campaign.
+        done: of those, with a result now.
+        new: diagnosed this time.
+        failed: diagnosed this time, without a verdict.
+        seconds: median computing time of a diagnosis, s; NaN if none was made.
+    """
+
+    results: Path
+    cases: int
+    done: int
+    new: int
+    failed: int
+    seconds: float
+
+
+def diagnose_case(model: Path, bags: Sequence[Path], withheld: str) -> dict[str, Any]:
+    """The diagnosis that ``./nmt diagnose`` makes, without looking for the next test, and a baseline's answer."""
+    from nmt_blind.campaign.ensemble_sindy import sparse_terms
+    from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
+
+    settings = DiagnosisSettings(withheld=tuple(withheld.split(",")) if withheld else (), look_ahead=False)
+    result = diagnose_bags(model, bags, settings=settings).diagnosis.to_mapping()
+    with contextlib.suppress(BenchError, ArithmeticError, np.linalg.LinAlgError):
+        result["sindy"] = sparse_terms(model, bags)
+    return result
+
+
+def run_campaign(
+    folder: Path,
+    results: Path | None = None,
+    jobs: int = 1,
+    scheduler: str = "",
+    discard_bags: bool = False,
+    again: bool = False,
+    diagnose: Diagnose = diagnose_case,
+    progress: Callable[[int, int, str], None] = lambda done, total, case: None,
+) -> CampaignRun:
+    """Diagnose all cases that have no result yet.
+
+    Args:
+        folder: the campaign's folder.
+        results: folder for the results, one JSON file a case; None = ``results`` in the campaign's folder.
+        jobs: worker processes on this machine.
+        scheduler: address of a Dask scheduler in place of them; its workers must see the same folders.
+        discard_bags: remove the bags of a case once it is diagnosed; their hashes stay.
+        again: diagnose cases with a result too.
+        diagnose: makes one diagnosis.
+        progress: called with cases done, cases in all and the newest case.
+
+    Raises:
+        BenchError: the folder holds no campaign, or the scheduler does not answer.
+    """
+    public = read_public(folder)
+    results = results or folder / "results"
+    results.mkdir(parents=True, exist_ok=True)
+    cases = list(public["cases"])
+    todo = [case for case in cases if again or read_result(results, str(case["case"])) is None]
+    done, failed, spent = len(cases) - len(todo), 0, []
+    progress(done, len(cases), "")
+    work = [(folder, results, str(case["case"]), str(case["withheld"]), discard_bags, diagnose) for case in todo]
+    for result in _results(work, jobs, scheduler):
+        done += 1
+        failed += "error" in result
+        spent.append(float(result["seconds"]))
+        progress(done, len(cases), str(result["case"]))
+    middle = sorted(spent)[len(spent) // 2] if spent else float("nan")
+    return CampaignRun(results, len(cases), done, len(todo), failed, middle)
+
+
+def _results(work: list[tuple[Any, ...]], jobs: int, scheduler: str) -> Iterable[dict[str, Any]]:
+    if scheduler:
+        yield from _over_machines(work, scheduler)
+    elif jobs == 1 or len(work) <= 1:
+        for item in work:
+            yield run_case(*item)
+    else:
+        from joblib import Parallel, delayed, parallel_config
+
+        # The cases share the cores; each of them works on one.
+        with parallel_config(backend="loky", inner_max_num_threads=1):
+            parallel = Parallel(n_jobs=min(jobs, len(work)), return_as="generator_unordered")
+            yield from parallel(delayed(run_case)(*item) for item in work)
+
+
+def _over_machines(work: list[tuple[Any, ...]], scheduler: str) -> Iterable[dict[str, Any]]:
+    from distributed import Client, as_completed
+
+    try:
+        client = Client(scheduler, timeout="20s")
+    except (OSError, ValueError) as error:
+        raise BenchError(
+            f"The Dask scheduler {scheduler} does not answer ({error}); start it with 'dask scheduler' and give its "
+            "address as tcp://host:port."
+        ) from error
+    with client:
+        futures = [client.submit(run_case, *item, pure=False) for item in work]
+        for future in as_completed(futures):
+            yield future.result()
+
+
+def run_case(
+    folder: Path, results: Path, case: str, withheld: str, discard_bags: bool, diagnose: Diagnose
+) -> dict[str, Any]:
+    """Diagnose one case and keep the result; a failure is a result too.
+
+    Returns:
+        What was written, without the diagnosis.
+    """
+    own = folder / "cases" / case
+    bags = [own / test for test in read_public(folder)["tests"]]
+    begin, wall = time.process_time(), time.monotonic()
+    result: dict[str, Any] = {"format": RESULT_FORMAT, "case": case, "withheld": withheld}
+    result["bags"] = {bag.name: bag_digest(bag) for bag in bags}
+    try:
+        result["diagnosis"] = diagnose(own / "model.yaml", bags, withheld)
+    except BenchError as error:
+        result["error"] = str(error)
+    except Exception as error:
+        # One case that fails must not take the others with it.
+        result["error"] = f"{type(error).__name__}: {error}"
+    result["seconds"] = round(time.process_time() - begin, 3)
+    result["wall_seconds"] = round(time.monotonic() - wall, 3)
+    write_whole(results / f"{case}.json", json.dumps(result, indent=1, ensure_ascii=False) + "\n")
+    if discard_bags:
+        for bag in bags:
+            shutil.rmtree(bag, ignore_errors=True)
+    return {key: value for key, value in result.items() if key != "diagnosis"}
+
+
+def read_public(folder: Path) -> dict[str, Any]:
+    """What everybody may know of a campaign.
+
+    Raises:
+        BenchError: the folder holds no campaign.
+    """
+    try:
+        values = json.loads((folder / _PUBLIC_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BenchError(f"The folder {folder} holds no blind cases; make them with './nmt blind make'.") from error
+    if not isinstance(values, dict) or "cases" not in values:
+        raise BenchError(f"The folder {folder} holds no blind cases; make them with './nmt blind make'.")
+    return values
+
+
+def read_result(results: Path, case: str) -> dict[str, Any] | None:
+    """Result of a case; None if there is none."""
+    try:
+        values = json.loads((results / f"{case}.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    good = isinstance(values, dict) and values.get("format") == RESULT_FORMAT
+    return values if good else None
+
+
+def bag_digest(bag: Path) -> str:
+    """sha256 over the data files of a bag, in the order of their names; empty if there are none."""
+    digest = hashlib.sha256()
+    files = sorted(bag.glob("*.mcap"))
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest() if files else ""

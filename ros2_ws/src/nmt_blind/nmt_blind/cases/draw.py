@@ -1,0 +1,250 @@
+"""Cases of the blind check, drawn from a seed: what is true of each, before anything is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nmt_blind.cases.priors import draw_shifts
+from nmt_blind.cases.rig_edits import Edit
+from nmt_blind.cases.strength_table import StrengthTable
+from nmt_blind.cases.truths import KNOWN, NEAR_TWINS, OPEN, Spot, Truth, truth_named
+from nmt_core.errors import BenchError
+from nmt_rig.rig import Rig
+
+STRENGTHS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+"""Standard deviations at which single effects are drawn."""
+TWIN_STRENGTHS = (4.0, 8.0, 16.0)
+"""Of effects with a near twin: what is strong enough is told apart by anyone."""
+UNNAMED_STRENGTHS = (8.0, 16.0, 32.0, 64.0)
+"""Of effects without a name: a named relative takes most of a weak one."""
+COMPOUND_STRENGTH = 16.0
+"""Of each of two effects."""
+
+MIXTURE: dict[str, int] = {"null": 5, "effect": 8, "open": 2, "compound": 2, "twin": 1, "withheld": 2}
+"""Kinds of case and how many of twenty."""
+
+# Of the cases whose effect is not withheld, this share has another effect withheld: the flag alone says nothing.
+_OTHERS_WITHHELD = 0.2
+
+
+@dataclass(frozen=True)
+class TrueEffect:
+    """An effect that a case has.
+
+    Attributes:
+        name: of the truth.
+        place: where it acts.
+        detail: point, channel or form.
+        sigma: strength in standard deviations.
+        value: strength in `unit`, with its sign.
+        known: the library is supposed to have it.
+        alone: standard deviations that no other named effect takes, withheld ones apart.
+    """
+
+    name: str
+    place: str
+    detail: str
+    sigma: float
+    value: float
+    unit: str
+    known: bool
+    alone: float
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case.
+
+    Attributes:
+        number: from 1.
+        kind: null, effect, open, compound, twin or withheld.
+        effects: what is true.
+        withheld: effects that the library is to do without, joined by commas; empty = none.
+        shifted: parameters of the model are off.
+        edits: all changes of the model's rig file.
+        noise_seed: seed of noise and random drive.
+    """
+
+    number: int
+    kind: str
+    effects: tuple[TrueEffect, ...]
+    withheld: str
+    shifted: bool
+    edits: tuple[Edit, ...]
+    noise_seed: int
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+        return f"{self.number:04d}"
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "case": self.name,
+            "kind": self.kind,
+            "effects": [effect.to_mapping() for effect in self.effects],
+            "withheld": self.withheld,
+            "shifted": self.shifted,
+            "edits": [edit.to_mapping() for edit in self.edits],
+            "noise_seed": self.noise_seed,
+        }
+
+
+class _Deck:
+    """Deals all cards in random order before any comes again."""
+
+    def __init__(self, cards: Sequence[Any], generator: np.random.Generator) -> None:
+        self._cards = list(cards)
+        self._generator = generator
+        self._order: list[int] = []
+
+    def deal(self) -> Any:
+        if not self._cards:
+            raise BenchError(
+                "The table of strengths lacks truths for this kind of case; complete it with './nmt blind strengths'."
+            )
+        if not self._order:
+            self._order = [int(i) for i in self._generator.permutation(len(self._cards))]
+        return self._cards[self._order.pop()]
+
+
+def draw_cases(model: Rig, table: StrengthTable, count: int, seed: int, kinds: Sequence[str] = ()) -> list[Case]:
+    """Draw cases; the first ones are the same whatever the number.
+
+    Args:
+        model: the rig as it is believed to be.
+        table: its strengths.
+        count: number of cases.
+        seed: of everything.
+        kinds: kinds of case to draw; none = all.
+
+    Raises:
+        BenchError: a kind that does not exist, or a table without the truths that are needed.
+    """
+    for kind in kinds:
+        if kind not in MIXTURE:
+            raise BenchError(f"There is no kind of case '{kind}'; choose from {', '.join(MIXTURE)}.")
+    cards = [kind for kind, share in MIXTURE.items() if not kinds or kind in kinds for _ in range(share)]
+    mixture = _Deck(cards, np.random.default_rng([seed, 1]))
+    draws = _Draws(model, table, seed)
+    cases = []
+    shifts = {kind: _Deck((True, False), np.random.default_rng([seed, 2, i])) for i, kind in enumerate(MIXTURE)}
+    for number in range(1, count + 1):
+        kind = mixture.deal()
+        effects, edits, family = draws.effects(kind)
+        shifted = bool(shifts[kind].deal())
+        own = np.random.default_rng([seed, 3, number])
+        moved = draw_shifts(model, own) if shifted else ()
+        withheld = ",".join(family) if kind == "withheld" else draws.bystander(effects, own)
+        noise_seed = int(own.integers(1, 2**31))
+        cases.append(Case(number, kind, effects, withheld, shifted, (*moved, *edits), noise_seed))
+    return cases
+
+
+class _Draws:
+    """Draws of effects, each kind of case with decks of its own."""
+
+    def __init__(self, model: Rig, table: StrengthTable, seed: int) -> None:
+        self.model, self.table = model, table
+        self._generator = np.random.default_rng([seed, 4])
+        self.known = [truth for truth in KNOWN if self._reach(truth)]
+        unknown = [truth for truth in OPEN if self._reach(truth)]
+        pairs = [pair for pair in NEAR_TWINS if all(any(truth.name == name for truth in self.known) for name in pair)]
+
+        def deck(cards: Sequence[Any], key: int) -> _Deck:
+            return _Deck(cards, np.random.default_rng([seed, 5, key]))
+
+        self._single = deck(self.known, 0)
+        self._strength = {truth.name: deck(STRENGTHS, 10 + i) for i, truth in enumerate(self.known)}
+        self._open, self._withheld = deck(unknown, 1), deck(self.known, 2)
+        self._pair, self._strong = deck([*pairs, *((b, a) for a, b in pairs)], 3), deck(TWIN_STRENGTHS, 4)
+        self._unnamed = deck(UNNAMED_STRENGTHS, 7)
+        self._first, self._second = deck(self.known, 5), deck(self.known, 6)
+
+    def _reach(self, truth: Truth) -> bool:
+        """Whether the truth gets to the weakest strength anywhere on this rig."""
+        return bool(self._spots(truth, STRENGTHS[0]))
+
+    def _spots(self, truth: Truth, sigma: float) -> list[tuple[Spot, float]]:
+        found = []
+        for spot in truth.spots(self.model, self.table.operating):
+            value = self.table.value(truth, spot, sigma)
+            if value is not None:
+                found.append((spot, value))
+        return found
+
+    def effects(self, kind: str) -> tuple[tuple[TrueEffect, ...], tuple[Edit, ...], tuple[str, ...]]:
+        """Effects of a case of some kind, the edits that make them, and what must be withheld to leave them unnamed."""
+        if kind == "null":
+            return (), (), ()
+        if kind == "effect":
+            truth = self._single.deal()
+            return self._drawn((truth, self._strength[truth.name].deal()))
+        if kind == "open":
+            return self._drawn((self._open.deal(), self._unnamed.deal()))
+        if kind == "withheld":
+            return self._drawn((self._withheld.deal(), self._unnamed.deal()), withheld=True)
+        if kind == "twin":
+            return self._drawn((truth_named(self._pair.deal()[0]), self._strong.deal()))
+        first, second = self._first.deal(), self._second.deal()
+        while second.name == first.name or _near(first.name, second.name) or _overlap(first.name, second.name):
+            second = self._second.deal()
+        return self._drawn((first, COMPOUND_STRENGTH), (second, COMPOUND_STRENGTH))
+
+    def _drawn(
+        self, *wanted: tuple[Truth, float], withheld: bool = False
+    ) -> tuple[tuple[TrueEffect, ...], tuple[Edit, ...], tuple[str, ...]]:
+        effects: list[TrueEffect] = []
+        edits: list[Edit] = []
+        family: tuple[str, ...] = ()
+        for truth, sigma in wanted:
+            at = STRENGTHS.index(sigma)
+            while not self._spots(truth, STRENGTHS[at]) and at > 0:
+                at -= 1  # as strong as it gets
+            spot, value = self._choose(self._spots(truth, STRENGTHS[at]))
+            if withheld:
+                family = (truth.name, *self.table.twins(truth, spot))
+            if truth.signed and self._generator.random() < 0.5:
+                value = -value
+            edits += truth.edits(self.model, self.table.operating, spot, value)
+            place = truth.place_at(self.model, spot)
+            alone = round(STRENGTHS[at] * self.table.alone(truth, spot, family), 2)
+            effects.append(
+                TrueEffect(truth.name, place, spot.label, STRENGTHS[at], value, truth.unit, truth.known, alone)
+            )
+        return tuple(effects), tuple(edits), family
+
+    def _choose(self, spots: list[tuple[Spot, float]]) -> tuple[Spot, float]:
+        return spots[int(self._generator.integers(len(spots)))]
+
+    def bystander(self, effects: Sequence[TrueEffect], generator: np.random.Generator) -> str:
+        """An effect to withhold that is not true here, or none."""
+        names = {effect.name for effect in effects}
+        others = [
+            truth.name
+            for truth in self.known
+            if truth.name not in names and not any(_near(truth.name, name) for name in names)
+        ]
+        withhold = generator.random() < _OTHERS_WITHHELD
+        return others[int(generator.integers(len(others)))] if withhold and others else ""
+
+
+def _near(one: str, other: str) -> bool:
+    return any({one, other} == set(pair) for pair in NEAR_TWINS)
+
+
+# Truths that write the same key: together only one of them would be true.
+_SAME_KEY = ({"force_gain", "response_gain"}, {"clipping", "quantisation"}, {"low_pass", "channel_skew"})
+
+
+def _overlap(one: str, other: str) -> bool:
+    return any({one, other} <= keys for keys in _SAME_KEY)

@@ -1,0 +1,233 @@
+"""Makes the cases of a blind check: first the sealed truth, then bags that say nothing of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from nmt_blind.cases.blind_rigs import BlindRig, blind_rig
+from nmt_blind.cases.draw import Case, draw_cases
+from nmt_blind.cases.laboratory import record_backbone, record_random
+from nmt_blind.cases.rig_edits import with_edits
+from nmt_blind.cases.strength_table import StrengthTable, load_table
+from nmt_core.errors import BenchError
+from nmt_core.whole_file import write_whole
+
+TRUTH_FILE = "truth.sealed"
+SEAL_FILE = "seal.json"
+PUBLIC_FILE = "public.json"
+HASH_FILE = "hashes.json"
+TESTS = ("backbone", "random")
+FORMAT = "nmt blind campaign 1"
+
+
+@dataclass(frozen=True)
+class Made:
+    """A campaign on disk.
+
+    Attributes:
+        folder: its folder.
+        seal: sha256 of the sealed truth.
+        trail: sha256 of the list of all bags' hashes.
+        cases: number of cases; new: of those, made this time.
+        seconds: computing time of the new ones, s in all.
+        megabytes: size of all bags that are there.
+    """
+
+    folder: Path
+    seal: str
+    trail: str
+    cases: int
+    new: int
+    seconds: float
+    megabytes: float
+
+
+def make_campaign(
+    folder: Path,
+    rig_name: str,
+    count: int,
+    seed: int,
+    kinds: Sequence[str] = (),
+    sealed: bool = False,
+    jobs: int = 1,
+    rig: BlindRig | None = None,
+    table: StrengthTable | None = None,
+    on_seal: Callable[[str], None] = lambda digest: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Made:
+    """Draw cases, seal their truth, then make their bags; what is there already is kept.
+
+    Args:
+        folder: the campaign's folder.
+        rig_name: name of the blind rig.
+        count: number of cases.
+        seed: even for development, odd for sealed campaigns.
+        kinds: kinds of case; none = all.
+        sealed: a sealed campaign is meant.
+        jobs: worker processes.
+        rig, table: in place of the program's own.
+        on_seal: called with the seal before any bag is made.
+        progress: called with cases done and in all.
+
+    Raises:
+        BenchError: a seed of the wrong kind, a folder with another campaign, or what `draw_cases` refuses.
+    """
+    _check_seed(seed, sealed)
+    if count < 1:
+        raise BenchError(f"A campaign needs at least one case, got {count}.")
+    rig = rig or blind_rig(rig_name)
+    model = rig.model()
+    cases = draw_cases(model, table or load_table(rig), count, seed, kinds)
+    truth = json.dumps(
+        {"format": FORMAT, "rig": rig.name, "seed": seed, "cases": [case.to_mapping() for case in cases]}, indent=1
+    ) + "\n"  # fmt: skip
+    digest = hashlib.sha256(truth.encode()).hexdigest()
+    _claim(folder, digest, sealed)
+    public = {
+        "format": FORMAT,
+        "rig": rig.name,
+        "purpose": _purpose(sealed),
+        "model": "model.yaml",
+        "tests": list(TESTS),
+        "cases": [{"case": case.name, "withheld": case.withheld} for case in cases],
+    }
+    write_whole(folder / SEAL_FILE, json.dumps({
+        "format": FORMAT, "purpose": _purpose(sealed), "rig": rig.name, "cases": count, "sha256": digest,
+    }, indent=1) + "\n")  # fmt: skip
+    on_seal(digest)
+    if not (folder / TRUTH_FILE).exists():
+        write_whole(folder / TRUTH_FILE, truth)
+    write_whole(folder / PUBLIC_FILE, json.dumps(public, indent=1) + "\n")
+    (folder / "cases").mkdir(exist_ok=True)
+    todo = [case for case in cases if not (_case_folder(folder, case) / "bags.json").is_file()]
+    seconds = _make_bags(folder, rig, todo, len(cases), jobs, progress)
+    trail = _hash_trail(folder, cases)
+    size = sum(path.stat().st_size for path in (folder / "cases").rglob("*.mcap"))
+    return Made(folder, digest, trail, len(cases), len(todo), seconds, size / 1e6)
+
+
+def _purpose(sealed: bool) -> str:
+    return "sealed" if sealed else "development"
+
+
+def _check_seed(seed: int, sealed: bool) -> None:
+    if seed < 0:
+        raise BenchError(f"A seed must not be negative, got {seed}.")
+    if sealed and seed % 2 == 0:
+        raise BenchError(
+            f"Seed {seed} is even: even seeds are for development, odd ones for sealed campaigns; choose an odd one."
+        )
+    if not sealed and seed % 2 == 1:
+        raise BenchError(
+            f"Seed {seed} is odd: odd seeds are kept for sealed campaigns; choose an even one for development, "
+            "or add --sealed."
+        )
+
+
+def _claim(folder: Path, digest: str, sealed: bool) -> None:
+    """Make the folder, or find that it holds the same campaign."""
+    seal = folder / SEAL_FILE
+    if not seal.is_file():
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise BenchError(f"The folder {folder} holds something that is no campaign; choose another with --out.")
+        folder.mkdir(parents=True, exist_ok=True)
+        return
+    found = read_json(seal)
+    if found.get("purpose") != _purpose(sealed):
+        raise BenchError(
+            f"The folder {folder} holds a {found.get('purpose')} campaign; development and sealed cases do not mix: "
+            "choose another with --out."
+        )
+    if found.get("sha256") != digest:
+        raise BenchError(
+            f"The folder {folder} holds another campaign (rig, seed, kinds, number of cases or table of strengths "
+            "differ); choose another with --out."
+        )
+
+
+def _case_folder(folder: Path, case: Case) -> Path:
+    return folder / "cases" / case.name
+
+
+def _make_bags(
+    folder: Path, rig: BlindRig, todo: Sequence[Case], total: int, jobs: int, progress: Callable[[int, int], None]
+) -> float:
+    seconds = 0.0
+    done = total - len(todo)
+    progress(done, total)
+    if jobs == 1 or len(todo) <= 1:
+        results = (make_case(folder, rig, case) for case in todo)
+    else:
+        from joblib import Parallel, delayed
+
+        parallel = Parallel(n_jobs=min(jobs, len(todo)), return_as="generator_unordered")
+        results = parallel(delayed(make_case)(folder, rig, case) for case in todo)
+    for spent in results:
+        seconds += spent
+        done += 1
+        progress(done, total)
+    return seconds
+
+
+def make_case(folder: Path, rig: BlindRig, case: Case) -> float:
+    """Make the bags of a case; a case that was begun is made anew.
+
+    Returns:
+        Computing time, s.
+    """
+    import time
+
+    begin = time.process_time()
+    model = rig.model()
+    own = _case_folder(folder, case)
+    shutil.rmtree(own, ignore_errors=True)
+    own.mkdir(parents=True)
+    (own / "model.yaml").write_text(rig.file.read_text(encoding="utf-8"), encoding="utf-8")
+    truth = with_edits(model, case.edits)
+    bags: dict[str, Any] = {}
+    for test, record in zip(TESTS, (record_backbone, record_random), strict=True):
+        outcome = record(own / test, truth, model, rig.bench, case.noise_seed)
+        bags[test] = {**asdict(outcome), "sha256": bag_hash(own / test)}
+    write_whole(own / "bags.json", json.dumps(bags, indent=1) + "\n")
+    return time.process_time() - begin
+
+
+def bag_hash(bag: Path) -> str:
+    """sha256 over the data files of a bag, in the order of their names."""
+    digest = hashlib.sha256()
+    for path in sorted(bag.glob("*.mcap")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _hash_trail(folder: Path, cases: Sequence[Case]) -> str:
+    """Write the hashes of all bags into one file; its own hash is the end of the trail."""
+    hashes = {}
+    for case in cases:
+        bags = read_json(_case_folder(folder, case) / "bags.json")
+        hashes[case.name] = {test: bags[test]["sha256"] for test in TESTS}
+    seal = read_json(folder / SEAL_FILE)["sha256"]
+    text = json.dumps({"format": FORMAT, "truth": seal, "bags": hashes}, indent=1) + "\n"
+    write_whole(folder / HASH_FILE, text)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object.
+
+    Raises:
+        BenchError: the file is not there or is no JSON object.
+    """
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BenchError(f"The file {path} cannot be read; make the campaign again.") from error
+    if not isinstance(values, dict):
+        raise BenchError(f"The file {path} is not what a campaign holds; make the campaign again.")
+    return values

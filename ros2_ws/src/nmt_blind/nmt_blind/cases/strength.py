@@ -1,0 +1,336 @@
+"""How strong a truth is: standard deviations that are left after the model's own parameters took what they can.
+
+Two tests without noise are compared, with the truth and without: harmonics of the locked windows and lines of the
+random test. What the difference d amounts to is σ² = dᵀ (N + C Cᵀ)⁻¹ d, with N the noise of the sensors and the
+repeatability of a test, and C the changes that shifts of the model's parameters by one prior standard deviation make,
+together with the scatter of the phase at lock, of each level and of all levels alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nmt_blind.cases.blind_rigs import BlindRig
+from nmt_blind.cases.laboratory import BenchSettings, TrialError
+from nmt_blind.cases.operating import Operating, noise_deviation, operating_point
+from nmt_blind.cases.priors import parameters, shifted
+from nmt_blind.cases.quiet_tests import QuietRecord, QuietWindow, play_backbone, play_random
+from nmt_blind.cases.rig_edits import Edit, with_edits
+from nmt_blind.cases.truths import Spot, Truth
+from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
+from nmt_rig.linear_description import linear_description
+from nmt_rig.rig import Rig
+
+# Repeatability of a test besides noise: relative scatter of the locked frequency, of fundamentals, and of other
+# harmonics over the fundamental; phase at lock of each level, rad.
+FREQUENCY = 3e-5
+FUNDAMENTAL = 1e-4
+HARMONIC = 2e-5
+PHASE_AT_LOCK = 1e-3
+# What all levels of a run lean to one side by when they lock, rad: measured on null cases of both blind rigs.
+PHASE_LEAN = 6e-4
+ORDERS = range(6)
+LINES = 100
+"""Lines of the random test spread over its band; as many again near the modes."""
+_NEIGHBOURS = 4
+# Small and central: parameters that move a narrow resonance to either side must cancel.
+_STEP = 0.1
+# Size over σ from which a difference counts as imitated by parameters; how often and how far they are shifted then,
+# and what is not worth another turn, prior standard deviations.
+_IMITATED = 5.0
+_TURNS = 12
+_LARGEST_STEP = 1.5
+_SMALL_STEP = 0.2
+_PHASE_STEP = 1e-2
+
+TARGETS = (64.0, 16.0, 4.0)
+# How near to a target a strength must come, by whether its mark grows in proportion.
+_CLOSE = {False: 1.2, True: 2.0}
+_TRIALS = 7
+_FEWEST_LEVELS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """Observables of a pair of tests: values, noise (standard deviations), both (m,), and the level of each row."""
+
+    values: FloatArray
+    noise: FloatArray
+    level: FloatArray
+
+
+class Sensitivity:
+    """Strength of changes of one rig.
+
+    Args:
+        rig: the blind rig.
+        progress: called with a sentence.
+    """
+
+    def __init__(self, rig: BlindRig) -> None:
+        self.rig = rig
+        self.model = rig.model()
+        self.bench: BenchSettings = rig.bench
+        self.operating: Operating = operating_point(self.model, self.bench)
+        self._lines = _line_bins(self.model, self.bench)
+        self.base = self.observe(self.model)
+        self._nuisance = self._nuisances()
+
+    def observe(self, truth: Rig) -> Observed:
+        """Play both tests.
+
+        Raises:
+            TrialError: a test cannot be made on this truth.
+        """
+        windows = play_backbone(truth, self.model, self.bench)
+        record = play_random(truth, self.model, self.bench)
+        noise = {self.model.sensor_channel(s): noise_deviation(self.model, s) for s in self.model.sensors}
+        values, deviations, levels = [], [], []
+        for level in range(len(self.bench.levels)):
+            window = windows.get(level)
+            rows = self._window_rows(window, noise)
+            values.append(rows[0])
+            deviations.append(rows[1])
+            levels.append(np.full(rows[0].size, float(level)))
+        random = self._record_rows(record, noise)
+        values.append(random[0])
+        deviations.append(random[1])
+        levels.append(np.full(random[0].size, -1.0))
+        return Observed(np.concatenate(values), np.concatenate(deviations), np.concatenate(levels))
+
+    def _window_rows(self, window: QuietWindow | None, noise: dict[str, float]) -> tuple[FloatArray, FloatArray]:
+        channels = sum(sensor.quantity != "voltage" for sensor in self.model.sensors)
+        if window is None:
+            size = 1 + channels * (2 * len(ORDERS) + 2)
+            return np.full(size, math.nan), np.full(size, math.nan)
+        values, deviations = [math.log(window.frequency_hz)], [FREQUENCY]
+        for row, name in enumerate(window.channels):
+            deviation = noise[name] * math.sqrt(2.0 / window.samples)
+            fundamental = abs(window.amplitudes[row, 1])
+            for order in ORDERS:
+                value = complex(window.amplitudes[row, order])
+                scatter = (FUNDAMENTAL if order == 1 else HARMONIC) * fundamental
+                if order == 0 and not name.startswith("x"):
+                    scatter = math.inf  # a constant means nothing in forces and accelerations
+                values += [value.real, value.imag]
+                deviations += [math.hypot(deviation, scatter)] * 2
+            values += [float(window.mains[row].real), float(window.mains[row].imag)]
+            deviations += [math.hypot(deviation, HARMONIC * fundamental)] * 2
+        return np.array(values), np.array(deviations)
+
+    def _record_rows(self, record: QuietRecord, noise: dict[str, float]) -> tuple[FloatArray, FloatArray]:
+        """Least-squares responses to the voltage over a few neighbouring lines each, with their noise."""
+        size = record.voltage.size
+        u = np.fft.rfft(record.voltage)
+        y = np.fft.rfft(record.data, axis=1)
+        near = self._lines[:, np.newaxis] + np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1)
+        power = (np.abs(u[near]) ** 2).sum(axis=1)
+        response = (np.conj(u[near]) * y[:, near]).sum(axis=2) / power
+        deviation = np.array([noise[name] for name in record.channels])[:, np.newaxis] * np.sqrt(0.5 * size / power)
+        deviation = np.hypot(deviation, FUNDAMENTAL * np.abs(response))
+        values = np.concatenate([response.real.ravel(), response.imag.ravel()])
+        return values, np.concatenate([deviation.ravel(), deviation.ravel()])
+
+    def _nuisances(self) -> FloatArray:
+        """Changes by one standard deviation: of each parameter, and of the phase at lock, (m, k)."""
+        columns = []
+        for path, (value, std) in parameters(self.model).items():
+            up, down = (
+                self.observe(with_edits(self.model, (shifted(path, value, std, step),))).values
+                for step in (_STEP, -_STEP)
+            )
+            columns.append((up - down) / (2.0 * _STEP))
+        leaning = with_edits(self.model, (Edit(("pll",), {"phase_offset_rad": _PHASE_STEP}, "merge"),))
+        change = (self.observe(leaning).values - self.base.values) / _PHASE_STEP
+        columns.append(change * PHASE_LEAN)
+        for level in range(len(self.bench.levels)):
+            columns.append(np.where(self.base.level == level, change * PHASE_AT_LOCK, 0.0))
+        return np.stack(columns, axis=1)
+
+    def sigma_of(self, observed: Observed) -> float:
+        """Standard deviations by which observables differ from what the model can be made to say.
+
+        Where parameters imitate nearly all of a difference, or would have to be shifted far, a linear estimate leaves
+        its own error: the model is observed again with the shifts made, step by step.
+
+        Raises:
+            TrialError: too few levels locked, or the shifted model cannot be tested.
+        """
+        size, found, shifts = self._fitted(observed, self.base.values, np.zeros(self._nuisance.shape[1]))
+        paths = parameters(self.model)
+        own = np.arange(shifts.size) < len(paths)
+        if size <= _IMITATED * found and float(np.max(np.abs(shifts[own]))) <= _LARGEST_STEP:
+            return found
+        made = np.zeros(shifts.size)
+        for _ in range(_TURNS):
+            # What the phase at lock takes stays linear; the model is not moved by it.
+            step = np.where(own, np.clip(shifts - made, -_LARGEST_STEP, _LARGEST_STEP), 0.0)
+            made = made + step
+            edits = [
+                shifted(path, value, std, float(shift))
+                for (path, (value, std)), shift in zip(paths.items(), made, strict=False)
+            ]
+            try:
+                moved = self.observe(with_edits(self.model, edits))
+            except BenchError as error:
+                raise TrialError(str(error)) from error
+            _, found, shifts = self._fitted(observed, moved.values, made)
+            if float(np.max(np.abs((shifts - made)[own]))) < _SMALL_STEP:
+                break
+        return found
+
+    def _fitted(self, observed: Observed, values: FloatArray, shifts: FloatArray) -> tuple[float, float, FloatArray]:
+        """Size of the difference from the plain model, σ after the best shifts about given ones, and these."""
+        good = np.isfinite(observed.values) & np.isfinite(values) & np.isfinite(self.base.noise)
+        levels = np.unique(self.base.level[good & (self.base.level >= 0)]).size
+        if levels < min(_FEWEST_LEVELS, len(self.bench.levels)):
+            raise TrialError(f"only {levels} levels locked")
+        scale = 1.0 / self.base.noise[good]
+        d = (observed.values - values)[good] * scale
+        c = self._nuisance[good] * scale[:, np.newaxis]
+        step = np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, c.T @ d - shifts)
+        rest, total = d - c @ step, shifts + step
+        whole = np.nan_to_num((observed.values - self.base.values)[good] * scale)
+        return float(np.linalg.norm(whole)), math.sqrt(float(rest @ rest + total @ total)), total
+
+    def mark(self, truth: Truth, spot: Spot, value: float) -> FloatArray:
+        """What a truth changes over the noise, shape (m,); zero where a level did not lock."""
+        try:
+            observed = self.observe(with_edits(self.model, truth.edits(self.model, self.operating, spot, value)))
+        except (BenchError, TrialError):
+            return np.zeros(self.base.values.size)
+        result: FloatArray = np.nan_to_num((observed.values - self.base.values) / self.base.noise)
+        return result
+
+    def products(self, marks: FloatArray) -> FloatArray:
+        """Products of marks, shape (m, k), after the model's parameters took their part, shape (k, k)."""
+        c = np.nan_to_num(self._nuisance / self.base.noise[:, np.newaxis])
+        along = c.T @ marks
+        result: FloatArray = marks.T @ marks - along.T @ np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, along)
+        return result
+
+    def sigma(self, edits: Sequence[Edit]) -> float:
+        """Standard deviations that changes of the rig file amount to.
+
+        Raises:
+            TrialError: a test cannot be made with them.
+        """
+        try:
+            truth = with_edits(self.model, edits)
+        except BenchError as error:
+            raise TrialError(str(error)) from error
+        return self.sigma_of(self.observe(truth))
+
+    def curve(self, truth: Truth, spot: Spot, former: dict[str, Any] | None = None) -> dict[str, Any]:
+        """Strengths of a truth at a spot with their standard deviations, ascending; up to 64 σ where it gets there.
+
+        Args:
+            truth: the truth.
+            spot: where.
+            former: an older curve; the search starts from its strengths.
+        """
+        tried: list[tuple[float, float]] = []
+        trouble = ""
+
+        def trial(value: float) -> float:
+            nonlocal trouble
+            try:
+                found = self.sigma(truth.edits(self.model, self.operating, spot, value))
+            except TrialError as error:
+                trouble = str(error)
+                found = math.nan
+            tried.append((value, found))
+            return found
+
+        guess = self.rig.caution * truth.guess(self.model, self.operating, spot)
+        for target in TARGETS[: 2 if truth.proportional else None]:
+            near = value_at(former, target) if former else None
+            if near is not None:
+                trial(min(near, truth.largest))
+            _approach(trial, tried, target, guess, truth.largest, _CLOSE[truth.proportional])
+        points = sorted((value, found) for value, found in tried if math.isfinite(found) and found > 0.0)
+        rounded = [[float(f"{v:.6g}"), float(f"{s:.5g}")] for v, s in points]
+        return {"points": rounded, "proportional": truth.proportional, "trouble": trouble}
+
+
+def _approach(
+    trial: Any, tried: list[tuple[float, float]], target: float, guess: float, largest: float, close: float
+) -> None:
+    """Try values until one lies close to the target, by interpolation on logarithmic scales."""
+    for _ in range(_TRIALS):
+        good = sorted((v, s) for v, s in tried if math.isfinite(s) and s > 0.0)
+        bad = [v for v, s in tried if not math.isfinite(s)]
+        if any(max(s / target, target / s) < close for _, s in good):
+            return
+        if not good:
+            value = guess if not bad else 0.2 * min(bad)
+        else:
+            below = [pair for pair in good if pair[1] < target]
+            above = [pair for pair in good if pair[1] >= target]
+            if below and above:
+                (v0, s0), (v1, s1) = below[-1], above[0]
+                share = math.log(target / s0) / math.log(s1 / s0)
+                value = v0 * (v1 / v0) ** min(max(share, 0.05), 0.95)
+            else:
+                v, s = (below or above)[-1] if below else above[0]
+                # Beyond what was tried: in proportion, and not too far at once.
+                value = v * min(max(target / s, 0.02), 30.0)
+        value = min(value, largest)
+        if bad:
+            value = min(value, math.sqrt(min(bad) * max((v for v, _ in good), default=0.04 * min(bad))))
+        if any(math.isclose(value, v, rel_tol=0.02) for v, _ in tried):
+            return
+        trial(value)
+
+
+def spot_key(truth: Truth, spot: Spot) -> str:
+    """Key of a curve in a table."""
+    return f"{truth.name}@{spot.label}" if spot.label else truth.name
+
+
+def value_at(curve: dict[str, Any], target: float) -> float | None:
+    """Strength for a number of standard deviations, by interpolation of a curve on logarithmic scales.
+
+    Beyond the weakest point, and a single one, in proportion; None where the curve does not get there.
+    """
+    points = [(float(v), float(s)) for v, s in curve["points"]]
+    rising: list[tuple[float, float]] = []
+    for value, found in points:
+        if not rising or found > rising[-1][1]:
+            rising.append((value, found))
+    if not rising:
+        return None
+    if target > 1.1 * rising[-1][1]:
+        # A truth that grows in proportion may have been left somewhat below the target.
+        near = curve.get("proportional") and target < 3.0 * rising[-1][1]
+        return rising[-1][0] * target / rising[-1][1] if near else None
+    if target <= rising[0][1]:
+        return rising[0][0] * target / rising[0][1]
+    values, founds = np.log(np.array(rising)).T
+    if target >= rising[-1][1]:
+        return rising[-1][0]
+    return float(np.exp(np.interp(math.log(target), founds, values)))
+
+
+def _line_bins(model: Rig, bench: BenchSettings) -> np.ndarray[Any, np.dtype[np.int64]]:
+    resolution = 1.0 / bench.duration
+    low, high = bench.band_hz
+    lines = [*np.geomspace(1.05 * low, 0.95 * high, LINES)]
+    linear = linear_description(model)
+    centres = [w / (2.0 * math.pi) for w in linear.frequencies_rad_s] + [linear.plant_frequency_rad_s / (2.0 * math.pi)]
+    width = 12 * (2 * _NEIGHBOURS + 1) * resolution
+    for centre in centres:
+        if low < centre < high:
+            lines += [*np.arange(centre - width, centre + width, (2 * _NEIGHBOURS + 1) * resolution)]
+    bins = np.unique(np.round(np.array(lines) * bench.duration).astype(np.int64))
+    kept: list[int] = []
+    for line in bins:
+        if line > _NEIGHBOURS and (not kept or line - kept[-1] > 2 * _NEIGHBOURS):
+            kept.append(int(line))
+    return np.array(kept, dtype=np.int64)

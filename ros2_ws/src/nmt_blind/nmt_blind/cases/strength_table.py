@@ -1,0 +1,227 @@
+"""Tables of strengths: one file per rig, made once by ``./nmt blind strengths`` and kept with the program."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from nmt_blind.cases.blind_rigs import BlindRig
+from nmt_blind.cases.operating import Operating
+from nmt_blind.cases.rig_edits import rig_yaml
+from nmt_blind.cases.strength import (
+    FREQUENCY,
+    FUNDAMENTAL,
+    HARMONIC,
+    PHASE_AT_LOCK,
+    PHASE_LEAN,
+    Sensitivity,
+    spot_key,
+    value_at,
+)
+from nmt_blind.cases.truths import TRUTHS, Spot, Truth
+from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
+from nmt_core.whole_file import write_whole
+
+FORMAT = "nmt blind strengths 1"
+_MARK = 16.0
+"""Strength at which marks are compared, standard deviations."""
+_TWIN = 0.95
+"""Cosine from which two marks are hardly different."""
+
+
+@dataclass(frozen=True)
+class StrengthTable:
+    """Strengths of all truths of one rig.
+
+    Attributes:
+        rig: name of the rig.
+        operating: motion of the rig that sizes refer to.
+        curves: by `spot_key`: points (strength, standard deviations), what stopped the search, and rivals: by truth the
+            largest cosine between this mark and one of that truth, as far as it is above a half.
+    """
+
+    rig: str
+    operating: Operating
+    curves: dict[str, dict[str, Any]]
+
+    def value(self, truth: Truth, spot: Spot, sigma: float) -> float | None:
+        """Strength of so many standard deviations; None where the truth does not get there."""
+        curve = self.curves.get(spot_key(truth, spot))
+        return None if curve is None else value_at(curve, sigma)
+
+    def twins(self, truth: Truth, spot: Spot) -> tuple[str, ...]:
+        """Known truths whose mark is hardly another: with one of them in the library nothing is unnamed."""
+        rivals = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
+        return tuple(
+            name for name, cosine in rivals.items() if cosine >= _TWIN and TRUTHS[name].known and name != truth.name
+        )
+
+    def alone(self, truth: Truth, spot: Spot, without: Collection[str] = ()) -> float:
+        """Share of a mark that no other known truth can imitate, beside the model's parameters.
+
+        Args:
+            truth, spot: the truth.
+            without: truths that are no rivals.
+        """
+        rivals = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
+        known = (name for name in rivals if TRUTHS[name].known and name != truth.name and name not in without)
+        closest = max((float(rivals[name]) for name in known), default=0.0)
+        return math.sqrt(max(0.0, 1.0 - closest**2))
+
+
+def table_file(rig: BlindRig) -> Path:
+    """Where the table of a rig lies."""
+    return Path(__file__).resolve().parent / "strengths" / f"{rig.name}.json"
+
+
+def fingerprint(rig: BlindRig) -> str:
+    """What a table depends on: the rig file's content, the tests and what they repeat to."""
+    noise = [FREQUENCY, FUNDAMENTAL, HARMONIC, PHASE_AT_LOCK, PHASE_LEAN]
+    text = rig_yaml(rig.model()) + json.dumps([asdict(rig.bench), noise], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def load_table(rig: BlindRig, path: Path | None = None) -> StrengthTable:
+    """The table of a rig.
+
+    Raises:
+        BenchError: there is none, or it belongs to another version of the rig.
+    """
+    path = path or table_file(rig)
+    values = _read(path)
+    mend = f"make it with './nmt blind strengths --rig {rig.name}'"
+    if values is None:
+        raise BenchError(f"There is no table of strengths {path}; {mend}.")
+    if values.get("fingerprint") != fingerprint(rig):
+        raise BenchError(f"The table of strengths {path} belongs to another version of the rig or its tests; {mend}.")
+    return StrengthTable(rig.name, Operating.from_mapping(values["operating"]), values["curves"])
+
+
+def make_table(
+    rig: BlindRig,
+    names: Sequence[str] = (),
+    jobs: int = 1,
+    path: Path | None = None,
+    progress: Callable[[int, int, str], None] = lambda done, total, what: None,
+) -> StrengthTable:
+    """Make or complete the table of a rig; curves that are there already are kept.
+
+    Curves of another version of the rig are where the search for the new ones starts.
+
+    Args:
+        rig: the rig.
+        names: truths to do; none = all.
+        jobs: worker processes.
+        path: the file; None = that of the program.
+        progress: called with done, total and the newest curve.
+
+    Raises:
+        BenchError: a truth that does not exist.
+    """
+    for name in names:
+        if name not in TRUTHS:
+            raise BenchError(f"There is no truth '{name}'; choose from {', '.join(TRUTHS)}.")
+    path = path or table_file(rig)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    mark = fingerprint(rig)
+    found = _read(path)
+    former: dict[str, dict[str, Any]] = found["curves"] if found else {}
+    curves = former if found and found.get("fingerprint") == mark else {}
+    sensitivity = Sensitivity(rig)
+    todo = [
+        (truth, spot)
+        for truth in TRUTHS.values()
+        if not names or truth.name in names
+        for spot in truth.spots(sensitivity.model, sensitivity.operating)
+        if spot_key(truth, spot) not in curves
+    ]
+    values = {
+        "format": FORMAT,
+        "rig": rig.name,
+        "command": f"./nmt blind strengths --rig {rig.name}",
+        "fingerprint": mark,
+        "operating": sensitivity.operating.to_mapping(),
+    }
+
+    def keep() -> None:
+        ordered = {key: curves[key] for key in sorted(curves)}
+        write_whole(path, _text({**values, "curves": ordered}))
+
+    parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
+    work = (delayed(_curve)(sensitivity, truth.name, spot, former.get(spot_key(truth, spot))) for truth, spot in todo)
+    for done, (key, curve) in enumerate(parallel(work), start=1):
+        curves[key] = curve
+        keep()
+        progress(done, len(todo), key)
+    if todo or any("rivals" not in curve for curve in curves.values()):
+        _add_rivals(sensitivity, curves, parallel, progress)
+    keep()
+    return StrengthTable(rig.name, sensitivity.operating, curves)
+
+
+def _add_rivals(
+    sensitivity: Sensitivity,
+    curves: dict[str, dict[str, Any]],
+    parallel: Any,
+    progress: Callable[[int, int, str], None],
+) -> None:
+    """Cosines between the marks of all truths, the model's parameters projected out."""
+    marked = [
+        (spot_key(truth, spot), truth, spot, value)
+        for truth in TRUTHS.values()
+        for spot in truth.spots(sensitivity.model, sensitivity.operating)
+        if spot_key(truth, spot) in curves and (value := value_at(curves[spot_key(truth, spot)], _MARK)) is not None
+    ]
+    work = (delayed(_mark)(sensitivity, key, truth.name, spot, value) for key, truth, spot, value in marked)
+    marks: dict[str, FloatArray] = {}
+    for done, (key, mark) in enumerate(parallel(work), start=1):
+        marks[key] = mark
+        progress(done, len(marked), f"rivals of {key}")
+    keys = [key for key, *_ in marked]
+    gram = sensitivity.products(np.stack([marks[key] for key in keys], axis=1))
+    sizes = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    cosines = np.abs(gram) / sizes[:, np.newaxis] / sizes
+    for row, key in enumerate(keys):
+        found: dict[str, float] = {}
+        for column, (_, truth, _, _) in enumerate(marked):
+            if column != row and cosines[row, column] > 0.5:
+                found[truth.name] = max(found.get(truth.name, 0.0), round(min(1.0, float(cosines[row, column])), 4))
+        curves[key]["rivals"] = dict(sorted(found.items(), key=lambda item: -item[1]))
+    for key in set(curves) - set(keys):
+        curves[key]["rivals"] = {}
+
+
+def _mark(sensitivity: Sensitivity, key: str, name: str, spot: Spot, value: float) -> tuple[str, FloatArray]:
+    return key, sensitivity.mark(TRUTHS[name], spot, value)
+
+
+def _curve(
+    sensitivity: Sensitivity, name: str, spot: Spot, former: dict[str, Any] | None
+) -> tuple[str, dict[str, Any]]:
+    truth = TRUTHS[name]
+    return spot_key(truth, spot), sensitivity.curve(truth, spot, former)
+
+
+def _text(values: dict[str, Any]) -> str:
+    """JSON with one curve a line."""
+    curves = values.pop("curves")
+    head = json.dumps(values, indent=1)[:-2]
+    lines = ",\n".join(f"  {json.dumps(key)}: {json.dumps(curve)}" for key, curve in curves.items())
+    return f'{head},\n "curves": {{\n{lines}\n }}\n}}\n'
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return values if isinstance(values, dict) and values.get("format") == FORMAT else None

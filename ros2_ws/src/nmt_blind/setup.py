@@ -1,0 +1,18 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="nmt_blind",
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed"], "nmt_blind": ["cases/rigs/*.yaml", "cases/strengths/*.json"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/nmt_blind"]),
+        ("share/nmt_blind", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="nmt developers",
+    maintainer_email="nmt@example.org",
+    description="The blind check of the diagnosis: sealed cases, campaigns, scores, baselines, calibration",
+    license="Apache-2.0",
+)

@@ -1,0 +1,246 @@
+"""Measured and computed observables as curves: what a report draws and ``observables.csv`` lists."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.evidence.conditions import (
+    BackboneTable,
+    MeasuredChannel,
+    PhaseResonanceTest,
+    RandomTest,
+    RecordTest,
+    RingDownTest,
+    Test,
+)
+from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.inference.residual_map import channel_name, channels_of
+from nmt_report.quantity_format import engineering_exponent, power_of_ten
+
+_PARTS = {
+    Part.LOG_FREQUENCY: "ln_angular_frequency",
+    Part.PHASE_ERROR: "phase_error_rad",
+    Part.LOG_MAGNITUDE: "ln_magnitude",
+    Part.PHASE: "phase_rad",
+    Part.REAL: "real",
+    Part.IMAG: "imaginary",
+    Part.DAMPING: "damping_ratio",
+    Part.SAMPLE: "sample",
+    Part.LINE: "line_amplitude",
+    Part.STEP: "converter_step",
+}
+_FEW_LINES = 12
+_TAU = 2.0 * math.pi
+
+
+@dataclass(frozen=True)
+class Models:
+    """Observables of the model as given, with its parameters re-fitted, and of the outcome, (m,) each."""
+
+    as_given: FloatArray
+    refitted: FloatArray
+    final: FloatArray
+
+
+@dataclass(frozen=True)
+class Course:
+    """One observable along levels, lines, amplitudes or time.
+
+    Attributes:
+        title: what it is.
+        x, x_label: abscissa, (k,), ascending unless levels go down again.
+        unit: of the values.
+        measured, sigma: measured values and their standard deviation, (k,).
+        given, refitted, final: values of the three models, (k,).
+        deviation_unit: of the deviations.
+        deviations: model − measured of the three models and the standard deviation, in ``deviation_unit``, (4, k).
+        logarithmic: whether the values are shown on a logarithmic axis.
+        joined: whether neighbours are close enough for a line between them.
+    """
+
+    title: str
+    x: FloatArray
+    x_label: str
+    unit: str
+    measured: FloatArray
+    sigma: FloatArray
+    given: FloatArray
+    refitted: FloatArray
+    final: FloatArray
+    deviation_unit: str
+    deviations: FloatArray
+    logarithmic: bool = False
+    joined: bool = True
+
+
+@dataclass(frozen=True)
+class HarmonicCourse:
+    """Magnitudes of the harmonics of one channel over the level, relative to the fundamental.
+
+    Attributes:
+        title: channel.
+        x: level of excitation, (k,).
+        orders: orders n, (h,).
+        measured, sigma, given, refitted, final: magnitudes relative to the measured fundamental, (h, k).
+    """
+
+    title: str
+    x: FloatArray
+    x_label: str
+    orders: tuple[int, ...]
+    measured: FloatArray
+    sigma: FloatArray
+    given: FloatArray
+    refitted: FloatArray
+    final: FloatArray
+
+
+def drive_label(test: Test) -> str:
+    """What the abscissa of a test is."""
+    if isinstance(test, PhaseResonanceTest):
+        return "drive voltage / V" if test.held == "voltage" else "force / N"
+    if isinstance(test, RandomTest):
+        return "frequency / Hz"
+    if isinstance(test, RecordTest):
+        return "time / s"
+    return f"{test.channel.quantity.name.lower()} amplitude / {test.channel.quantity.unit}"
+
+
+def courses(evidence: Evidence, models: Models, test: int, part: Part) -> list[Course]:
+    """Courses of one part of one test, one per channel that has it; harmonics aside."""
+    rows = evidence.rows
+    mine = (rows.test == test) & (rows.part == part)
+    kind = evidence.tests[test]
+    found = []
+    for channel in np.unique(rows.channel[mine]):
+        which = np.flatnonzero(mine & (rows.channel == channel) & ((rows.harmonic == 1) | (rows.harmonic < 0)))
+        if which.size == 0:
+            continue
+        along = rows.time_s if isinstance(kind, RecordTest) else rows.level
+        which = which[np.argsort(along[which], kind="stable")]
+        found.append(_course(evidence, models, test, which, part))
+    return found
+
+
+def _course(evidence: Evidence, models: Models, test: int, which: np.ndarray, part: Part) -> Course:
+    rows, kind = evidence.rows, evidence.tests[test]
+    measured, sigma = evidence.values[which], evidence.sigma[which]
+    computed = [values[which] for values in (models.as_given, models.refitted, models.final)]
+    channel = int(rows.channel[which[0]])
+    own = channels_of(kind)[channel] if channel >= 0 else None
+    if isinstance(kind, RandomTest):
+        x = rows.frequency_hz[which]
+    elif isinstance(kind, RecordTest):
+        x = rows.time_s[which]
+    elif isinstance(kind, RingDownTest | BackboneTable):
+        x = np.asarray(kind.amplitudes)[rows.level[which]]
+    else:
+        x = rows.amplitude[which]
+    title = own.name if own is not None else ""
+    differences = np.array([values - measured for values in computed] + [sigma])
+    logarithmic = False
+    if part is Part.LOG_FREQUENCY:
+        title, unit, deviation_unit, factor = "frequency", "Hz", "%", 100.0
+        measured, *computed = (np.exp(values) / _TAU for values in (measured, *computed))
+    elif part is Part.LOG_MAGNITUDE:
+        unit, deviation_unit, factor = _magnitude_unit(kind, own), "%", 100.0
+        measured, *computed = (np.exp(values) for values in (measured, *computed))
+        logarithmic = True
+    elif part in (Part.PHASE, Part.PHASE_ERROR):
+        title = title or "phase error of the loop"
+        unit, deviation_unit, factor = "°", "°", math.degrees(1.0)
+        turns = np.round(differences[:3] / _TAU) * _TAU
+        differences[:3] -= turns
+        measured = np.degrees(np.unwrap(measured))
+        computed = [measured + np.degrees(row) for row in differences[:3]]
+    elif part is Part.DAMPING:
+        title, unit, deviation_unit, factor = "damping ratio", "%", "% of critical", 100.0
+        measured, *computed = (100.0 * values for values in (measured, *computed))
+    else:
+        unit = own.quantity.unit if own is not None else ""
+        deviation_unit, factor = unit, 1.0
+    joined = not isinstance(kind, RandomTest) or x.size >= _FEW_LINES
+    exponent = engineering_exponent(measured) if logarithmic or part in (Part.SAMPLE, Part.LINE) else 0
+    if exponent:
+        unit = f"{power_of_ten(exponent)} {unit}"
+        measured, *computed = (values / 10.0**exponent for values in (measured, *computed))
+    given, refitted, final = computed
+    return Course(
+        title, x, drive_label(kind), unit, measured, sigma, given, refitted, final, deviation_unit,
+        factor * differences, logarithmic, joined,
+    )  # fmt: skip
+
+
+def _magnitude_unit(kind: Test, channel: MeasuredChannel | None) -> str:
+    if channel is None:
+        return ""
+    unit = channel.quantity.unit.replace("m/s^2", "m/s²")
+    if isinstance(kind, RandomTest):
+        return f"{unit} / {'V' if kind.reference == 'voltage' else 'N'}"
+    return unit
+
+
+def harmonic_courses(evidence: Evidence, models: Models, test: int) -> list[HarmonicCourse]:
+    """Harmonics of every channel of a test that has some."""
+    rows, kind = evidence.rows, evidence.tests[test]
+    higher = (rows.test == test) & ((rows.part == Part.REAL) | (rows.part == Part.IMAG))
+    found = []
+    for channel in np.unique(rows.channel[higher]):
+        mine = higher & (rows.channel == channel)
+        orders = tuple(int(n) for n in np.unique(rows.harmonic[mine]) if n > 1)
+        levels = np.unique(rows.level[mine])
+        if not orders or levels.size < 2:
+            continue
+        magnitudes = np.full((5, len(orders), levels.size), np.nan)
+        x = np.empty(levels.size)
+        for column, level in enumerate(levels):
+            here = mine & (rows.level == level)
+            x[column] = rows.amplitude[here][0]
+            for row, order in enumerate(orders):
+                which = np.flatnonzero(here & (rows.harmonic == order))
+                for index, values in enumerate((evidence.values, None, models.as_given, models.refitted, models.final)):
+                    if values is None:
+                        magnitudes[index, row, column] = float(np.sqrt(np.mean(evidence.sigma[which] ** 2)))
+                    else:
+                        magnitudes[index, row, column] = float(np.sqrt(np.sum(values[which] ** 2)))
+        name = channel_name(evidence, test, int(channel))
+        found.append(HarmonicCourse(name, x, drive_label(kind), orders, *magnitudes))
+    return found
+
+
+def has(evidence: Evidence, test: int, part: Part) -> bool:
+    """Whether a test has observables of a part."""
+    return bool(np.any((evidence.rows.test == test) & (evidence.rows.part == part)))
+
+
+def observables_csv(evidence: Evidence, models: Models) -> str:
+    """Text of ``observables.csv``: every observable, measured and of the three models."""
+    rows, out = evidence.rows, io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(
+        ["test", "level", "amplitude", "frequency_hz", "time_s", "channel", "harmonic", "part", "measured", "std",
+         "floor", "model_as_given", "model_refitted", "model_final"]
+    )  # fmt: skip
+    for k in range(len(rows)):
+        channel = int(rows.channel[k])
+        name = channel_name(evidence, int(rows.test[k]), channel) if channel >= 0 else ""
+        harmonic = int(rows.harmonic[k])
+        numbers = (
+            evidence.values[k], evidence.std[k], evidence.floor[k], models.as_given[k], models.refitted[k],
+            models.final[k],
+        )  # fmt: skip
+        writer.writerow(
+            [
+                evidence.tests[int(rows.test[k])].name, int(rows.level[k]), repr(float(rows.amplitude[k])),
+                repr(float(rows.frequency_hz[k])), repr(float(rows.time_s[k])), name,
+                harmonic if harmonic >= 0 else "", _PARTS[Part(int(rows.part[k]))],
+                *(repr(float(value)) for value in numbers),
+            ]
+        )  # fmt: skip
+    return out.getvalue()

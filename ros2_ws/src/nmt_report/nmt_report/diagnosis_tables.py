@@ -1,0 +1,116 @@
+"""Tables of a diagnosis for the terminal."""
+
+from __future__ import annotations
+
+import math
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.inference.hypotheses import NULL
+from nmt_report.diagnosis_words import (
+    class_text,
+    effect_text,
+    parameters_text,
+    percent,
+    place_text,
+    probability_text,
+    rest_text,
+    sigma_text,
+    value_text,
+)
+from nmt_report.quantity_format import plain
+
+_BAR = 16
+_RANKED = 5
+_MOVED = 2.0
+_LEAST = 0.005
+
+
+def bar(share: float, width: int = _BAR) -> str:
+    """A bar of blocks for a share of one."""
+    eighths = round(8 * width * min(1.0, max(0.0, share))) if math.isfinite(share) else 0
+    full, rest = divmod(eighths, 8)
+    return "█" * full + ("▏▎▍▌▋▊▉"[rest - 1] if rest else "")
+
+
+def ranking_table(diagnosis: Diagnosis) -> Table | None:
+    """Explanations with their probability, most probable first."""
+    table = _new("Explanations")
+    table.add_column("probability", no_wrap=True, min_width=_BAR)
+    table.add_column("", justify="right", no_wrap=True)
+    table.add_column("explanation", overflow="fold")
+    table.add_column("place", overflow="fold")
+    table.add_column("parameters (± standard uncertainty)", overflow="fold")
+    table.add_column("gap closed", justify="right", no_wrap=True)
+    rows = []
+    for item in diagnosis.ranking:
+        name = class_text(item)
+        place, parameters = place_text(item.place, item.detail), parameters_text(item.parameters)
+        cells = (name, place, parameters, percent(item.closed.value))
+        rows.append((item.probability, cells))
+    rows.append((diagnosis.probabilities.get(NULL, 0.0), (effect_text(NULL), "", "", "")))
+    text, p = rest_text(diagnosis)
+    rows.append((p, (text, "", "", "")))
+    rows.sort(key=lambda row: -row[0])
+    shown = [row for number, row in enumerate(rows) if number < 2 or row[0] >= _LEAST]
+    for p, cells in shown[:_RANKED]:
+        table.add_row(Text(bar(p), style="blue"), probability_text(p), *map(Text, cells))
+    return table
+
+
+def place_table(diagnosis: Diagnosis) -> Table | None:
+    """Places with their probability; None where there is no gap to place."""
+    if not diagnosis.where:
+        return None
+    table = _new("Places")
+    table.add_column("probability", no_wrap=True, min_width=_BAR)
+    table.add_column("", justify="right", no_wrap=True)
+    table.add_column("place")
+    for item in diagnosis.where[:_RANKED]:
+        table.add_row(
+            Text(bar(item.p), style="blue"), probability_text(item.p), Text(place_text(item.place, item.detail))
+        )
+    return table
+
+
+def calibration_table(diagnosis: Diagnosis) -> Table | None:
+    """Parameters of the model that moved by more than twice their uncertainty."""
+    moved = [item for item in diagnosis.calibration if abs(item.sigmas) > _MOVED]
+    if not moved or diagnosis.verdict is Verdict.NONE:
+        return None
+    table = _new("Parameters of the model that moved (the others are in the report)")
+    table.add_column("key")
+    table.add_column("from", justify="right", no_wrap=True)
+    table.add_column("to", justify="right", no_wrap=True)
+    table.add_column("change\n%", justify="right", no_wrap=True)
+    for item in sorted(moved, key=lambda entry: -abs(entry.sigmas)):
+        change = 100.0 * (item.to / item.start - 1.0) if item.start else math.nan
+        table.add_row(
+            Text(item.name), value_text(item.start, math.nan, item.unit), value_text(item.to, item.std, item.unit),
+            plain(change, 2),
+        )  # fmt: skip
+    return table
+
+
+def next_table(diagnosis: Diagnosis) -> Table | None:
+    """Tests that would tell more, with their commands."""
+    if not diagnosis.next_test:
+        return None
+    table = _new("Tests that would tell more")
+    table.add_column("test", overflow="fold")
+    table.add_column("tells apart", overflow="fold")
+    table.add_column("expected\nstd. dev.", justify="right", no_wrap=True)
+    table.add_column("command", overflow="fold")
+    for item in diagnosis.next_test:
+        names = ", ".join(effect_text(name) for name in item.separates)
+        table.add_row(Text(item.test), Text(names), sigma_text(item.expected_sigma), Text(item.command))
+    return table
+
+
+def _new(title: str) -> Table:
+    return Table(
+        title=title, title_justify="left", title_style="bold", header_style="bold", box=SIMPLE_HEAD, pad_edge=False
+    )

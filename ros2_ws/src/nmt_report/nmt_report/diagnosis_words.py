@@ -1,0 +1,177 @@
+"""Words for what a diagnosis names: effects, places, verdicts, parameters with their uncertainty."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+
+from nmt_core.errors import BenchError
+from nmt_diagnose.effects.library import effect_named
+from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Ranked, Value, Verdict
+from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN
+from nmt_diagnose.inference.sentences import PLACES
+from nmt_report.quantity_format import plain, power_of_ten, significant
+from nmt_rig.rig import Rig
+
+VERDICTS = {
+    Verdict.NONE: ("no gap beyond noise", "good"),
+    Verdict.CALIBRATION: ("the model's own parameters were off", "good"),
+    Verdict.EFFECT: ("an unmodelled effect", "good"),
+    Verdict.UNKNOWN: ("a gap that nothing in the library explains", "partly"),
+}
+_NO_GAP = (Verdict.NONE, Verdict.CALIBRATION)
+QUESTIONS = ("Where", "Which", "How far")
+
+_NAMED = 4
+_LETTERS = {"f": "force", "x": "displacement", "v": "velocity", "a": "acceleration"}
+
+
+def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
+    """The verdict in a few words, and its class on a page: ``good``, ``partly`` or ``bad``."""
+    text, kind = VERDICTS[diagnosis.verdict]
+    if diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
+        head = diagnosis.ranking[0]
+        return f"the model lacks {class_text(head)} ({place_text(head.place, head.detail)})", kind
+    return text, kind
+
+
+def effect_text(name: str) -> str:
+    """``cubic stiffness`` for ``cubic_stiffness``; the rivals that are no effects in words."""
+    if name == NULL:
+        return "no effect needed"
+    if name == UNKNOWN:
+        return "something not in the library"
+    return " + ".join(part.split("@")[0].replace("_", " ") for part in name.split(" + "))
+
+
+def class_text(item: Ranked) -> str:
+    """The explanations of a class, joined by *or*; those that are another one with something added are left out."""
+    names = [item.effect, *item.equivalents]
+    parts = [frozenset(name.split(" + ")) for name in names]
+    plain_ones = [name for name, own in zip(names, parts, strict=True) if not any(other < own for other in parts)]
+    shown = [effect_text(name) for name in plain_ones[:_NAMED]]
+    more = len(plain_ones) - len(shown)
+    return " or ".join(shown) + (f" or one of {more} more" if more else "")
+
+
+def place_text(place: str, detail: str = "") -> str:
+    """Where, in words: ``the structure, point 5``."""
+    places = [PLACES.get(part, part.replace("_", " ")) for part in place.split(" + ")]
+    details = [detail_text(part, place) for part in detail.split(" + ") if part]
+    details = [part for part in details if part]
+    return " and ".join(places) + (f", {' and '.join(details)}" if details else "")
+
+
+def detail_text(detail: str, place: str = "") -> str:
+    """A point, pair of points, channel or direction in words."""
+    if detail.isdigit():
+        return f"point {detail}"
+    pair = re.fullmatch(r"(\d+)\s*[-–]\s*(\d+)", detail)
+    if pair:
+        return f"between points {pair[1]} and {pair[2]}"
+    seen = re.fullmatch(r"([a-z]\w*)<(\d+)", detail)
+    if seen:
+        return f"channel {seen[1]} picking up point {seen[2]}"
+    if place.endswith("sensor") or re.fullmatch(r"[fxva]\d+", detail):
+        return f"channel {detail}"
+    if (place, detail) in (("time", "time"), ("joint", "joint"), ("boundary", "clamp")):
+        return ""
+    return {"time": "over time", "cycles": "over the number of periods"}.get(detail, detail)
+
+
+def key_text(key: str, rig: Rig) -> str:
+    """A key of the rig file with the names of elements and sensors for their numbers, as ``--set`` takes it."""
+    parts = key.split(".")
+    if len(parts) > 1 and parts[1].isdigit():
+        index = int(parts[1])
+        if parts[0] == "local_elements" and index < len(rig.local_elements):
+            parts[1] = rig.local_elements[index].name or parts[1]
+        elif parts[0] == "sensors" and index < len(rig.sensors):
+            parts[1] = rig.sensors[index].channel or parts[1]
+    return ".".join(parts)
+
+
+def channel_text(channel: str) -> str:
+    """``displacement at point 4`` for ``x4``; other names as they are."""
+    known = re.fullmatch(r"([fxva])(\d+)", channel)
+    return f"{_LETTERS[known[1]]} at point {known[2]}" if known else channel
+
+
+def equation_text(effect: str) -> str:
+    """Equations of an effect, or of two; empty where the library has none of that name."""
+    found = []
+    for name in effect.split(" + "):
+        try:
+            found.append(effect_named(name.split("@")[0]).equation)
+        except BenchError:
+            return ""
+    return "; ".join(found)
+
+
+def value_text(value: float, std: float, unit: str = "") -> str:
+    """``(2.00 ± 0.27)·10⁶ N/m³``: two digits of the uncertainty, a common power of ten where it saves zeros."""
+    tail = "" if unit in ("", "1") else f" {unit}"
+    if not math.isfinite(value):
+        return "—"
+    known = math.isfinite(std) and std > 0.0
+    size = max(abs(value), std) if known else abs(value)
+    exponent = math.floor(math.log10(size)) if size > 0.0 else 0
+    exponent = 0 if -3 <= exponent < 5 else 3 * math.floor(exponent / 3)
+    scale = 10.0**exponent
+    if not known:
+        return significant(value / scale, 5) + (f"·{power_of_ten(exponent)}" if exponent else "") + tail
+    decimals = max(0, min(9, 1 - math.floor(math.log10(std / scale))))
+    text = f"{plain(value / scale, decimals)} ± {plain(std / scale, decimals)}"
+    return (f"({text})·{power_of_ten(exponent)}" if exponent else text) + tail
+
+
+def parameters_text(parameters: Mapping[str, Value]) -> str:
+    """Parameters with uncertainties, separated by commas."""
+    groups: dict[str, list[str]] = {}
+    for name, v in parameters.items():
+        label, _, own = name.rpartition(".") if "@" in name or "." in name else ("", "", name)
+        groups.setdefault(label, []).append(f"{own} = {value_text(v.value, v.std, v.unit)}")
+    return "; ".join((f"{_label_text(label)}: " if label else "") + ", ".join(items) for label, items in groups.items())
+
+
+def _label_text(label: str) -> str:
+    """``cubic stiffness at point 4`` for ``cubic_stiffness@4``."""
+    effect, _, detail = label.partition("@")
+    return effect_text(effect) + (f" at {detail_text(detail)}" if detail else "")
+
+
+def sigma_text(sigma: float) -> str:
+    """Expected standard deviations; beyond a hundred the number says nothing more."""
+    return "> 100" if sigma > 100.0 else plain(sigma, 0)
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """A share as percent; an em dash where it is not known."""
+    return f"{plain(100.0 * share, digits)} %" if math.isfinite(share) else "—"
+
+
+def probability_text(p: float) -> str:
+    """A probability in percent, never claiming more certainty than two digits show."""
+    if not math.isfinite(p):
+        return "—"
+    if p > 0.995:
+        return "> 99 %"
+    return "< 1 %" if p < 0.005 else f"{100.0 * p:.0f} %"
+
+
+def closed_text(gap: Gap) -> str:
+    """Share of the gap that is closed, with its interval."""
+    text = percent(gap.closed)
+    return f"{text} ({percent(gap.low)[:-2]} to {percent(gap.high)})" if math.isfinite(gap.low) else text
+
+
+def rest_text(diagnosis: Diagnosis) -> tuple[str, float]:
+    """What is neither no effect nor one of the ranked ones, and its probability.
+
+    Where no gap is claimed that is an effect too weak for these tests, whatever its name.
+    """
+    unknown = diagnosis.probabilities.get(UNKNOWN, 0.0)
+    if diagnosis.verdict in _NO_GAP:
+        return "an effect too weak to see", unknown + diagnosis.probabilities.get(OTHER, 0.0)
+    return effect_text(UNKNOWN), unknown

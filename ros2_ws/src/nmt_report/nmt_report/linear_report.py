@@ -1,0 +1,446 @@
+"""``report.html`` of a linear modal test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from nmt_core.blocks import FloatArray
+from nmt_extract.frf import ComplexArray
+from nmt_extract.linear_file import synthesis_correlation
+from nmt_extract.linear_residuals import modal_receptance
+from nmt_extract.linear_test import LinearMode, LinearTest
+from nmt_extract.modal import estimated_mass
+from nmt_report.quantity_format import duration, plain, significant, uncertain
+from nmt_report.response_page import ResponsePage, html_figures, html_table
+from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, figure_style, svg_text
+
+if TYPE_CHECKING:
+    from nmt_bench.commands.linear_command import LinearOutcome
+    from nmt_rig.rig import Rig
+
+_CURVE_POINTS = 700
+
+
+@dataclass(frozen=True, eq=False)
+class ExactModes:
+    """Sticking modes of a rig's model: frequencies (Hz), damping ratios, shapes (points × modes), point numbers."""
+
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    shapes: FloatArray
+    points: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class ModeErrors:
+    """A measured mode against the model's nearest: relative errors, 1 − MAC, and that mode."""
+
+    frequency: float
+    damping: float
+    mac_defect: float
+    scale: float
+    exact_frequency_hz: float
+    exact_damping_ratio: float
+
+
+def exact_modes(rig: Rig) -> ExactModes:
+    """Modes of the rig's model with friction sticking."""
+    from nmt_rig.model.linear_modes import sticking_modes
+    from nmt_rig.rig_model import build_elements, build_structure
+
+    structure = build_structure(rig)
+    modes = sticking_modes(structure, build_elements(rig, structure))
+    return ExactModes(np.asarray(modes.frequencies / (2.0 * np.pi)), modes.damping_ratios, modes.shapes, modes.points)
+
+
+def match(mode: LinearMode, exact: ExactModes, points: Sequence[int]) -> ModeErrors:
+    """Errors of a measured mode against the model's mode nearest in frequency."""
+    index = int(np.argmin(np.abs(exact.frequency_hz - mode.frequency_hz)))
+    shape = exact.shapes[[exact.points.index(point) for point in points], index]
+    product = float(mode.shape @ shape)
+    own, other = float(mode.shape @ mode.shape), float(shape @ shape)
+    return ModeErrors(
+        float(mode.frequency_hz / exact.frequency_hz[index] - 1.0),
+        float(mode.damping_ratio / exact.damping_ratio[index] - 1.0),
+        float(1.0 - product**2 / (own * other)),
+        float(abs(product) / other - 1.0),
+        float(exact.frequency_hz[index]),
+        float(exact.damping_ratio[index]),
+    )
+
+
+def linear_page(outcome: LinearOutcome, exact: ExactModes | None) -> str:
+    """The whole page.
+
+    Args:
+        outcome: what the command found.
+        exact: modes of the rig's model to compare with; None where there is none.
+    """
+    test = outcome.test
+    with figure_style():
+        responses = [_response_figure(test, row) for row in range(len(test.points))]
+        details = [_target_figure(test), _coherence_figure(test), _diagram_figure(test), _shape_figure(test)]
+    target = test.target_mode
+    name = outcome.rig.name if outcome.rig is not None else str(outcome.run.get("rig") or "Recording")
+    check = outcome.check
+    kind = "good" if check is None or check.is_linear else "partly"
+    text = f"{len(test.modes)} modes fitted and scaled"
+    if check is not None:
+        text += "; linear at this level" if check.is_linear else "; not linear at this level"
+    cards = [
+        ("Target mode", f"{plain(target.frequency_hz, 4)} Hz", f"± {target.frequency_std:.1g} Hz"),
+        ("Damping ratio", f"{plain(100 * target.damping_ratio, 4)} %", f"± {100 * target.damping_std:.1g} %"),
+    ]
+    if test.plant is not None:
+        plant = test.plant
+        cards.append(("With exciter", f"{plain(plant.frequency_hz, 3)} Hz", f"{plain(100 * plant.damping_ratio, 3)} %"))
+    facts = [
+        ("Run", str(outcome.run.get("run_id") or "")),
+        ("Started", str(outcome.run.get("started") or "").replace("T", " ")),
+        ("Exciter", f"at point {test.settings.drive_point}"),
+        ("Level", "" if outcome.level is None else f"{significant(outcome.level)} V rms"),
+        ("Band", f"{test.settings.band_hz[0]:g} to {test.settings.band_hz[1]:g} Hz"),
+        ("Record", duration(test.duration_s)),
+        ("Averages", f"{test.force_frf.independent_averages:.1f} independent, Hann window"),
+        ("Input of the fit", test.reference),
+    ]
+    sections = [
+        ("modes", "Modes", _mode_table(test, exact) + _plant_table(test) + _linearity(outcome)),
+        ("responses", "Frequency responses", html_figures(responses)),
+        ("quality", "Target mode, coherence, stabilisation, shapes", html_figures(details) + _mac_table(test)),
+        ("residuals", "Residuals and mass", _residual_table(test) + _mass_table(test)),
+    ]
+    return ResponsePage(
+        "Linear modal test",
+        name,
+        outcome.rig.description if outcome.rig is not None else "",
+        (text, kind),
+        sections,
+        cards,
+        facts,
+        outcome.remarks,
+        "Receptance: displacement over force. Convention: x(t) = Re X e<sup>iωt</sup>. ± standard uncertainty. SI "
+        "units.",
+    ).html()
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+
+
+def _mode_table(test: LinearTest, exact: ExactModes | None) -> str:
+    head = [
+        ("Mode", ""),
+        ("Frequency", "Hz"),
+        ("Damping ratio", "%"),
+        ("φ at the drive point", "1/√kg"),
+        ("Complexity", "%"),
+        ("Explained", "%"),
+        ("From averages: f", "Hz"),
+        ("ζ", "%"),
+    ]
+    rows, errors_rows = [], []
+    for index, mode in enumerate((*test.modes, *test.further_modes)):
+        kept = index < len(test.modes)
+        name = f"{index + 1}" + (", target" if index == test.target else "") if kept else "not kept"
+        row = [
+            name,
+            uncertain(mode.frequency_hz, mode.frequency_std),
+            uncertain(100 * mode.damping_ratio, 100 * mode.damping_std),
+            uncertain(mode.drive_shape, mode.drive_shape_std),
+            plain(100 * mode.complexity, 1),
+            plain(100 * mode.coherence, 3),
+            plain(mode.averaged.frequency_hz, 3),
+            plain(100 * mode.averaged.damping_ratio, 3),
+        ]
+        if exact is not None:
+            errors = match(mode, exact, test.points)
+            errors_rows.append(
+                [
+                    name,
+                    plain(errors.exact_frequency_hz, 4),
+                    plain(100 * errors.exact_damping_ratio, 4),
+                    plain(100 * errors.frequency, 4),
+                    plain(100 * errors.damping, 3),
+                    f"{errors.mac_defect:.1e}",
+                    plain(100 * errors.scale, 3),
+                ]
+            )
+        rows.append(row)
+    note = (
+        "Explained: share of the response’s power around the mode that the fit explains. From averages: poles of the "
+        "Hann-windowed averages (start of the fit), which the window widens. Complexity: ‖Im ψ‖/‖ψ‖."
+    )
+    text = html_table(head, rows, note) + _shape_table(test)
+    if exact is None:
+        return text
+    return text + html_table(
+        [
+            ("Against the model", ""),
+            ("Model: f", "Hz"),
+            ("ζ", "%"),
+            ("Δf", "%"),
+            ("Δζ", "%"),
+            ("1 − MAC", ""),
+            ("Δscale", "%"),
+        ],
+        errors_rows,
+        "Exact modes of the rig’s model with friction sticking, nearest in frequency; the test uses nothing of it.",
+    )
+
+
+def _shape_table(test: LinearTest) -> str:
+    head = [("Mass-normalised shape at", ""), *((f"mode {index + 1}", "1/√kg") for index in range(len(test.modes)))]
+    rows = [
+        [f"point {point}", *(uncertain(float(m.shape[row]), float(m.shape_std[row])) for m in test.modes)]
+        for row, point in enumerate(test.points)
+    ]
+    return html_table(head, rows)
+
+
+def _plant_table(test: LinearTest) -> str:
+    plant = test.plant
+    if plant is None:
+        return ""
+    rows = [
+        ["Frequency with exciter", f"{uncertain(plant.frequency_hz, plant.frequency_std)} Hz"],
+        ["Damping ratio with exciter", f"{uncertain(100 * plant.damping_ratio, 100 * plant.damping_std)} %"],
+        ["Force at the target’s frequency", f"{significant(plant.force_per_volt, 5)} N/V"],
+        ["Drive-point displacement there", f"{significant(plant.displacement_per_volt, 5)} m/V"],
+        ["Moving mass of the exciter", f"{significant(plant.moving_mass_kg, 3)} kg"],
+    ]
+    return html_table([("Plant: structure and exciter", ""), ("", "")], rows)
+
+
+def _linearity(outcome: LinearOutcome) -> str:
+    return "" if outcome.check is None else f'<p class="note">{escape(outcome.check.sentence)}</p>'
+
+
+def _mac_table(test: LinearTest) -> str:
+    shapes = np.column_stack([mode.complex_shape for mode in test.modes])
+    norms = np.sum(np.abs(shapes) ** 2, axis=0)
+    mac = np.abs(shapes.conj().T @ shapes) ** 2 / np.outer(norms, norms)
+    head = [("MAC", ""), *((f"mode {index + 1}", "") for index in range(len(test.modes)))]
+    rows = [[f"mode {index + 1}", *(plain(float(value), 4) for value in row)] for index, row in enumerate(mac)]
+    return html_table(head, rows, "Between the fitted modes at the response points; not zero where these are few.")
+
+
+def _residual_table(test: LinearTest) -> str:
+    head = [
+        ("Response", ""),
+        ("Lower", "1/kg"),
+        ("Upper", "m/N"),
+        ("Lower, target alone", "1/kg"),
+        ("Upper, target alone", "m/N"),
+        ("Correlation with the synthesis", ""),
+    ]
+    correlation = synthesis_correlation(test)
+    whole, alone = test.residuals, test.target_residuals
+    rows = [
+        [
+            f"point {point}",
+            *(_complex(values[row]) for values in (whole.lower, whole.upper, alone.lower, alone.upper)),
+            plain(float(correlation[row]), 6),
+        ]
+        for row, point in enumerate(test.points)
+    ]
+    note = (
+        f"x/F = modes + lower/(−ω²) + upper. All kept modes: {whole.band_hz[0]:.4g} to {whole.band_hz[1]:.4g} Hz; "
+        f"target alone: {alone.band_hz[0]:.4g} to {alone.band_hz[1]:.4g} Hz."
+    )
+    return html_table(head, rows, note)
+
+
+def _complex(value: complex) -> str:
+    sign = "+" if value.imag >= 0 else "−"
+    return f"{significant(value.real, 3)} {sign} {significant(abs(value.imag), 3)} i"
+
+
+def _mass_table(test: LinearTest) -> str:
+    head = [("Estimated mass", "kg"), *((f"point {point}", "") for point in test.points)]
+    rows = [
+        [f"point {point}", *(significant(float(value), 4) for value in row)]
+        for point, row in zip(test.points, estimated_mass(test.shapes), strict=True)
+    ]
+    return html_table(head, rows, "(Φᵀ)⁺ Φ⁺ of the kept modes; of their number’s rank.")
+
+
+# -- figures ----------------------------------------------------------------------------------------------------------
+
+
+def _thinned(frequency: FloatArray, values: ComplexArray) -> tuple[FloatArray, ComplexArray]:
+    """At most a few hundred lines, even over the logarithm of frequency, of every stretch its largest value."""
+    if frequency.size <= _CURVE_POINTS:
+        return frequency, values
+    edges = np.unique(
+        np.searchsorted(frequency, np.geomspace(frequency[0], frequency[-1], _CURVE_POINTS)).clip(0, frequency.size - 1)
+    )
+    bounds = np.append(edges, frequency.size)
+    index = [low + int(np.argmax(np.abs(values[low:high]))) for low, high in pairwise(bounds)]
+    return frequency[index], values[index]
+
+
+def _two_axes() -> tuple[Figure, Any, Any]:
+    figure = Figure(figsize=(6.3, 4.6))
+    top, bottom = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (1.8, 1)})
+    figure.subplots_adjust(left=0.13, right=0.97, bottom=0.11, top=0.97, hspace=0.1)
+    bottom.set_xlabel("frequency (Hz)")
+    bottom.set_ylabel("phase (°)")
+    bottom.set_ylim(-235, 145)
+    bottom.set_yticks([-180, -90, 0, 90])
+    return figure, top, bottom
+
+
+def _phase(values: ComplexArray, lowest: float = -225.0) -> FloatArray:
+    """Degrees in one turn upwards of a lowest value; from −225 on, 0, −90 and −180 lie far from the ends."""
+    return np.asarray((np.degrees(np.angle(values)) - lowest) % 360.0 + lowest)
+
+
+def _response_figure(test: LinearTest, row: int) -> ReportFigure:
+    point = test.points[row]
+    figure, top, bottom = _two_axes()
+    frequency = test.force_frf.frequency_hz
+    measured = test.receptance()[row]
+    synthesis = test.synthesis()[row]
+    low, high = test.residuals.band_hz
+    inside = (frequency >= low) & (frequency <= high)
+    for lines, values, colour, label, width in (
+        (frequency, measured, BLUE, "measured", 1.6),
+        (frequency[inside], synthesis[inside], ORANGE, "modes and residuals", 1.0),
+    ):
+        f, h = _thinned(lines, values)
+        top.loglog(f, np.abs(h), color=colour, linewidth=width, label=label)
+        bottom.semilogx(f, _phase(h), color=colour, linewidth=width)
+    top.set_ylabel("receptance (m/N)")
+    top.legend(loc="lower left")
+    return ReportFigure(
+        f"frf-{point}",
+        f"Receptance of point {point}",
+        f"Displacement at point {point} over force at point {test.settings.drive_point}.",
+        svg_text(figure, f"frf-{point}", f"Receptance of point {point} over frequency"),
+    )
+
+
+def _target_figure(test: LinearTest) -> ReportFigure:
+    """Estimators around the target, where the force drops out, and the fit."""
+    target = test.target_mode
+    figure, top, bottom = _two_axes()
+    frf = test.force_frf
+    spacing = float(frf.frequency_hz[1] - frf.frequency_hz[0])
+    width = max(8.0 * target.damping_ratio * target.frequency_hz, 12.0 * spacing)
+    use = np.abs(frf.frequency_hz - target.frequency_hz) <= width
+    powers = {"DISPLACEMENT": 0, "VELOCITY": 1, "ACCELERATION": 2}
+    row = int(np.argmax(np.abs(target.shape)))
+    # At resonance the phase is −90° or 90°; the cut lies opposite.
+    lowest = -270.0 if target.shape[row] * target.drive_shape > 0 else -90.0
+    factor = (2j * np.pi * frf.frequency_hz[use]) ** -powers[test.quantity.name]
+    for values, colour, label, style in (
+        (frf.h1, BLUE, "H1", "-"),
+        (frf.h2, RED, "H2", "--"),
+        (frf.hv, GREEN, "Hv", "-."),
+        (frf.hc, MUTED, "by way of the voltage", ":"),
+    ):
+        if values is not None:
+            h = values[row][use] * factor
+            top.semilogy(frf.frequency_hz[use], np.abs(h), color=colour, linestyle=style, label=label)
+            bottom.plot(frf.frequency_hz[use], _phase(h, lowest), color=colour, linestyle=style)
+    fine = np.linspace(target.frequency_hz - width, target.frequency_hz + width, 400)
+    fitted = modal_receptance(target.shape * target.drive_shape, target.omega, target.damping_ratio, fine)[row]
+    fitted = fitted + test.target_residuals.receptance(fine)[row]
+    top.semilogy(fine, np.abs(fitted), color=ORANGE, linewidth=1.0, label="fit of the whole record")
+    bottom.plot(fine, _phase(fitted, lowest), color=ORANGE, linewidth=1.0)
+    bottom.set_yticks([lowest + 90.0, lowest + 180.0, lowest + 270.0])
+    bottom.set_ylim(lowest + 45.0, lowest + 315.0)
+    top.set_ylabel("receptance (m/N)")
+    top.legend(loc="upper right")
+    return ReportFigure(
+        "target",
+        f"Target mode at point {test.points[row]}",
+        "Estimators of the averaged spectra, all widened by the window, and the fit of the whole record without one.",
+        svg_text(figure, "target", "Frequency response around the target mode"),
+    )
+
+
+def _coherence_figure(test: LinearTest) -> ReportFigure:
+    figure = Figure(figsize=(6.3, 3.4))
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.13, right=0.97, bottom=0.15, top=0.96)
+    frf = test.force_frf
+    colours = [BLUE, ORANGE, GREEN, RED, INK, MUTED]
+    for row, point in enumerate(test.points):
+        # Of every stretch the lowest value: 1 − γ² is what matters.
+        f, rest = _thinned(frf.frequency_hz, (1.0 - frf.coherence[row]).astype(np.complex128))
+        axes.semilogx(f, 1.0 - rest.real, color=colours[row % len(colours)], label=f"point {point}", linewidth=1.0)
+    axes.set_ylim(-0.02, 1.05)
+    axes.set_xlabel("frequency (Hz)")
+    axes.set_ylabel("coherence γ²")
+    axes.legend(loc="lower left", ncols=3)
+    return ReportFigure(
+        "coherence",
+        "Coherence of force and responses",
+        "Lowest value of every stretch of frequency. Dips at narrow resonances are leakage of the window, which the "
+        "fit avoids; dips at antiresonances are noise.",
+        svg_text(figure, "coherence", "Coherence over frequency"),
+    )
+
+
+def _diagram_figure(test: LinearTest) -> ReportFigure:
+    figure = Figure(figsize=(6.3, 3.8))
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.13, right=0.97, bottom=0.14, top=0.96)
+    stable: list[tuple[float, int]] = []
+    loose: list[tuple[float, int]] = []
+    for poles in test.diagrams[0]:
+        for frequency, good in zip(poles.frequency_hz, poles.stable, strict=True):
+            (stable if good else loose).append((float(frequency), poles.order))
+    for entries, marker, colour, label in ((loose, ".", MUTED, "new"), (stable, "o", BLUE, "stable")):
+        if entries:
+            x, y = zip(*entries, strict=True)
+            size = 2.0 if marker == "." else 2.6
+            axes.semilogx(x, y, marker, color=colour, markersize=size, label=label, linestyle="none")
+    for index, mode in enumerate((*test.modes, *test.further_modes)):
+        kept = index < len(test.modes)
+        axes.axvline(mode.frequency_hz, color=ORANGE if kept else MUTED, linewidth=0.8, linestyle="-" if kept else ":")
+    axes.set_xlim(*test.settings.band_hz)
+    axes.set_xlabel("frequency (Hz)")
+    axes.set_ylabel("order")
+    axes.legend(loc="lower left")
+    return ReportFigure(
+        "stabilisation",
+        "Stabilisation diagram",
+        "Poles of the LSCF polynomials over their order; stable: frequency within 0.5 % and damping within 5 % of the "
+        "order below. Lines: fitted modes, dotted where not kept.",
+        svg_text(figure, "stabilisation", "Stabilisation diagram"),
+    )
+
+
+def _shape_figure(test: LinearTest) -> ReportFigure:
+    figure = Figure(figsize=(6.3, 3.8))
+    count = len(test.modes)
+    for index, mode in enumerate(test.modes):
+        axes: Any = figure.add_subplot(1, count, index + 1)
+        limit = 1.15 * float(np.max(np.abs(mode.complex_shape)))
+        for value, point in zip(mode.complex_shape, test.points, strict=True):
+            axes.plot([0.0, value.real], [0.0, value.imag], color=BLUE, linewidth=1.2)
+            axes.plot([value.real], [value.imag], "o", color=BLUE)
+            axes.annotate(str(point), (value.real, value.imag), textcoords="offset points", xytext=(3, 4), fontsize=8)
+        axes.set_xlim(-limit, limit)
+        axes.set_ylim(-limit, limit)
+        axes.set_aspect("equal")
+        axes.set_title(f"{significant(mode.frequency_hz, 5)} Hz")
+        axes.set_xlabel("Re ψ (1/√kg)")
+        if index == 0:
+            axes.set_ylabel("Im ψ (1/√kg)")
+    figure.subplots_adjust(left=0.1, right=0.98, bottom=0.13, top=0.92, wspace=0.3)
+    return ReportFigure(
+        "complexity",
+        "Shapes in the complex plane",
+        "A mode of proportional damping lies on the real axis; the real part goes to loop and extraction.",
+        svg_text(figure, "complexity", "Complex shapes at the response points"),
+    )

@@ -1,0 +1,270 @@
+"""A run's report data from its bag, read once and thinned on the way."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+
+from nmt_core.blocks import SampleBlock
+from nmt_core.linear_description import LinearDescription
+from nmt_report.run_data import (
+    Envelope,
+    Excerpt,
+    LevelStart,
+    LockMark,
+    LoopHistory,
+    ReferenceCurve,
+    RunReportData,
+)
+
+if TYPE_CHECKING:
+    from nmt_extract.modal_point import ModalPoint
+    from nmt_record.bag_reader import Bag
+
+STRETCHES = 1200
+EXCERPT_PERIODS = 3.0
+
+
+def report_data_from_bag(
+    path: Path | str | Bag,
+    points: Sequence[ModalPoint] | None = None,
+    reference: ReferenceCurve | None = None,
+) -> RunReportData:
+    """Read what a report shows.
+
+    Args:
+        path: a bag, as ``nmt_record.bag_reader.Bag.open`` takes it, or one that is open.
+        points: modal points to show; None = those recorded in the bag.
+        reference: computed backbone to compare with.
+
+    Returns:
+        The data, without the list of files.
+
+    Raises:
+        BenchError: the path is not a readable bag.
+    """
+    from nmt_extract.conversions import modal_point_from_message
+    from nmt_record.bag_reader import Bag
+
+    bag = path if isinstance(path, Bag) else Bag.open(path)
+    run = bag.run_start or {}
+    linear = LinearDescription.from_mapping(run["linear"]) if run.get("linear") else None
+    loop: list[tuple[int, float, float, int, float]] = []
+    levels: list[LevelStart] = []
+    locks: list[LockMark] = []
+    recorded: list[ModalPoint] = []
+    for topic, _, message in bag.messages(["frequency", "level", "lock", "modal_point"]):
+        if topic == "frequency":
+            loop.append(
+                (
+                    message.last_sample,
+                    message.frequency_hz,
+                    message.phase_error,
+                    message.state,
+                    message.drive_amplitude,
+                )
+            )
+        elif topic == "level":
+            levels.append(LevelStart(int(message.index), float(message.amplitude), int(message.apply_at_sample)))
+        elif topic == "lock":
+            locks.append(_lock(message))
+        else:
+            recorded.append(modal_point_from_message(message))
+    envelopes, excerpts, sample_rate, end_sample = _signals(bag, linear, locks)
+    excerpts = _with_frequency(excerpts, recorded if points is None else points)
+    return RunReportData(
+        points=recorded if points is None else points,
+        sample_rate=sample_rate,
+        run=run,
+        rig=_rig(bag.rig_yaml),
+        stop=bag.run_stop or {},
+        linear=linear,
+        history=_history(loop),
+        envelopes=envelopes,
+        excerpts=excerpts,
+        levels=levels,
+        locks=locks,
+        reference=reference,
+        loss=bag.loss,
+        end_sample=end_sample,
+    )
+
+
+class _Signal:
+    """One channel on its way through the bag: envelope over stretches of blocks, samples of the excerpts."""
+
+    def __init__(self, symbol: str, point: int, blocks: int, shortest: float, spans: Sequence[tuple[int, int]]) -> None:
+        self._symbol = symbol
+        self._point = point
+        self._blocks_per_stretch = max(1, math.ceil(blocks / STRETCHES))
+        self._shortest = shortest
+        self._spans = spans
+        self._next_span = 0
+        self._gathered: list[Any] = []
+        self._first = 0
+        self._envelope: list[tuple[float, float, float]] = []
+        self._pieces: dict[int, list[Any]] = {}
+        self.channel = ""
+        self.unit = ""
+        self.sample_rate = math.nan
+        self.end_sample = 0
+
+    def add(self, block: SampleBlock) -> None:
+        row = block.points.index(self._point) if self._point in block.points else 0
+        self.channel, self.unit, self.sample_rate = block.channels[row], block.unit, block.sample_rate
+        self.end_sample = max(self.end_sample, block.end_sample)
+        data = block.data[row]
+        if not self._gathered:
+            self._first = block.first_sample
+        self._gathered.append(data)
+        long_enough = block.end_sample - self._first >= self._shortest * block.sample_rate
+        if len(self._gathered) >= self._blocks_per_stretch and long_enough:
+            self._close_stretch(block.end_sample)
+        while self._next_span < len(self._spans) and block.end_sample > self._spans[self._next_span][0]:
+            first, stop = self._spans[self._next_span]
+            piece = data[max(0, first - block.first_sample) : max(0, stop - block.first_sample)]
+            self._pieces.setdefault(self._next_span, []).append(piece)
+            if block.end_sample < stop:
+                break
+            self._next_span += 1
+
+    def envelope(self) -> Envelope:
+        if self._gathered:
+            self._close_stretch(self.end_sample)
+        sample, low, high = np.array(self._envelope).reshape(-1, 3).T
+        return Envelope(self.channel, self.symbol, self.unit, sample, low, high)
+
+    @property
+    def symbol(self) -> str:
+        return self._symbol.format(self.channel[1:]) if self.channel else self._symbol
+
+    def excerpt(self, span: int) -> Any:
+        """Samples of a span; None unless all of them were there."""
+        pieces = self._pieces.get(span)
+        if not pieces:
+            return None
+        samples = np.concatenate(pieces)
+        first, stop = self._spans[span]
+        return samples if samples.size == stop - first and np.all(np.isfinite(samples)) else None
+
+    def _close_stretch(self, end_sample: int) -> None:
+        values = np.concatenate(self._gathered)
+        self._envelope.append((0.5 * (self._first + end_sample), np.fmin.reduce(values), np.fmax.reduce(values)))
+        self._gathered.clear()
+
+
+_SYMBOLS = {
+    "voltage": "$u$",
+    "force": "$F$",
+    "displacement": "$x_{{{}}}$",
+    "acceleration": r"$\ddot x_{{{}}}$",
+}
+
+
+def _signals(
+    bag: Bag, linear: LinearDescription | None, locks: Sequence[LockMark]
+) -> tuple[list[Envelope], list[Excerpt], float, int]:
+    present = [topic for topic in _SYMBOLS if bag.topics.get(topic, ("", 0))[1]]
+    if "displacement" in present and "acceleration" in present:
+        present.remove("acceleration")
+    spans = [(lock.window_first_sample, lock.window_first_sample + _excerpt_samples(lock)) for lock in locks]
+    point = linear.drive_point if linear is not None else -1
+    # A stretch shorter than a period would show the signal itself, not its envelope.
+    shortest = 1.5 / linear.frequency_hz if linear is not None else 0.0
+    signals: dict[str, _Signal] = {}
+    for topic in present:
+        signal = signals[topic] = _Signal(_SYMBOLS[topic], point, bag.topics[topic][1], shortest, spans)
+        for block in bag.blocks(topic):
+            signal.add(block)
+    response = signals.get("displacement") or signals.get("acceleration")
+    force = signals.get("force")
+    excerpts = []
+    for number, lock in enumerate(locks):
+        if force is None or response is None:
+            break
+        force_samples, response_samples = force.excerpt(number), response.excerpt(number)
+        if force_samples is None or response_samples is None:
+            continue
+        excerpts.append(
+            Excerpt(
+                level_index=lock.level_index,
+                level=lock.level,
+                level_unit=lock.level_unit,
+                frequency_hz=lock.frequency_hz,
+                sample_rate=force.sample_rate,
+                force=force_samples,
+                response=response_samples,
+                response_symbol=response.symbol,
+                response_unit=response.unit,
+            )
+        )
+    rates = [signal.sample_rate for signal in signals.values()]
+    end_sample = max((signal.end_sample for signal in signals.values()), default=0)
+    return (
+        [signal.envelope() for signal in signals.values()],
+        excerpts,
+        rates[0] if rates else math.nan,
+        end_sample,
+    )
+
+
+def _with_frequency(excerpts: Sequence[Excerpt], points: Sequence[ModalPoint]) -> list[Excerpt]:
+    """Imported windows need not name their frequency: it is then that of the modal point."""
+    known = {point.level_index: point.frequency_hz for point in points if math.isfinite(point.frequency_hz)}
+    complete = []
+    for excerpt in excerpts:
+        frequency = known.get(excerpt.level_index, math.nan)
+        if math.isfinite(excerpt.frequency_hz):
+            complete.append(excerpt)
+        elif frequency > 0.0:
+            stop = round(EXCERPT_PERIODS * excerpt.sample_rate / frequency)
+            force, response = excerpt.force[:stop], excerpt.response[:stop]
+            complete.append(dataclasses.replace(excerpt, frequency_hz=frequency, force=force, response=response))
+    return complete
+
+
+def _excerpt_samples(lock: LockMark) -> int:
+    """Samples of a few periods, never beyond the window."""
+    if lock.window_periods == 0:
+        return lock.window_samples
+    return min(lock.window_samples, round(EXCERPT_PERIODS * lock.window_samples / lock.window_periods))
+
+
+def _lock(message: Any) -> LockMark:
+    return LockMark(
+        level_index=int(message.level_index),
+        level=float(message.level),
+        level_unit=str(message.level_unit),
+        sample=int(message.sample),
+        frequency_hz=float(message.frequency_hz),
+        window_first_sample=int(message.window_first_sample),
+        window_samples=int(message.window_samples),
+        window_periods=int(message.window_periods),
+    )
+
+
+def _history(loop: Sequence[tuple[int, float, float, int, float]]) -> LoopHistory | None:
+    if not loop:
+        return None
+    sample, frequency, error, state, amplitude = zip(*loop, strict=True)
+    return LoopHistory(
+        sample=np.array(sample, dtype=np.int64),
+        frequency_hz=np.array(frequency, dtype=np.float64),
+        phase_error=np.array(error, dtype=np.float64),
+        state=np.array(state, dtype=np.int64),
+        drive_amplitude=np.array(amplitude, dtype=np.float64),
+    )
+
+
+def _rig(text: str | None) -> dict[str, Any]:
+    try:
+        content = yaml.safe_load(text or "")
+    except yaml.YAMLError:
+        return {}
+    return content if isinstance(content, dict) else {}

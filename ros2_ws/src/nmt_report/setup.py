@@ -1,0 +1,18 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="nmt_report",
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed", "templates/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/nmt_report"]),
+        ("share/nmt_report", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="nmt developers",
+    maintainer_email="nmt@example.org",
+    description="Pages, figures and tables of tests, responses and diagnoses",
+    license="Apache-2.0",
+)

@@ -1,0 +1,1 @@
+"""A rig as a file and as equations, without ROS and without a device."""

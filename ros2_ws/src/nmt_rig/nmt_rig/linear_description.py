@@ -1,0 +1,58 @@
+"""Linear description of a rig from its model, for phase-locked loop and extraction."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nmt_core.blocks import Quantity
+from nmt_core.linear_description import LinearDescription
+from nmt_rig.model.linear_modes import damped_modes, sticking_modes
+from nmt_rig.rig import Rig
+from nmt_rig.rig_model import build_resting_elements, build_shaker, build_structure, build_system, input_per_volt
+
+
+def linear_description(rig: Rig) -> LinearDescription:
+    """Linear modes of the sticking structure at the response points, and the plant with its exciter.
+
+    The plant's frequency and damping ratio are those of the damped mode of structure and exciter whose shape
+    resembles the target mode most (largest MAC over all points). Force and displacement per volt are taken
+    at phase resonance of the structure, i.e. at the target mode's linear frequency, with all friction
+    sticking: the smallest levels of a test scale by them.
+
+    Raises:
+        ValueError: the plant has no oscillating mode.
+    """
+    structure = build_structure(rig)
+    elements = build_resting_elements(rig, structure)
+    target = rig.test.mode - 1
+    modes = sticking_modes(structure, elements, max(rig.extraction.linear_modes, rig.test.mode))
+    points = rig.response_points(Quantity[rig.extraction.quantity.upper()])
+    rows = [modes.points.index(point) for point in points]
+    drive = modes.points.index(rig.drive_point)
+
+    system = build_system(rig)
+    plant = damped_modes(system)
+    if plant.frequencies.size == 0:
+        raise ValueError("structure and exciter together have no oscillating mode")
+    shape = modes.shapes[:, target]
+    overlap = np.abs(shape @ plant.shapes) ** 2 / np.sum(np.abs(plant.shapes) ** 2, axis=0)
+    nearest = int(np.argmax(overlap))
+
+    q, force = system.response(float(modes.frequencies[target]))
+    per_volt = input_per_volt(rig)
+    shaker = build_shaker(rig)
+    return LinearDescription(
+        source="model",
+        drive_point=rig.drive_point,
+        target_mode=target,
+        points=points,
+        frequencies_rad_s=tuple(float(value) for value in modes.frequencies),
+        damping_ratios=tuple(float(value) for value in modes.damping_ratios),
+        shapes=tuple(tuple(float(value) for value in modes.shapes[row]) for row in rows),
+        drive_point_shape=float(modes.shapes[drive, target]),
+        plant_frequency_rad_s=float(plant.frequencies[nearest]),
+        plant_damping_ratio=float(plant.damping_ratios[nearest]),
+        moving_mass_kg=0.0 if shaker is None else shaker.moving_mass,
+        force_per_volt=per_volt * abs(force),
+        displacement_per_volt=per_volt * float(abs(q[system.points[rig.drive_point]])),
+    )

@@ -1,0 +1,319 @@
+"""Alternating frequency/time: Fourier coefficients of the local forces of a periodic motion, with analytic
+derivatives.
+
+Jenkins elements and stops are switched exactly (piecewise_forces.py); smooth elements are sampled over one
+period, with enough samples that polynomial forces are free of aliasing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+from numba import njit
+
+from nmt_core.errors import BenchError
+from nmt_rig.model.fourier_basis import FloatArray, FourierBasis, IntArray
+from nmt_rig.model.local_elements import (
+    CUBIC_SPRING,
+    JENKINS,
+    LINEAR_DAMPER,
+    LINEAR_SPRING,
+    PARAMETER_COUNT,
+    QUADRATIC_DRAG,
+    QUADRATIC_SPRING,
+    QUINTIC_SPRING,
+    TANH_FRICTION,
+    TWO_SIDED_GAP,
+    UNILATERAL_STOP,
+    LocalElement,
+    element_response,
+)
+from nmt_rig.model.piecewise_forces import add_piecewise_forces
+
+POLYNOMIAL_DEGREE = {
+    LINEAR_SPRING: 1,
+    LINEAR_DAMPER: 1,
+    QUADRATIC_SPRING: 2,
+    CUBIC_SPRING: 3,
+    QUINTIC_SPRING: 5,
+}
+SMOOTH_SAMPLES = {QUADRATIC_DRAG: 1024, TANH_FRICTION: 2048}
+
+LocalTables: TypeAlias = tuple[
+    IntArray,  # orders
+    IntArray,  # offsets
+    FloatArray,  # slope_basis
+    FloatArray,  # jenkins
+    IntArray,  # jenkins_start
+    FloatArray,  # contacts
+    IntArray,  # contacts_start
+    IntArray,  # kinds
+    FloatArray,  # parameters
+    IntArray,  # sampled_start
+    FloatArray,  # values
+    FloatArray,  # slopes
+]
+
+
+@dataclass(frozen=True)
+class LocalForces:
+    """Local elements gathered by the coordinates they act on, ready for the compiled kernels.
+
+    Elements of equal direction share one coordinate w_i = directions[i] · q.
+
+    Attributes:
+        directions: (r, n) directions of the coordinates.
+        basis: Fourier basis of w and g.
+        jenkins: (n_j, 2) k_t (N/m), μN (N); rows jenkins_start[i] … jenkins_start[i + 1] act on coordinate i.
+        contacts: (n_c, 3) stiffness (N/m), gap (m), side; likewise.
+        kinds, parameters: (n_s,), (n_s, PARAMETER_COUNT) of the sampled elements; likewise.
+        slope_basis: (·, size) brackets the turning points of w.
+        samples: number of samples per period of the sampled elements.
+        values, slopes: (samples, size) basis functions and their derivatives with respect to θ.
+    """
+
+    directions: FloatArray
+    basis: FourierBasis
+    jenkins: FloatArray
+    jenkins_start: IntArray
+    contacts: FloatArray
+    contacts_start: IntArray
+    kinds: IntArray
+    parameters: FloatArray
+    sampled_start: IntArray
+    slope_basis: FloatArray
+    samples: int
+    values: FloatArray
+    slopes: FloatArray
+
+    @classmethod
+    def gather(
+        cls,
+        elements: Sequence[LocalElement],
+        basis: FourierBasis,
+        samples: int | None = None,
+        idle_direction: FloatArray | None = None,
+    ) -> LocalForces:
+        """Sort the elements by direction and kind.
+
+        Args:
+            elements: local elements, directions of equal length.
+            basis: harmonic orders kept.
+            samples: samples per period of the sampled elements; chosen from their kinds when None.
+            idle_direction: (n,) coordinate to keep (without force) when there is no element at all.
+
+        Raises:
+            BenchError: an element's kind is unknown here, or there are neither elements nor an idle
+                direction.
+        """
+        directions: list[FloatArray] = []
+        members: list[list[LocalElement]] = []
+        for element in elements:
+            for position, direction in enumerate(directions):
+                if np.array_equal(direction, element.direction):
+                    members[position].append(element)
+                    break
+            else:
+                directions.append(np.asarray(element.direction, dtype=np.float64))
+                members.append([element])
+        if not directions:
+            if idle_direction is None:
+                raise BenchError("harmonic balance needs a local element or an idle direction; the rig has none.")
+            directions, members = [np.asarray(idle_direction, dtype=np.float64)], [[]]
+
+        highest = int(basis.orders[-1])
+        needed = 64
+        jenkins: list[list[float]] = []
+        contacts: list[list[float]] = []
+        kinds: list[int] = []
+        parameters: list[FloatArray] = []
+        starts = ([0], [0], [0])
+        for group in members:
+            for element in group:
+                p = element.parameters
+                if element.kind == JENKINS:
+                    jenkins.append([p[0], p[1]])
+                elif element.kind == UNILATERAL_STOP:
+                    contacts.append([p[0], p[1], 1.0])
+                elif element.kind == TWO_SIDED_GAP:
+                    contacts.extend([[p[0], p[1], 1.0], [p[0], p[1], -1.0]])
+                elif element.kind in POLYNOMIAL_DEGREE or element.kind in SMOOTH_SAMPLES:
+                    kinds.append(element.kind)
+                    parameters.append(p)
+                    degree = POLYNOMIAL_DEGREE.get(element.kind)
+                    needed = max(needed, SMOOTH_SAMPLES[element.kind] if degree is None else (degree + 1) * highest + 1)
+                else:
+                    raise BenchError(
+                        f"harmonic balance does not know local element {type(element).__name__}; "
+                        "add its kind to nmt_plant/model/aft.py."
+                    )
+            for start, rows in zip(starts, (len(jenkins), len(contacts), len(kinds)), strict=True):
+                start.append(rows)
+        count = samples if samples is not None else 1 << (needed - 1).bit_length()
+        return cls(
+            directions=np.array(directions),
+            basis=basis,
+            jenkins=np.array(jenkins, dtype=np.float64).reshape(-1, 2),
+            jenkins_start=np.array(starts[0], dtype=np.int64),
+            contacts=np.array(contacts, dtype=np.float64).reshape(-1, 3),
+            contacts_start=np.array(starts[1], dtype=np.int64),
+            kinds=np.array(kinds, dtype=np.int64),
+            parameters=np.array(parameters, dtype=np.float64).reshape(-1, PARAMETER_COUNT),
+            sampled_start=np.array(starts[2], dtype=np.int64),
+            slope_basis=basis.sampled_slope(max(64, 8 * highest)),
+            samples=count,
+            values=basis.sampled(count),
+            slopes=basis.sampled_slope(count),
+        )
+
+    @property
+    def coordinates(self) -> int:
+        """Number r of local coordinates."""
+        return int(self.directions.shape[0])
+
+    def forces(self, displacement: FloatArray, angular_frequency: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Fourier coefficients of the local forces and their derivatives.
+
+        Args:
+            displacement: (r, size) coefficients of w, m.
+            angular_frequency: ω, rad/s.
+
+        Returns:
+            G (r, size) in N, ∂G/∂w (r, size, size) in N/m, ∂G/∂ω (r, size) in N s.
+        """
+        result: tuple[FloatArray, FloatArray, FloatArray] = local_forces(
+            np.ascontiguousarray(displacement, dtype=np.float64), angular_frequency, self.tables
+        )
+        return result
+
+    @property
+    def tables(self) -> LocalTables:
+        """What the compiled kernels need to know of the elements; the basis' orders and offsets come first."""
+        return (
+            self.basis.orders,
+            self.basis.offsets,
+            self.slope_basis,
+            self.jenkins,
+            self.jenkins_start,
+            self.contacts,
+            self.contacts_start,
+            self.kinds,
+            self.parameters,
+            self.sampled_start,
+            self.values,
+            self.slopes,
+        )
+
+    def with_samples(self, samples: int) -> LocalForces:
+        """The same elements with another number of samples per period."""
+        return replace(
+            self,
+            samples=samples,
+            values=self.basis.sampled(samples),
+            slopes=self.basis.sampled_slope(samples),
+        )
+
+    def sampling_error(self, displacement: FloatArray, angular_frequency: float) -> float:
+        """Largest change of G with four times the samples, relative to the largest |G|; 0 without sampled
+        elements."""
+        coarse = self.forces(displacement, angular_frequency)[0]
+        fine = self.with_samples(4 * self.samples).forces(displacement, angular_frequency)[0]
+        largest = float(np.max(np.abs(fine)))
+        return float(np.max(np.abs(fine - coarse))) / largest if largest > 0.0 else 0.0
+
+
+@njit(cache=True)
+def local_forces(
+    displacement: FloatArray,
+    angular_frequency: float,
+    tables: LocalTables,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Compiled body of ``LocalForces.forces``."""
+    (
+        orders,
+        offsets,
+        slope_basis,
+        jenkins,
+        jenkins_start,
+        contacts,
+        contacts_start,
+        kinds,
+        parameters,
+        sampled_start,
+        values,
+        slopes,
+    ) = tables
+    count, size = displacement.shape
+    samples = values.shape[0]
+    force = np.zeros((count, size))
+    derivative = np.zeros((count, size, size))
+    frequency_derivative = np.zeros((count, size))
+    stiffness_row = np.zeros(size)
+    for i in range(count):
+        if jenkins_start[i + 1] > jenkins_start[i] or contacts_start[i + 1] > contacts_start[i]:
+            add_piecewise_forces(
+                displacement[i],
+                orders,
+                offsets,
+                slope_basis,
+                jenkins[jenkins_start[i] : jenkins_start[i + 1]],
+                contacts[contacts_start[i] : contacts_start[i + 1]],
+                force[i],
+                derivative[i],
+            )
+        if sampled_start[i + 1] == sampled_start[i]:
+            continue
+        for j in range(samples):
+            w = 0.0
+            slope = 0.0
+            for a in range(size):
+                w += values[j, a] * displacement[i, a]
+                slope += slopes[j, a] * displacement[i, a]
+            g = 0.0
+            stiffness = 0.0
+            damping = 0.0
+            for e in range(sampled_start[i], sampled_start[i + 1]):
+                g_e, k_e, c_e, _ = element_response(kinds[e], parameters[e], w, angular_frequency * slope, 0.0)
+                g += g_e
+                stiffness += k_e
+                damping += c_e
+            for a in range(size):
+                stiffness_row[a] = stiffness * values[j, a] + damping * angular_frequency * slopes[j, a]
+            for a in range(size):
+                projection = 2.0 * values[j, a] / samples
+                if a == 0 and orders[0] == 0:
+                    projection = 1.0 / samples
+                force[i, a] += projection * g
+                frequency_derivative[i, a] += projection * damping * slope
+                for b in range(size):
+                    derivative[i, a, b] += projection * stiffness_row[b]
+    return force, derivative, frequency_derivative
+
+
+@njit(cache=True)
+def scaled_local_forces(
+    displacement: FloatArray, scale: float, angular_frequency: float, tables: LocalTables
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Local forces of the motion scale · displacement, per scale.
+
+    Args:
+        displacement: (r, size) coefficients of w / scale.
+        scale: m per unit of ``displacement``.
+        angular_frequency: ω, rad/s.
+        tables: ``LocalForces.tables``.
+
+    Returns:
+        G / scale (r, size), and its derivatives with respect to ``displacement`` (r, size, size), ω (r, size)
+        and log10 scale (r, size).
+    """
+    force, derivative, by_frequency = local_forces(displacement * scale, angular_frequency, tables)
+    force /= scale
+    by_frequency /= scale
+    by_scale = -force
+    for i in range(displacement.shape[0]):
+        by_scale[i] += derivative[i] @ displacement[i]
+    by_scale *= np.log(10.0)
+    return force, derivative, by_frequency, by_scale

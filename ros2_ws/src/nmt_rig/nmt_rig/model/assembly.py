@@ -1,0 +1,408 @@
+"""Structure, local elements and shaker as one system of equations with one input."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nmt_rig.model.attachments import Attachment
+from nmt_rig.model.couplings import FORCE_FACTOR, Coupling, coupling_parameters
+from nmt_rig.model.local_elements import LINEAR_DAMPER, LINEAR_SPRING, LocalElement
+from nmt_rig.model.shaker import ElectrodynamicShaker
+from nmt_rig.model.structure import Array, Structure
+
+
+@dataclass(frozen=True)
+class OutputRow:
+    """Linear output of the system.
+
+    y = acceleration · q̈ + velocity · q̇ + displacement · q + feedthrough · input + exciter_elements · Σ g, the sum
+    being over the local elements on the side of the exciter; rows have shape (n,).
+    """
+
+    acceleration: Array
+    velocity: Array
+    displacement: Array
+    feedthrough: float
+    exciter_elements: float = 0.0
+
+    def plus(self, other: OutputRow, factor: float = 1.0) -> OutputRow:
+        """This output and a multiple of another."""
+        return OutputRow(
+            self.acceleration + factor * other.acceleration,
+            self.velocity + factor * other.velocity,
+            self.displacement + factor * other.displacement,
+            self.feedthrough + factor * other.feedthrough,
+            self.exciter_elements + factor * other.exciter_elements,
+        )
+
+
+@dataclass(frozen=True)
+class ElectromechanicalSystem:
+    """M q̈ + C q̇ + K q + Σ d_j g_j + Σ c_k f_k = b · input.
+
+    With a shaker q = [structure…, coil displacement (m), current (A)] and the input is the voltage u (V); the
+    row of the current has no mass (inductance in `damping`, resistance in `stiffness`). Without a shaker q is
+    the structure's and the input is the force (N) at the drive point. Attachments put their unknowns with inertia
+    behind the structure's, those without at the very end.
+
+    Attributes:
+        mass, damping, stiffness: (n, n).
+        input_vector: b, (n,).
+        elements: local elements with directions of shape (n,).
+        points: point number -> index of its lateral displacement.
+        drive_point: point number the exciter acts on.
+        force: output row set of the (stinger) force on the structure, N.
+        structure_size: number of degrees of freedom of the structure; they come first.
+        coil, current: index of coil displacement and current, None without a shaker.
+        first_order: number of attachments' unknowns without inertia, at the end.
+        couplings: forces f_k of two arguments with columns c_k of shape (n,).
+        on_exciter: for each element, whether it is on the side of the exciter; empty = none is.
+    """
+
+    mass: Array
+    damping: Array
+    stiffness: Array
+    input_vector: Array
+    elements: tuple[LocalElement, ...]
+    points: dict[int, int]
+    drive_point: int
+    force: OutputRow
+    structure_size: int
+    coil: int | None = None
+    current: int | None = None
+    first_order: int = 0
+    couplings: tuple[Coupling, ...] = ()
+    on_exciter: tuple[bool, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns n."""
+        return int(self.mass.shape[0])
+
+    @property
+    def mechanical_size(self) -> int:
+        """Number of unknowns with inertia; the current, if any, and unknowns of first order come behind."""
+        return self.size - (0 if self.current is None else 1) - self.first_order
+
+    def is_on_exciter(self, element: int) -> bool:
+        """Whether an element (by its position) is on the side of the exciter."""
+        return bool(self.on_exciter) and self.on_exciter[element]
+
+    def selector(self, point: int) -> Array:
+        """Unit vector (n,) of the lateral displacement of `point`.
+
+        Raises:
+            KeyError: no such point.
+        """
+        if point not in self.points:
+            raise KeyError(f"no point {point}; the structure has points {sorted(self.points)}")
+        vector = np.zeros(self.size)
+        vector[self.points[point]] = 1.0
+        return vector
+
+    def sticking_stiffness(self) -> Array:
+        """(n, n) stiffness with the local elements' tangent at rest (Jenkins elements stick)."""
+        result = self.stiffness.copy()
+        for element in self.elements:
+            result += element.linear_stiffness * np.outer(element.direction, element.direction)
+        return result
+
+    def resting_damping(self) -> Array:
+        """(n, n) damping with the local elements' tangent at rest."""
+        result = self.damping.copy()
+        for element in self.elements:
+            result += element.linear_damping * np.outer(element.direction, element.direction)
+        return result
+
+    def impedance(self, frequency: float, sticking: bool = True) -> Array:
+        """Complex dynamic stiffness S(iω) (n, n) at ω (rad/s); at rest or without local elements."""
+        stiffness = self.sticking_stiffness() if sticking else self.stiffness
+        damping = self.resting_damping() if sticking else self.damping
+        result: Array = stiffness + 1j * frequency * damping - frequency**2 * self.mass
+        return result
+
+    def response(self, frequency: float, sticking: bool = True) -> tuple[Array, complex]:
+        """Complex amplitudes of q (n,) and of the drive-point force (N) for a unit input at ω (rad/s)."""
+        q = np.linalg.solve(self.impedance(frequency, sticking), self.input_vector.astype(complex))
+        s = 1j * frequency
+        row = s * s * self.force.acceleration + s * self.force.velocity + self.force.displacement
+        if sticking and self.force.exciter_elements:
+            for index, element in enumerate(self.elements):
+                if self.is_on_exciter(index):
+                    tangent = element.linear_stiffness + s * element.linear_damping
+                    row = row + self.force.exciter_elements * tangent * element.direction
+        return q, complex(row @ q + self.force.feedthrough)
+
+
+def displacement_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
+    """Lateral displacement of `point`, m (KeyError where there is no such point)."""
+    zero = np.zeros(system.size)
+    return OutputRow(zero, zero, system.selector(point), 0.0)
+
+
+def velocity_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
+    """Lateral velocity of `point`, m/s (KeyError where there is no such point)."""
+    zero = np.zeros(system.size)
+    return OutputRow(zero, system.selector(point), zero, 0.0)
+
+
+def acceleration_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
+    """Lateral acceleration of `point`, m/s² (KeyError where there is no such point)."""
+    zero = np.zeros(system.size)
+    return OutputRow(system.selector(point), zero, zero, 0.0)
+
+
+def input_output(system: ElectromechanicalSystem) -> OutputRow:
+    """The input itself: voltage (V) with a shaker, force (N) without."""
+    zero = np.zeros(system.size)
+    return OutputRow(zero, zero, zero, 1.0)
+
+
+def current_output(system: ElectromechanicalSystem) -> OutputRow:
+    """Coil current, A.
+
+    Raises:
+        ValueError: the system has no shaker.
+    """
+    if system.current is None:
+        raise ValueError("the system has no shaker, hence no coil current")
+    zero = np.zeros(system.size)
+    row = np.zeros(system.size)
+    row[system.current] = 1.0
+    return OutputRow(zero, zero, row, 0.0)
+
+
+def _extended(direction: Array, size: int) -> Array:
+    result = np.zeros(size)
+    result[: direction.shape[0]] = direction
+    return result
+
+
+def assemble(
+    structure: Structure,
+    elements: Sequence[LocalElement],
+    drive_point: int,
+    shaker: ElectrodynamicShaker | None = None,
+    attachments: Sequence[Attachment] = (),
+    exciter_elements: Sequence[LocalElement] = (),
+) -> ElectromechanicalSystem:
+    """Join structure, local elements, exciter and attachments.
+
+    Elements on the side of the exciter (`exciter_elements`) act on the drive point from behind the force sensor: their
+    force on the structure, -Σ g, is part of the stinger force.
+
+    The stinger (1.32e14 N/m in the paper) is a rigid link: table and drive point share a degree of
+    freedom, and the stinger force stays available as
+    f = -(m_T ẍ + d_T ẋ + k_T x + k_C (x - x_C) + d_C (ẋ - ẋ_C)).
+
+    Raises:
+        KeyError: the structure has no such drive point.
+        ValueError: an element's direction does not fit the structure.
+    """
+    n = structure.size
+    if not exciter_elements:
+        system = _with_exciter(structure, elements, drive_point, shaker)
+    else:
+        linear = [element for element in exciter_elements if element.kind in (LINEAR_SPRING, LINEAR_DAMPER)]
+        others = [element for element in exciter_elements if element.kind not in (LINEAR_SPRING, LINEAR_DAMPER)]
+        system = _with_exciter(structure, (*elements, *others), drive_point, shaker)
+        # A moment (an element on the rotation) is no part of the lateral stinger force.
+        lateral = [element.direction[structure.points[drive_point]] != 0.0 for element in others]
+        if any(lateral):
+            system = replace(
+                system,
+                force=replace(system.force, exciter_elements=-1.0),
+                on_exciter=(False,) * len(elements) + tuple(lateral),
+            )
+        for element in linear:
+            system = _with_linear_on_exciter(system, element, structure.points[drive_point])
+    return _attached(system, n, attachments) if attachments else system
+
+
+def _with_linear_on_exciter(
+    system: ElectromechanicalSystem, element: LocalElement, drive: int
+) -> ElectromechanicalSystem:
+    """A linear spring or damper on the side of the exciter, as part of matrices and stinger force."""
+    direction = _extended(element.direction, system.size)
+    outer = np.outer(direction, direction)
+    force = system.force
+    if direction[drive] != 0.0:
+        force = replace(
+            force,
+            velocity=force.velocity - element.linear_damping * direction,
+            displacement=force.displacement - element.linear_stiffness * direction,
+        )
+    return replace(
+        system,
+        damping=system.damping + element.linear_damping * outer,
+        stiffness=system.stiffness + element.linear_stiffness * outer,
+        force=force,
+    )
+
+
+def _attached(system: ElectromechanicalSystem, n: int, attachments: Sequence[Attachment]) -> ElectromechanicalSystem:
+    """The system with the unknowns of attachments inserted: with inertia behind the structure, others at the end."""
+    inertial = sum(attachment.inertial for attachment in attachments)
+    first_order = sum(attachment.first_order for attachment in attachments)
+    old = system.size
+    size = old + inertial + first_order
+    place = np.array([*range(n), *range(n + inertial, old + inertial)])  # where the old unknowns go
+
+    def moved(vector: Array) -> Array:
+        result = np.zeros(size)
+        result[place] = vector
+        return result
+
+    matrices = []
+    for matrix in (system.mass, system.damping, system.stiffness):
+        larger = np.zeros((size, size))
+        larger[np.ix_(place, place)] = matrix
+        matrices.append(larger)
+    elements = [element.along(moved(element.direction)) for element in system.elements]
+    couplings = [
+        replace(
+            coupling,
+            column=moved(coupling.column),
+            displacement_rows=np.array([moved(row) for row in coupling.displacement_rows]),
+            velocity_rows=np.array([moved(row) for row in coupling.velocity_rows]),
+        )
+        for coupling in system.couplings
+    ]
+    next_inertial, next_first = n, old + inertial
+    for attachment in attachments:
+        if attachment.direction.shape != (n,):
+            raise ValueError(f"direction of {type(attachment).__name__} must have shape ({n},)")
+        # Rows of [w, internal…] over all unknowns.
+        local = np.zeros((attachment.size, size))
+        local[0, :n] = attachment.direction
+        for k in range(attachment.inertial):
+            local[1 + k, next_inertial + k] = 1.0
+        for k in range(attachment.first_order):
+            local[1 + attachment.inertial + k, next_first + k] = 1.0
+        next_inertial += attachment.inertial
+        next_first += attachment.first_order
+        for larger, own in zip(matrices, attachment.matrices(), strict=True):
+            larger += local.T @ own @ local
+        elements += [element.along(element.direction @ local) for element in attachment.elements()]
+        couplings += [
+            replace(
+                coupling,
+                column=coupling.column @ local,
+                displacement_rows=coupling.displacement_rows @ local,
+                velocity_rows=coupling.velocity_rows @ local,
+            )
+            for coupling in attachment.couplings()
+        ]
+    flags = system.on_exciter + (False,) * (len(elements) - len(system.elements)) if system.on_exciter else ()
+    return replace(
+        system,
+        mass=matrices[0],
+        damping=matrices[1],
+        stiffness=matrices[2],
+        input_vector=moved(system.input_vector),
+        elements=tuple(elements),
+        force=OutputRow(
+            moved(system.force.acceleration),
+            moved(system.force.velocity),
+            moved(system.force.displacement),
+            system.force.feedthrough,
+            system.force.exciter_elements,
+        ),
+        coil=None if system.coil is None else system.coil + inertial,
+        current=None if system.current is None else system.current + inertial,
+        first_order=first_order,
+        couplings=tuple(couplings),
+        on_exciter=flags,
+    )
+
+
+def _with_exciter(
+    structure: Structure,
+    elements: Sequence[LocalElement],
+    drive_point: int,
+    shaker: ElectrodynamicShaker | None,
+) -> ElectromechanicalSystem:
+    n = structure.size
+    for element in elements:
+        if element.direction.shape != (n,):
+            raise ValueError(f"direction of {type(element).__name__} must have shape ({n},)")
+    drive = structure.selector(drive_point)
+    if shaker is None:
+        zero = np.zeros(n)
+        return ElectromechanicalSystem(
+            mass=structure.mass.copy(),
+            damping=structure.damping.copy(),
+            stiffness=structure.stiffness.copy(),
+            input_vector=drive,
+            elements=tuple(elements),
+            points=dict(structure.points),
+            drive_point=drive_point,
+            force=OutputRow(zero, zero, zero, 1.0),
+            structure_size=n,
+        )
+    size = n + 2
+    coil, current = n, n + 1
+    x = structure.points[drive_point]
+    mass, damping, stiffness = (np.zeros((size, size)) for _ in range(3))
+    mass[:n, :n] = structure.mass
+    damping[:n, :n] = structure.damping
+    stiffness[:n, :n] = structure.stiffness
+
+    mass[x, x] += shaker.table_mass
+    mass[coil, coil] = shaker.coil_mass
+    damping[x, x] += shaker.table_damping
+    stiffness[x, x] += shaker.table_stiffness
+    for matrix, value in ((damping, shaker.coil_damping), (stiffness, shaker.coil_stiffness)):
+        matrix[x, x] += value
+        matrix[coil, coil] += value
+        matrix[x, coil] -= value
+        matrix[coil, x] -= value
+    stiffness[coil, current] = -shaker.force_factor
+    damping[current, coil] = shaker.force_factor
+    damping[current, current] = shaker.inductance
+    stiffness[current, current] = shaker.resistance
+
+    voltage = np.zeros(size)
+    voltage[current] = 1.0
+    rows = np.zeros((3, size))
+    rows[0, x] = -shaker.table_mass
+    rows[1, x] = -(shaker.table_damping + shaker.coil_damping)
+    rows[1, coil] = shaker.coil_damping
+    rows[2, x] = -(shaker.table_stiffness + shaker.coil_stiffness)
+    rows[2, coil] = shaker.coil_stiffness
+    couplings: tuple[Coupling, ...] = ()
+    if shaker.force_factor_linear != 0.0 or shaker.force_factor_quadratic != 0.0:
+        couplings = _varying_force_factor(shaker, size, coil, current)
+    return ElectromechanicalSystem(
+        mass=mass,
+        damping=damping,
+        stiffness=stiffness,
+        input_vector=voltage,
+        elements=tuple(element.along(_extended(element.direction, size)) for element in elements),
+        points=dict(structure.points),
+        drive_point=drive_point,
+        force=OutputRow(rows[0], rows[1], rows[2], 0.0),
+        structure_size=n,
+        coil=coil,
+        current=current,
+        couplings=couplings,
+    )
+
+
+def _varying_force_factor(
+    shaker: ElectrodynamicShaker, size: int, coil: int, current: int
+) -> tuple[Coupling, Coupling]:
+    """What G (1 + b₁ x_C + b₂ x_C²) adds to the force on the coil and to the voltage it induces."""
+    parameters = coupling_parameters(shaker.force_factor, shaker.force_factor_linear, shaker.force_factor_quadratic)
+    force, voltage = np.zeros(size), np.zeros(size)
+    force[coil], voltage[current] = -1.0, 1.0
+    rows = np.zeros((4, 2, size))
+    rows[0, 0, coil] = rows[0, 1, current] = 1.0  # x_C and i
+    rows[2, 0, coil] = rows[3, 1, coil] = 1.0  # x_C and ẋ_C
+    return (
+        Coupling(FORCE_FACTOR, force, rows[0], rows[1], parameters),
+        Coupling(FORCE_FACTOR, voltage, rows[2], rows[3], parameters),
+    )

@@ -1,0 +1,257 @@
+"""Attachments: things at one direction of the structure with unknowns of their own.
+
+An attachment sees the motion w = d · q and adds internal unknowns behind it: those with inertia, then those without
+(first order). Its matrices, local elements and couplings are written in the coordinates [w, internal…].
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from nmt_rig.model.couplings import BOUC_WEN, LUGRE, Coupling, coupling_parameters
+from nmt_rig.model.local_elements import BacklashDamper, LocalElement, QuadraticSpring
+from nmt_rig.model.structure import Array
+
+
+@dataclass(frozen=True)
+class Attachment(ABC):
+    """Base of the attachments.
+
+    Attributes:
+        direction: (n,) direction d on the degrees of freedom of the structure.
+    """
+
+    direction: Array = field(repr=False)
+    inertial: ClassVar[int] = 0
+
+    @property
+    def first_order(self) -> int:
+        """Number of internal unknowns without inertia."""
+        return 0
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates, w included."""
+        return 1 + self.inertial + self.first_order
+
+    @abstractmethod
+    def matrices(self) -> tuple[Array, Array, Array]:
+        """Mass, damping and stiffness (size, size) in [w, internal…]."""
+
+    def elements(self) -> tuple[LocalElement, ...]:
+        """Local elements with directions (size,)."""
+        return ()
+
+    def couplings(self) -> tuple[Coupling, ...]:
+        """Couplings with columns and rows over [w, internal…]."""
+        return ()
+
+    @property
+    def resting_stiffness(self) -> float:
+        """Stiffness along d for small motions, N/m."""
+        return 0.0
+
+    @property
+    def resting_damping(self) -> float:
+        """Damping along d for small motions, N s/m."""
+        return 0.0
+
+    def _zeros(self) -> tuple[Array, Array, Array]:
+        mass, damping, stiffness = (np.zeros((self.size, self.size)) for _ in range(3))
+        return mass, damping, stiffness
+
+
+@dataclass(frozen=True)
+class BoucWen(Attachment):
+    """Hysteretic spring g = k (a w + (1 - a) z) with ż = v (1 - |z / z_y|ⁿ (b sign(v z) + 1 - b)); z_y in m.
+
+    For b = ½ and n → ∞ it becomes the Jenkins element of slip force k z_y (a = 0).
+    """
+
+    stiffness: float
+    yield_displacement: float
+    exponent: float = 1.0
+    post_yield_ratio: float = 0.0
+    shape: float = 0.5
+
+    @property
+    def first_order(self) -> int:
+        """The hysteretic displacement z."""
+        return 1
+
+    def matrices(self) -> tuple[Array, Array, Array]:
+        """Linear part: ż = v."""
+        mass, damping, stiffness = self._zeros()
+        stiffness[0, 0] = self.post_yield_ratio * self.stiffness
+        stiffness[0, 1] = (1.0 - self.post_yield_ratio) * self.stiffness
+        damping[1, 1], damping[1, 0] = 1.0, -1.0
+        return mass, damping, stiffness
+
+    def couplings(self) -> tuple[Coupling, ...]:
+        """What takes z from the straight line."""
+        parameters = coupling_parameters(self.yield_displacement, self.exponent, self.shape)
+        return (Coupling(BOUC_WEN, np.array([0.0, 1.0]), *_velocity_and_state(), parameters),)
+
+    @property
+    def resting_stiffness(self) -> float:
+        """k, N/m."""
+        return self.stiffness
+
+
+@dataclass(frozen=True)
+class LuGre(Attachment):
+    """Bristle friction g = σ₀ z + σ₁ ż + σ₂ v with ż = v - σ₀ |v| z / s(v), s = F_C + (F_S - F_C) exp(-(v / v_S)²)."""
+
+    bristle_stiffness: float
+    bristle_damping: float
+    viscous_damping: float
+    coulomb_force: float
+    static_force: float
+    stribeck_velocity: float
+
+    @property
+    def first_order(self) -> int:
+        """The bristles' deflection z."""
+        return 1
+
+    def matrices(self) -> tuple[Array, Array, Array]:
+        """Linear part: ż = v."""
+        mass, damping, stiffness = self._zeros()
+        stiffness[0, 1] = self.bristle_stiffness
+        damping[0, 0] = self.bristle_damping + self.viscous_damping
+        damping[1, 1], damping[1, 0] = 1.0, -1.0
+        return mass, damping, stiffness
+
+    def couplings(self) -> tuple[Coupling, ...]:
+        """σ₀ |v| z / s(v), in the bristles' rate and through σ₁ in the force."""
+        parameters = coupling_parameters(
+            self.bristle_stiffness, self.coulomb_force, self.static_force, self.stribeck_velocity
+        )
+        return (Coupling(LUGRE, np.array([-self.bristle_damping, 1.0]), *_velocity_and_state(), parameters),)
+
+    @property
+    def resting_stiffness(self) -> float:
+        """σ₀, N/m."""
+        return self.bristle_stiffness
+
+    @property
+    def resting_damping(self) -> float:
+        """σ₁ + σ₂, N s/m."""
+        return self.bristle_damping + self.viscous_damping
+
+
+def _velocity_and_state() -> tuple[Array, Array]:
+    """Rows of (v, z) over [w, z]: displacements, velocities."""
+    return np.array([[0.0, 0.0], [0.0, 1.0]]), np.array([[1.0, 0.0], [0.0, 0.0]])
+
+
+# Distance of the ladder's rates, and how far they reach beyond the band, both as natural logarithms of rates.
+_LADDER_STEP = 0.75
+_LADDER_MARGIN = 4.0
+
+
+@dataclass(frozen=True)
+class FractionalDamper(Attachment):
+    """g = c dᵅw/dtᵅ in a band, as Maxwell elements side by side (internal unknowns: their middle points).
+
+    From sᵅ = sin(απ)/π ∫ pᵅ⁻¹ s / (s + p) dp by the trapezoidal rule over ln p, which converges exponentially; the
+    rates beyond the ladder act as a spring (slow ones) and a damper (fast ones). Error in the band: below 1e-3.
+    """
+
+    coefficient: float
+    order: float
+    low: float
+    high: float
+
+    def ladder(self) -> tuple[Array, Array, float, float]:
+        """Rates p (1/s) and stiffness (N/m) of the Maxwell elements, spring (N/m) and damper (N s/m) beside them."""
+        a = self.order
+        h = _LADDER_STEP
+        start = math.log(self.low) - _LADDER_MARGIN
+        count = math.ceil((math.log(self.high) + _LADDER_MARGIN - start) / h) + 1
+        rates = np.exp(start + h * np.arange(count))
+        weight = self.coefficient * math.sin(a * math.pi) / math.pi * h
+        # The sums beyond both ends are geometric.
+        spring = weight * float(rates[0]) ** a / math.expm1(a * h)
+        damper = weight * float(rates[-1]) ** (a - 1.0) / math.expm1((1.0 - a) * h)
+        return rates, weight * rates**a, spring, damper
+
+    @property
+    def first_order(self) -> int:
+        """Middle points of the Maxwell elements."""
+        return int(self.ladder()[0].size)
+
+    def matrices(self) -> tuple[Array, Array, Array]:
+        """k_i (w - y_i) = k_i / p_i ẏ_i for each element."""
+        mass, damping, stiffness = self._zeros()
+        rates, springs, spring, damper = self.ladder()
+        stiffness[0, 0] = spring + springs.sum()
+        stiffness[0, 1:] = stiffness[1:, 0] = -springs
+        damping[0, 0] = damper
+        index = np.arange(1, self.size)
+        stiffness[index, index] = springs
+        damping[index, index] = springs / rates
+        return mass, damping, stiffness
+
+
+@dataclass(frozen=True)
+class TunedMassQuadratic(Attachment):
+    """Oscillator m ÿ + 2ζω₀ m ẏ + m ω₀² y + κ w² = 0 whose energy κ w² y acts back on the structure with 2 κ w y.
+
+    w² y = ((w + y)³ - (w - y)³ - 2 y³) / 6: three quadratic springs.
+    """
+
+    mass: float
+    frequency: float
+    damping_ratio: float
+    coupling: float
+    inertial: ClassVar[int] = 1
+
+    def matrices(self) -> tuple[Array, Array, Array]:
+        """The oscillator; linearly it does not touch the structure."""
+        mass, damping, stiffness = self._zeros()
+        mass[1, 1] = self.mass
+        damping[1, 1] = 2.0 * self.damping_ratio * self.frequency * self.mass
+        stiffness[1, 1] = self.mass * self.frequency**2
+        return mass, damping, stiffness
+
+    def elements(self) -> tuple[LocalElement, ...]:
+        """Quadratic springs along w + y, w - y and y."""
+        return (
+            QuadraticSpring(np.array([1.0, 1.0]), 0.5 * self.coupling),
+            QuadraticSpring(np.array([1.0, -1.0]), -0.5 * self.coupling),
+            QuadraticSpring(np.array([0.0, 1.0]), -self.coupling),
+        )
+
+
+@dataclass(frozen=True)
+class RattlingMass(Attachment):
+    """Loose mass y: it strikes where |w - y| exceeds the gap, and viscous friction carries it in between."""
+
+    mass: float
+    gap: float
+    contact_stiffness: float
+    contact_damping: float
+    friction: float
+    inertial: ClassVar[int] = 1
+
+    def matrices(self) -> tuple[Array, Array, Array]:
+        """Mass and friction."""
+        mass, damping, stiffness = self._zeros()
+        mass[1, 1] = self.mass
+        damping[:] = self.friction * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        return mass, damping, stiffness
+
+    def elements(self) -> tuple[LocalElement, ...]:
+        """Contact along w - y."""
+        return (BacklashDamper(np.array([1.0, -1.0]), self.contact_stiffness, self.contact_damping, self.gap),)
+
+    @property
+    def resting_damping(self) -> float:
+        """Friction, N s/m."""
+        return self.friction

@@ -1,0 +1,278 @@
+"""Harmonic balance condensed to the local coordinates.
+
+For every harmonic order n, Z_n q_n + Σ_j d_j g_{j,n} = f_n with Z_n = K + s C − ξ s M + s² M, s = i n ω.
+With the transfer matrix T_n from local forces and drive to local displacements, only w_n = d · q_n remains
+unknown:
+
+    w_n + T_n^{wg} g_n(w) − T_n^{wu} u_n = 0.
+
+The linear part is kept in mass-normalised modal coordinates; where damping is proportional Z_n is diagonal
+there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.linalg import eigh
+
+from nmt_rig.model.assembly import ElectromechanicalSystem
+from nmt_rig.model.fourier_basis import ComplexArray, FloatArray, FourierBasis, IntArray
+from nmt_rig.model.structure import Structure
+
+
+@dataclass(frozen=True)
+class ModalImpedance:
+    """Linear part in modal coordinates η, q = shapes · η.
+
+    Attributes:
+        shapes: (n, N) mass-normalised shapes; unknowns without inertia (current) keep a coordinate of their
+            own.
+        mass, damping, stiffness: (N, N) in modal coordinates.
+        diagonal: all three are diagonal (proportional damping, no shaker).
+    """
+
+    shapes: FloatArray
+    mass: FloatArray
+    damping: FloatArray
+    stiffness: FloatArray
+    diagonal: bool
+
+    @classmethod
+    def of(cls, system: Structure | ElectromechanicalSystem) -> ModalImpedance:
+        """Transform a structure, or a structure with exciter, to the modal coordinates of its undamped
+        mechanical part."""
+        n = system.mass.shape[0]
+        massless = np.flatnonzero(~system.mass.any(axis=1))
+        inertial = np.flatnonzero(system.mass.any(axis=1))
+        mass = system.mass[np.ix_(inertial, inertial)]
+        stiffness = system.stiffness[np.ix_(inertial, inertial)]
+        _, vectors = eigh(0.5 * (stiffness + stiffness.T), mass)
+        shapes = np.zeros((n, n))
+        shapes[np.ix_(inertial, np.arange(inertial.size))] = vectors
+        for position, index in enumerate(massless, start=inertial.size):
+            # √L i has the unit of a modal velocity: keeps the electrical rows as large as the mechanical
+            # ones.
+            shapes[index, position] = 1.0 / np.sqrt(system.damping[index, index] or 1.0)
+        modal = [shapes.T @ matrix @ shapes for matrix in (system.mass, system.damping, system.stiffness)]
+        diagonal = massless.size == 0 and all(_is_diagonal(matrix) for matrix in modal)
+        return cls(shapes, modal[0], modal[1], modal[2], diagonal)
+
+
+def _is_diagonal(matrix: FloatArray) -> bool:
+    diagonal = np.abs(np.diag(matrix))
+    scale = np.sqrt(np.outer(diagonal, diagonal))
+    rest = np.abs(matrix - np.diag(np.diag(matrix)))
+    return bool(np.all(rest <= 1e-9 * scale + 1e-13 * diagonal.max(initial=0.0)))
+
+
+@njit(cache=True)
+def modal_inverse(
+    s: complex,
+    self_excitation: float,
+    shift: complex,
+    shifted_mode: int,
+    mass: FloatArray,
+    damping: FloatArray,
+    stiffness: FloatArray,
+    diagonal: bool,
+) -> ComplexArray:
+    """Inverse of Z = K + (C − ξ M) s + M s² (+ ``shift`` on the diagonal entry of ``shifted_mode`` if ≥
+    0)."""
+    size = mass.shape[0]
+    if diagonal:
+        inverse = np.zeros((size, size), dtype=np.complex128)
+        for k in range(size):
+            z = stiffness[k, k] + (damping[k, k] - self_excitation * mass[k, k]) * s + mass[k, k] * s * s
+            if k == shifted_mode:
+                z += shift
+            inverse[k, k] = 1.0 / z
+        return inverse
+    impedance = stiffness + (damping - self_excitation * mass) * s + mass * (s * s)
+    if shifted_mode >= 0:
+        impedance[shifted_mode, shifted_mode] += shift
+    return np.ascontiguousarray(np.linalg.inv(impedance))
+
+
+@njit(cache=True)
+def transfer_matrices(
+    angular_frequency: float,
+    self_excitation: float,
+    orders: IntArray,
+    mass: FloatArray,
+    damping: FloatArray,
+    stiffness: FloatArray,
+    diagonal: bool,
+    inputs: FloatArray,
+    displacement_rows: FloatArray,
+    velocity_rows: FloatArray,
+    acceleration_rows: FloatArray,
+    feedthrough: FloatArray,
+    shift: complex,
+    shifted_mode: int,
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Transfer matrices of all orders and their derivatives.
+
+    Args:
+        angular_frequency: ω, rad/s.
+        self_excitation: ξ, rad/s.
+        inputs: (N, p) modal input vectors.
+        displacement_rows, velocity_rows, acceleration_rows: (o, N) outputs y = (a s² + v s + d) η +
+            feedthrough · input.
+        shift, shifted_mode: modal stiffness added to one mode in order 1 only (−1: none).
+
+    Returns:
+        T, ∂T/∂ω, ∂T/∂ξ, each (n_orders, o, p).
+    """
+    outputs = displacement_rows.shape[0]
+    columns = inputs.shape[1]
+    size = mass.shape[0]
+    transfer = np.empty((orders.size, outputs, columns), dtype=np.complex128)
+    by_frequency = np.empty((orders.size, outputs, columns), dtype=np.complex128)
+    by_excitation = np.empty((orders.size, outputs, columns), dtype=np.complex128)
+    complex_inputs = inputs.astype(np.complex128)
+    for position in range(orders.size):
+        n = orders[position]
+        s = 1j * n * angular_frequency
+        mode = shifted_mode if n == 1 else -1
+        inverse = modal_inverse(s, self_excitation, shift, mode, mass, damping, stiffness, diagonal)
+        rows = displacement_rows + s * velocity_rows + s * s * acceleration_rows
+        row_slopes = velocity_rows + 2.0 * s * acceleration_rows
+        if diagonal:
+            response = np.empty((size, columns), dtype=np.complex128)
+            adjoint = np.empty((outputs, size), dtype=np.complex128)
+            impedance_response = np.empty((size, columns), dtype=np.complex128)
+            mass_response = np.empty((size, columns), dtype=np.complex128)
+            for k in range(size):
+                slope = damping[k, k] - self_excitation * mass[k, k] + 2.0 * s * mass[k, k]
+                for j in range(columns):
+                    response[k, j] = inverse[k, k] * inputs[k, j]
+                    impedance_response[k, j] = slope * response[k, j]
+                    mass_response[k, j] = mass[k, k] * response[k, j]
+                for i in range(outputs):
+                    adjoint[i, k] = rows[i, k] * inverse[k, k]
+        else:
+            response = inverse @ complex_inputs
+            adjoint = rows @ inverse
+            slope_matrix = damping - self_excitation * mass + (2.0 * s) * mass
+            impedance_response = slope_matrix @ response
+            mass_response = mass.astype(np.complex128) @ response
+        transfer[position] = rows @ response + feedthrough
+        by_frequency[position] = (1j * n) * (row_slopes @ response - adjoint @ impedance_response)
+        by_excitation[position] = s * (adjoint @ mass_response)
+    return transfer, by_frequency, by_excitation
+
+
+@njit(cache=True)
+def add_transferred(
+    transfer: ComplexArray,
+    coefficients: FloatArray,
+    orders: IntArray,
+    offsets: IntArray,
+    result: FloatArray,
+) -> None:
+    """Add T_n x_n, order by order, to ``result`` (r_out, size); x in real coefficients (r_in, size)."""
+    for position in range(orders.size):
+        offset = offsets[position]
+        for i in range(result.shape[0]):
+            for j in range(coefficients.shape[0]):
+                real = transfer[position, i, j].real
+                if orders[position] == 0:
+                    result[i, offset] += real * coefficients[j, offset]
+                    continue
+                imag = transfer[position, i, j].imag
+                c = coefficients[j, offset]
+                s = coefficients[j, offset + 1]
+                result[i, offset] += real * c + imag * s
+                result[i, offset + 1] += real * s - imag * c
+
+
+@njit(cache=True)
+def local_balance(
+    displacement: FloatArray,
+    force: FloatArray,
+    force_derivative: FloatArray,
+    force_by_frequency: FloatArray,
+    force_by_scale: FloatArray,
+    transfer: ComplexArray,
+    transfer_by_frequency: ComplexArray,
+    transfer_by_excitation: ComplexArray,
+    orders: IntArray,
+    offsets: IntArray,
+    residual: FloatArray,
+    jacobian: FloatArray,
+    frequency_column: int,
+    excitation_column: int,
+    scale_column: int,
+) -> None:
+    """Residual w_n + T_n g_n and its Jacobian, written to the first r · size rows.
+
+    Columns 0 … r · size − 1 belong to w (coordinate by coordinate); the other columns receive the
+    derivatives with respect to ω, ξ (−1: left out) and the scale of the force argument.
+    """
+    count, size = displacement.shape
+    balance = displacement.copy()
+    add_transferred(transfer, force, orders, offsets, balance)
+    by_frequency = np.zeros((count, size))
+    add_transferred(transfer, force_by_frequency, orders, offsets, by_frequency)
+    add_transferred(transfer_by_frequency, force, orders, offsets, by_frequency)
+    by_scale = np.zeros((count, size))
+    add_transferred(transfer, force_by_scale, orders, offsets, by_scale)
+    by_excitation = np.zeros((count, size))
+    if excitation_column >= 0:
+        add_transferred(transfer_by_excitation, force, orders, offsets, by_excitation)
+    for i in range(count):
+        for a in range(size):
+            row = i * size + a
+            residual[row] = balance[i, a]
+            jacobian[row, frequency_column] = by_frequency[i, a]
+            jacobian[row, scale_column] = by_scale[i, a]
+            if excitation_column >= 0:
+                jacobian[row, excitation_column] = by_excitation[i, a]
+    for position in range(orders.size):
+        offset = offsets[position]
+        for i in range(count):
+            for j in range(count):
+                real = transfer[position, i, j].real
+                imag = transfer[position, i, j].imag
+                for b in range(size):
+                    column = j * size + b
+                    cosine = force_derivative[j, offset, b]
+                    if orders[position] == 0:
+                        jacobian[i * size + offset, column] = real * cosine
+                        continue
+                    sine = force_derivative[j, offset + 1, b]
+                    jacobian[i * size + offset, column] = real * cosine + imag * sine
+                    jacobian[i * size + offset + 1, column] = real * sine - imag * cosine
+    for row in range(count * size):
+        jacobian[row, row] += 1.0
+
+
+def harmonic_responses(
+    impedance: ModalImpedance,
+    basis: FourierBasis,
+    angular_frequency: float,
+    self_excitation: float,
+    inputs: FloatArray,
+    amplitudes: ComplexArray,
+) -> ComplexArray:
+    """Amplitudes of all unknowns q, (n_orders, n), for complex input amplitudes (n_orders, p) on ``inputs``
+    (n, p)."""
+    result = np.empty((basis.orders.size, impedance.shapes.shape[0]), dtype=np.complex128)
+    modal_inputs = impedance.shapes.T @ inputs
+    for position, order in enumerate(basis.orders):
+        s = 1j * order * angular_frequency
+        inverse = modal_inverse(
+            s,
+            self_excitation,
+            0j,
+            -1,
+            impedance.mass,
+            impedance.damping,
+            impedance.stiffness,
+            impedance.diagonal,
+        )
+        result[position] = impedance.shapes @ (inverse @ (modal_inputs @ amplitudes[position]))
+    return result

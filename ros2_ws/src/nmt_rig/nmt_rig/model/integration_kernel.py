@@ -1,0 +1,447 @@
+"""Compiled time loop: exact linear propagation, implicit local forces, corners located by halving the step.
+
+A piecewise linear element (Jenkins, stop, gap) has a branch: sticking 0, slipping ±1; open 0, closed ±1.
+Within a sub-step branches are frozen; a sub-step whose end contradicts its branch is refused and halved, down
+to step / 2^K. There it is accepted and the branch switched, so a corner is timed to step / 2^K.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_rig.model.local_elements import compiled, element_response
+from nmt_rig.model.structure import Array
+
+# A sticking element yields only above this multiple of its slip force: rounding must not toggle it at rest.
+_YIELD = 1.0 + 1e-12
+_NEWTON_STEPS = 25
+_NEWTON_TOLERANCE = 1e-13
+_SLOPE_TOLERANCE = 1e-9
+_SMALLEST = 1e-290
+
+Integers = NDArray[np.int64]
+
+
+@compiled
+def frozen_response(
+    kind: int, p: Array, e: int, branch: int, w: float, v: float, slider: float
+) -> tuple[float, float, float]:
+    """g, ∂g/∂w, ∂g/∂ẇ of an element whose branch does not change; parameters p[e]."""
+    if kind == 1:
+        if branch == 0:
+            return p[e, 0] * (w - slider), p[e, 0], 0.0
+        return branch * p[e, 1], 0.0, 0.0
+    if kind == 5 or kind == 6:
+        if branch == 0:
+            return 0.0, 0.0, 0.0
+        return p[e, 0] * (w - branch * p[e, 1]), p[e, 0], 0.0
+    g, g_w, g_v, _ = element_response(kind, p[e], w, v, slider)
+    return g, g_w, g_v
+
+
+@compiled
+def next_branch(kind: int, p: Array, e: int, branch: int, w: float, v: float, slider: float) -> int:
+    """Branch that fits the end of a sub-step; equal to `branch` unless a corner was passed."""
+    if kind == 1:
+        if branch == 0:
+            trial = p[e, 0] * (w - slider)
+            if trial > p[e, 1] * _YIELD:
+                return 1
+            if trial < -p[e, 1] * _YIELD:
+                return -1
+            return 0
+        if branch * v < 0.0:
+            return 0
+        return branch
+    if kind == 5:
+        return 1 if w > p[e, 1] else 0
+    if kind == 6:
+        if w > p[e, 1]:
+            return 1
+        if w < -p[e, 1]:
+            return -1
+        return 0
+    if kind == 12:
+        # Its force needs no branch; contact is located all the same.
+        if w > p[e, 2]:
+            return 1
+        if w < -p[e, 2]:
+            return -1
+        return 0
+    return 0
+
+
+@compiled
+def solve_in_place(matrix: Array, right: Array, n: int) -> None:
+    """Gaussian elimination with partial pivoting of the leading n x n part; the solution replaces `right`."""
+    for i in range(n):
+        pivot = i
+        for r in range(i + 1, n):
+            if abs(matrix[r, i]) > abs(matrix[pivot, i]):
+                pivot = r
+        if pivot != i:
+            for c in range(i, n):
+                swap = matrix[i, c]
+                matrix[i, c] = matrix[pivot, c]
+                matrix[pivot, c] = swap
+            value = right[i]
+            right[i] = right[pivot]
+            right[pivot] = value
+        for r in range(i + 1, n):
+            factor = matrix[r, i] / matrix[i, i]
+            if factor != 0.0:
+                for c in range(i + 1, n):
+                    matrix[r, c] -= factor * matrix[i, c]
+                right[r] -= factor * right[i]
+    for i in range(n - 1, -1, -1):
+        for c in range(i + 1, n):
+            right[i] -= matrix[i, c] * right[c]
+        right[i] /= matrix[i, i]
+
+
+@compiled
+def port_forces(
+    kinds: Integers,
+    parameters: Array,
+    element_port: Integers,
+    branch: Integers,
+    slider: Array,
+    kinematics: Array,
+    ports: int,
+    forces: Array,
+    stiffness: Array,
+    damping: Array,
+) -> None:
+    """Port forces and slopes, and tangents, for the ports' displacement, velocity and acceleration.
+
+    Args:
+        kinds, parameters, element_port, branch, slider: (elements,…) description and memory.
+        kinematics: (3 ports,) displacements, velocities, accelerations.
+        ports: number of ports.
+        forces: (2 ports,) overwritten: forces (N), slopes (N/s).
+        stiffness, damping: (ports,) overwritten: tangents.
+    """
+    for q in range(ports):
+        forces[q] = 0.0
+        stiffness[q] = 0.0
+        damping[q] = 0.0
+    for e in range(kinds.size):
+        q = element_port[e]
+        g, g_w, g_v = frozen_response(
+            kinds[e], parameters, e, branch[e], kinematics[q], kinematics[ports + q], slider[e]
+        )
+        forces[q] += g
+        stiffness[q] += g_w
+        damping[q] += g_v
+    for q in range(ports):
+        forces[ports + q] = stiffness[q] * kinematics[ports + q] + damping[q] * kinematics[2 * ports + q]
+
+
+@compiled
+def integrate(
+    modal: bool,
+    pair: Array,
+    dense: Array,
+    start_weights: Array,
+    end_weights: Array,
+    port_rows: Array,
+    port_input: Array,
+    port_feedthrough: Array,
+    compliance: Array,
+    kinds: Integers,
+    parameters: Array,
+    element_port: Integers,
+    affine: bool,
+    levels: int,
+    substeps: int,
+    inputs: Array,
+    state: Array,
+    forces: Array,
+    kinematics: Array,
+    branch: Integers,
+    slider: Array,
+    dissipated: Array,
+    counters: Integers,
+    outputs_state: Array,
+    outputs_force: Array,
+    outputs_input: Array,
+    history: Array,
+    force_history: Array,
+    outputs: Array,
+) -> bool:
+    """Integrate one block; outputs are taken at the samples, before each step.
+
+    Args:
+        inputs: (n + 1,) input at the samples and one beyond; straight between them.
+        state: (Z,) working state, updated.
+        forces: (2 ports,) port forces and slopes at the present time, updated.
+        kinematics: (3 ports,) of the ports at the present time, updated.
+        branch, slider, dissipated: (elements,) memory and energy lost in sliders (J), updated.
+        counters: [sub-steps, corners], updated.
+        outputs_state, outputs_force, outputs_input: C (outputs, Z), D_g (outputs, ports), D_u (outputs,).
+        history, force_history: (Z, ≥ n) and (ports, ≥ n) work space.
+        outputs: (outputs, n) overwritten.
+
+    Returns:
+        False where the state stopped being finite or Newton's method failed.
+    """
+    samples = inputs.size - 1
+    size = state.size
+    pairs = size // 2
+    ports = port_feedthrough.shape[1]
+    elements = kinds.size
+    trial = state.copy()
+    force_trial = forces.copy()
+    kin_free = kinematics.copy()
+    kin_trial = kinematics.copy()
+    stiffness = kinematics[:ports].copy()
+    damping = stiffness.copy()
+    jacobian = outputs_state[:0, :0].copy()
+    residual = forces.copy()
+    if ports > 0:
+        jacobian = compliance[0, : 2 * ports, : 2 * ports].copy()
+    ticks = 1 << levels
+    # Accelerations of the ports matter only to elements that depend on velocity.
+    rows = 2 * ports if affine else 3 * ports
+    good = True
+
+    for k in range(samples):
+        for i in range(size):
+            history[i, k] = state[i]
+        for q in range(ports):
+            force_history[q, k] = forces[q]
+        increment = (inputs[k + 1] - inputs[k]) / substeps
+        for s in range(substeps):
+            u_start = inputs[k] + s * increment
+            position = 0
+            level = 0
+            while position < ticks:
+                width = ticks >> level
+                u0 = u_start + increment * (position / ticks)
+                u1 = u_start + increment * ((position + width) / ticks)
+                # Free motion: everything known at the start of the sub-step. Indices are written out in full:
+                # a view in this loop would cost more than the arithmetic.
+                if modal:
+                    if ports == 1:
+                        g0 = forces[0]
+                        s0 = forces[1]
+                        for i in range(pairs):
+                            j = pairs + i
+                            x = state[i]
+                            y = state[j]
+                            trial[i] = (
+                                (pair[level, 0, i] * x + pair[level, 1, i] * y)
+                                + (start_weights[level, 0, i] * u0 + start_weights[level, 1, i] * u1)
+                                + (start_weights[level, 2, i] * g0 + start_weights[level, 3, i] * s0)
+                            )
+                            trial[j] = (
+                                (pair[level, 2, i] * x + pair[level, 3, i] * y)
+                                + (start_weights[level, 0, j] * u0 + start_weights[level, 1, j] * u1)
+                                + (start_weights[level, 2, j] * g0 + start_weights[level, 3, j] * s0)
+                            )
+                    else:
+                        for i in range(pairs):
+                            j = pairs + i
+                            x = state[i]
+                            y = state[j]
+                            trial[i] = (pair[level, 0, i] * x + pair[level, 1, i] * y) + (
+                                start_weights[level, 0, i] * u0 + start_weights[level, 1, i] * u1
+                            )
+                            trial[j] = (pair[level, 2, i] * x + pair[level, 3, i] * y) + (
+                                start_weights[level, 0, j] * u0 + start_weights[level, 1, j] * u1
+                            )
+                else:
+                    for i in range(size):
+                        total = start_weights[level, 0, i] * u0 + start_weights[level, 1, i] * u1
+                        for j in range(size):
+                            total += dense[level, i, j] * state[j]
+                        trial[i] = total
+                if ports != 1 or not modal:
+                    for c in range(2 * ports):
+                        value = forces[c]
+                        for i in range(size):
+                            trial[i] += start_weights[level, 2 + c, i] * value
+                for r in range(rows):
+                    total0 = port_input[r] * u1
+                    total1 = 0.0
+                    total2 = 0.0
+                    total3 = 0.0
+                    for i in range(0, size - 3, 4):
+                        total0 += port_rows[r, i] * trial[i]
+                        total1 += port_rows[r, i + 1] * trial[i + 1]
+                        total2 += port_rows[r, i + 2] * trial[i + 2]
+                        total3 += port_rows[r, i + 3] * trial[i + 3]
+                    for i in range(size - size % 4, size):
+                        total0 += port_rows[r, i] * trial[i]
+                    kin_free[r] = (total0 + total1) + (total2 + total3)
+
+                # Port forces at the end: implicit. One port of piecewise linear elements in closed form,
+                # otherwise Newton's method on forces and slopes.
+                solved = ports == 0
+                if ports == 1 and affine:
+                    k_sum = 0.0
+                    g_rest = 0.0
+                    for e in range(elements):
+                        side = branch[e]
+                        if kinds[e] == 1:
+                            if side == 0:
+                                k_sum += parameters[e, 0]
+                                g_rest -= parameters[e, 0] * slider[e]
+                            else:
+                                g_rest += side * parameters[e, 1]
+                        elif side != 0:
+                            k_sum += parameters[e, 0]
+                            g_rest -= parameters[e, 0] * side * parameters[e, 1]
+                    w = kin_free[0]
+                    v = kin_free[1]
+                    if k_sum == 0.0:
+                        g1 = g_rest
+                        s1 = 0.0
+                    else:
+                        a11 = 1.0 - k_sum * compliance[level, 0, 0]
+                        a12 = -k_sum * compliance[level, 0, 1]
+                        a21 = -k_sum * compliance[level, 1, 0]
+                        a22 = 1.0 - k_sum * compliance[level, 1, 1]
+                        right1 = g_rest + k_sum * w
+                        right2 = k_sum * v
+                        scale = 1.0 / (a11 * a22 - a12 * a21)
+                        g1 = scale * (a22 * right1 - a12 * right2)
+                        s1 = scale * (a11 * right2 - a21 * right1)
+                    force_trial[0] = g1
+                    force_trial[1] = s1
+                    kin_trial[0] = w + (compliance[level, 0, 0] * g1 + compliance[level, 0, 1] * s1)
+                    kin_trial[1] = v + (compliance[level, 1, 0] * g1 + compliance[level, 1, 1] * s1)
+                    solved = True
+                elif ports > 0:
+                    for q in range(2 * ports):
+                        force_trial[q] = forces[q]
+                    for _ in range(_NEWTON_STEPS):
+                        for r in range(rows):
+                            total = kin_free[r]
+                            for c in range(2 * ports):
+                                total += compliance[level, r, c] * force_trial[c]
+                            kin_trial[r] = total
+                        port_forces(
+                            kinds, parameters, element_port, branch, slider, kin_trial, ports,
+                            residual, stiffness, damping,
+                        )  # fmt: skip
+                        for q in range(2 * ports):
+                            residual[q] -= force_trial[q]
+                        for q in range(ports):
+                            for c in range(2 * ports):
+                                jacobian[q, c] = -(
+                                    stiffness[q] * compliance[level, q, c]
+                                    + damping[q] * compliance[level, ports + q, c]
+                                )
+                                jacobian[ports + q, c] = -(
+                                    stiffness[q] * compliance[level, ports + q, c]
+                                    + damping[q] * compliance[level, 2 * ports + q, c]
+                                )
+                            jacobian[q, q] += 1.0
+                            jacobian[ports + q, ports + q] += 1.0
+                        solve_in_place(jacobian, residual, 2 * ports)
+                        for q in range(2 * ports):
+                            force_trial[q] += residual[q]
+                        solved = True
+                        if not affine:
+                            for q in range(ports):
+                                scale_g = abs(force_trial[q]) + abs(forces[q])
+                                scale_s = abs(force_trial[ports + q]) + abs(forces[ports + q])
+                                # The slope's tangents leave out second derivatives.
+                                if abs(residual[q]) > _NEWTON_TOLERANCE * scale_g + _SMALLEST:
+                                    solved = False
+                                if abs(residual[ports + q]) > _SLOPE_TOLERANCE * scale_s + _SMALLEST:
+                                    solved = False
+                        if solved:
+                            break
+                    for r in range(rows):
+                        total = kin_free[r]
+                        for c in range(2 * ports):
+                            total += compliance[level, r, c] * force_trial[c]
+                        kin_trial[r] = total
+
+                corner = False
+                for e in range(elements):
+                    q = element_port[e]
+                    if (
+                        next_branch(kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[ports + q], slider[e])
+                        != branch[e]
+                    ):
+                        corner = True
+                if (corner or not solved) and level < levels:
+                    level += 1
+                    continue
+                if not solved:
+                    good = False
+
+                # Accept the sub-step.
+                if ports == 1:
+                    g1 = force_trial[0]
+                    s1 = force_trial[1]
+                    for i in range(size):
+                        state[i] = trial[i] + (end_weights[level, 0, i] * g1 + end_weights[level, 1, i] * s1)
+                else:
+                    for c in range(2 * ports):
+                        value = force_trial[c]
+                        for i in range(size):
+                            trial[i] += end_weights[level, c, i] * value
+                    for i in range(size):
+                        state[i] = trial[i]
+                for e in range(elements):
+                    if kinds[e] == 1 and branch[e] != 0:
+                        q = element_port[e]
+                        travelled = kin_trial[q] - kinematics[q]
+                        dissipated[e] += branch[e] * parameters[e, 1] * travelled
+                        slider[e] = kin_trial[q] - branch[e] * parameters[e, 1] / parameters[e, 0]
+                if corner:
+                    counters[1] += 1
+                    for e in range(elements):
+                        q = element_port[e]
+                        new = next_branch(
+                            kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[ports + q], slider[e]
+                        )
+                        if new != branch[e]:
+                            if kinds[e] == 1 and branch[e] == 0:
+                                slipped = kin_trial[q] - new * parameters[e, 1] / parameters[e, 0]
+                                dissipated[e] += new * parameters[e, 1] * (slipped - slider[e])
+                                slider[e] = slipped
+                            branch[e] = new
+                    port_forces(
+                        kinds, parameters, element_port, branch, slider, kin_trial, ports,
+                        force_trial, stiffness, damping,
+                    )  # fmt: skip
+                for q in range(2 * ports):
+                    forces[q] = force_trial[q]
+                for r in range(rows):
+                    kinematics[r] = kin_trial[r]
+                counters[0] += 1
+                position += width
+                # Widest sub-step that starts here and stays on the dyadic grid.
+                level = levels
+                while level > 0 and position % (ticks >> (level - 1)) == 0:
+                    level -= 1
+
+    # Outputs sample by sample in the inner loop: vectorised without changing the order of a sample's sum.
+    for o in range(outputs.shape[0]):
+        for k in range(samples):
+            outputs[o, k] = outputs_input[o] * inputs[k]
+        for i in range(0, size - 3, 4):
+            c0 = outputs_state[o, i]
+            c1 = outputs_state[o, i + 1]
+            c2 = outputs_state[o, i + 2]
+            c3 = outputs_state[o, i + 3]
+            for k in range(samples):
+                outputs[o, k] += (c0 * history[i, k] + c1 * history[i + 1, k]) + (
+                    c2 * history[i + 2, k] + c3 * history[i + 3, k]
+                )
+        for i in range(size - size % 4, size):
+            for k in range(samples):
+                outputs[o, k] += outputs_state[o, i] * history[i, k]
+        for q in range(ports):
+            for k in range(samples):
+                outputs[o, k] += outputs_force[o, q] * force_history[q, k]
+    for i in range(size):
+        if not abs(state[i]) < 1e300:
+            good = False
+    return good

@@ -1,0 +1,108 @@
+"""Linear modes of the sticking structure, alone and with the exciter attached."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eig, eigh
+
+from nmt_rig.model.assembly import ElectromechanicalSystem
+from nmt_rig.model.local_elements import LocalElement
+from nmt_rig.model.structure import Array, Structure
+
+
+@dataclass(frozen=True)
+class LinearModes:
+    """Undamped modes, ascending frequency.
+
+    Attributes:
+        frequencies: (m,) rad/s.
+        damping_ratios: (m,) φᵀ C φ / (2 ω).
+        shapes: (points, m) mass-normalised shapes (1/√kg) at `points`.
+        points: point numbers of the rows.
+        full_shapes: (n, m) the same shapes on all degrees of freedom.
+    """
+
+    frequencies: Array
+    damping_ratios: Array
+    shapes: Array
+    points: tuple[int, ...]
+    full_shapes: Array
+
+
+@dataclass(frozen=True)
+class DampedModes:
+    """Oscillating modes of the damped system, ascending |λ|.
+
+    Attributes:
+        eigenvalues: (m,) λ with positive imaginary part, rad/s.
+        frequencies: (m,) |λ|, rad/s.
+        damping_ratios: (m,) -Re λ / |λ|.
+        shapes: (points, m) complex displacement shapes at `points`, largest entry 1.
+        points: point numbers of the rows.
+    """
+
+    eigenvalues: NDArray[np.complex128]
+    frequencies: Array
+    damping_ratios: Array
+    shapes: NDArray[np.complex128]
+    points: tuple[int, ...]
+
+
+def sticking_modes(
+    structure: Structure, elements: Sequence[LocalElement] = (), count: int | None = None
+) -> LinearModes:
+    """Modes of the structure with its local elements at rest (Jenkins elements stick).
+
+    All modes when `count` is None. Each shape has a positive largest entry over the points.
+    """
+    stiffness = structure.stiffness.copy()
+    damping = structure.damping.copy()
+    for element in elements:
+        outer = np.outer(element.direction, element.direction)
+        stiffness += element.linear_stiffness * outer
+        damping += element.linear_damping * outer
+    squares, vectors = eigh(stiffness, structure.mass)
+    keep = slice(0, count)
+    frequencies = np.sqrt(np.maximum(squares[keep], 0.0))
+    full = vectors[:, keep]
+    points = tuple(sorted(structure.points))
+    rows = [structure.points[point] for point in points]
+    reference = full[rows] if rows else full
+    largest = np.argmax(np.abs(reference), axis=0)
+    full = full * np.where(reference[largest, np.arange(full.shape[1])] < 0, -1.0, 1.0)
+    modal_damping = np.einsum("im,ij,jm->m", full, damping, full)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.where(frequencies > 0, modal_damping / (2.0 * frequencies), np.inf)
+    return LinearModes(frequencies, ratios, full[rows], points, full)
+
+
+def damped_modes(system: ElectromechanicalSystem) -> DampedModes:
+    """Damped modes of the whole system linearised at rest: ω_p, ζ_p of the closed-form PLL gains.
+
+    Solves (λ² M + λ C + K) φ = 0 as a generalised first-order problem (the current's row has no mass).
+    """
+    n, m = system.size, system.mechanical_size
+    # States: q (n) and velocities of the degrees of freedom with inertia (m).
+    left = np.zeros((n + m, n + m))
+    right = np.zeros((n + m, n + m))
+    left[:n, :n] = -system.sticking_stiffness()
+    damping = system.resting_damping()
+    left[:n, n:] = 0.0
+    right[:n, :n] = damping
+    right[:n, n:] = system.mass[:, :m]
+    left[n:, n:] = np.eye(m)
+    right[n:, :m] = np.eye(m)
+    values, vectors = eig(left, right)
+    keep = np.flatnonzero(np.isfinite(values) & (values.imag > 1e-9 * np.abs(values)))
+    keep = keep[np.argsort(np.abs(values[keep]))]
+    values = values[keep]
+    points = tuple(sorted(system.points))
+    shapes = vectors[[system.points[point] for point in points]][:, keep]
+    if points:
+        largest = np.argmax(np.abs(shapes), axis=0)
+        shapes = shapes / shapes[largest, np.arange(shapes.shape[1])]
+    return DampedModes(values, np.abs(values), -values.real / np.abs(values), shapes, points)

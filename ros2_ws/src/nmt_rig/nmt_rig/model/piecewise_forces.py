@@ -1,0 +1,395 @@
+"""Exact Fourier coefficients of piecewise linear local forces (Jenkins elements, stops) of a periodic
+displacement.
+
+Between its turning points w(θ) is monotone, so every switch is either a turning point (slip → stick) or one
+bracketed root (stick → slip, contact opens or closes). On each piece the force is affine in w, hence its
+Fourier coefficients and
+their derivatives are integrals of products of two basis functions, known in closed form: no sampling error.
+The derivative needs no switching angles, because the force is continuous there; what remains of the
+hysteretic memory is the displacement at the last slip → stick turning point, where dw/dθ = 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from nmt_rig.model.fourier_basis import FloatArray, IntArray
+
+TWO_PI = 2.0 * np.pi
+
+
+@njit(cache=True)
+def evaluate(coefficients: FloatArray, orders: IntArray, offsets: IntArray, angle: float) -> tuple[float, float, float]:
+    """w, dw/dθ and d²w/dθ² of the real Fourier coefficients at one angle (rad)."""
+    value = 0.0
+    slope = 0.0
+    curvature = 0.0
+    for position in range(orders.size):
+        n = orders[position]
+        offset = offsets[position]
+        if n == 0:
+            value += coefficients[offset]
+            continue
+        cosine = np.cos(n * angle)
+        sine = np.sin(n * angle)
+        c = coefficients[offset]
+        s = coefficients[offset + 1]
+        even = c * cosine + s * sine
+        value += even
+        slope += n * (s * cosine - c * sine)
+        curvature -= n * n * even
+    return value, slope, curvature
+
+
+@njit(cache=True)
+def turning_points(
+    coefficients: FloatArray, orders: IntArray, offsets: IntArray, slope_basis: FloatArray, angles: FloatArray
+) -> int:
+    """Zeros of dw/dθ in [0, 2π), ascending, written to ``angles``; returns their number.
+
+    ``slope_basis`` (samples, size) brackets the zeros; two zeros within one of its cells are not seen, which
+    loses a loop smaller than that cell.
+    """
+    samples = slope_basis.shape[0]
+    cell = TWO_PI / samples
+    slopes = slope_basis @ coefficients
+    count = 0
+    for j in range(samples):
+        left_slope = slopes[j]
+        right_slope = slopes[(j + 1) % samples]
+        if not ((left_slope > 0.0 and right_slope <= 0.0) or (left_slope < 0.0 and right_slope >= 0.0)):
+            continue
+        left = j * cell
+        right = left + cell
+        angle = left + cell * left_slope / (left_slope - right_slope)
+        for _ in range(60):
+            _, slope, curvature = evaluate(coefficients, orders, offsets, angle)
+            if slope == 0.0:
+                break
+            if (slope > 0.0) == (left_slope > 0.0):
+                left = angle
+            else:
+                right = angle
+            step = -slope / curvature if curvature != 0.0 else np.inf
+            refined = angle + step
+            if not (left <= refined <= right):
+                refined = 0.5 * (left + right)
+            change = abs(refined - angle)
+            angle = refined
+            if change < 4e-15 * TWO_PI:
+                break
+        if count < angles.size:
+            angles[count] = angle
+            count += 1
+    return count
+
+
+@njit(cache=True)
+def level_crossing(
+    coefficients: FloatArray,
+    orders: IntArray,
+    offsets: IntArray,
+    left: float,
+    right: float,
+    rising: bool,
+    level: float,
+) -> float:
+    """Angle in [left, right] where the monotone w reaches ``level`` (which it does within the bracket)."""
+    low = left
+    high = right
+    angle = 0.5 * (left + right)
+    for _ in range(80):
+        value, slope, _ = evaluate(coefficients, orders, offsets, angle)
+        excess = value - level
+        if excess == 0.0:
+            break
+        if (excess > 0.0) == rising:
+            high = angle
+        else:
+            low = angle
+        refined = angle - excess / slope if slope != 0.0 else np.inf
+        if not (low <= refined <= high):
+            refined = 0.5 * (low + high)
+        change = abs(refined - angle)
+        angle = refined
+        if change < 4e-15 * TWO_PI:
+            break
+    return angle
+
+
+@njit(cache=True)
+def add_interval(cosines: FloatArray, sines: FloatArray, left: float, right: float, weight: float) -> None:
+    """Add weight · ∫ cos(kθ) dθ and weight · ∫ sin(kθ) dθ over [left, right] for k = 0 … size − 1."""
+    cosines[0] += weight * (right - left)
+    c1l = np.cos(left)
+    s1l = np.sin(left)
+    c1r = np.cos(right)
+    s1r = np.sin(right)
+    cl = 1.0
+    sl = 0.0
+    cr = 1.0
+    sr = 0.0
+    for k in range(1, cosines.size):
+        cl, sl = cl * c1l - sl * s1l, sl * c1l + cl * s1l
+        cr, sr = cr * c1r - sr * s1r, sr * c1r + cr * s1r
+        cosines[k] += weight * (sr - sl) / k
+        sines[k] += weight * (cl - cr) / k
+
+
+@njit(cache=True)
+def basis_integrals(
+    cosines: FloatArray, sines: FloatArray, orders: IntArray, offsets: IntArray, integrals: FloatArray
+) -> None:
+    """∫ of every basis function, picked from the integrals of cos(kθ), sin(kθ)."""
+    for position in range(orders.size):
+        n = orders[position]
+        integrals[offsets[position]] = cosines[n]
+        if n > 0:
+            integrals[offsets[position] + 1] = sines[n]
+
+
+@njit(cache=True)
+def basis_at(angle: float, orders: IntArray, offsets: IntArray, values: FloatArray) -> None:
+    """Basis functions at one angle (rad)."""
+    for position in range(orders.size):
+        n = orders[position]
+        values[offsets[position]] = np.cos(n * angle)
+        if n > 0:
+            values[offsets[position] + 1] = np.sin(n * angle)
+
+
+@njit(cache=True)
+def add_gram(
+    cosines: FloatArray, sines: FloatArray, orders: IntArray, offsets: IntArray, derivative: FloatArray
+) -> None:
+    """Add ∫ (basis_i basis_j) dθ, from the weighted integrals of cos(kθ), sin(kθ), to ``derivative``."""
+    for p in range(orders.size):
+        m = orders[p]
+        i = offsets[p]
+        for r in range(orders.size):
+            n = orders[r]
+            j = offsets[r]
+            total = m + n
+            difference = abs(m - n)
+            derivative[i, j] += 0.5 * (cosines[difference] + cosines[total])
+            odd_difference = sines[difference] if m >= n else -sines[difference]
+            if m > 0:
+                derivative[i + 1, j] += 0.5 * (sines[total] + odd_difference)
+            if n > 0:
+                derivative[i, j + 1] += 0.5 * (sines[total] - odd_difference)
+            if m > 0 and n > 0:
+                derivative[i + 1, j + 1] += 0.5 * (cosines[difference] - cosines[total])
+
+
+@njit(cache=True)
+def corners(
+    coefficients: FloatArray, orders: IntArray, offsets: IntArray, slope_basis: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Turning points of one period, from the one with the largest |w| to its repetition one period later.
+
+    Returns:
+        angles (count + 1,) in rad, ascending, and w (count + 1,) there, m. A constant w has two of them.
+    """
+    angles = np.empty(4 * orders[-1] + 4)
+    count = turning_points(coefficients, orders, offsets, slope_basis, angles)
+    if count < 2:
+        angles[0] = 0.0
+        angles[1] = np.pi
+        count = 2
+    start = 0
+    largest = -1.0
+    for p in range(count):
+        value, _, _ = evaluate(coefficients, orders, offsets, angles[p])
+        if abs(value) > largest:
+            largest = abs(value)
+            start = p
+    corner_angles = np.empty(count + 1)
+    corner_values = np.empty(count + 1)
+    for p in range(count + 1):
+        index = start + p
+        corner_angles[p] = angles[index % count] + (TWO_PI if index >= count else 0.0)
+        corner_values[p], _, _ = evaluate(coefficients, orders, offsets, corner_angles[p])
+    corner_values[count] = corner_values[0]
+    return corner_angles, corner_values
+
+
+@njit(cache=True)
+def jenkins_phases(
+    coefficients: FloatArray,
+    orders: IntArray,
+    offsets: IntArray,
+    corner_angles: FloatArray,
+    corner_values: FloatArray,
+    stiffness: float,
+    limit: float,
+) -> FloatArray:
+    """Stick and slip of one Jenkins element between successive turning points of the periodic motion.
+
+    Returns:
+        (count, 4) per piece: angle at which slip starts (the right end if it sticks), slip force ±μN (0 if
+        it sticks), turning point at which the present sticking began (NaN: never slipped), and the force
+        offset g − k_t w while it sticks, N.
+    """
+    count = corner_angles.size - 1
+    phases = np.zeros((count, 4))
+    current = stiffness * corner_values[0]
+    anchor = np.nan
+    offset_force = 0.0
+    if abs(current) > limit:
+        current = limit if current > 0.0 else -limit
+        anchor = corner_angles[0]
+        offset_force = current - stiffness * corner_values[0]
+    for period in range(2):
+        for p in range(count):
+            right = corner_angles[p + 1]
+            phases[p, 0] = right
+            phases[p, 1] = 0.0
+            phases[p, 2] = anchor
+            phases[p, 3] = offset_force
+            trial = stiffness * corner_values[p + 1] + offset_force
+            if abs(trial) <= limit:
+                continue
+            slip_force = limit if trial > 0.0 else -limit
+            if period == 1:
+                rising = corner_values[p + 1] > corner_values[p]
+                level = (slip_force - offset_force) / stiffness
+                phases[p, 0] = level_crossing(coefficients, orders, offsets, corner_angles[p], right, rising, level)
+            phases[p, 1] = slip_force
+            anchor = right
+            offset_force = slip_force - stiffness * corner_values[p + 1]
+    return phases
+
+
+@njit(cache=True)
+def add_piecewise_forces(
+    coefficients: FloatArray,
+    orders: IntArray,
+    offsets: IntArray,
+    slope_basis: FloatArray,
+    jenkins: FloatArray,
+    contacts: FloatArray,
+    force: FloatArray,
+    derivative: FloatArray,
+) -> None:
+    """Add the Fourier coefficients of all piecewise linear forces of one local coordinate, and their
+    derivative.
+
+    Args:
+        coefficients: (size,) real Fourier coefficients of w, m.
+        slope_basis: (samples, size) derivatives of the basis functions, to bracket turning points.
+        jenkins: (n, 2) tangential stiffness k_t (N/m) and slip force μN (N).
+        contacts: (m, 3) stiffness (N/m), gap (m, ≥ 0 in the sense of ``side``) and side (+1 or −1):
+            force k (w − gap) for w > gap, or k (w + gap) for w < −gap.
+        force: (size,) coefficients in N, added to.
+        derivative: (size, size) ∂force/∂coefficients in N/m, added to.
+
+    A Jenkins element starts from the virgin curve (g = k_t w, clipped) at the largest |w|; after one period
+    its memory is that of the periodic motion.
+    """
+    size = coefficients.size
+    tables = 2 * orders[-1] + 1
+    cosines = np.zeros(tables)
+    sines = np.zeros(tables)
+    raw_derivative = np.zeros((size, size))
+    raw_force = np.zeros(size)
+    piece_cosines = np.zeros(tables)
+    piece_sines = np.zeros(tables)
+    integrals = np.zeros(size)
+    anchor_basis = np.zeros(size)
+
+    amplitude = 0.0
+    mean = 0.0
+    for position in range(orders.size):
+        if orders[position] == 0:
+            mean = coefficients[offsets[position]]
+            amplitude += abs(mean)
+        else:
+            amplitude += np.hypot(coefficients[offsets[position]], coefficients[offsets[position] + 1])
+
+    # Bounds on |w| decide the cheap cases: every element sticks, every contact is open.
+    pending = False
+    for e in range(jenkins.shape[0]):
+        if jenkins[e, 0] * amplitude <= jenkins[e, 1]:
+            cosines[0] += jenkins[e, 0] * TWO_PI
+        else:
+            pending = True
+    for e in range(contacts.shape[0]):
+        if amplitude > contacts[e, 1]:
+            pending = True
+
+    if pending:
+        corner_angles, corner_values = corners(coefficients, orders, offsets, slope_basis)
+        count = corner_angles.size - 1
+        for e in range(jenkins.shape[0]):
+            stiffness = jenkins[e, 0]
+            limit = jenkins[e, 1]
+            if stiffness * amplitude <= limit:
+                continue
+            phases = jenkins_phases(coefficients, orders, offsets, corner_angles, corner_values, stiffness, limit)
+            for p in range(count):
+                left = corner_angles[p]
+                right = corner_angles[p + 1]
+                slip_from = phases[p, 0]
+                slip_force = phases[p, 1]
+                anchor = phases[p, 2]
+                offset_force = phases[p, 3]
+                add_interval(cosines, sines, left, slip_from, stiffness)
+                if not np.isnan(anchor):
+                    piece_cosines[:] = 0.0
+                    piece_sines[:] = 0.0
+                    add_interval(piece_cosines, piece_sines, left, slip_from, 1.0)
+                    basis_integrals(piece_cosines, piece_sines, orders, offsets, integrals)
+                    basis_at(anchor, orders, offsets, anchor_basis)
+                    for i in range(size):
+                        raw_force[i] += offset_force * integrals[i]
+                        for j in range(size):
+                            raw_derivative[i, j] -= stiffness * integrals[i] * anchor_basis[j]
+                if slip_force != 0.0:
+                    piece_cosines[:] = 0.0
+                    piece_sines[:] = 0.0
+                    add_interval(piece_cosines, piece_sines, slip_from, right, slip_force)
+                    basis_integrals(piece_cosines, piece_sines, orders, offsets, integrals)
+                    for i in range(size):
+                        raw_force[i] += integrals[i]
+
+        for e in range(contacts.shape[0]):
+            stiffness = contacts[e, 0]
+            gap = contacts[e, 1]
+            side = contacts[e, 2]
+            if amplitude <= gap:
+                continue
+            for p in range(count):
+                left = corner_angles[p]
+                right = corner_angles[p + 1]
+                before = side * corner_values[p] - gap
+                after = side * corner_values[p + 1] - gap
+                if before <= 0.0 and after <= 0.0:
+                    continue
+                if before < 0.0 or after < 0.0:
+                    rising = corner_values[p + 1] > corner_values[p]
+                    crossing = level_crossing(coefficients, orders, offsets, left, right, rising, side * gap)
+                    if before < 0.0:
+                        left = crossing
+                    else:
+                        right = crossing
+                add_interval(cosines, sines, left, right, stiffness)
+                piece_cosines[:] = 0.0
+                piece_sines[:] = 0.0
+                add_interval(piece_cosines, piece_sines, left, right, -stiffness * side * gap)
+                basis_integrals(piece_cosines, piece_sines, orders, offsets, integrals)
+                for i in range(size):
+                    raw_force[i] += integrals[i]
+
+    # The terms proportional to w share one Gram matrix; the virgin offset terms are already separate.
+    gram = np.zeros((size, size))
+    add_gram(cosines, sines, orders, offsets, gram)
+    for i in range(size):
+        scale = 1.0 / np.pi
+        if orders[0] == 0 and i == offsets[0]:
+            scale = 0.5 / np.pi
+        total = raw_force[i]
+        for j in range(size):
+            total += gram[i, j] * coefficients[j]
+            derivative[i, j] += scale * (gram[i, j] + raw_derivative[i, j])
+        force[i] += scale * total

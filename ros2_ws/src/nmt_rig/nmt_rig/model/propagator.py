@@ -1,0 +1,347 @@
+"""Exact propagation of the linear part over a time step, with polynomial holds for input and local forces.
+
+State s = [q with inertia (m), their velocities (m), coil current if any, unknowns of first order];
+ṡ = A s + B_u u + B_g g, where g are the forces of the ports, i.e. the distinct directions of the local elements, and
+behind them of the couplings. Over a step the input is a
+straight line between samples; a port force is the cubic through its values and slopes at both ends (Hermite),
+so a smooth local force is integrated to fourth order and the linear part without error. Where the
+eigenvectors of A allow it, the state is kept in real modal form: pairs of states that a 2 x 2 block
+propagates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
+from nmt_rig.model.couplings import Coupling
+from nmt_rig.model.local_elements import LINEAR_DAMPER, LINEAR_SPRING, LocalElement
+from nmt_rig.model.structure import Array
+
+# Beyond this condition number of the scaled eigenvectors the modal form loses more digits than it saves time.
+_WORST_CONDITION = 1e9
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """First-order form of a system; see the module's text.
+
+    Attributes:
+        a: (N, N).
+        b_input: (N,).
+        b_ports: (N, ports), those of the couplings last.
+        directions: (ports without couplings, n) distinct directions of the local elements.
+        elements: elements that are not part of A (springs and dampers that are linear are).
+        element_port: (elements,) port of each element.
+        mechanical_size: m.
+        exciter_ports: (ports,) 1 where the elements are on the side of the exciter, else 0.
+        couplings: forces of two arguments.
+        observed: (2 couplings, N) what the couplings observe, in turn y₁ and y₂ of each.
+    """
+
+    a: Array
+    b_input: Array
+    b_ports: Array
+    directions: Array
+    elements: tuple[LocalElement, ...]
+    element_port: NDArray[np.int64]
+    mechanical_size: int
+    exciter_ports: Array
+    couplings: tuple[Coupling, ...] = ()
+    observed: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def size(self) -> int:
+        """Number of states N."""
+        return int(self.a.shape[0])
+
+    def output(self, rows: Sequence[OutputRow]) -> tuple[Array, Array, Array]:
+        """Output matrices of y = C s + D_g g + D_u u.
+
+        Returns:
+            C (outputs, N), D_g (outputs, ports), D_u (outputs,).
+
+        Raises:
+            ValueError: an output asks for the time derivative of the current.
+        """
+        m = self.mechanical_size
+        c = np.zeros((len(rows), self.size))
+        d_ports = np.zeros((len(rows), self.b_ports.shape[1]))
+        d_input = np.zeros(len(rows))
+        for i, row in enumerate(rows):
+            if np.any(row.acceleration[m:]) or np.any(row.velocity[m:]):
+                raise ValueError("an output cannot contain the time derivative of the current")
+            c[i, :m] = row.displacement[:m]
+            c[i, m : 2 * m] = row.velocity[:m]
+            c[i, 2 * m :] = row.displacement[m:]
+            c[i] += row.acceleration[:m] @ self.a[m : 2 * m]
+            d_ports[i] = row.acceleration[:m] @ self.b_ports[m : 2 * m]
+            if row.exciter_elements:
+                d_ports[i] += row.exciter_elements * self.exciter_ports
+            d_input[i] = row.acceleration[:m] @ self.b_input[m : 2 * m] + row.feedthrough
+        return c, d_ports, d_input
+
+
+def state_space(system: ElectromechanicalSystem) -> StateSpace:
+    """First-order form of `system`; linear springs and dampers among its elements become part of A."""
+    stiffness, damping = system.stiffness.copy(), system.damping.copy()
+    rest: list[LocalElement] = []
+    behind: list[bool] = []
+    for position, element in enumerate(system.elements):
+        outer = np.outer(element.direction, element.direction)
+        if element.kind == LINEAR_SPRING:
+            stiffness += element.linear_stiffness * outer
+        elif element.kind == LINEAR_DAMPER:
+            damping += element.linear_damping * outer
+        else:
+            rest.append(element)
+            behind.append(system.is_on_exciter(position))
+    directions: list[Array] = []
+    ports: list[int] = []
+    exciter_ports: list[float] = []
+    for element, on_exciter in zip(rest, behind, strict=True):
+        for index, known in enumerate(directions):
+            if np.array_equal(known, element.direction) and bool(exciter_ports[index]) == on_exciter:
+                ports.append(index)
+                break
+        else:
+            ports.append(len(directions))
+            directions.append(element.direction)
+            exciter_ports.append(float(on_exciter))
+    port_matrix = np.array(directions).reshape(len(directions), system.size)
+
+    m = system.mechanical_size
+    size = 2 * m + (system.size - m)
+    a = np.zeros((size, size))
+    b_input = np.zeros(size)
+    b_ports = np.zeros((size, len(directions)))
+    inverse_mass = np.linalg.inv(system.mass[:m, :m])
+    a[:m, m : 2 * m] = np.eye(m)
+    a[m : 2 * m, :m] = -inverse_mass @ stiffness[:m, :m]
+    a[m : 2 * m, m : 2 * m] = -inverse_mass @ damping[:m, :m]
+    b_input[m : 2 * m] = inverse_mass @ system.input_vector[:m]
+    b_ports[m : 2 * m] = -inverse_mass @ port_matrix[:, :m].T
+    if size > 2 * m:
+        a[m : 2 * m, 2 * m :] = -inverse_mass @ stiffness[:m, m:]
+        inverse_inductance = np.linalg.inv(damping[m:, m:])
+        a[2 * m :, :m] = -inverse_inductance @ stiffness[m:, :m]
+        a[2 * m :, m : 2 * m] = -inverse_inductance @ damping[m:, :m]
+        a[2 * m :, 2 * m :] = -inverse_inductance @ stiffness[m:, m:]
+        b_input[2 * m :] = inverse_inductance @ system.input_vector[m:]
+    space = StateSpace(
+        a, b_input, b_ports, port_matrix, tuple(rest), np.array(ports, dtype=np.int64), m, np.array(exciter_ports)
+    )
+    return _with_couplings(space, system, inverse_mass) if system.couplings else space
+
+
+def _with_couplings(space: StateSpace, system: ElectromechanicalSystem, inverse_mass: NDArray[Any]) -> StateSpace:
+    """The state space with a port for each coupling behind those of the local elements."""
+    m, count = space.mechanical_size, len(system.couplings)
+    columns = np.array([coupling.column for coupling in system.couplings]).T
+    b = np.zeros((space.size, count))
+    b[m : 2 * m] = -inverse_mass @ columns[:m]
+    observed = np.zeros((2 * count, space.size))
+    for k, coupling in enumerate(system.couplings):
+        if np.any(coupling.velocity_rows[:, m:]):
+            raise ValueError("a coupling cannot observe the time derivative of an unknown without inertia")
+        rows = slice(2 * k, 2 * k + 2)
+        observed[rows, :m] = coupling.displacement_rows[:, :m]
+        observed[rows, m : 2 * m] = coupling.velocity_rows[:, :m]
+        observed[rows, 2 * m :] = coupling.displacement_rows[:, m:]
+    if space.size > 2 * m:
+        b[2 * m :] = -np.linalg.inv(system.damping[m:, m:]) @ columns[m:]
+    return replace(
+        space,
+        b_ports=np.hstack([space.b_ports, b]),
+        exciter_ports=np.concatenate([space.exciter_ports, np.zeros(count)]),
+        couplings=system.couplings,
+        observed=observed,
+    )
+
+
+@dataclass(frozen=True)
+class Propagator:
+    """Step matrices for h, h/2, …, h/2^K in working coordinates z (s = from_working z).
+
+    Attributes:
+        modal: z is in pairs (x_i, y_i), stored as all x then all y.
+        pair: (K+1, 4, pairs) blocks [[xx, xy], [yx, yy]] of each pair; empty unless modal.
+        dense: (K+1, Z, Z) transition matrices; empty if modal.
+        start_weights: (K+1, 2 + 2 ports, Z) weights of what is known before the step: input at both ends,
+            port forces (N) at its start, their slopes (N/s) at its start.
+        end_weights: (K+1, 2 ports, Z) weights of port forces, then their slopes, at the step's end.
+        port_rows: (3 ports, Z) displacement, velocity, acceleration of the ports of local elements, grouped by kind;
+            behind them, where there are couplings, what these observe and its rate (4 rows a coupling).
+        port_input: (3 ports,) direct share of the input in them.
+        port_feedthrough: (3 ports, ports) direct share of the port forces in them.
+        compliance: (K+1, 3 ports, 2 ports) share of port forces and slopes at the step's end in them.
+        from_working: (N, Z).
+        to_working: (Z, N).
+    """
+
+    modal: bool
+    pair: Array
+    dense: Array
+    start_weights: Array
+    end_weights: Array
+    port_rows: Array
+    port_input: Array
+    port_feedthrough: Array
+    compliance: Array
+    from_working: Array
+    to_working: Array
+
+
+def phi_functions(z: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
+    """φ_0 … φ_count, shape (count + 1, …): φ_0 = exp(z), φ_{k+1} = (φ_k - 1/k!) / z, accurate for all |z|."""
+    result = np.empty((count + 1, *z.shape), dtype=complex)
+    result[0] = np.exp(z)
+    small = np.abs(z) < 1.0
+    safe = np.where(small, 1.0, z)
+    tiny = np.where(small, z, 0.0)
+    factorial = 1.0
+    for k in range(count):
+        result[k + 1] = (result[k] - 1.0 / factorial) / safe
+        factorial *= k + 1
+    factorial = 1.0
+    for k in range(1, count + 1):
+        factorial *= k
+        term = np.full(z.shape, 1.0 / factorial, dtype=complex)
+        total = term.copy()
+        for j in range(1, 26):
+            term = term * tiny / (k + j)
+            total += term
+        result[k] = np.where(small, total, result[k])
+    return result
+
+
+def _holds(phi: Any, h: float) -> tuple[Any, ...]:
+    """Weights of input start and end, force and slope at the start, force and slope at the end."""
+    i0, i1, i2, i3 = phi[0], phi[1], 2.0 * phi[2], 6.0 * phi[3]
+    return (
+        h * (i0 - i1),
+        h * i1,
+        h * (i0 - 3.0 * i2 + 2.0 * i3),
+        h * h * (i1 - 2.0 * i2 + i3),
+        h * (3.0 * i2 - 2.0 * i3),
+        h * h * (i3 - i2),
+    )
+
+
+def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = False) -> Propagator:
+    """Step matrices of `space` for step (s) and its halves down to step / 2^levels.
+
+    Raises:
+        ValueError: the step is not positive.
+    """
+    if not step > 0:
+        raise ValueError(f"the time step must be positive, got {step}")
+    ports = space.b_ports.shape[1]
+    inputs = np.column_stack([space.b_input, space.b_ports])
+    values, vectors = np.linalg.eig(space.a)
+    scale = np.linalg.norm(vectors, axis=1)
+    scale[scale == 0.0] = 1.0
+    modal = not force_dense and np.linalg.cond(vectors / scale[:, None]) < _WORST_CONDITION
+    m = space.mechanical_size
+
+    if modal:
+        upper = np.flatnonzero(values.imag > 0)
+        real = np.flatnonzero(values.imag == 0)
+        pairs = upper.size + (real.size + 1) // 2
+        first, second = real[0::2], real[1::2]
+        left = np.linalg.inv(vectors)
+        size = 2 * pairs
+        to_working = np.zeros((size, space.size))
+        from_working = np.zeros((space.size, size))
+        u, f, g = upper.size, first.size, second.size
+        to_working[:u], to_working[pairs : pairs + u] = left[upper].real, left[upper].imag
+        from_working[:, :u] = 2.0 * vectors[:, upper].real
+        from_working[:, pairs : pairs + u] = -2.0 * vectors[:, upper].imag
+        to_working[u : u + f], to_working[pairs + u : pairs + u + g] = left[first].real, left[second].real
+        from_working[:, u : u + f] = vectors[:, first].real
+        from_working[:, pairs + u : pairs + u + g] = vectors[:, second].real
+        pair = np.zeros((levels + 1, 4, pairs))
+        dense = np.zeros((0, size, size))
+        left_inputs = left @ inputs
+    else:
+        size = space.size
+        from_working = to_working = np.eye(size)
+        pair = np.zeros((0, 4, 0))
+        dense = np.zeros((levels + 1, size, size))
+
+    weights = [np.zeros((levels + 1, size, 1 + ports)) for _ in range(6)]
+    if modal:
+        steps = step / 2.0 ** np.arange(levels + 1)
+        phi_of_levels = phi_functions(np.asarray(values * steps[:, None], dtype=complex), 4)
+    for level in range(levels + 1):
+        h = step / 2.0**level
+        if modal:
+            phi = phi_of_levels[:, level]
+            e = phi[0]
+            pair[level, 0, :u], pair[level, 1, :u] = e[upper].real, -e[upper].imag
+            pair[level, 2, :u], pair[level, 3, :u] = e[upper].imag, e[upper].real
+            pair[level, 0, u : u + f] = e[first].real
+            pair[level, 3, u : u + g] = e[second].real
+            for weight, hold in zip(weights, _holds(phi[1:], h), strict=True):
+                product = hold[:, None] * left_inputs
+                weight[level, :u], weight[level, pairs : pairs + u] = product[upper].real, product[upper].imag
+                weight[level, u : u + f] = product[first].real
+                weight[level, pairs + u : pairs + u + g] = product[second].real
+        else:
+            augmented = np.zeros((5 * size, 5 * size))
+            augmented[:size, :size] = space.a * h
+            for k in range(4):
+                augmented[k * size : (k + 1) * size, (k + 1) * size : (k + 2) * size] = np.eye(size)
+            exponential = expm(augmented)[:size]
+            dense[level] = exponential[:, :size]
+            phi_matrices = [exponential[:, (k + 1) * size : (k + 2) * size] for k in range(4)]
+            for weight, hold in zip(weights, _holds(phi_matrices, h), strict=True):
+                weight[level] = hold @ inputs
+
+    own = space.directions.shape[0]  # ports of local elements
+    seen = 3 * own
+    total = seen + 2 * space.observed.shape[0]
+    port_map = space.directions[:, :m]
+    rows = np.zeros((total, space.size))
+    rows[:own, :m] = port_map
+    rows[own : 2 * own, m : 2 * m] = port_map
+    rows[2 * own : seen] = port_map @ space.a[m : 2 * m]
+    feedthrough = np.zeros((total, ports))
+    feedthrough[2 * own : seen] = port_map @ space.b_ports[m : 2 * m]
+    port_input = np.zeros(total)
+    port_input[2 * own : seen] = port_map @ space.b_input[m : 2 * m]
+    if space.couplings:
+        rates = seen + space.observed.shape[0]
+        rows[seen:rates] = space.observed
+        rows[rates:] = space.observed @ space.a
+        feedthrough[rates:] = space.observed @ space.b_ports
+        port_input[rates:] = space.observed @ space.b_input
+    port_rows = rows @ from_working
+    compliance = np.zeros((levels + 1, total, 2 * ports))
+    for level in range(levels + 1):
+        compliance[level, :, :ports] = port_rows @ weights[4][level][:, 1:] + feedthrough
+        compliance[level, :, ports:] = port_rows @ weights[5][level][:, 1:]
+
+    start_weights = np.concatenate(
+        [weights[0][:, :, :1], weights[1][:, :, :1], weights[2][:, :, 1:], weights[3][:, :, 1:]], axis=2
+    )
+    end_weights = np.concatenate([weights[4][:, :, 1:], weights[5][:, :, 1:]], axis=2)
+    return Propagator(
+        modal=bool(modal),
+        pair=pair,
+        dense=dense,
+        start_weights=np.ascontiguousarray(start_weights.transpose(0, 2, 1)),
+        end_weights=np.ascontiguousarray(end_weights.transpose(0, 2, 1)),
+        port_rows=np.ascontiguousarray(port_rows),
+        port_input=port_input,
+        port_feedthrough=feedthrough,
+        compliance=compliance,
+        from_working=from_working,
+        to_working=to_working,
+    )

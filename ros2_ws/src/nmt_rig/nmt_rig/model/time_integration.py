@@ -1,0 +1,289 @@
+"""Time integration of an electromechanical system, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
+from nmt_rig.model.coupled_kernel import coupled_forces, integrate_coupled
+from nmt_rig.model.couplings import COUPLING_PARAMETERS
+from nmt_rig.model.integration_kernel import integrate, port_forces
+from nmt_rig.model.local_elements import (
+    BACKLASH_DAMPER,
+    JENKINS,
+    LINEAR_DAMPER,
+    LINEAR_SPRING,
+    PARAMETER_COUNT,
+    TWO_SIDED_GAP,
+    UNILATERAL_STOP,
+    element_stored_energy,
+)
+from nmt_rig.model.propagator import propagator, state_space
+from nmt_rig.model.structure import Array
+
+_PIECEWISE_LINEAR = frozenset({JENKINS, UNILATERAL_STOP, TWO_SIDED_GAP})
+# A corner is timed to step / 2^8; its error in impulse falls with the square of that.
+CORNER_LEVELS = 8
+
+
+class IntegrationError(ArithmeticError):
+    """The motion stopped being finite, or a local force could not be solved for."""
+
+
+class TimeIntegrator:
+    """Steps a system at a fixed sample rate.
+
+    The result for a sample does not depend on the length of the blocks it is computed in, bit for bit.
+
+    Args:
+        system: assembled structure, local elements and exciter.
+        sample_rate: Hz.
+        outputs: rows of the outputs.
+        substeps: steps per sample; the input stays straight between samples.
+        corner_levels: halvings used to locate a corner of a local element.
+        dense: keep the physical state and full transition matrices instead of the modal form (for checks).
+
+    Raises:
+        ValueError: a rate or number of steps that is not positive.
+    """
+
+    def __init__(
+        self,
+        system: ElectromechanicalSystem,
+        sample_rate: float,
+        outputs: Sequence[OutputRow],
+        substeps: int = 1,
+        corner_levels: int = CORNER_LEVELS,
+        dense: bool = False,
+    ) -> None:
+        if not (np.isfinite(sample_rate) and sample_rate > 0):
+            raise ValueError(f"sample_rate must be positive, got {sample_rate}")
+        if substeps < 1:
+            raise ValueError(f"substeps must be at least 1, got {substeps}")
+        self.sample_rate = float(sample_rate)
+        self.substeps = int(substeps)
+        self._levels = int(corner_levels)
+        self._outputs = list(outputs)
+        self._dense = bool(dense or system.couplings)
+        self._take(system)
+        elements, couplings = self._space.elements, self._space.couplings
+        self._kinds = np.array([element.kind for element in elements], dtype=np.int64)
+        self._parameters = np.array([element.parameters for element in elements]).reshape(-1, PARAMETER_COUNT)
+        self._coupling_kinds = np.array([coupling.kind for coupling in couplings], dtype=np.int64)
+        self._coupling_parameters = np.array([coupling.parameters for coupling in couplings]).reshape(
+            -1, COUPLING_PARAMETERS
+        )
+        self._affine = all(element.kind in _PIECEWISE_LINEAR for element in elements)
+        self._history = np.empty((0, 0))
+        self._force_history = np.empty((0, 0))
+        self.reset()
+
+    def _take(self, system: ElectromechanicalSystem) -> None:
+        """Matrices of `system`; the state stays as it is."""
+        self.system = system
+        self._space = state_space(system)
+        step = 1.0 / (self.sample_rate * self.substeps)
+        self._propagator = propagator(self._space, step, self._levels, self._dense)
+        c, self._d_ports, self._d_input = self._space.output(self._outputs)
+        self._c = np.ascontiguousarray(c @ self._propagator.from_working)
+
+    def change(self, system: ElectromechanicalSystem) -> None:
+        """Go on with slightly different matrices or parameters of elements; motion and memory stay as they are.
+
+        Raises:
+            ValueError: a system of other unknowns or elements.
+        """
+        before = self.system
+        kinds = [element.kind for element in system.elements]
+        if system.size != before.size or kinds != [element.kind for element in before.elements]:
+            raise ValueError("only a system of the same unknowns and elements can be changed to")
+        physical = self.physical_state
+        same = all(
+            np.array_equal(getattr(system, name), getattr(before, name)) for name in ("mass", "damping", "stiffness")
+        )
+        if same:
+            self.system = system
+            elements = [e for e in system.elements if e.kind not in (LINEAR_SPRING, LINEAR_DAMPER)]
+            self._space = replace(self._space, elements=tuple(elements))
+        else:
+            self._take(system)
+            # A new array: the modal form may have another size.
+            self._state = self._propagator.to_working @ physical
+            self._history = np.empty((0, 0))
+        for row, element in enumerate(self._space.elements):
+            self._parameters[row] = element.parameters
+
+    def reset(self) -> None:
+        """Return to rest at time zero, sliders at zero."""
+        p, n = self._propagator, self._kinds.size
+        ports = p.port_feedthrough.shape[1]
+        self._state = np.zeros(p.to_working.shape[0])
+        self._memory = (
+            np.zeros(2 * ports),
+            np.zeros(p.port_rows.shape[0]),
+            np.zeros(n, dtype=np.int64),
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(2, dtype=np.int64),
+        )
+        self._settle_branches()
+        self.samples = 0
+
+    def set_state(self, displacement: Array, velocity: Array, current: float = 0.0) -> None:
+        """Start from displacements and velocities (m,) of the degrees of freedom with inertia.
+
+        Sliders start at zero and yield where they must.
+
+        Raises:
+            ValueError: wrong shapes.
+        """
+        m = self._space.mechanical_size
+        if displacement.shape != (m,) or velocity.shape != (m,):
+            raise ValueError(f"displacement and velocity must have shape ({m},)")
+        rest = np.zeros(self._space.size - 2 * m)
+        if self.system.current is not None:
+            rest[0] = current
+        physical = np.concatenate([displacement, velocity, rest])
+        self.reset()
+        self._state[:] = self._propagator.to_working @ physical
+        self._settle_branches()
+
+    def _settle_branches(self) -> None:
+        """Branches, forces and kinematics that fit the present state (sliders yield where they must)."""
+        p = self._propagator
+        forces, kinematics, branch, slider, _, _ = self._memory
+        total = forces.size // 2
+        ports = self._space.directions.shape[0]
+        if total == 0:
+            return
+        kinematics[:] = p.port_rows @ self._state
+        forces[:] = 0.0
+        for e, (kind, values) in enumerate(zip(self._kinds, self._parameters, strict=True)):
+            q = self._space.element_port[e]
+            w, v = kinematics[q], kinematics[ports + q]
+            branch[e] = 0
+            if kind == JENKINS:
+                reach = values[1] / values[0]
+                if abs(w - slider[e]) > reach:
+                    side = 1 if w > slider[e] else -1
+                    slider[e] = w - side * reach
+                    branch[e] = side if side * v > 0 else 0
+            elif kind == UNILATERAL_STOP:
+                branch[e] = int(w > values[1])
+            elif kind == TWO_SIDED_GAP:
+                branch[e] = int(w > values[1]) - int(w < -values[1])
+            elif kind == BACKLASH_DAMPER:
+                branch[e] = int(w > values[2]) - int(w < -values[2])
+        # Twice: the accelerations in the slopes depend on the forces.
+        for _ in range(2):
+            if self._space.couplings:
+                coupled_forces(
+                    self._kinds, self._parameters, self._space.element_port, branch, slider, self._coupling_kinds,
+                    self._coupling_parameters, kinematics, ports, forces, np.zeros((total, 2)),
+                )  # fmt: skip
+            else:
+                port_forces(
+                    self._kinds, self._parameters, self._space.element_port, branch, slider, kinematics, ports,
+                    forces, np.zeros(ports), np.zeros(ports),
+                )  # fmt: skip
+            kinematics[:] = p.port_rows @ self._state + p.port_feedthrough @ forces[:total]
+
+    def advance(self, inputs: Array) -> Array:
+        """Integrate over one block.
+
+        Args:
+            inputs: (n + 1,) input at the n samples of the block and at the first of the next, straight
+                between.
+
+        Returns:
+            (outputs, n) outputs at the n samples; the state moves on to the next block's first sample.
+
+        Raises:
+            IntegrationError: the motion is not finite any more.
+            ValueError: inputs of a wrong shape or not finite.
+        """
+        inputs = np.ascontiguousarray(inputs, dtype=np.float64)
+        if inputs.ndim != 1 or inputs.size < 1:
+            raise ValueError("inputs must be one-dimensional with at least one value")
+        if not np.isfinite(inputs).all():
+            raise ValueError("inputs must be finite")
+        n = inputs.size - 1
+        p = self._propagator
+        if self._history.shape[1] < n:
+            self._history = np.empty((self._state.size, n))
+            self._force_history = np.empty((p.port_feedthrough.shape[1], n))
+        result = np.empty((self._c.shape[0], n))
+        good = integrate_coupled(
+            p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input, p.compliance, self._kinds,
+            self._parameters, self._space.element_port, self._coupling_kinds, self._coupling_parameters,
+            self._levels, self.substeps, inputs, self._state, *self._memory, self._c, self._d_ports,
+            self._d_input, result,
+        ) if self._space.couplings else integrate(
+            p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input,
+            p.port_feedthrough, p.compliance, self._kinds, self._parameters, self._space.element_port,
+            self._affine, self._levels, self.substeps, inputs, self._state, *self._memory, self._c,
+            self._d_ports, self._d_input, self._history, self._force_history, result,
+        )  # fmt: skip
+        self.samples += n
+        if not good:
+            raise IntegrationError(
+                f"the motion is not finite near sample {self.samples}; check the local elements' parameters"
+            )
+        return result
+
+    @property
+    def modal(self) -> bool:
+        """Whether the state is kept in modal form."""
+        return self._propagator.modal
+
+    @property
+    def physical_state(self) -> Array:
+        """Present state: displacements (m,), velocities (m,), current if any."""
+        result: Array = self._propagator.from_working @ self._state
+        return result
+
+    @property
+    def element_forces(self) -> Array:
+        """(ports,) present forces of the local elements, summed over those with one direction, N; then couplings."""
+        forces = self._memory[0]
+        return forces[: forces.size // 2].copy()
+
+    @property
+    def slider_dissipation(self) -> Array:
+        """(elements,) energy lost in the sliders of Jenkins elements since the start, J; 0 for others."""
+        return self._memory[4].copy()
+
+    @property
+    def steps(self) -> int:
+        """Sub-steps taken since the start."""
+        return int(self._memory[5][0])
+
+    @property
+    def corners(self) -> int:
+        """Corners of local elements passed since the start."""
+        return int(self._memory[5][1])
+
+    @property
+    def stored_energy(self) -> float:
+        """Kinetic and elastic energy of structure, exciter and local elements, and of the inductance, J.
+
+        What attachments store in unknowns without inertia is not in it.
+        """
+        m = self._space.mechanical_size
+        s = self.physical_state
+        x, v, i = s[:m], s[m : 2 * m], s[2 * m :]
+        system = self.system
+        energy = 0.5 * float(v @ system.mass[:m, :m] @ v + x @ system.stiffness[:m, :m] @ x)
+        if system.current is not None:
+            energy += 0.5 * float(system.damping[system.current, system.current]) * float(i[0]) ** 2
+        for element in system.elements:
+            if element.kind in (LINEAR_SPRING, LINEAR_DAMPER):
+                energy += 0.5 * element.linear_stiffness * float(element.direction[:m] @ x) ** 2
+        slider = self._memory[3]
+        for e, element in enumerate(self._space.elements):
+            w = float(element.direction[:m] @ x)
+            energy += element_stored_energy(element.kind, element.parameters, w, slider[e])
+        return energy

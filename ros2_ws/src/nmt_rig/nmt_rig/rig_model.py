@@ -1,0 +1,339 @@
+"""From a rig to its model: structure, local elements, assembled system."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_rig.model.assembly import ElectromechanicalSystem, assemble
+from nmt_rig.model.attachments import Attachment, BoucWen, FractionalDamper, LuGre, RattlingMass, TunedMassQuadratic
+from nmt_rig.model.beam import euler_bernoulli_cantilever
+from nmt_rig.model.chain import lumped_chain
+from nmt_rig.model.iwan import IwanJoint
+from nmt_rig.model.local_elements import (
+    BacklashDamper,
+    CubicSpring,
+    EddyBrake,
+    Jenkins,
+    LinearDamper,
+    LinearSpring,
+    LocalElement,
+    QuadraticDrag,
+    QuadraticSpring,
+    QuinticSpring,
+    TanhFriction,
+    TwoSidedGap,
+    UnilateralStop,
+)
+from nmt_rig.model.shaker import ElectrodynamicShaker
+from nmt_rig.model.structure import Array, Structure
+from nmt_rig.rig import (
+    BacklashDamperSection,
+    BeamSection,
+    BoucWenSection,
+    CubicSpringSection,
+    EddyBrakeSection,
+    ElementSection,
+    FractionalDamperSection,
+    IwanSection,
+    JenkinsSection,
+    LinearDamperSection,
+    LinearSpringSection,
+    LuGreSection,
+    QuadraticDragSection,
+    QuadraticSpringSection,
+    QuinticSpringSection,
+    RattlingMassSection,
+    Rig,
+    ShakerSection,
+    TanhFrictionSection,
+    TunedMassQuadraticSection,
+    TwoSidedGapSection,
+    UnilateralStopSection,
+)
+
+
+def build_structure(rig: Rig) -> Structure:
+    """Linear structure of a rig, with added masses and those of its response sensors, and its loss factor.
+
+    Raises:
+        BenchError: negative masses that leave the structure without inertia.
+    """
+    s = rig.structure
+    if isinstance(s, BeamSection):
+        structure = euler_bernoulli_cantilever(
+            s.length_m,
+            s.width_m,
+            s.height_m,
+            s.youngs_modulus_pa,
+            s.density_kg_m3,
+            s.elements,
+            s.stiffness_damping_s,
+            s.mesh_refinement,
+            s.clamp_rotational_stiffness_nm_rad,
+            s.clamp_lateral_stiffness_n_m,
+        )
+    else:
+        structure = lumped_chain(
+            s.masses_kg, s.springs_n_m, s.dampers_ns_m, s.ground_springs_n_m, s.ground_dampers_ns_m
+        )
+    masses = [(added.point, added.mass_kg) for added in s.added_masses]
+    masses += [
+        (rig.sensor_point(sensor), sensor.mass_kg)
+        for sensor in rig.sensors
+        if sensor.mass_kg != 0.0 and sensor.quantity in ("displacement", "velocity", "acceleration")
+    ]
+    if masses:
+        try:
+            structure = structure.with_masses(masses)
+        except ValueError as error:
+            raise BenchError(
+                f"the masses of rig {rig.name} do not fit: {error}; check structure.added_masses and the sensors' "
+                "mass_kg."
+            ) from error
+    return structure.with_loss_factor(s.loss_factor) if s.loss_factor else structure
+
+
+def build_element(section: ElementSection, structure: Structure) -> LocalElement:
+    """Local element of one section of a rig file that stands for one element.
+
+    Raises:
+        KeyError: the structure has no such point.
+        TypeError: a section of an unknown kind.
+    """
+    direction = section_direction(section, structure)
+    if isinstance(section, JenkinsSection):
+        return Jenkins(direction, section.tangential_stiffness_n_m, section.slip_force_n)
+    if isinstance(section, CubicSpringSection):
+        return CubicSpring(direction, section.stiffness_n_m3)
+    if isinstance(section, QuinticSpringSection):
+        return QuinticSpring(direction, section.stiffness_n_m5)
+    if isinstance(section, QuadraticSpringSection):
+        return QuadraticSpring(direction, section.stiffness_n_m2)
+    if isinstance(section, UnilateralStopSection):
+        return UnilateralStop(direction, section.stiffness_n_m, section.gap_m)
+    if isinstance(section, TwoSidedGapSection):
+        return TwoSidedGap(direction, section.stiffness_n_m, section.gap_m)
+    if isinstance(section, QuadraticDragSection):
+        return QuadraticDrag(direction, section.drag_ns2_m2)
+    if isinstance(section, LinearSpringSection):
+        return LinearSpring(direction, section.stiffness_n_m)
+    if isinstance(section, LinearDamperSection):
+        return LinearDamper(direction, section.damping_ns_m)
+    if isinstance(section, TanhFrictionSection):
+        return TanhFriction(direction, section.slip_force_n, section.reference_velocity_m_s)
+    if isinstance(section, EddyBrakeSection):
+        return EddyBrake(direction, section.damping_ns_m, section.critical_velocity_m_s)
+    if isinstance(section, BacklashDamperSection):
+        return BacklashDamper(direction, section.stiffness_n_m, section.damping_ns_m2, section.gap_m)
+    raise TypeError(f"no local element for {type(section).__name__}")
+
+
+def section_direction(section: ElementSection, structure: Structure) -> Array:
+    """Direction (n,) of a section of a rig file.
+
+    Raises:
+        KeyError: the structure has no such point, or its points do not rotate.
+    """
+    return structure.direction(section.point, section.other_point, section.rotation)
+
+
+def _elements_of(sections: Iterable[ElementSection], structure: Structure) -> tuple[LocalElement, ...]:
+    elements: list[LocalElement] = []
+    for section in sections:
+        if isinstance(section, ATTACHMENT_SECTIONS):
+            continue
+        if isinstance(section, IwanSection):
+            elements.extend(build_iwan(section).elements(section_direction(section, structure)))
+        else:
+            elements.append(build_element(section, structure))
+    return tuple(elements)
+
+
+def build_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:
+    """Local elements on the structure of a rig; an Iwan joint becomes its sliders.
+
+    Those on the side of the exciter and attachments are not among them.
+    """
+    return _elements_of((s for s in rig.local_elements if s.side == "structure"), structure)
+
+
+def build_exciter_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:
+    """Local elements on the side of the exciter, on the degrees of freedom of the structure."""
+    return _elements_of((s for s in rig.local_elements if s.side == "exciter"), structure)
+
+
+ATTACHMENT_SECTIONS = (
+    BoucWenSection,
+    LuGreSection,
+    FractionalDamperSection,
+    TunedMassQuadraticSection,
+    RattlingMassSection,
+)
+
+
+def build_attachments(rig: Rig, structure: Structure) -> tuple[Attachment, ...]:
+    """Attachments of a rig: local elements with unknowns of their own."""
+    return tuple(
+        _attachment(section, section_direction(section, structure))
+        for section in rig.local_elements
+        if isinstance(section, ATTACHMENT_SECTIONS)
+    )
+
+
+def _attachment(section: ElementSection, direction: Array) -> Attachment:
+    if isinstance(section, BoucWenSection):
+        return BoucWen(
+            direction,
+            section.stiffness_n_m,
+            section.yield_displacement_m,
+            section.exponent,
+            section.post_yield_ratio,
+            section.shape,
+        )
+    if isinstance(section, LuGreSection):
+        return LuGre(
+            direction,
+            section.bristle_stiffness_n_m,
+            section.bristle_damping_ns_m,
+            section.viscous_damping_ns_m,
+            section.coulomb_force_n,
+            section.static_force_n,
+            section.stribeck_velocity_m_s,
+        )
+    if isinstance(section, FractionalDamperSection):
+        low, high = 2.0 * np.pi * section.low_hz, 2.0 * np.pi * section.high_hz
+        return FractionalDamper(direction, section.coefficient_n_sa_m, section.order, low, high)
+    if isinstance(section, TunedMassQuadraticSection):
+        frequency = 2.0 * np.pi * section.frequency_hz
+        return TunedMassQuadratic(direction, section.mass_kg, frequency, section.damping_ratio, section.coupling_n_m2)
+    if isinstance(section, RattlingMassSection):
+        return RattlingMass(
+            direction,
+            section.mass_kg,
+            section.gap_m,
+            section.contact_stiffness_n_m,
+            section.contact_damping_ns_m2,
+            section.friction_ns_m,
+        )
+    raise TypeError(f"no attachment for {type(section).__name__}")
+
+
+def build_resting_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:
+    """What sticking modes are computed with: local elements of the structure, and attachments as they are at rest."""
+    elements = list(build_elements(rig, structure))
+    for attachment in build_attachments(rig, structure):
+        if attachment.resting_stiffness:
+            elements.append(LinearSpring(attachment.direction, attachment.resting_stiffness))
+        if attachment.resting_damping:
+            elements.append(LinearDamper(attachment.direction, attachment.resting_damping))
+    return tuple(elements)
+
+
+def refuse_beyond_harmonic_balance(rig: Rig, with_exciter: bool) -> None:
+    """References by harmonic balance are steady states of time-invariant systems without couplings.
+
+    Sensors, converters, the clock and what the loop holds are not part of a reference: it is what a perfect test with
+    perfect sensors would measure.
+
+    Args:
+        rig: the rig.
+        with_exciter: the reference contains the exciter; without, what belongs to it does not matter.
+
+    Raises:
+        BenchError: a key that harmonic balance does not cover.
+    """
+    for index, section in enumerate(rig.local_elements):
+        covered = isinstance(section, FractionalDamperSection | TunedMassQuadraticSection) and with_exciter
+        if isinstance(section, ATTACHMENT_SECTIONS) and not covered:
+            _refuse(rig, f"local_elements.{index} ({section.kind})")
+        if isinstance(section, EddyBrakeSection | BacklashDamperSection) and (
+            with_exciter or section.side == "structure"
+        ):
+            _refuse(rig, f"local_elements.{index} ({section.kind})")
+    for name, value in rig.drift.model_dump().items():
+        if value != 0.0:
+            _refuse(rig, f"drift.{name}")
+    exciter = rig.exciter
+    if not with_exciter:
+        return
+    if isinstance(exciter, ShakerSection):
+        if exciter.amplifier_saturation_v is not None:
+            _refuse(rig, "exciter.amplifier_saturation_v")
+        for name in ("force_factor_linear_per_m", "force_factor_quadratic_per_m2"):
+            if getattr(exciter, name) != 0.0:
+                _refuse(rig, f"exciter.{name}")
+    for index, section in enumerate(rig.local_elements):
+        linear = isinstance(section, LinearSpringSection | LinearDamperSection)
+        if section.side == "exciter" and not linear and not section.rotation:
+            _refuse(rig, f"local_elements.{index}.side exciter for a nonlinear element")
+
+
+def without_exciter_effects(rig: Rig) -> Rig:
+    """The rig with an exciter that harmonic balance covers; the structure stays as it is."""
+    exciter = rig.exciter
+    if isinstance(exciter, ShakerSection):
+        linear = {"force_factor_linear_per_m": 0.0, "force_factor_quadratic_per_m2": 0.0}
+        exciter = exciter.model_copy(update={"amplifier_saturation_v": None, **linear})
+    elements = [section for section in rig.local_elements if section.side == "structure"]
+    return rig.model_copy(update={"exciter": exciter, "local_elements": elements})
+
+
+def _refuse(rig: Rig, key: str) -> None:
+    raise BenchError(
+        f"rig {rig.name} has {key}, which the reference by harmonic balance does not cover; "
+        "run the test without reference, or take the key out for the reference."
+    )
+
+
+def build_iwan(section: IwanSection) -> IwanJoint:
+    """Iwan joint of one section of a rig file."""
+    return IwanJoint(
+        section.tangential_stiffness_n_m,
+        section.slip_force_n,
+        section.exponent,
+        section.stiffness_ratio,
+        section.onset_ratio,
+        section.sliders,
+        section.remaining_stiffness_n_m,
+    )
+
+
+def build_shaker(rig: Rig) -> ElectrodynamicShaker | None:
+    """Shaker of a rig; None where an ideal force drives it."""
+    e = rig.exciter
+    if not isinstance(e, ShakerSection):
+        return None
+    return ElectrodynamicShaker(
+        table_mass=e.table_mass_kg,
+        table_stiffness=e.table_stiffness_n_m,
+        table_damping=e.table_damping_ns_m,
+        coil_mass=e.coil_mass_kg,
+        coil_stiffness=e.coil_stiffness_n_m,
+        coil_damping=e.coil_damping_ns_m,
+        force_factor=e.force_factor_n_a,
+        inductance=e.inductance_h,
+        resistance=e.resistance_ohm + e.source_resistance_ohm,
+        force_factor_linear=e.force_factor_linear_per_m,
+        force_factor_quadratic=e.force_factor_quadratic_per_m2,
+    )
+
+
+def build_system(rig: Rig) -> ElectromechanicalSystem:
+    """Structure, local elements and exciter of a rig as one system."""
+    structure = build_structure(rig)
+    return assemble(
+        structure,
+        build_elements(rig, structure),
+        rig.drive_point,
+        build_shaker(rig),
+        build_attachments(rig, structure),
+        build_exciter_elements(rig, structure),
+    )
+
+
+def input_per_volt(rig: Rig) -> float:
+    """Input of the system for 1 V of drive: 1 with a shaker, N/V with an ideal force."""
+    return 1.0 if isinstance(rig.exciter, ShakerSection) else float(rig.exciter.newton_per_volt)

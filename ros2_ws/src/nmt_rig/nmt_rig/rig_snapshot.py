@@ -1,0 +1,27 @@
+"""The rig as it was used, as the text of a rig file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from nmt_rig.rig import Rig, find_rig
+
+
+def rig_text(rig: Rig, source: str | Path | None = None, overrides: Sequence[str] = ()) -> str:
+    """Text of a rig file that loads to the same rig.
+
+    Args:
+        rig: the validated rig.
+        source: name or path it was loaded from; without overrides its own text is kept, comments and all.
+        overrides: ``key=value`` texts that were applied.
+    """
+    if source is not None and not overrides:
+        return find_rig(source).read_text(encoding="utf-8")
+    values = rig.model_dump(mode="json", exclude_none=True)
+    header = f"# {rig.name}"
+    if overrides:
+        header += " with " + ", ".join(overrides)
+    return header + "\n" + yaml.safe_dump(values, sort_keys=False, allow_unicode=True)

@@ -1,0 +1,18 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="nmt_rig",
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed", "rigs/*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/nmt_rig"]),
+        ("share/nmt_rig", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="nmt developers",
+    maintainer_email="nmt@example.org",
+    description="A rig as a file and as equations: rig files, structures, time integration, harmonic balance",
+    license="Apache-2.0",
+)

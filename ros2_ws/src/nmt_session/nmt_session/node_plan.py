@@ -1,0 +1,423 @@
+"""From a rig and a test to the parameters of every node; free of ROS, so that it can be looked at and tested."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from nmt_core.blocks import SAMPLE_TOPICS, Quantity
+from nmt_core.errors import BenchError
+from nmt_core.excitation import Excitation
+from nmt_core.linear_description import LinearDescription
+from nmt_core.test_kind import TestKind
+from nmt_extract.hysteresis import HysteresisLayout
+from nmt_extract.settings import ExtractionSettings
+from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
+from nmt_pll.settings import settings_from
+from nmt_rig.linear_description import linear_description
+from nmt_rig.rig import Rig
+from nmt_sequencer.level_plan import check_levels
+
+PACINGS = ("lockstep", "realtime")
+
+CONTROLS = {"voltage": 1, "response": 2, "force": 3}
+"""What levels are: constants of ``nmt_msgs/Level``."""
+
+STRATEGIES = ("stepped", "ramp")
+RAMP_WINDOW = 20
+"""Whole periods of a window of the strategy ``ramp`` unless the test says otherwise."""
+RAMP_DELAY = 1.0
+"""Periods from the start of a level to its window in the strategy ``ramp``."""
+
+PEAK_FACTOR = 4.0
+"""Times its rms that a random drive reaches within seconds."""
+
+# Where each node's class and executable are found.
+NODES: dict[str, tuple[str, str, str]] = {
+    "plant": ("nmt_plant", "plant", "nmt_plant.plant_node:PlantNode"),
+    "pll": ("nmt_pll", "pll", "nmt_pll.pll_node:PllNode"),
+    "sequencer": ("nmt_sequencer", "sequencer", "nmt_sequencer.sequencer_node:SequencerNode"),
+    "extract": ("nmt_extract", "extract", "nmt_extract.extract_node:ExtractNode"),
+    "recorder": ("nmt_record", "recorder", "nmt_record.recorder_node:RecorderNode"),
+}
+
+
+@dataclass(frozen=True)
+class TestPlan:
+    """One test of a rig.
+
+    Attributes:
+        rig: the rig with all overrides applied.
+        rig_yaml: its text, kept in the bag.
+        levels: drive amplitudes, V, in order.
+        run_id: name of the run.
+        pacing: ``lockstep`` or ``realtime``.
+        latency_blocks: blocks of buffering between command and excitation.
+        window_periods, ramp, timeout: None = the rig's own.
+        stop_on_lost_lock: end the test at the first level that does not lock.
+        linear: linear description; None = from the rig's model, for tests that need one.
+        node_values: further parameters by node name.
+        control: what the levels are: ``voltage`` (V), ``response`` (amplitude at the drive point, m or m/s²) or
+            ``force`` (N).
+        strategy: ``stepped``: wait at every level for lock; ``ramp``: lock once, then ramp from level to level as long
+            as a window lasts and extract during the ramps by the balance of power.
+        test: kind of test, see :class:`nmt_core.test_kind.TestKind`: ``phase_resonance``, ``random``, ``sweep``,
+            ``stepped_sine`` or ``ring_down``. Only the phase-locked kinds use a linear description.
+        frequencies_hz: start of the sweep or frequency of the stepped sine, one for all levels or one a level.
+        band_hz: band of the noise of a random test, Hz; its levels are V rms.
+        rate_hz_s, frequency_end_hz: rate and end of the sweep.
+        duration: length of the window of a random test, or of the free decay of a ring-down, s.
+    """
+
+    __test__ = False
+
+    rig: Rig
+    rig_yaml: str
+    levels: tuple[float, ...]
+    run_id: str
+    pacing: str = "lockstep"
+    latency_blocks: int = 0
+    window_periods: int | None = None
+    ramp: float | None = None
+    timeout: float | None = None
+    stop_on_lost_lock: bool = False
+    linear: LinearDescription | None = None
+    node_values: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    control: str = "voltage"
+    strategy: str = "stepped"
+    test: str = "phase_resonance"
+    frequencies_hz: tuple[float, ...] = ()
+    band_hz: tuple[float, float] | None = None
+    rate_hz_s: float = 0.0
+    frequency_end_hz: float = 0.0
+    duration: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_levels(self.levels, "The test")
+        if self.pacing not in PACINGS:
+            raise BenchError(f"Pacing '{self.pacing}' is not known; use {' or '.join(PACINGS)}.")
+        if self.control not in CONTROLS:
+            raise BenchError(f"Control '{self.control}' is not known; use {', '.join(CONTROLS)}.")
+        if self.strategy not in STRATEGIES:
+            raise BenchError(f"Strategy '{self.strategy}' is not known; use {' or '.join(STRATEGIES)}.")
+        if self.latency_blocks < 0:
+            raise BenchError(f"latency_blocks must not be negative, got {self.latency_blocks}.")
+        if self.window_periods is not None and self.window_periods < 3:
+            raise BenchError(f"A window needs at least 3 periods, got {self.window_periods}.")
+        for name in ("ramp", "timeout"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < 1e6:
+                raise BenchError(f"The {name} must be positive and below 1e6 s, got {value:g}.")
+        kind = TestKind.named(self.test)
+        if self.band_hz is not None and len(self.band_hz) != 2:
+            raise BenchError(f"band_hz needs a lower and an upper edge, got {len(self.band_hz)} values.")
+        if self.strategy == "ramp" and kind is not TestKind.PHASE_RESONANCE:
+            raise BenchError("The strategy ramp is one of phase resonance tests; leave the strategy at stepped.")
+        rate = float(self.rig.sample_rate_hz)
+        self.excitation.check(self.level_frequencies_hz, len(self.levels), CONTROLS[self.control], rate)
+        limit = self.rig.limits.voltage_v
+        if kind is TestKind.RANDOM and limit is not None and PEAK_FACTOR * max(self.levels) > limit:
+            raise BenchError(
+                f"Peaks of a random drive of {max(self.levels):g} V rms reach {PEAK_FACTOR:g} times as much, beyond "
+                f"the limit of rig {self.rig.name} (limits.voltage_v: {limit:g} V); lower the level."
+            )
+        if self.control == "voltage" and limit is not None and max(self.levels) > limit:
+            raise BenchError(
+                f"Level {max(self.levels):g} V is beyond the limit of rig {self.rig.name} "
+                f"(limits.voltage_v: {limit:g} V); lower the level."
+            )
+
+    @property
+    def excitation(self) -> Excitation:
+        """Kind of test and its settings."""
+        low, high = self.band_hz or (0.0, 0.0)
+        return Excitation(
+            TestKind.named(self.test),
+            float(low),
+            float(high),
+            float(self.rate_hz_s),
+            float(self.frequency_end_hz),
+            float(self.duration),
+        )
+
+    @property
+    def level_frequencies_hz(self) -> tuple[float, ...]:
+        """Frequency of each level, Hz; empty = none given."""
+        one_for_all = len(self.frequencies_hz) == 1
+        return tuple(map(float, self.frequencies_hz)) * (len(self.levels) if one_for_all else 1)
+
+    @property
+    def used_linear(self) -> LinearDescription | None:
+        """Linear description that loop and extraction get; the model's only where the test needs one."""
+        if self.linear is None and TestKind.named(self.test).closes_phase_loop:
+            return linear_description(self.rig)
+        return self.linear
+
+    @property
+    def level_unit(self) -> str:
+        """Unit of the levels."""
+        if self.control == "response":
+            return Quantity[_response_topic(self.rig).upper()].unit
+        return "V" if self.control == "voltage" else "N"
+
+    @property
+    def goal(self) -> dict[str, Any]:
+        """Fields of the ``run_levels`` goal."""
+        test = self.rig.test
+        window, ramp = self.window_periods, self.ramp
+        if self.strategy == "ramp":
+            window = RAMP_WINDOW if window is None else window
+            linear = self.linear or linear_description(self.rig)
+            ramp = window / linear.frequency_hz if ramp is None else ramp
+        return {
+            "run_id": self.run_id,
+            "control": CONTROLS[self.control],
+            "levels": [float(level) for level in self.levels],
+            "ramp": float(test.ramp_s if ramp is None else ramp),
+            "window_periods": int(test.window_periods if window is None else window),
+            "timeout": float(test.lock_timeout_s if self.timeout is None else self.timeout),
+            "stop_on_lost_lock": self.stop_on_lost_lock,
+            "frequencies_hz": list(self.level_frequencies_hz),
+            **self.excitation.values,
+        }
+
+
+@dataclass(frozen=True)
+class NodePlan:
+    """Parameters of every node of a test, and the run's self-description.
+
+    Attributes:
+        values: parameters by node name.
+        run: content of ``run.json``.
+        goal: fields of the action goal.
+    """
+
+    values: dict[str, dict[str, Any]]
+    run: dict[str, Any]
+    goal: dict[str, Any]
+
+    def write_parameters(self, path: Path) -> None:
+        """Write a parameter file that ``ros2 run … --ros-args --params-file`` takes for any of the nodes."""
+        content = {name: {"ros__parameters": values} for name, values in self.values.items()}
+        path.write_text(yaml.safe_dump(content, sort_keys=True, allow_unicode=True), encoding="utf-8")
+
+
+def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
+    """Parameters for all nodes.
+
+    Args:
+        test: the test.
+        bag: folder of the bag to be recorded.
+        rig_file: where the rig's text has been written for the plant node.
+
+    Raises:
+        BenchError: the rig has no response sensor at the drive point, or a setting is refused.
+    """
+    rig = test.rig
+    linear = test.used_linear
+    linear_json = "" if linear is None else linear.to_json()
+    response = _response_topic(rig)
+    topics = _sample_topics(rig)
+    extraction = ExtractionSettings(
+        harmonics=rig.extraction.harmonics,
+        topics=_extraction_topics(rig, topics),
+        power_balance=test.strategy == "ramp",
+        hysteresis=_hysteresis_layout(rig),
+    )
+    layout = extraction.hysteresis
+    pll = _loop_values(test, linear, response)
+    timing = {"sample_rate": float(rig.sample_rate_hz), "block_samples": int(rig.block_samples)}
+    values: dict[str, dict[str, Any]] = {
+        "plant": {
+            "rig_file": str(rig_file),
+            "pacing": test.pacing,
+            "latency_blocks": test.latency_blocks,
+            "watched_nodes": ["pll", "sequencer"],
+        },
+        "pll": {
+            **timing,
+            "linear_json": linear_json,
+            "drive_point": rig.drive_point,
+            "response_topic": response,
+            "latency_blocks": test.latency_blocks,
+            "watched_nodes": ["plant", "sequencer"],
+            **pll,
+        },
+        "sequencer": {
+            **timing,
+            "pacing": test.pacing,
+            "latency_blocks": test.latency_blocks,
+            "watched_nodes": ["plant", "pll", "extract", "recorder"],
+        },
+        "extract": {
+            "rig": rig.name,
+            "linear_json": linear_json,
+            "harmonics": extraction.harmonics,
+            "topics": list(extraction.topics),
+            "power_balance": extraction.power_balance,
+            "hysteresis_json": "" if layout is None else json.dumps(layout.to_mapping()),
+        },
+        "recorder": {"output": str(bag), "chunk_messages": _chunk_messages(rig, len(topics))},
+    }
+    for name, extra in test.node_values.items():
+        if name not in values:
+            raise BenchError(f"Node '{name}' is not part of the bench; there are {', '.join(values)}.")
+        values[name].update(extra)
+    if test.strategy == "ramp":
+        values["pll"].setdefault("ramp_delay_periods", RAMP_DELAY)
+    if values["pll"].get("loop") == "paper" and test.strategy == "ramp":
+        raise BenchError("The paper's loop waits at every level; use the adaptive loop for the strategy ramp.")
+    if values["pll"].get("loop") == "paper" and test.excitation.test is TestKind.RING_DOWN:
+        raise BenchError("The paper's loop does not switch off; use the adaptive loop for a ring-down test.")
+    if values["pll"].get("loop") == "paper" and test.control != "voltage":
+        raise BenchError(
+            f"The paper's loop steps the voltage only; use the adaptive loop for levels of {test.control}."
+        )
+    for name, peers in expected_peers(topics, extraction.topics, response).items():
+        values[name]["expected_peers"] = peers
+    goal = test.goal
+    run = {
+        "run_id": test.run_id,
+        "rig": rig.name,
+        "seed": rig.seed,
+        "plan": {
+            **{key: value for key, value in goal.items() if key != "run_id"},
+            "test": test.excitation.test.label,
+            "pacing": test.pacing,
+        },
+        "exciter_point": rig.drive_point,
+        "linear": None if linear is None else json.loads(linear_json),
+        "extraction": extraction.to_mapping(),
+        "parameters": {name: dict(items) for name, items in values.items()},
+        "versions": versions(),
+        "started": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+    }
+    values["recorder"]["run_json"] = json.dumps(run)
+    values["recorder"]["rig_yaml"] = test.rig_yaml
+    return NodePlan(values, run, goal)
+
+
+def expected_peers(topics: Sequence[str], extracted: Sequence[str], response: str) -> dict[str, list[str]]:
+    """For every node the ``topic:count`` list of connections it waits for before it calls itself ready.
+
+    Args:
+        topics: sample topics of the rig.
+        extracted: those that the extraction reads.
+        response: topic of the response that the loop controls.
+    """
+    subscribers: dict[str, list[str]] = {
+        topic: ["recorder", *(["extract"] if topic in extracted else [])] for topic in topics
+    }
+    subscribers["force"].append("pll")
+    subscribers[response].append("pll")
+    subscribers.update(
+        drive=["plant", "recorder"],
+        frequency=["sequencer", "extract", "recorder"],
+        level=["pll", "extract", "recorder"],
+        lock=["sequencer", "extract", "recorder"],
+        modal_point=["sequencer", "recorder"],
+        run_state=["plant", "recorder"],
+    )
+    publisher = dict.fromkeys(topics, "plant")
+    publisher.update(
+        drive="pll", frequency="pll", lock="pll", level="sequencer", run_state="sequencer", modal_point="extract"
+    )
+    peers: dict[str, list[str]] = {name: [] for name in NODES}
+    for topic, names in subscribers.items():
+        peers[publisher[topic]].append(f"{topic}:{len(names)}")
+        for name in names:
+            peers[name].append(f"{topic}:1")
+    return peers
+
+
+def _hysteresis_layout(rig: Rig) -> HysteresisLayout | None:
+    """Points and masses of the hysteresis evaluation; none where the exciter was moved away from its mass."""
+    section = rig.extraction.hysteresis
+    if section is None or section.excited_point != rig.drive_point:
+        return None
+    return HysteresisLayout.from_mapping(section.model_dump())
+
+
+def _sample_topics(rig: Rig) -> list[str]:
+    present = {str(sensor.quantity) for sensor in rig.sensors}
+    return [topic for topic in SAMPLE_TOPICS if topic in present]
+
+
+def _chunk_messages(rig: Rig, sample_topics: int) -> int:
+    """Messages of half a second of bench time: what a killed recorder loses is less than twice that."""
+    blocks = 0.5 * rig.sample_rate_hz / rig.block_samples
+    return max(10, int(blocks * (sample_topics + 2)))
+
+
+def _extraction_topics(rig: Rig, topics: Sequence[str]) -> tuple[str, ...]:
+    """Force, the response quantity of the rig, and the other one if only it has a sensor at the drive point."""
+    chosen = ["force", rig.extraction.quantity]
+    if rig.drive_point not in rig.response_points(Quantity[rig.extraction.quantity.upper()]):
+        chosen.append("acceleration" if rig.extraction.quantity == "displacement" else "displacement")
+    return tuple(topic for topic in topics if topic in chosen)
+
+
+def _response_topic(rig: Rig) -> str:
+    for quantity in (Quantity[rig.extraction.quantity.upper()], Quantity.DISPLACEMENT, Quantity.ACCELERATION):
+        if rig.drive_point in rig.response_points(quantity):
+            return quantity.topic
+    raise BenchError(
+        f"Rig {rig.name} has no displacement or acceleration sensor at its drive point {rig.drive_point}; "
+        "phase resonance needs one: add {quantity: acceleration, point: drive} to its sensors."
+    )
+
+
+def _loop_values(test: TestPlan, linear: LinearDescription | None, response: str) -> dict[str, Any]:
+    """The rig's loop settings; amplitude floors default to a fraction of the linear estimate at the lowest level."""
+    values = dict(test.rig.pll)
+    loop = _paper_values(values)
+    if linear is not None:
+        _add_floors(values, test, linear, response)
+    if test.rig.limits.voltage_v is not None:
+        values.setdefault("voltage_limit", float(test.rig.limits.voltage_v))
+    settings = settings_from({**values, "latency_blocks": test.latency_blocks})
+    return {**loop, **{name: type(getattr(settings, name))(value) for name, value in values.items()}}
+
+
+def _add_floors(values: dict[str, Any], test: TestPlan, linear: LinearDescription, response: str) -> None:
+    scale = linear.frequencies_rad_s[linear.target_mode] ** 2 if response == "acceleration" else 1.0
+    force_per_volt, response_per_volt = linear.force_per_volt, linear.displacement_per_volt * scale
+    per_volt = {"voltage": 1.0, "response": response_per_volt, "force": force_per_volt}[test.control]
+    lowest = min(test.levels) / per_volt
+    if "force_floor" not in values and lowest * force_per_volt > 0:
+        values["force_floor"] = 0.02 * lowest * force_per_volt
+    if "response_floor" not in values and lowest * response_per_volt > 0:
+        values["response_floor"] = 0.02 * lowest * response_per_volt
+
+
+def _paper_values(values: dict[str, Any]) -> dict[str, Any]:
+    """Take the choice of the loop and the settings of the paper's loop out of the rig's settings, checked."""
+    chosen: dict[str, Any] = {}
+    if "loop" in values:
+        chosen["loop"] = str(values.pop("loop"))
+    known = {parameter.name for parameter in paper_parameters()}
+    for name in [name for name in values if name.startswith(PAPER_PREFIX)]:
+        if name not in known:
+            raise BenchError(f"PLL setting '{name}' is not known; known are {', '.join(sorted(known))}.")
+        chosen[name] = float(values.pop(name))
+    paper_settings_from(chosen)
+    return chosen
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a run's result depends on."""
+    found = {"python": platform.python_version()}
+    for name in ("numpy", "scipy", "numba", "rosbags", "nmt_bench", "ros-jazzy-rclpy"):
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,18 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="nmt_study",
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/nmt_study"]),
+        ("share/nmt_study", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="nmt developers",
+    maintainer_email="nmt@example.org",
+    description="The paper's studies: cases, references, figures and findings",
+    license="Apache-2.0",
+)

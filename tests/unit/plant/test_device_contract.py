@@ -96,6 +96,12 @@ def test_a_command_waits_for_its_sample(running):
     assert np.any(voltage(running.read()) != 0.0)
 
 
+def test_a_command_out_of_its_range_is_refused(running):
+    with pytest.raises(BenchError, match="amplitude must be finite and not negative"):
+        running.write(DriveCommand(Waveform.SINE, 22.0, -0.5))
+    assert np.all(voltage(running.read()) == 0.0)
+
+
 def test_a_command_beyond_half_the_sample_rate_is_refused(running):
     with pytest.raises(BenchError):
         running.write(DriveCommand(Waveform.SINE, running.sample_rate, 0.5))

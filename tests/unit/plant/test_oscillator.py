@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
+from nmt_plant.device import check_drive
 from nmt_plant.oscillator import BandNoise, Oscillator
 
 RATE = 10_000.0
@@ -110,6 +112,7 @@ def test_random_has_its_rms_and_band():
 @pytest.mark.parametrize(
     "command",
     [
+        {"waveform": Waveform.UNKNOWN},
         {"waveform": Waveform.SINE, "frequency_hz": 0.0},
         {"waveform": Waveform.SINE, "frequency_hz": float("nan")},
         {"waveform": Waveform.SINE, "frequency_hz": 10.0, "amplitude": -1.0},
@@ -120,7 +123,7 @@ def test_random_has_its_rms_and_band():
 )
 def test_bad_commands_are_refused(command):
     with pytest.raises(BenchError, match="drive command"):
-        DriveCommand(**command)
+        check_drive(DriveCommand(**command))
 
 
 def test_beyond_half_the_sample_rate_is_refused():

@@ -32,6 +32,7 @@ from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -42,15 +43,14 @@ from nmt_bench.orchestration.shared_memory import remove_dead_segments
 from nmt_core.base_node import STATE_QOS, calm_collector
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_core.test_kind import TestKind
-from nmt_extract.conversions import modal_point_from_message
-from nmt_extract.modal_point import ModalPoint
+from nmt_core.modal_point import ModalPoint
+from nmt_core.vocabulary import ResultCode, RunPhase, TestKind
+from nmt_core.wire import MODAL_POINT, RUN_STATE
 from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import RunState
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_snapshot import rig_text
 from nmt_sequencer.level_plan import parse_levels
-from nmt_sequencer.run_machine import ResultCode
 from nmt_session.node_plan import NODES, NodePlan, TestPlan, plan_nodes
 
 START_TIMEOUT = 60.0
@@ -337,7 +337,7 @@ class Bench:
             code, text = ResultCode.NODE_LOST, self._obituary(lost)
         else:
             code, text = ResultCode(message.result_code), message.message
-            points = tuple(modal_point_from_message(point) for point in message.points)
+            points = tuple(MODAL_POINT.read(serialize_message(point)) for point in message.points)
             if lost:
                 code, text = ResultCode.NODE_LOST, self._obituary(lost)
         return RunResult(
@@ -466,7 +466,7 @@ class _RunClient(Node):  # type: ignore[misc]
         self.newest_sample = -1
         self._counters: dict[str, dict[str, str]] = {}
         self.create_subscription(String, "bag", self._on_bag, STATE_QOS)
-        self.create_subscription(RunState, "run_state", self._on_state, STATE_QOS)
+        self.create_subscription(RunState, "run_state", self._on_state, STATE_QOS, raw=True)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
 
     def server_is_ready(self) -> bool:
@@ -484,12 +484,16 @@ class _RunClient(Node):  # type: ignore[misc]
         with contextlib.suppress(ValueError, TypeError, KeyError):
             self.bag_state = json.loads(message.data)["state"]
 
-    def _on_state(self, message: RunState) -> None:
+    def _on_state(self, raw: bytes) -> None:
+        try:
+            state = RUN_STATE.read(raw)
+        except ValueError:
+            return
         now = time.monotonic()
-        if message.phase == RunState.RUNNING:
+        if state.phase == RunPhase.RUNNING:
             self.started = self.started or now
-        if message.sample > self.newest_sample:
-            self.newest_sample = message.sample
+        if state.sample > self.newest_sample:
+            self.newest_sample = state.sample
             self.last_progress = now
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

@@ -1,8 +1,8 @@
 """Harmonics and modal properties from locked windows, live and from bags; extraction node."""
 
+from nmt_core.records import LockEvent
 from nmt_extract.extractor import Extractor
 from nmt_extract.harmonics import harmonic_amplitudes
-from nmt_extract.lock_event import LockEvent
 from nmt_extract.modal import estimated_mass, modal_point
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.offline import ExtractionResult, extract_bag

@@ -9,13 +9,12 @@ from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import Parameter
-from nmt_extract.conversions import fill_modal_point
+from nmt_core.wire import MODAL_POINT
 from nmt_extract.extractor import Extractor
 from nmt_extract.harmonics import compile_kernels
 from nmt_extract.message_feed import STATE_TOPICS, MessageFeed
 from nmt_extract.settings import ExtractionSettings
-from nmt_msgs.msg import Frequency, Level, LockEvent, SampleBlock
-from nmt_msgs.msg import ModalPoint as ModalPointMessage
+from nmt_msgs.msg import Frequency, Level, LockEvent, ModalPoint, SampleBlock
 
 _STATE_TYPES = {"frequency": Frequency, "lock": LockEvent, "level": Level}
 
@@ -68,7 +67,7 @@ class ExtractNode(BenchNode):
         settings = self._settings()
         self.extractor: Extractor | None = None
         self._feed: MessageFeed | None = None
-        self._publisher = self.bench_publisher(ModalPointMessage, "modal_point", SAMPLES_QOS)
+        self._publisher = self.bench_publisher(ModalPoint, "modal_point", SAMPLES_QOS)
         if not text:
             for topic in (*settings.topics, *STATE_TOPICS):
                 self.bench_subscription(
@@ -78,11 +77,9 @@ class ExtractNode(BenchNode):
         self.extractor = Extractor(LinearDescription.from_json(text), settings)
         compile_kernels()
         self._feed = MessageFeed(self.extractor)
-        for callbacks, raw in ((self._feed.raw, True), (self._feed.decoded, False)):
-            for topic, callback in callbacks.items():
-                kind = _STATE_TYPES.get(topic, SampleBlock)
-                publishing = self._publishing(callback, self.extractor)
-                self.bench_subscription(kind, topic, publishing, SAMPLES_QOS, raw=raw)
+        for topic, callback in self._feed.callbacks.items():
+            kind = _STATE_TYPES.get(topic, SampleBlock)
+            self.bench_subscription(kind, topic, self._publishing(callback, self.extractor), SAMPLES_QOS, raw=True)
 
     def _settings(self) -> ExtractionSettings:
         names = ("harmonics", "topics", "sub_windows", "minimum_periods", "power_balance")
@@ -98,8 +95,8 @@ class ExtractNode(BenchNode):
         return ExtractionSettings.from_mapping(values)
 
     def _publishing(self, callback: Any, extractor: Extractor) -> Any:
-        def on_message(message: Any) -> None:
-            callback(message)
+        def on_message(raw: bytes) -> None:
+            callback(raw)
             if extractor.ready:
                 self._publish(extractor)
 
@@ -107,7 +104,7 @@ class ExtractNode(BenchNode):
 
     def _publish(self, extractor: Extractor) -> None:
         for point in extractor.take():
-            self._publisher.publish(fill_modal_point(ModalPointMessage(), point))
+            self._publisher.publish(MODAL_POINT.write(point))
             if point.reason:
                 self.get_logger().warning(f"Level {point.level_index}: {point.reason}")
 

@@ -86,14 +86,10 @@ def extract_opened_bag(
     _require(bag, settings)
     extractor = Extractor(linear, settings, require_loop_state=_count(bag, "frequency") > 0)
     feed = MessageFeed(extractor)
-    raw_callbacks, callbacks = feed.raw, feed.decoded
     points: list[ModalPoint] = []
     wanted = [topic for topic in (*settings.topics, *STATE_TOPICS) if topic in bag.topics]
     for topic, _, _, raw in bag.raw_messages(wanted):
-        if topic in raw_callbacks:
-            raw_callbacks[topic](raw)
-        else:
-            callbacks[topic](bag.deserialise(topic, raw))
+        feed.callbacks[topic](raw)
         if extractor.ready:
             points += extractor.take()
     points += extractor.finish()

@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 from nmt_core.blocks import BlockFlag, FloatArray, OscillatorPhase, Quantity, SampleBlock
-from nmt_plant.device import Device, DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
+from nmt_plant.device import Device
 from nmt_plant.limits import LimitGuard
 from nmt_plant.oscillator import Oscillator, OscillatorBlock, check_command
 from nmt_plant.watchdog import DriveWatchdog

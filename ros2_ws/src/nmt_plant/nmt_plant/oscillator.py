@@ -16,7 +16,8 @@ from scipy.signal import butter, sosfilt, sosfreqz
 from nmt_core.blocks import FloatArray, OscillatorPhase
 from nmt_core.errors import BenchError
 from nmt_core.ramp import half_cosine
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
 
 
 @njit(cache=True)

@@ -6,18 +6,17 @@ import contextlib
 import time
 from typing import Any
 
-from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
-from nmt_core.wire import BlockWriter
+from nmt_core.vocabulary import RunPhase
+from nmt_core.wire import RUN_STATE, BlockWriter, read_drive
 from nmt_msgs.msg import Drive, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
-from nmt_plant.conversions import command_from_bytes, command_from_message
-from nmt_plant.device import Device, DeviceFault, DeviceState
+from nmt_plant.device import Device, DeviceFault, DeviceState, check_drive
 from nmt_plant.lockstep import LockstepGate
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.rig import load_rig
@@ -73,7 +72,7 @@ class PlantNode(BenchNode):
         self._period = device.block_samples / device.sample_rate
         self._gate = LockstepGate(device.block_samples, int(self.values["latency_blocks"]))
         self._running = False
-        self._run_phase = RunState.UNKNOWN
+        self._run_phase = RunPhase.UNKNOWN
         self._failed = ""
         self._last_command = time.monotonic()
         self._next_due = 0.0
@@ -86,7 +85,7 @@ class PlantNode(BenchNode):
             publisher = self.bench_publisher(SampleBlockMessage, block.quantity.topic, SAMPLES_QOS)
             self._publishers_by_quantity[int(block.quantity)] = (publisher, BlockWriter(self._frame))
         self.bench_subscription(Drive, "drive", self._on_drive, SAMPLES_QOS, raw=True)
-        self.bench_subscription(RunState, "run_state", self._on_run_state, STATE_QOS)
+        self.bench_subscription(RunState, "run_state", self._on_run_state, STATE_QOS, raw=True)
         self.create_service(Trigger, "reset", self._reset)
         self._guard_timer = self.create_timer(_GUARD_PERIOD, self._guard)
         if not self._lockstep:
@@ -102,13 +101,18 @@ class PlantNode(BenchNode):
 
     # -- lockstep ------------------------------------------------------------------------------------------------
 
-    def _on_run_state(self, message: RunState) -> None:
-        self._run_phase = message.phase
-        if self._lockstep and message.phase in (RunState.RUNNING, RunState.PAUSED, RunState.STOPPING, RunState.DONE):
-            self._gate.horizon = max(self._gate.horizon, message.horizon_sample)
-            if not self._running and message.phase == RunState.RUNNING:
+    def _on_run_state(self, raw: bytes) -> None:
+        try:
+            state = RUN_STATE.read(raw)
+        except ValueError as error:
+            self.get_logger().error(f"Run state refused: {error}", throttle_duration_sec=1.0)
+            return
+        self._run_phase = state.phase
+        if self._lockstep and state.phase in (RunPhase.RUNNING, RunPhase.PAUSED, RunPhase.STOPPING, RunPhase.DONE):
+            self._gate.horizon = max(self._gate.horizon, state.horizon_sample)
+            if not self._running and state.phase == RunPhase.RUNNING:
                 self._begin()
-        elif not self._lockstep and message.phase == RunState.RUNNING and not self._running:
+        elif not self._lockstep and state.phase == RunPhase.RUNNING and not self._running:
             self._begin()
         self._advance()
 
@@ -122,10 +126,9 @@ class PlantNode(BenchNode):
         self._last_command = time.monotonic()
         self._commands += 1
         try:
-            command, based_on = command_from_bytes(raw)
-            self._gate.answered = max(self._gate.answered, based_on)
-            if command is None:
-                command = command_from_message(deserialize_message(raw, Drive))
+            command = read_drive(raw)
+            check_drive(command)
+            self._gate.answered = max(self._gate.answered, command.based_on_sample)
             self.device.write(command)
         except (BenchError, ValueError) as error:
             self._refused += 1
@@ -184,9 +187,9 @@ class PlantNode(BenchNode):
         overdue = time.monotonic() - self._last_command > float(self.values["command_timeout"])
         if silent:
             self._quiet_down(f"node {silent} has fallen silent")
-        elif self._lockstep and starved and overdue and self._run_phase != RunState.PAUSED and not self.device.is_quiet:
+        elif self._lockstep and starved and overdue and self._run_phase != RunPhase.PAUSED and not self.device.is_quiet:
             self._quiet_down("no drive command arrives")
-        elif self._run_phase == RunState.DONE and starved and not self.device.is_quiet:
+        elif self._run_phase == RunPhase.DONE and starved and not self.device.is_quiet:
             self._quiet_down("the run is over")
 
     def _quiet_down(self, reason: str) -> None:

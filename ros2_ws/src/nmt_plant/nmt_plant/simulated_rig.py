@@ -9,7 +9,8 @@ import numpy as np
 
 from nmt_core.blocks import BlockFlag, FloatArray, Quantity
 from nmt_core.errors import BenchError
-from nmt_plant.device import DeviceFault, DriveCommand
+from nmt_core.records import DriveCommand
+from nmt_plant.device import DeviceFault
 from nmt_plant.guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings
 from nmt_plant.limits import within_limit
 from nmt_plant.oscillator import OscillatorBlock

@@ -3,34 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
 from nmt_core.blocks import Quantity, SampleBlock
-from nmt_core.conversions import set_stamp
+from nmt_core.cdr import bench_time_ns
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import Parameter
-from nmt_core.test_kind import TestKind
-from nmt_core.wire import BlockReader, LoopStatus, PlainDrive, write_drive, write_status
-from nmt_msgs.msg import Drive, Frequency, Level, LockEvent
-from nmt_msgs.msg import SampleBlock as SampleBlockMessage
+from nmt_core.records import DriveCommand, LevelCommand, LockEvent, LoopStatus
+from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
+from nmt_core.wire import LEVEL, LOCK_EVENT, BlockReader, write_drive, write_status
+from nmt_msgs import msg
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import LoopState
 from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import paper_parameters, paper_settings_from
 from nmt_pll.random_drive import RandomDrive
-from nmt_pll.settings import (
-    CONTROL_FORCE,
-    CONTROL_RESPONSE,
-    CONTROL_VOLTAGE,
-    LevelCommand,
-    LoopSettings,
-    setting_parameters,
-    settings_from,
-)
+from nmt_pll.settings import LoopSettings, setting_parameters, settings_from
 from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
 
 PARAMETERS = (
@@ -88,13 +79,13 @@ class PllNode(BenchNode):
         self._gaps = self._refused = self._late_levels = self._lost_locks = 0
         self._warm_up()
 
-        self._drive = self.bench_publisher(Drive, "drive", SAMPLES_QOS)
-        self._frequency = self.bench_publisher(Frequency, "frequency", SAMPLES_QOS)
-        self._lock = self.bench_publisher(LockEvent, "lock", SAMPLES_QOS)
+        self._drive = self.bench_publisher(msg.Drive, "drive", SAMPLES_QOS)
+        self._frequency = self.bench_publisher(msg.Frequency, "frequency", SAMPLES_QOS)
+        self._lock = self.bench_publisher(msg.LockEvent, "lock", SAMPLES_QOS)
         self._status: LoopStatus | None = None
-        self.bench_subscription(Level, "level", self._on_level, SAMPLES_QOS)
+        self.bench_subscription(msg.Level, "level", self._on_level, SAMPLES_QOS, raw=True)
         for topic in ("force", self._response_topic):
-            self.bench_subscription(SampleBlockMessage, topic, self._reading(BlockReader()), SAMPLES_QOS, raw=True)
+            self.bench_subscription(msg.SampleBlock, topic, self._reading(BlockReader()), SAMPLES_QOS, raw=True)
         self.create_timer(0.25, self._guard)
 
     def _make_loops(self) -> dict[TestKind, LevelLoop]:
@@ -159,30 +150,15 @@ class PllNode(BenchNode):
             raise BenchError(f"A {label} test cannot begin while the level before is at work.")
         self.loop = loop
 
-    def _on_level(self, message: Level) -> None:
+    def _on_level(self, raw: bytes) -> None:
         try:
-            kind = TestKind.of(message.test)
-        except BenchError as error:
+            level = LEVEL.read(raw)
+        except (BenchError, ValueError) as error:
             self._refused += 1
             self.get_logger().error(f"Level refused: {error}")
             return
-        level = LevelCommand(
-            sequence=message.sequence,
-            index=message.index,
-            amplitude=message.amplitude,
-            apply_at_sample=message.apply_at_sample,
-            ramp=message.ramp,
-            control=message.control or CONTROL_VOLTAGE,
-            frequency_hz=message.frequency_hz,
-            window_periods=message.window_periods,
-            timeout=message.timeout,
-            test=kind,
-            band_low_hz=message.band_low_hz,
-            band_high_hz=message.band_high_hz,
-            rate_hz_s=message.rate_hz_s,
-            frequency_end_hz=message.frequency_end_hz,
-            duration=message.duration,
-        )
+        if level.control == ControlKind.UNKNOWN:
+            level = replace(level, control=ControlKind.VOLTAGE)
         try:
             self._choose_loop(level)
             self.loop.set_level(level)
@@ -249,10 +225,10 @@ class PllNode(BenchNode):
 
     def _publish(self, output: LoopOutput, unit: str) -> None:
         running = output.amplitude > 0.0
-        drive = PlainDrive(
+        drive = DriveCommand(
             apply_at_sample=output.last_sample + 1 + self._delay,
             based_on_sample=output.last_sample,
-            waveform=output.waveform if running else Drive.OFF,
+            waveform=output.waveform if running else Waveform.OFF,
             frequency_hz=output.frequency_hz,
             amplitude=output.amplitude,
             ramp=output.ramp,
@@ -283,23 +259,21 @@ class PllNode(BenchNode):
         self._frequency.publish(write_status(self._status, self.sample_rate))
 
     def _publish_lock(self, lock: LockWindow) -> None:
-        message = LockEvent()
-        set_stamp(message.stamp, lock.sample, self.sample_rate)
-        message.level_index = lock.level.index
-        message.level = lock.level.amplitude
-        message.level_unit = {
-            CONTROL_VOLTAGE: "V",
-            CONTROL_FORCE: "N",
-            CONTROL_RESPONSE: {"displacement": "m", "velocity": "m/s"}.get(self._response_topic, "m/s^2"),
-        }[lock.level.control]
-        message.sample = lock.sample
-        message.frequency_hz = lock.frequency_hz
-        message.phase_error = lock.phase_error
-        message.window_first_sample = lock.first_sample
-        message.window_samples = lock.samples
-        message.window_periods = lock.periods
-        message.test = int(lock.level.test)
-        self._lock.publish(message)
+        control = ControlKind(lock.level.control)
+        event = LockEvent(
+            level_index=lock.level.index,
+            level=lock.level.amplitude,
+            level_unit=control.level_unit(Quantity[self._response_topic.upper()]),
+            sample=lock.sample,
+            frequency_hz=lock.frequency_hz,
+            phase_error=lock.phase_error,
+            window_first_sample=lock.first_sample,
+            window_samples=lock.samples,
+            window_periods=lock.periods,
+            test=lock.level.test,
+            time_ns=bench_time_ns(lock.sample, self.sample_rate),
+        )
+        self._lock.publish(LOCK_EVENT.write(event))
 
     def update_counters(self) -> None:
         """Counters for the heartbeat."""

@@ -17,9 +17,12 @@ from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 
 from nmt_core.blocks import SampleBlock
-from nmt_core.conversions import block_from_message
+from nmt_core.cdr import MessageCodec, Record
 from nmt_core.errors import BenchError
-from nmt_record.bag_writer import FAILURE_KEY, RIG_YAML_KEY, RUN_JSON_KEY, START, STOP, BagWriter
+from nmt_core.records import LockEvent
+from nmt_core.vocabulary import RecordKind
+from nmt_core.wire import LOCK_EVENT, BlockReader
+from nmt_record.bag_writer import FAILURE_KEY, RIG_YAML_KEY, RUN_JSON_KEY, BagWriter
 from nmt_record.bench_topics import SAMPLE_BLOCK, bench_name
 from nmt_record.cdr_peek import peek_block
 from nmt_record.mcap_file import Channel, McapFile, check_magic
@@ -148,6 +151,7 @@ class Bag:
             raise BenchError(f"Topic '{topic}' of the bag {self.path} holds {self._types[topic]}, not samples.")
         self.require_topics(topic)
         cut = first_sample is not None or stop_sample is not None
+        read = BlockReader().read
         for _, _, _, raw in self.raw_messages([topic]):
             try:
                 if cut:
@@ -156,15 +160,41 @@ class Bag:
                         continue
                     if stop_sample is not None and extent.first_sample >= stop_sample:
                         continue
-                yield block_from_message(self.deserialise(topic, raw))
-            except (ValueError, AttributeError) as error:
+                yield read(raw)
+            except ValueError as error:
                 raise BenchError(
                     f"A block of topic '{topic}' in the bag {self.path} cannot be used: {error}."
                 ) from error
 
-    def lock_events(self) -> list[Any]:
-        """All lock events, in order; empty if the loop never locked."""
-        return [message for _, _, message in self.messages(["lock"])]
+    def lock_events(self) -> list[LockEvent]:
+        """All lock events, in order; empty if the loop never locked.
+
+        Raises:
+            BenchError: one is damaged, or of a kind of test that is not known.
+        """
+        return list(self.records("lock", LOCK_EVENT))
+
+    def records(self, topic: str, codec: MessageCodec[Record]) -> Iterator[Record]:
+        """All messages of one topic as the bench's own records, in order; none if the topic is missing.
+
+        Args:
+            topic: its name.
+            codec: of its message type, from :mod:`nmt_core.wire`.
+
+        Raises:
+            BenchError: a message is damaged, or the topic holds another type.
+        """
+        topic = bench_name(topic)
+        kind = f"nmt_msgs/msg/{codec.name}"
+        if self._types.get(topic, kind) != kind:
+            raise BenchError(f"Topic '{topic}' of the bag {self.path} holds {self._types[topic]}, not {kind}.")
+        for _, _, _, raw in self.raw_messages([topic]):
+            try:
+                yield codec.read(raw)
+            except ValueError as error:
+                raise BenchError(
+                    f"A message of topic '{topic}' in the bag {self.path} cannot be read: {error}."
+                ) from error
 
     def repair(self, destination: Path | str) -> Path:
         """Write what can be read to a new, regularly closed bag.
@@ -225,10 +255,10 @@ class Bag:
         run_json, rig_yaml = self._custom.get(RUN_JSON_KEY), self._custom.get(RIG_YAML_KEY)
         if "run_record" in self.topics:
             for _, _, record in self.messages(["run_record"]):
-                if record.kind == START and self.run_start is None:
+                if record.kind == RecordKind.START and self.run_start is None:
                     self.run_start = self._parse(record.run_json)
                     rig_yaml = record.rig_yaml or rig_yaml
-                elif record.kind == STOP:
+                elif record.kind == RecordKind.STOP:
                     self.run_stop = self._parse(record.run_json)
         if self.run_start is None and run_json:
             self.run_start = self._parse(run_json)

@@ -19,14 +19,15 @@ import yaml
 from mcap.writer import CompressionType, Writer
 
 from nmt_core.errors import BenchError
+from nmt_core.records import RunRecord
+from nmt_core.vocabulary import RecordKind
+from nmt_core.wire import RUN_RECORD as RUN_RECORD_CODEC
 from nmt_record.bench_topics import RUN_RECORD, Service, bench_name, qos_profile
 from nmt_record.message_definitions import MessageDefinition, local_definitions
 
 RUN_JSON_KEY = "run.json"
 RIG_YAML_KEY = "rig.yaml"
 FAILURE_KEY = "failure"
-START = 1
-STOP = 2
 
 _METADATA_VERSION = 9
 _BYTES_PER_CHUNK = 4 * 2**20
@@ -105,7 +106,7 @@ class BagWriter:
         if records:
             self.add_topic("run_record", RUN_RECORD, Service.STATE)
             try:
-                self._write_record(START, run_json, rig_yaml, 0)
+                self._write_record(RecordKind.START, run_json, rig_yaml, 0)
                 self.flush()
             except BenchError as error:
                 self._remove()
@@ -261,7 +262,7 @@ class BagWriter:
             **extra,
             "counts": dict(self.counts),
         }
-        self._write_record(STOP, json.dumps(stop), "", stamp_ns)
+        self._write_record(RecordKind.STOP, json.dumps(stop), "", stamp_ns)
 
     def close_quietly(self) -> None:
         """Close whatever is still open without raising; for use while another error is on its way."""
@@ -308,11 +309,8 @@ class BagWriter:
         self.counts[topic] = 0
         return int(channel)
 
-    def _write_record(self, kind: int, run_json: str, rig_yaml: str, stamp_ns: int) -> None:
-        types = local_definitions().typestore.types
-        stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000)
-        record = types[RUN_RECORD](stamp=stamp, kind=kind, run_json=run_json, rig_yaml=rig_yaml)
-        self.write_message("run_record", record, publish_time_ns=stamp_ns)
+    def _write_record(self, kind: RecordKind, run_json: str, rig_yaml: str, stamp_ns: int) -> None:
+        self.write("run_record", RUN_RECORD_CODEC.write(RunRecord(kind, run_json, rig_yaml, stamp_ns)), None, stamp_ns)
 
     def _fail(self, error: OSError) -> BenchError:
         """Keep all whole chunks, give the file a regular end if there is room, and say what happened."""

@@ -13,7 +13,7 @@ import yaml
 
 from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import LEVEL_UNITS, ControlKind, TestKind
 from nmt_core.whole_file import write_whole
 from nmt_core.wire import BlockReader, LoopStatus, read_status
 from nmt_record import uff
@@ -28,7 +28,6 @@ FORMATS = ("uff", "csv", "npz")
 LATERAL = 3
 """Direction of every channel with a point: +z."""
 
-_LEVEL_UNITS = {1: "V", 3: "N"}
 _SPECIFIC = {
     Quantity.FORCE: (uff.FORCE, "Force"),
     Quantity.DISPLACEMENT: (uff.DISPLACEMENT, "Displacement"),
@@ -107,7 +106,7 @@ def level_spans(bag: Bag, extent: Extent) -> list[LevelSpan]:
         stop = min([*later, extent.stop])
         own = tuple(pair for pair in windows if pair[0].level_index == int(message.index))
         stop = min(max([stop, *(segment.end_sample for segment, _ in own)]), extent.stop)
-        unit = own[0][0].level_unit if own else _LEVEL_UNITS.get(int(message.control), "")
+        unit = own[0][0].level_unit if own else _unit(int(message.control))
         spans.append(
             LevelSpan(
                 int(message.index),
@@ -136,6 +135,11 @@ def level_spans(bag: Bag, extent: Extent) -> list[LevelSpan]:
                 )
             )
     return sorted(spans, key=lambda span: span.first)
+
+
+def _unit(control: int) -> str:
+    """Unit of a level that opened no window: that of a controlled response is not known."""
+    return ControlKind(control).level_unit() if control in frozenset(ControlKind) else ""
 
 
 def export_bag(
@@ -222,7 +226,7 @@ def _segment_entries(bag: Bag, extent: Extent, rate: float) -> list[dict[str, An
         head: dict[str, Any] = {"kind": span.test.label}
         if math.isfinite(span.level):
             head["level"] = span.level
-        if span.unit in ("V", "N", "m", "m/s", "m/s^2"):
+        if span.unit in LEVEL_UNITS:
             head["level_unit"] = span.unit
         head["index"] = span.index
         message = span.message

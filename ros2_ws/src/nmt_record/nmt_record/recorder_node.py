@@ -17,10 +17,11 @@ from std_msgs.msg import String
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
-from nmt_msgs.msg import RunState
+from nmt_core.vocabulary import RunPhase
+from nmt_core.wire import RUN_STATE
 from nmt_record.bag_writer import BagWriter
 from nmt_record.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, Service, parse_topic
-from nmt_record.cdr_peek import BlockExtent, BlockPeek, peek_run_state, peek_stamp
+from nmt_record.cdr_peek import BlockExtent, BlockPeek, peek_stamp
 from nmt_record.gap_counter import GapCounter
 from nmt_record.message_definitions import local_definitions
 
@@ -188,17 +189,17 @@ class RecorderNode(BenchNode):
     def _on_run_state(self, raw: bytes) -> None:
         self._on_message("run_state", True, raw)
         try:
-            run_id, phase, sample = peek_run_state(raw)
+            state = RUN_STATE.read(raw)
         except ValueError:
             self._malformed += 1
             return
-        if phase != RunState.DONE:
+        if state.phase != RunPhase.DONE:
             self._seen_running = True
-        elif self._seen_running or (run_id and run_id == self._run_id):
+        elif self._seen_running or (state.run_id and state.run_id == self._run_id):
             # Otherwise it is the latched end of an earlier run.
             if self._end_sample is None:
                 self._end_time = time.monotonic()
-            self._end_sample = sample
+            self._end_sample = state.sample
 
     def _on_message(self, topic: str, stamped: bool, raw: bytes) -> None:
         if self.writer.state != "open":

@@ -11,9 +11,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from nmt_core.vocabulary import LoopState
 from nmt_report.columns import unit_text
 from nmt_report.quantity_format import significant
-from nmt_report.run_data import Excerpt, LevelStart, LoopState, RunReportData
+from nmt_report.run_data import Excerpt, LevelStart, RunReportData
 from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
 
 if TYPE_CHECKING:

@@ -6,18 +6,21 @@ import time
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
-from nmt_core.conversions import set_stamp
+from nmt_core.cdr import bench_time_ns
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
 from nmt_core.parameters import Parameter
-from nmt_core.wire import read_status
+from nmt_core.records import RunState
+from nmt_core.vocabulary import ControlKind, ResultCode, RunPhase
+from nmt_core.wire import LEVEL, LOCK_EVENT, MODAL_POINT, RUN_STATE, read_status
+from nmt_msgs import msg
 from nmt_msgs.action import RunLevels
-from nmt_msgs.msg import Frequency, Level, LockEvent, ModalPoint, RunState
-from nmt_sequencer.run_machine import Pacing, ResultCode, RunMachine, RunPhase, RunPlan
+from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
 
 PARAMETERS = (
     Parameter("sample_rate", 10000.0, "Hz", "Sample rate of the rig.", low=1.0),
@@ -68,18 +71,18 @@ class SequencerNode(BenchNode):
         self._pending: tuple[Any, RunPlan, float] | None = None
         self._goal: Any = None
         self._finished: Future | None = None
-        self._points: dict[int, ModalPoint] = {}
+        self._points: dict[int, bytes] = {}
         self._done_since: float | None = None
         self._stopping_since: float | None = None
         self._newest_wall = 0.0
         self._last_feedback = 0.0
         self._published: tuple[Any, ...] = ()
 
-        self._level = self.bench_publisher(Level, "level", SAMPLES_QOS)
-        self._state = self.bench_publisher(RunState, "run_state", STATE_QOS)
-        self.bench_subscription(Frequency, "frequency", self._on_frequency, SAMPLES_QOS, raw=True)
-        self.bench_subscription(LockEvent, "lock", self._on_lock, SAMPLES_QOS)
-        self.bench_subscription(ModalPoint, "modal_point", self._on_point, SAMPLES_QOS)
+        self._level = self.bench_publisher(msg.Level, "level", SAMPLES_QOS)
+        self._state = self.bench_publisher(msg.RunState, "run_state", STATE_QOS)
+        self.bench_subscription(msg.Frequency, "frequency", self._on_frequency, SAMPLES_QOS, raw=True)
+        self.bench_subscription(msg.LockEvent, "lock", self._on_lock, SAMPLES_QOS, raw=True)
+        self.bench_subscription(msg.ModalPoint, "modal_point", self._on_point, SAMPLES_QOS, raw=True)
         self._server = ActionServer(
             self,
             RunLevels,
@@ -100,7 +103,7 @@ class SequencerNode(BenchNode):
         plan = RunPlan(
             run_id=goal.run_id or time.strftime("run-%Y%m%d-%H%M%S"),
             levels=tuple(goal.levels),
-            control=goal.control or RunLevels.Goal.CONTROL_VOLTAGE,
+            control=goal.control or ControlKind.VOLTAGE,
             ramp=goal.ramp or float(v["ramp"]),
             window_periods=goal.window_periods or int(v["window_periods"]),
             timeout=goal.timeout or float(v["timeout"]),
@@ -142,7 +145,7 @@ class SequencerNode(BenchNode):
         result.message = machine.reason
         result.levels_locked = sum(record.complete for record in machine.records)
         result.levels_not_locked = len(machine.records) - result.levels_locked
-        result.points = [self._points[index] for index in sorted(self._points)]
+        result.points = [deserialize_message(self._points[index], msg.ModalPoint) for index in sorted(self._points)]
         if machine.code == ResultCode.SUCCEEDED:
             goal_handle.succeed()
         elif goal_handle.is_cancel_requested:
@@ -198,12 +201,20 @@ class SequencerNode(BenchNode):
         self.machine.on_report(status)
         self._publish_all()
 
-    def _on_lock(self, message: LockEvent) -> None:
-        self.machine.on_lock(message.level_index, message.sample, message.window_first_sample + message.window_samples)
+    def _on_lock(self, raw: bytes) -> None:
+        try:
+            lock = LOCK_EVENT.read(raw)
+        except (BenchError, ValueError) as error:
+            self.get_logger().error(f"Lock event refused: {error}", throttle_duration_sec=1.0)
+            return
+        self.machine.on_lock(lock.level_index, lock.sample, lock.window_end)
         self._publish_all()
 
-    def _on_point(self, message: ModalPoint) -> None:
-        self._points[message.level_index] = message
+    def _on_point(self, raw: bytes) -> None:
+        try:
+            self._points[MODAL_POINT.read(raw).level_index] = raw
+        except ValueError as error:
+            self.get_logger().error(f"Modal point refused: {error}", throttle_duration_sec=1.0)
 
     def _stop(self, _: Any, response: Any) -> Any:
         response.success = self.machine.active or self._pending is not None
@@ -230,19 +241,7 @@ class SequencerNode(BenchNode):
 
     def _publish_all(self) -> None:
         for order in self.machine.take_orders():
-            message = Level()
-            message.sequence = order.sequence
-            message.index = order.index
-            message.control = order.control
-            message.amplitude = float(order.amplitude)
-            message.apply_at_sample = order.apply_at_sample
-            message.ramp = float(order.ramp)
-            message.window_periods = order.window_periods
-            message.timeout = float(order.timeout)
-            message.frequency_hz = float(order.frequency_hz)
-            for name, value in order.excitation.values.items():
-                setattr(message, name, value)
-            self._level.publish(message)
+            self._level.publish(LEVEL.write(order))
         self._publish_state()
         self._publish_feedback()
 
@@ -252,22 +251,23 @@ class SequencerNode(BenchNode):
         if key == self._published:
             return
         self._published = key
-        message = RunState()
         newest = machine.end_sample - 1 if machine.phase == RunPhase.DONE else machine.newest
         sample = max(newest, 0)
-        set_stamp(message.stamp, sample, machine.pacing.sample_rate)
         plan = machine.plan
-        message.run_id = plan.run_id if plan else ""
-        message.phase = int(machine.phase)
-        message.level_index = machine.level_index
-        message.level_count = len(plan.levels) if plan else 0
-        message.level = machine.records[-1].amplitude if machine.records else 0.0
-        message.progress = float(machine.progress)
-        message.sample = sample
-        message.horizon_sample = machine.horizon
-        message.result_code = int(machine.code)
-        message.reason = machine.reason
-        self._state.publish(message)
+        state = RunState(
+            run_id=plan.run_id if plan else "",
+            phase=machine.phase,
+            level_index=machine.level_index,
+            level_count=len(plan.levels) if plan else 0,
+            level=machine.records[-1].amplitude if machine.records else 0.0,
+            progress=float(machine.progress),
+            sample=sample,
+            horizon_sample=machine.horizon,
+            result_code=machine.code,
+            reason=machine.reason,
+            time_ns=bench_time_ns(sample, machine.pacing.sample_rate),
+        )
+        self._state.publish(RUN_STATE.write(state))
 
     def _publish_feedback(self) -> None:
         now = time.monotonic()

@@ -114,10 +114,10 @@ def run(arguments: argparse.Namespace) -> int:
 def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: Any) -> int:
     from nmt_bench.commands.run_command import measure, terminate_as_interrupt
     from nmt_bench.harness import Bench
+    from nmt_core.vocabulary import ResultCode
     from nmt_record.bag_reader import Bag
     from nmt_rig.rig import load_rig
     from nmt_sequencer.level_plan import parse_levels
-    from nmt_sequencer.run_machine import ResultCode
 
     rig = load_rig(arguments.rig, arguments.set)
     level = arguments.level if arguments.level is not None else min(parse_levels(rig.test.levels))
@@ -161,8 +161,8 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
 
 
 def _say_how_it_ran(result: RunResult, console: Any) -> None:
+    from nmt_core.vocabulary import ResultCode
     from nmt_report.quantity_format import duration
-    from nmt_sequencer.run_machine import ResultCode
 
     if result.code != ResultCode.SUCCEEDED:
         console.print(result.message, style="yellow", markup=False)

@@ -165,11 +165,11 @@ def _finish(
     arguments: argparse.Namespace, bench: Bench, result: RunResult, levels: list[float], folder: Path, console: Any
 ) -> int:
     """Analyse the bag, write and print."""
+    from nmt_core.vocabulary import ResultCode
     from nmt_extract.response_table import write_response_csv
     from nmt_record.bag_reader import Bag
     from nmt_report.quantity_format import duration
     from nmt_report.response_analysis import held_force, responses_of_bag
-    from nmt_sequencer.run_machine import ResultCode
 
     tables: list[FrequencyResponseTable] = []
     remarks: list[str] = []

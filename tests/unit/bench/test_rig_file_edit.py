@@ -38,8 +38,8 @@ def library_candidates(rig: Rig) -> list[Candidate]:
 
 
 def with_effect(rig: Rig, candidate: Candidate) -> Rig:
-    values = {p.name: 1.2345678912345 * candidate.placement.scales[p.name] for p in candidate.effect.parameters}
-    return candidate.effect.apply(rig, candidate.placement, values)
+    values = {p.name: 1.2345678912345 * candidate.site.scales[p.name] for p in candidate.effect.parameters}
+    return candidate.effect.apply(rig, candidate.site, values)
 
 
 def test_every_effect_of_the_library_can_be_written(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, log
+from math import exp
 
 from nmt_diagnose.effects.placement import PlaceKind
 from nmt_diagnose.effects.rig_edit import Path, value_at, with_value
@@ -57,10 +57,6 @@ class CalibrationParameter:
     def at(self, theta: float) -> float:
         """Value at θ."""
         return (self.value + self.offset) * exp(self.std * theta) - self.offset
-
-    def theta_of(self, value: float) -> float:
-        """θ of a value on the same side of the end of the range."""
-        return log((value + self.offset) / (self.value + self.offset)) / self.std
 
 
 # Relative standard deviations and why: what a data sheet or a ruler leaves open.

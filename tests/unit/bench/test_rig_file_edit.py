@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -38,8 +39,8 @@ def library_candidates(rig: Rig) -> list[Candidate]:
 
 
 def with_effect(rig: Rig, candidate: Candidate) -> Rig:
-    values = {p.name: 1.2345678912345 * candidate.placement.scales[p.name] for p in candidate.effect.parameters}
-    return candidate.effect.apply(rig, candidate.placement, values)
+    values = {p.name: 1.2345678912345 * candidate.site.scales[p.name] for p in candidate.effect.parameters}
+    return candidate.effect.apply(rig, candidate.site, values)
 
 
 def test_every_effect_of_the_library_can_be_written(tmp_path: Path) -> None:
@@ -127,7 +128,7 @@ def test_the_model_with_the_effect_says_what_was_done_and_runs(tmp_path: Path) -
     rig = load_rig("beam")
     candidate = next(c for c in library_candidates(rig) if c.effect.name == "cubic_stiffness")
     slip = next(p for p in calibration_parameters(rig) if p.name.endswith("slip_force_n"))
-    model = slip.apply(with_effect(rig, candidate), slip.theta_of(1.02))
+    model = slip.apply(with_effect(rig, candidate), math.log(1.02 / slip.value) / slip.std)
     diagnosis = fixture.report(Verdict.EFFECT).diagnosis
     text = model_text(find_rig("beam").read_text(encoding="utf-8"), "beam.yaml", rig, model, diagnosis)
     loaded = load_text(text, tmp_path)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
+import itertools
 import shutil
 import sys
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
+_NUMBERS = itertools.count()
 
 # Stands in for Python, pip and colcon: notes each call, leaves what the real one would, fails where told to.
 PRETENDER = """#!{python} -S
@@ -51,16 +53,30 @@ elif words[:1] == ["-m"]:
 """
 
 
-def load_launcher(path: Path) -> ModuleType:
-    """The launcher's file as a module."""
-    loader = SourceFileLoader("nmt_launcher", str(path))
-    specification = importlib.util.spec_from_loader("nmt_launcher", loader)
+def load_launcher(root: Path) -> ModuleType:
+    """The launcher of the project in a folder, as a package of its own name: each project has its own paths."""
+    name = f"launcher_{next(_NUMBERS)}"
+    folder = root / "requirements" / "launcher"
+    specification = importlib.util.spec_from_file_location(
+        name, folder / "__init__.py", submodule_search_locations=[str(folder)]
+    )
     assert specification
-    module = importlib.util.module_from_spec(specification)
-    writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True
-    loader.exec_module(module)
-    sys.dont_write_bytecode = writes
-    return module
+    assert specification.loader
+    package = sys.modules[name] = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(package)
+    for module in sorted(folder.glob("[!_]*.py")):
+        importlib.import_module(f"{name}.{module.stem}")
+    return package
+
+
+def copy_launcher(root: Path) -> None:
+    """Put the launcher's files into an empty project."""
+    shutil.copy(ROOT / "nmt", root / "nmt")
+    shutil.copytree(
+        ROOT / "requirements" / "launcher",
+        root / "requirements" / "launcher",
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
 
 
 class Project:
@@ -68,7 +84,7 @@ class Project:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        shutil.copy(ROOT / "nmt", root / "nmt")
+        copy_launcher(root)
         self.write("requirements/lock/wheels-3.11.txt", "numpy==2.0\nsetuptools==79.0.1\nyaml==1.0\n")
         self.write("ros2_ws/src/nmt_msgs/package.xml", "<package/>")
         self.write("ros2_ws/src/nmt_msgs/msg/Level.msg", "float64 amplitude\n")
@@ -77,7 +93,7 @@ class Project:
         self.write("ros2_ws/src/nmt_pll/nmt_pll/gains.py", "")
         self.python = self.write("pretender", PRETENDER.format(python=sys.executable, root=str(root)))
         self.python.chmod(0o755)
-        self.launcher = load_launcher(root / "nmt")
+        self.launcher = load_launcher(root)
 
     def write(self, name: str, text: str) -> Path:
         """Write a file of the project."""
@@ -101,11 +117,11 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
         monkeypatch.delenv(name, raising=False)
     made = Project(tmp_path)
     monkeypatch.setenv("NMT_PYTHON", str(made.python))
-    monkeypatch.setattr(made.launcher, "machine_troubles", lambda source: [])
+    monkeypatch.setattr(made.launcher.set_up, "machine_troubles", lambda source: [])
     return made
 
 
 @pytest.fixture(scope="session")
 def launcher() -> ModuleType:
     """The launcher of this project."""
-    return load_launcher(ROOT / "nmt")
+    return load_launcher(ROOT)

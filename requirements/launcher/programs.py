@@ -48,7 +48,7 @@ EXPLANATIONS = (
 class StepRunner:
     """Runs the programs of one step: output into a log, progress on the terminal, plain words on failure."""
 
-    def __init__(self, step: str, progress: Progress, guard: int) -> None:
+    def __init__(self, step: str, progress: Progress | None, guard: int) -> None:
         self.step, self.progress, self.guard = step, progress, guard
         self.log = os.path.join(STATE_FOLDER, "log", step + ".log")
         os.makedirs(os.path.dirname(self.log), exist_ok=True)
@@ -60,32 +60,20 @@ class StepRunner:
         with open(self.log, errors="replace") as file:
             return file.read()
 
-    def run(
-        self,
-        command: list[str],
-        environment: dict[str, str],
-        detail: Callable[[], str] | None = None,
-        cwd: str = ROOT,
-        may_fail: bool = False,
-    ) -> bool:
-        """Run a program to its end.
+    def start(self, command: list[str], environment: dict[str, str], cwd: str = ROOT) -> subprocess.Popen[bytes]:
+        """Start a program that writes to the log; returns it.
 
         The program holds the set-up's lock too: if this process is killed, the next set-up waits for it.
 
         Args:
             command: program and arguments.
             environment: its environment.
-            detail: function that says how far it is.
             cwd: its folder.
-            may_fail: return False instead of raising.
-
-        Raises:
-            SetupError: the program failed.
         """
         with open(self.log, "ab") as log:
             log.write(("$ " + " ".join(command) + "\n").encode())
             log.flush()
-            process = subprocess.Popen(
+            return subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
@@ -95,17 +83,47 @@ class StepRunner:
                 start_new_session=True,
                 pass_fds=(self.guard,),
             )
+
+    def finish(
+        self, process: subprocess.Popen[bytes], detail: Callable[[], str] | None = None, may_fail: bool = False
+    ) -> bool:
+        """Wait for a started program and show how far it is; end it if this is interrupted.
+
+        Args:
+            process: the program.
+            detail: function that says how far it is.
+            may_fail: return False instead of raising.
+
+        Raises:
+            SetupError: the program failed.
+        """
         try:
             while process.poll() is None:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(0.2)
-                self.progress.show(detail() if detail else "")
+                if self.progress:
+                    self.progress.show(detail() if detail else "")
         except BaseException:
             end_group(process)
             raise
         if process.returncode == 0 or may_fail:
             return process.returncode == 0
         raise self.explain(process.returncode)
+
+    def run(
+        self,
+        command: list[str],
+        environment: dict[str, str],
+        detail: Callable[[], str] | None = None,
+        cwd: str = ROOT,
+        may_fail: bool = False,
+    ) -> bool:
+        """Run a program to its end: :meth:`start` and :meth:`finish`.
+
+        Raises:
+            SetupError: the program failed.
+        """
+        return self.finish(self.start(command, environment, cwd), detail, may_fail)
 
     def explain(self, code: int) -> SetupError:
         """Why a program failed, from its log."""

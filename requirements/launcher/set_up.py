@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from .kernels import cache_kernels
+from .kernels import KernelCompilation
 from .machine import choose_python, choose_source, machine_troubles
 from .places import (
     BUILD,
@@ -32,6 +32,13 @@ from .requirements import install_requirements
 from .stamps import STEPS, expected_stamps, lock_file, pending_steps, read_state, write_state
 from .virtual_environment import make_environment
 from .workspace import build_workspace
+
+TITLES = {
+    "environment": "Python environment",
+    "requirements": "requirements",
+    "workspace": "ROS 2 workspace",
+    "kernels": "numerical kernels",
+}
 
 
 @contextlib.contextmanager
@@ -90,34 +97,32 @@ def set_up(wanted: str | None) -> dict[str, Any]:
                 f"First use: setting up in {ROOT} (once, about two minutes; Ctrl-C and go on later at will).\n"
             )
         begun = time.monotonic()
-        for number, step in enumerate(pending, 1):
-            if step != "workspace":
-                state.pop(step, None)
-            write_state(state)
-            titles = {
-                "environment": "Python environment",
-                "requirements": "requirements",
-                "workspace": "ROS 2 workspace",
-                "kernels": "numerical kernels",
-            }
-            progress = Progress(number, len(pending), titles[step])
-            runner = StepRunner(step, progress, guard)
-            try:
-                if step == "environment":
-                    make_environment(state, python, runner)
-                elif step == "requirements":
-                    install_requirements(state, runner)
-                elif step == "workspace":
-                    build_workspace(state, runner)
-                else:
-                    cache_kernels(state, runner)
-            except BaseException:
-                progress.break_line()
-                raise
-            if step != "workspace":
-                state[step] = expected_stamps(state)[step]
-            write_state(state)
-            progress.done()
+        with contextlib.ExitStack() as under_way:
+            kernels: KernelCompilation | None = None
+            for number, step in enumerate(pending, 1):
+                if step != "workspace":
+                    state.pop(step, None)
+                write_state(state)
+                if "kernels" in pending and step in ("workspace", "kernels") and kernels is None:
+                    kernels = KernelCompilation(state, guard)
+                    under_way.callback(kernels.end)
+                progress = Progress(number, len(pending), TITLES[step])
+                try:
+                    if step == "environment":
+                        make_environment(state, python, StepRunner(step, progress, guard))
+                    elif step == "requirements":
+                        install_requirements(state, StepRunner(step, progress, guard))
+                    elif step == "workspace":
+                        build_workspace(state, StepRunner(step, progress, guard))
+                    elif kernels:
+                        kernels.finish(progress)
+                except BaseException:
+                    progress.break_line()
+                    raise
+                if step != "workspace":
+                    state[step] = expected_stamps(state)[step]
+                write_state(state)
+                progress.done()
         sys.stderr.write(f"Set up in {clock(time.monotonic() - begun)}.\n")
     return state
 

@@ -17,7 +17,7 @@ _NUMBERS = itertools.count()
 
 # Stands in for Python, pip and colcon: notes each call, leaves what the real one would, fails where told to.
 PRETENDER = """#!{python} -S
-import os, shutil, sys
+import os, shutil, sys, time
 root = {root!r}
 words = sys.argv[1:]
 def say(what):
@@ -36,10 +36,20 @@ elif words[:2] == ["-m", "venv"]:
         shutil.copy(os.path.join(root, "pretender"), python)
     with open(os.path.join(words[-1], "pyvenv.cfg"), "w") as file:
         file.write("include-system-site-packages = false\\n")
+elif words[:4] == ["-m", "pip", "config", "list"]:
+    if os.path.exists(os.path.join(root, "pip-settings")):
+        print(open(os.path.join(root, "pip-settings")).read())
+elif words[:2] == ["-m", "uv"]:
+    with open(os.path.join(root, "uv-call"), "w") as file:
+        file.write("\\n".join([*words, *(f"{{k}}={{v}}" for k, v in os.environ.items() if k.startswith("UV_"))]))
+    say("uv install " + os.path.basename(words[-1]))
 elif words[:2] == ["-m", "pip"]:
     say("pip " + ("uninstall " + " ".join(words[words.index("uninstall") + 2:]) if "uninstall" in words
                   else "install " + os.path.basename(words[-1])))
 elif words[0].endswith("colcon"):
+    held = os.path.join(root, "held")
+    while os.path.exists(os.path.join(root, "hold-nmt_bench.warm_up")) and not os.path.exists(held):
+        time.sleep(0.01)
     names = words[words.index("--packages-select") + 1 : words.index("--cmake-args")]
     say("colcon " + " ".join(names))
     install = words[words.index("--install-base") + 1]
@@ -48,6 +58,11 @@ elif words[0].endswith("colcon"):
         open(os.path.join(install, name, "share", name, "package.xml"), "w").close()
 elif words[:1] == ["-m"]:
     say(" ".join(words[1:]))
+    if os.path.exists(os.path.join(root, "hold-" + words[1])):
+        with open(os.path.join(root, "held.new"), "w") as file:
+            file.write(str(os.getpid()))
+        os.replace(os.path.join(root, "held.new"), os.path.join(root, "held"))
+        time.sleep(300)
     for variable in ("PYTHONPATH", "ROS_AUTOMATIC_DISCOVERY_RANGE", "OPENBLAS_NUM_THREADS"):
         say(variable + "=" + os.environ.get(variable, ""))
 """

@@ -148,6 +148,59 @@ def test_half_installed_distribution_is_forgotten_before_pip_runs(project):
         project.launcher.requirements.install_requirements(state, runner)
     assert whole.exists()
     assert not cut.exists()
+    selected = (project.root / ".nmt" / "first.txt").read_text()
+    assert [line.split("==")[0] for line in selected.splitlines()] == ["setuptools", "yaml"]
+
+
+WITH_UV = "numpy==2.0\nsetuptools==79.0.1\nuv==0.13.8\nyaml==1.0\n"
+SETTINGS = """global.index-url='https://me:secret@mirror.example/simple'
+global.extra-index-url='https://one.example/simple https://two.example/simple'
+global.timeout='20'
+install.timeout='60.5'
+:env:.no-index='false'
+freeze.timeout='1'
+global.find-links='/nowhere https://files.example'
+"""
+
+
+def test_uv_installs_what_pip_does_not_have_to(project):
+    project.write("requirements/lock/wheels-3.11.txt", WITH_UV)
+    project.write("pip-settings", SETTINGS)
+    project.launcher.set_up.set_up(None)
+    assert project.calls()[1:3] == ["pip install first.txt", "uv install wheels-3.11.txt"]
+    call = (project.root / "uv-call").read_text().splitlines()
+    assert "--require-hashes" in call
+    assert "UV_INDEX=https://one.example/simple https://two.example/simple" in call
+    assert "UV_DEFAULT_INDEX=https://me:secret@mirror.example/simple" in call
+    assert "UV_HTTP_TIMEOUT=60" in call
+    assert "UV_FIND_LINKS=https://files.example" in call
+    assert not any(line.startswith("UV_NO_INDEX") for line in call)
+    assert "secret" not in (project.root / ".nmt" / "log" / "requirements.log").read_text()
+
+
+def test_pip_installs_where_uv_fails(project):
+    project.write("requirements/lock/wheels-3.11.txt", WITH_UV)
+    project.write("fail-at-uv", "")
+    project.launcher.set_up.set_up(None)
+    assert project.calls()[1:4] == [
+        "pip install first.txt",
+        "uv install wheels-3.11.txt",
+        "pip install wheels-3.11.txt",
+    ]
+
+
+def test_variables_that_the_user_has_set_for_uv_are_left_alone(launcher):
+    variables = launcher.index_settings.uv_variables
+    settings = {"index-url": "https://a", "proxy": "http://p:1", "no-index": "1", "cert": "/c.pem"}
+    assert variables(settings, {}) == {
+        "UV_DEFAULT_INDEX": "https://a",
+        "UV_NO_INDEX": "1",
+        "SSL_CERT_FILE": "/c.pem",
+        "HTTPS_PROXY": "http://p:1",
+        "HTTP_PROXY": "http://p:1",
+    }
+    taken = {"UV_DEFAULT_INDEX": "https://b", "https_proxy": "http://q", "SSL_CERT_FILE": "/d.pem"}
+    assert variables(settings, taken) == {"UV_NO_INDEX": "1", "HTTP_PROXY": "http://p:1"}
 
 
 def imported_by(path: Path, **options: object) -> set[str]:

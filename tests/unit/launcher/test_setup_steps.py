@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-FIRST = ["venv", "pip install build-tool.txt", "pip install wheels-3.11.txt", "colcon nmt_msgs nmt_pll"]
+FIRST = ["venv", "pip install first.txt", "pip install wheels-3.11.txt", "colcon nmt_msgs nmt_pll"]
 
 
 def test_first_use_does_every_step_and_the_second_none(project):
@@ -130,6 +130,23 @@ def test_a_changed_kernel_discards_every_cached_one(project):
     project.launcher.set_up.set_up(None)
     assert not cached.exists()
     assert "nmt_bench.warm_up" in project.calls()
+
+
+def test_kernels_are_compiled_beside_the_build_and_ended_with_it(project):
+    """The build fails once the compilation, which would take minutes, is under way."""
+    project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
+    project.write("hold-nmt_bench.warm_up", "")
+    project.write("fail-at-colcon", "")
+    with pytest.raises(project.launcher.places.SetupError):
+        project.launcher.set_up.set_up(None)
+    pid = int((project.root / "held").read_text())
+    assert not Path(f"/proc/{pid}").exists()
+    (project.root / "hold-nmt_bench.warm_up").unlink()
+    (project.root / "fail-at-colcon").unlink()
+    project.calls()
+    state = project.launcher.set_up.set_up(None)
+    assert "nmt_bench.warm_up" in project.calls()
+    assert project.launcher.stamps.pending_steps(state) == []
 
 
 def test_failing_kernels_do_not_stop_the_bench(project, capsys):

@@ -199,8 +199,8 @@ def _missing_module(name: str) -> str:
         return f"'{library}' is not installed; run './nmt setup' and, if that does not mend it, './nmt doctor'."
     if library in _ROS_MODULES:
         return (
-            f"This starts ROS 2 nodes and '{library}' is not installed; use './nmt' of a clone, which brings ROS 2, or a "
-            "workspace built and sourced beside ROS 2 Jazzy."
+            f"This starts ROS 2 nodes and '{library}' is not installed; use './nmt' of a clone, which brings ROS 2, or "
+            "a workspace built and sourced beside ROS 2 Jazzy."
         )
     if library == "distributed":
         return "'distributed' is not installed; type: pip install 'nmt[dask]'."

@@ -7,11 +7,11 @@ import hashlib
 import sys
 import time
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
@@ -133,10 +133,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def complete_inputs(inputs: dict[str, Any], model: Path, overrides: list[str], floor: list[Path]) -> dict[str, Any]:
     """What ``inputs`` of ``diagnosis.json`` says beyond what the diagnosis knows: files, overrides, versions."""
-    try:
-        code = version("nmt_bench")
-    except PackageNotFoundError:
-        code = ""
     repeats = {str(path) for path in floor}
     bags = [
         {**bag, "role": "repeat, for the floor" if bag.get("path") in repeats else "real side"}
@@ -147,7 +143,7 @@ def complete_inputs(inputs: dict[str, Any], model: Path, overrides: list[str], f
         "bags": bags,
         "model_file": {"path": str(model), "sha256": hashlib.sha256(model.read_bytes()).hexdigest()},
         "overrides": list(overrides),
-        "version": f"nmt {code}".strip(),
+        "version": f"nmt {bench_version()}".strip(),
     }
 
 

@@ -126,7 +126,7 @@ def test_the_measuring_chain_does_what_it_says() -> None:
 
 @pytest.mark.slow
 def test_the_bench_reads_the_foreign_laboratory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Imported and extracted, a linear chain has the frequency and damping of its matrices; the diagnosis finds no gap."""
+    """Imported, a linear chain has the frequency and damping of its matrices, and the diagnosis finds no gap."""
     chain = Chain()
     expected = resonance_hz(chain)
     recorded = record(tmp_path, chain, PLAIN, (0.2, 0.5, 1.0), start_hz=expected)

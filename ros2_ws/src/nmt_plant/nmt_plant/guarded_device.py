@@ -1,26 +1,40 @@
-"""A device with oscillator, watchdog and limits of its own, working block by block in one fixed order.
+"""A device with oscillator, output guard, watchdog and limits of its own, working block by block in one fixed order.
 
-Simulated devices and converters without safety functions of their own extend `GuardedDevice`; they say what a
-block measures, and everything that keeps the drive safe stays in one place.
+Simulated devices and converters extend `GuardedDevice`; they are handed the final samples of a block and say what it
+measures. Everything that keeps the drive safe stays here: the methods it consists of cannot be overridden.
 """
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, final
+
+import numpy as np
 
 from nmt_core.blocks import BlockFlag, FloatArray, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.errors import BenchError
+from nmt_core.ramp import half_cosine
 from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_plant.device import Device
-from nmt_plant.limits import LimitGuard
-from nmt_plant.oscillator import Oscillator, OscillatorBlock, check_command
+from nmt_plant.limits import ChannelLimit, LimitGuard, OpenLoop
+from nmt_plant.oscillator import PEAK_FACTOR, Oscillator, OscillatorBlock, check_command
+from nmt_plant.output_guard import OutputGuard, default_slew
 from nmt_plant.watchdog import DriveWatchdog
 
 # The order in which `tick` works; tests hold it to this.
-TICK_ORDER = ("commands", "measure", "compute", "safety", "actuate", "publish")
+TICK_ORDER = ("commands", "drive", "measure", "compute", "safety", "actuate", "publish")
+
+# A half-cosine from zero grows by at most this factor from one block's end to the next.
+_RISE_FACTOR = 4.0
+_RISE_SHARE = 0.05  # of the voltage limit: what may be put out before any response has been seen
+
+# More than these waiting for their sample, or one that waits longer than these seconds, are refused.
+_MOST_PENDING = 1000
+_LONGEST_WAIT = 60.0
 
 
 class ChannelGroup(NamedTuple):
@@ -38,22 +52,62 @@ class GuardSettings:
     """When a device takes its drive to zero, and how fast.
 
     Attributes:
-        limits: quantity -> largest magnitude, SI.
+        limits: quantity -> largest magnitude, SI; that of VOLTAGE holds for every sample put out, too.
         limit_ramp: s, ramp to zero after a violation, and of `quiet` unless it names another.
         watchdog_blocks: blocks without a command that trip; 0 = off.
         watchdog_ramp: s, ramp to zero after a trip of the watchdog.
+        slew: V/s, largest rate of change of the output; None = as belongs to the limit of VOLTAGE, see
+            `output_guard.default_slew`; without that limit none.
+        rise_from: V, amplitude from which the drive may at most quadruple from block to block, so that its response is
+            seen in time; None = 5 % of the limit of VOLTAGE. Only with a limit on something measured.
+        channels: abort and warning levels of single channels.
+        open_loops: channels that must respond to the drive.
+        drive_maximum: V, amplitude of the drive that ends a test; None = none.
+        rms_time: s, time constant of the rms.
+        warning_share: of an abort level, from which it is reported; None = only at the warning levels of `channels`.
     """
 
     limits: Mapping[Quantity, float]
     limit_ramp: float
     watchdog_blocks: int
     watchdog_ramp: float
+    slew: float | None = None
+    rise_from: float | None = None
+    channels: tuple[ChannelLimit, ...] = ()
+    open_loops: tuple[OpenLoop, ...] = ()
+    drive_maximum: float | None = None
+    rms_time: float = 1.0
+    warning_share: float | None = None
+
+    @property
+    def voltage(self) -> float | None:
+        """V, largest magnitude of the output."""
+        return self.limits.get(Quantity.VOLTAGE)
+
+    def slew_at(self, sample_rate: float) -> float | None:
+        """V/s, slew limit of the output at a sample rate in Hz."""
+        if self.slew is None and self.voltage is not None:
+            return default_slew(self.voltage, sample_rate)
+        return self.slew
+
+    @property
+    def free_rise(self) -> float:
+        """V, amplitude that the drive may take up at once; infinity = any."""
+        measured = any(quantity is not Quantity.VOLTAGE for quantity in self.limits) or any(
+            limit.abort_peak is not None for limit in self.channels
+        )
+        if not measured:
+            return math.inf
+        if self.rise_from is not None:
+            return self.rise_from
+        return math.inf if self.voltage is None else _RISE_SHARE * self.voltage
 
 
 class GuardedDevice(Device):
-    """Commands, trips and publishing of a device; `_measure` and `_compute` are left to the device.
+    """Commands, final samples, trips and publishing of a device; `_measure` and `_compute` are left to the device.
 
-    A subclass calls `_prepare` at the end of its constructor.
+    A subclass calls `_prepare` at the end of its constructor. One that overrides a method of the guard is refused
+    when it is defined (TypeError).
 
     Args:
         sample_rate: Hz.
@@ -65,6 +119,12 @@ class GuardedDevice(Device):
 
     QUIET_FLAG: ClassVar[BlockFlag] = BlockFlag.NONE
     """Flag of the blocks after `quiet`."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        for name in vars(cls):
+            if getattr(getattr(GuardedDevice, name, None), "__final__", False):
+                raise TypeError(f"{cls.__name__}.{name} would replace a part of the output guard; implement _measure")
 
     def __init__(
         self,
@@ -85,7 +145,20 @@ class GuardedDevice(Device):
         """State at sample 0: drive at zero, nothing tripped, nothing pending."""
         self._oscillator = Oscillator(self._sample_rate, self._seed)
         self._watchdog = DriveWatchdog(self._settings.watchdog_blocks)
-        self._guard = LimitGuard(dict(self._settings.limits))
+        settings = self._settings
+        self._output = OutputGuard(
+            self._sample_rate, settings.voltage, settings.slew_at(self._sample_rate), settings.limit_ramp
+        )
+        self._guard = LimitGuard(
+            dict(settings.limits),
+            settings.channels,
+            settings.open_loops,
+            settings.drive_maximum,
+            settings.rms_time,
+            settings.warning_share,
+        )
+        self._seen = 0.0  # V, amplitude of the drive in the last block
+        self._share = 1.0  # of the drive wanted that its rise lets through
         self._pending: list[DriveCommand] = []
         self._reason = ""
         self._flags = BlockFlag.NONE
@@ -116,21 +189,44 @@ class GuardedDevice(Device):
     def is_quiet(self) -> bool:
         """Whether the drive is at zero and stays there without a new command."""
         harmless = all(command.waveform == Waveform.OFF for command in self._pending)
-        return self._oscillator.is_quiet and (bool(self._reason) or harmless)
+        return self._at_zero and (bool(self._reason) or harmless)
+
+    @property
+    def _at_zero(self) -> bool:
+        """Whether the next sample put out is zero, and all that follow without a new command."""
+        return self._oscillator.is_quiet and self._output.reaches_zero
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for each channel that has passed a warning level since the start."""
+        return tuple(self._guard.warnings.values())
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """Channel -> largest share of an abort level that it has reached since the start."""
+        return self._guard.margins
+
+    @property
+    def spread_samples(self) -> int:
+        """Samples that the slew limit has held back since the start."""
+        return self._output.spread
 
     def _start(self) -> None:
         self._prepare()
 
+    @final
     def _read(self) -> list[SampleBlock]:
         return self.tick()
 
+    @final
     def tick(self) -> list[SampleBlock]:
         """One block, in the order of TICK_ORDER; `read` calls it.
 
-        Commands that are due act on this block's drive; a violation seen in it acts from the next one on.
+        Commands that are due act on this block's drive. A sample beyond the output's limit acts at that sample, a
+        measured violation from the next block on; one that can be predicted acts before.
         """
         self._take_commands()
-        drive = self._oscillator.block(self._block_samples)
+        drive = self._drive()
         true_values = self._measure(drive)
         recorded, overload = self._compute(true_values)
         blocks = self._blocks(recorded, drive.phase)
@@ -138,6 +234,7 @@ class GuardedDevice(Device):
         self._actuate()
         return self._publish(blocks, overload)
 
+    @final
     def _take_commands(self) -> None:
         """Apply, in order of arrival, what is due at this block; ignored while tripped."""
         due = [command for command in self._pending if command.apply_at_sample <= self._next_sample]
@@ -146,9 +243,52 @@ class GuardedDevice(Device):
             for command in due:
                 self._oscillator.apply(command)
 
+    @final
+    def _drive(self) -> OscillatorBlock:
+        """The final samples of this block: what the oscillator makes, after rise, slew and absolute limit."""
+        n = self._block_samples
+        wanted = self._oscillator.bound(n)
+        if wanted == 0.0:
+            share = 1.0
+        elif self._reason or self._oscillator.is_stopping:
+            share = self._share  # on the way to zero nothing rises
+        else:
+            allowed = max(self._settings.free_rise, _RISE_FACTOR * self._seen) * (1.0 + 1e-9)
+            share = 1.0 if wanted <= allowed else allowed / wanted
+        reached = share * wanted
+        if not self._reason and self._oscillator.is_periodic and self._guard.predict(reached):
+            self._trip(self._guard.reason, BlockFlag.LIMIT, self._settings.limit_ramp)
+            self._output.to_zero()
+        block = self._oscillator.block(n)
+        voltage = self._rising(block.voltage, share)
+        self._seen = reached
+        final_samples = self._output.block(voltage, n)
+        if self._output.violation is not None:
+            self._oscillator.ramp_to_zero(0.0)
+            if not self._reason:
+                index, value = self._output.violation
+                self._trip(
+                    f"output limit: the drive would have reached {value:.4g} V at sample {self._next_sample + index}, "
+                    f"limit {self._settings.voltage or math.inf:g} V",
+                    BlockFlag.LIMIT,
+                    0.0,
+                )
+        return block if final_samples is block.voltage else replace(block, voltage=final_samples)
+
+    def _rising(self, voltage: FloatArray, share: float) -> FloatArray:
+        """The voltage times the share that is let through, along a half-cosine from the last block's share."""
+        start, self._share = min(self._share, share), share
+        if start == 1.0:
+            return voltage
+        weight = start + (share - start) * half_cosine(np.arange(voltage.size) / self._block_samples)
+        return np.asarray(weight * voltage, dtype=np.float64)
+
     @abstractmethod
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
-        """True values of all channels under the drive of this block, shape (channels, samples), SI."""
+        """True values of all channels under the drive of this block, shape (channels, samples), SI.
+
+        ``drive.voltage`` holds the final samples: a converter puts out these and no others.
+        """
 
     def _compute(self, true_values: FloatArray) -> tuple[FloatArray, bool]:
         """Recorded values (channels, samples), SI, and whether a channel was beyond its range."""
@@ -169,10 +309,11 @@ class GuardedDevice(Device):
             for group in self._groups
         ]
 
+    @final
     def _safety(self, blocks: Sequence[SampleBlock]) -> None:
         if self._reason:
             return
-        if self._guard.check(blocks):
+        if self._guard.check(blocks, self._seen):
             self._trip(self._guard.reason, BlockFlag.LIMIT, self._settings.limit_ramp)
         elif self._watchdog.block(not self._oscillator.is_quiet):
             self._trip(
@@ -181,11 +322,13 @@ class GuardedDevice(Device):
                 self._settings.watchdog_ramp,
             )
 
+    @final
     def _actuate(self) -> None:
         """Hand the drive to the output: while tripped it can only go to zero."""
         if self._reason:
             self._oscillator.ramp_to_zero(0.0 if self._oscillator.is_quiet else self._quiet_ramp)
 
+    @final
     def _publish(self, blocks: Sequence[SampleBlock], overload: bool) -> list[SampleBlock]:
         flags = int(self._flags | (BlockFlag.OVERLOAD if overload else BlockFlag.NONE))
         self._next_sample += self._block_samples
@@ -193,6 +336,7 @@ class GuardedDevice(Device):
             return list(blocks)
         return [replace(block, flags=flags) for block in blocks]
 
+    @final
     def _trip(self, reason: str, flag: BlockFlag, ramp: float) -> None:
         self._reason = reason
         self._flags |= flag
@@ -202,27 +346,76 @@ class GuardedDevice(Device):
         """Refuse a command, other than OFF, that the device cannot follow.
 
         Raises:
-            BenchError: a command beyond what the device can do.
+            BenchError: a command beyond what the device can do, or beyond a limit of its output.
         """
         check_command(command, self._sample_rate)
+        limit = self._settings.voltage
+        if limit is not None:
+            self._check_peak(command, limit)
+        slew = self._settings.slew_at(self._sample_rate)
+        if slew is not None and command.waveform != Waveform.RANDOM:
+            self._check_slew(command, slew)
 
+    def _check_peak(self, command: DriveCommand, limit: float) -> None:
+        """Refuse a command whose samples would pass the voltage limit, V."""
+        if command.waveform == Waveform.RANDOM:
+            if PEAK_FACTOR * command.amplitude > limit:
+                raise BenchError(
+                    f"peaks of a random drive of {command.amplitude:g} V rms reach {PEAK_FACTOR:g} times as much, "
+                    f"beyond the voltage limit of {limit:g} V; lower the level."
+                )
+            return
+        together = command.amplitude + sum(abs(value) for _, value in command.harmonics)
+        if together > limit:
+            what = "drive amplitude with its harmonics" if command.harmonics else "drive amplitude"
+            raise BenchError(f"{what} {together:g} V is beyond the voltage limit of {limit:g} V; lower the level.")
+
+    def _check_slew(self, command: DriveCommand, slew: float) -> None:
+        """Refuse a periodic command that changes faster than the slew limit, V/s, between its samples."""
+        angle = math.pi * max(command.frequency_hz, command.frequency_end_hz) / self._sample_rate
+        terms = [(1, complex(command.amplitude)), *command.harmonics]
+        fastest = 2.0 * self._sample_rate * sum(abs(value) * math.sin(order * angle) for order, value in terms)
+        if fastest > slew * (1.0 + 1e-9):
+            raise BenchError(
+                f"the drive changes by up to {fastest:.4g} V/s, beyond the slew limit of {slew:.4g} V/s; lower its "
+                "level or its frequency."
+            )
+
+    @final
     def _write(self, command: DriveCommand) -> None:
         # A command the oscillator cannot follow is refused here, where its sender can be told.
         if command.waveform != Waveform.OFF:
             self._check(command)
+        self._check_wait(command)
         self._watchdog.command()
         self._pending.append(command)
 
+    def _check_wait(self, command: DriveCommand) -> None:
+        """Refuse a command that lies too far ahead, or one too many of those that wait."""
+        wait = (command.apply_at_sample - self._next_sample) / self._sample_rate
+        if wait > _LONGEST_WAIT:
+            raise BenchError(
+                f"a drive command for sample {command.apply_at_sample} lies {wait:.4g} s ahead of sample "
+                f"{self._next_sample}; {_LONGEST_WAIT:g} s are allowed."
+            )
+        # There is always room for OFF.
+        if len(self._pending) >= _MOST_PENDING * (2 if command.waveform == Waveform.OFF else 1):
+            raise BenchError(f"{len(self._pending)} drive commands wait for their sample; no more are taken.")
+
+    @final
     def _quiet(self, reason: str, ramp: float | None) -> None:
         if not self._reason:
             self._trip(reason, self.QUIET_FLAG, self._settings.limit_ramp if ramp is None else ramp)
         self._oscillator.ramp_to_zero(self._quiet_ramp)
 
+    @final
     def _reset(self) -> None:
         # The tripped drive must be at rest before anybody takes over again.
         self._oscillator.ramp_to_zero(0.0)
         self._pending.clear()
+        self._output.release()
         self._guard.reset()
+        self._seen, self._share = 0.0, 1.0
         self._watchdog.command()
         self._reason = ""
         self._flags = BlockFlag.NONE

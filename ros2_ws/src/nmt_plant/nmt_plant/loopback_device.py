@@ -62,7 +62,7 @@ class LoopbackDevice(GuardedDevice):
     @property
     def is_quiet(self) -> bool:
         """Whether the drive is at zero and no command waits, unless tripped."""
-        return self._oscillator.is_quiet and (bool(self._reason) or not self._pending)
+        return self._at_zero and (bool(self._reason) or not self._pending)
 
     def _configure(self) -> None:
         pass

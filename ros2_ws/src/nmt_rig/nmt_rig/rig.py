@@ -387,14 +387,59 @@ class SensorSection(Section):
         return self
 
 
+class ChannelLimitSection(Section):
+    """Levels of one channel in its SI unit; abort levels take the drive to zero, warning levels are reported."""
+
+    channel: Name
+    abort_peak: Positive | None = None
+    abort_rms: Positive | None = None
+    warning_peak: Positive | None = None
+    warning_rms: Positive | None = None
+
+    @model_validator(mode="after")
+    def _levels_fit(self) -> ChannelLimitSection:
+        if not (self.abort_peak or self.abort_rms or self.warning_peak or self.warning_rms):
+            raise ValueError("has no level; give abort_peak, abort_rms, warning_peak or warning_rms")
+        for kind, warning, abort in (
+            ("peak", self.warning_peak, self.abort_peak),
+            ("rms", self.warning_rms, self.abort_rms),
+        ):
+            if warning is not None and abort is not None and warning > abort:
+                raise ValueError(f"warning_{kind} must not be larger than abort_{kind}")
+        return self
+
+
+class OpenLoopSection(Section):
+    """The drive is on and a channel does not respond: the drive goes to zero."""
+
+    channel: Name
+    least: Positive
+    drive_v: Positive
+    time_s: Positive = 0.5
+
+
 class LimitSection(Section):
     """Amplitudes beyond which the drive ramps to zero and stays there until reset; left out = no limit."""
 
     voltage_v: Positive | None = None
+    slew_v_s: Positive | None = None
+    rise_from_v: Positive | None = None
+    drive_maximum_v: Positive | None = None
     force_n: Positive | None = None
     acceleration_m_s2: Positive | None = None
+    velocity_m_s: Positive | None = None
     displacement_m: Positive | None = None
+    channels: list[ChannelLimitSection] = []
+    open_loop: list[OpenLoopSection] = []
+    warning_share: Annotated[float, Field(gt=0, le=1)] = 0.8
+    rms_time_s: Positive = 1.0
     ramp_s: NotNegative = 0.1
+
+    @model_validator(mode="after")
+    def _maximum_is_reached(self) -> LimitSection:
+        if self.voltage_v is not None and self.drive_maximum_v is not None and self.drive_maximum_v > self.voltage_v:
+            raise ValueError("drive_maximum_v must not be larger than voltage_v, which no drive passes")
+        return self
 
 
 class WatchdogSection(Section):
@@ -559,6 +604,18 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
             )
         if sensor.quantity == "current" and not isinstance(rig.exciter, ShakerSection):
             raise BenchError(f"{document.place(path)}: a current sensor needs an electrodynamic_shaker.")
+    limited = {
+        "channels": [entry.channel for entry in rig.limits.channels],
+        "open_loop": [entry.channel for entry in rig.limits.open_loop],
+    }
+    for key, names in limited.items():
+        for index, name in enumerate(names):
+            if name not in seen:
+                limit_path = ("limits", key, index, "channel")
+                raise BenchError(
+                    f"{document.place(limit_path)}: {_dotted(limit_path)} is {name}, but there is no such channel; the "
+                    f"channels are {', '.join(seen)}."
+                )
     if not any(sensor.quantity == "force" for sensor in rig.sensors):
         raise BenchError(f"{document.place(('sensors',))}: sensors needs a force sensor at the drive point.")
     responses = len(rig.response_points(Quantity[rig.extraction.quantity.upper()]))

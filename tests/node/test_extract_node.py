@@ -98,7 +98,7 @@ class Stage:
 
     def received(self, topic):
         """Messages of a topic that the node has taken."""
-        extractor = self.node.extractor
+        extractor = self.node.core.extractor
         assembler = extractor._assembler
         counts = {"frequency": len(assembler._states), "level": len(extractor._levels)}
         counts["lock"] = len(extractor._lock_samples)

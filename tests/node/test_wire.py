@@ -27,6 +27,7 @@ from unit.core.message_records import (
 
 from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import bench_stamp
+from nmt_core.modal_point import COMPLEX
 from nmt_core.wire import (
     LEVEL,
     LOCK_EVENT,
@@ -84,8 +85,10 @@ def test_records_are_what_rclpy_serialises_and_reads_back(name: str, strategy: A
     record = data.draw(strategy)
     expected = bytes(serialize_message(rclpy_message(name, values_of(record))))
     raw = WRITE[name](record)
-    # Padding bytes are whatever the serialiser leaves there; everything else must agree.
-    assert len(raw) == len(expected)
+    # Padding bytes are whatever the serialiser leaves there, and rclpy reserves some more for every empty sequence of
+    # numbers of eight bytes; everything else must agree.
+    empty = sum(getattr(record, item).size == 0 for item in COMPLEX) if name == "ModalPoint" else 0
+    assert len(raw) <= len(expected) <= len(raw) + 8 * empty
     assert same(READ[name](expected), record)
     again = bytes(serialize_message(deserialize_message(raw, getattr(msg, name))))
     assert same(READ[name](again), record)

@@ -1,7 +1,8 @@
 """Serialised messages by a table of their fields: XCDR version 1, little endian, as Fast DDS and every bag have it.
 
 Every primitive is aligned to its own size, counted from the end of the four-byte encapsulation header; texts and
-sequences begin with a count, texts end with a zero byte.
+sequences begin with a count, texts end with a zero byte. What stands behind the last field means nothing: rclpy leaves
+some bytes there when a sequence of ``float64`` is empty.
 """
 
 from __future__ import annotations

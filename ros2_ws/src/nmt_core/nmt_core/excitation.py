@@ -42,14 +42,14 @@ class Excitation:
     duration: float = 0.0
 
     @classmethod
-    def from_goal(cls, goal: Any) -> Excitation:
-        """Read from a message or action goal with the fields of the same names.
+    def from_goal(cls, goal: Mapping[str, Any]) -> Excitation:
+        """Read from the fields of an action goal.
 
         Raises:
             BenchError: no such kind of test.
         """
         names = [item.name for item in fields(cls) if item.name != "test"]
-        return cls(TestKind.of(int(goal.test)), **{name: float(getattr(goal, name)) for name in names})
+        return cls(TestKind.of(int(goal["test"])), **{name: float(goal[name]) for name in names})
 
     @property
     def level_fields(self) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from nmt_core.errors import BenchError
-from nmt_core.records import LevelCommand, LockEvent
+from nmt_core.records import LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import ControlKind
 from nmt_core.wire import LEVEL, LOCK_EVENT, BlockReader, read_status
 from nmt_extract.extractor import Extractor
@@ -57,6 +57,10 @@ class MessageFeed:
         except ValueError:
             self.malformed += 1
             return
+        self.add_status(status)
+
+    def add_status(self, status: LoopStatus) -> None:
+        """Take the loop's state after a block."""
         self._extractor.add_state(
             status.last_sample, status.state, status.level_index, status.reason, status.response_unit
         )

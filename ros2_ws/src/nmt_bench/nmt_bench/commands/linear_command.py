@@ -15,12 +15,12 @@ from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
 
 if TYPE_CHECKING:
-    from nmt_bench.harness import RunResult
     from nmt_extract.linear_file import Linearity
     from nmt_extract.linear_test import LinearTest, LinearTestSettings
     from nmt_record.bag_reader import Bag
     from nmt_record.segments import Segment
     from nmt_rig.rig import Rig
+    from nmt_session.run_result import RunResult
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 

@@ -64,7 +64,7 @@ class SynthesisResult:
             BenchError: fewer than 2 or more than 100,000 frequencies.
         """
         if not 2 <= points <= 100_000:
-            raise BenchError(f"--points must be 2 to 100000, got {points}.")
+            raise BenchError(f"The number of frequencies (--points) must be 2 to 100000, got {points}.")
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(
@@ -114,7 +114,9 @@ def synthesise(
             )
     held = list(dict.fromkeys(table.level for table in tables)) if forces is None else list(forces)
     if not held:
-        raise BenchError("Nothing says at which force to synthesise; give --sweep SWEEP_OUT or --levels F.")
+        raise BenchError(
+            "Nothing says at which force to synthesise; give a sweep (--sweep SWEEP_OUT) or forces (--levels F)."
+        )
     low, high = _frequencies(low_hz, high_hz, tables)
     synthesised = {force: Synthesis(measured, description.drive_point, others, force) for force in held}
     remarks = [line for s in synthesised.values() for line in s.gaps(2 * math.pi * low, 2 * math.pi * high)]
@@ -140,9 +142,12 @@ def _frequencies(
     low = low if low is not None else min(measured, default=math.nan)
     high = high if high is not None else max(measured, default=math.nan)
     if math.isnan(low) or math.isnan(high):
-        raise BenchError("Without --sweep the frequencies must be given: --from f1 --to f2 in Hz.")
+        raise BenchError("Without a sweep (--sweep) the frequencies must be given: --from f1 --to f2 in Hz.")
     if not 0 < low < high < math.inf:
-        raise BenchError(f"--from must be below --to and both positive, got {low:g} and {high:g} Hz.")
+        raise BenchError(
+            f"The lower frequency (--from) must be below the upper one (--to) and both positive, got {low:g} and "
+            f"{high:g} Hz."
+        )
     return low, high
 
 

@@ -9,11 +9,11 @@ from collections.abc import Mapping
 from itertools import accumulate, zip_longest
 from typing import Any
 
-from ruamel.yaml import YAML, YAMLError
+from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
-from ruamel.yaml.error import CommentMark
+from ruamel.yaml.error import CommentMark, YAMLError
 from ruamel.yaml.representer import RoundTripRepresenter
-from ruamel.yaml.scalarstring import FoldedScalarString
+from ruamel.yaml.scalarstring import FoldedScalarString, LiteralScalarString
 from ruamel.yaml.tokens import CommentToken
 
 from nmt_core.errors import BenchError
@@ -24,6 +24,7 @@ _DIGITS = 10
 _LONG = 100
 _LINE = 114
 _ENDLESS = 10**6
+_OWN_LINES = (FoldedScalarString, LiteralScalarString)
 _EOL = {CommentedMap: 2, CommentedSeq: 0}
 """Where an entry's comment stands among those that ruamel.yaml keeps of it."""
 
@@ -200,19 +201,18 @@ def _cut_tail(parent: Any, key: Any) -> str:
     last = _last(value)
     if last is not None and not value.fa.flow_style():
         return _cut_tail(value, last)
-    tokens = parent.ca.items.get(key)
-    token = tokens[_EOL[type(parent)]] if tokens else None
-    if token is None:
-        comment = getattr(value, "comment", None)
-        if comment is None:
-            return ""
-        value.comment = None
-        return str(comment.value)
+    tokens, place = parent.ca.items.get(key), _EOL[type(parent)]
+    if not tokens or tokens[place] is None:
+        return ""
+    token = tokens[place]
+    if isinstance(value, _OWN_LINES):
+        tokens[place] = None  # a text in lines of its own has no comment beside it
+        return str(token.value)
     own, newline, tail = token.value.partition("\n")
     if own.strip() or not tail:
         token.value = own + newline
     else:
-        tokens[_EOL[type(parent)]] = None
+        tokens[place] = None
     return str(tail)
 
 
@@ -220,13 +220,10 @@ def _attach_tail(parent: Any, key: Any, tail: str) -> None:
     if not tail:
         return
     value = parent[key]
-    if isinstance(value, FoldedScalarString):
-        value.comment = CommentToken(tail, CommentMark(0), None)
-        return
-    tokens = parent.ca.items.setdefault(key, [None, None, None, None])
-    place = _EOL[type(parent)]
+    tokens, place = parent.ca.items.setdefault(key, [None, None, None, None]), _EOL[type(parent)]
     if tokens[place] is None:
-        tokens[place] = CommentToken("\n" + tail, CommentMark(0), None)
+        lead = "" if isinstance(value, _OWN_LINES) else "\n"
+        tokens[place] = CommentToken(lead + tail, CommentMark(0), None)
     else:
         tokens[place].value = tokens[place].value.rstrip("\n") + "\n" + tail
 

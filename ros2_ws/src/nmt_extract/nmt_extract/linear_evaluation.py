@@ -13,7 +13,7 @@ from nmt_core.test_kind import TestKind
 from nmt_extract.linear_file import Linearity, linear_mapping, linearity
 from nmt_extract.linear_test import LinearTest, LinearTestSettings, linear_test
 from nmt_record.bag_reader import Bag
-from nmt_record.segments import read_signals, segments
+from nmt_record.segments import Segment, read_signals, segments
 
 DEFAULT_BAND_HZ = (10.0, 2000.0)
 """Band to look for modes in where neither the caller nor the recording says one, Hz."""
@@ -94,17 +94,17 @@ def evaluate_linear_test(
             f"The bag {bag.path} has no whole window of random excitation{fault}; record one with './nmt linear'."
         )
     run = bag.run_start or {}
+    main = max(whole, key=lambda segment: segment.level)
     settings = LinearTestSettings(
         drive_point=_drive_point(bag, run) if drive_point is None else drive_point,
         quantity=_quantity(bag) if quantity is None else quantity,
-        band_hz=_band(run) if band_hz is None else band_hz,
+        band_hz=_band(bag, run, main) if band_hz is None else band_hz,
         modes=modes,
         mode=mode,
         near_hz=near_hz,
         rig_mode=rig_mode,
         segment_s=segment_s,
     )
-    main = max(whole, key=lambda segment: segment.level)
     test = linear_test(read_signals(bag, main.first_sample, main.samples), settings)
     lowest = min(whole, key=lambda segment: segment.level)
     check, remarks = None, list(test.remarks)
@@ -122,10 +122,14 @@ def evaluate_linear_test(
     return LinearTestResult(test, main.level if main.level > 0.0 else None, check, run, tuple(remarks))
 
 
-def _band(run: Mapping[str, Any]) -> tuple[float, float]:
+def _band(bag: Bag, run: Mapping[str, Any], main: Segment) -> tuple[float, float]:
     plan = run.get("plan") or {}
     if plan.get("band_low_hz") and plan.get("band_high_hz"):
         return float(plan["band_low_hz"]), float(plan["band_high_hz"])
+    if "level" in bag.topics:
+        for _, _, level in bag.messages(["level"]):
+            if level.index == main.level_index and 0.0 < level.band_low_hz < level.band_high_hz:
+                return float(level.band_low_hz), float(level.band_high_hz)
     return DEFAULT_BAND_HZ
 
 

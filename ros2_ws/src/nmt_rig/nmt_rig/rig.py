@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import os
 import re
@@ -11,10 +10,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
-from pydantic_core import ErrorDetails
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.validation_sentence import validation_sentence
 from nmt_rig.rig_file import KeyPath, RigDocument, apply_overrides, read_document
 
 Positive = Annotated[float, Field(gt=0)]
@@ -672,110 +671,7 @@ def _dotted(path: Sequence[str | int]) -> str:
     return ".".join(str(part) for part in path)
 
 
-def _plain_path(location: Sequence[str | int], values: Any) -> KeyPath:
-    """pydantic's location without the tags of unions."""
-    path: list[str | int] = []
-    node = values
-    rest = list(location)
-    while rest:
-        part = rest.pop(0)
-        known = isinstance(node, dict) and part in node
-        if known or (isinstance(node, list) and isinstance(part, int) and part < len(node)):
-            node = node[part]
-        elif rest or not isinstance(node, dict | list):
-            continue
-        path.append(part)
-    return tuple(path)
-
-
-_SENTENCES = {
-    "greater_than": "must be positive",
-    "finite_number": "must be a finite number",
-    "float_type": "must be a number in the unit that its name says",
-    "float_parsing": "must be a number in the unit that its name says",
-    "int_type": "must be a whole number",
-    "int_from_float": "must be a whole number",
-    "string_type": "must be a text",
-    "list_type": "must be a list",
-    "dict_type": "must be a mapping of keys to values",
-    "model_type": "must be a mapping of keys to values",
-    "model_attributes_type": "must be a mapping of keys to values",
-}
-
-
-def _suggestion(key: str, known: Sequence[str]) -> str:
-    close = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-    return f"did you mean {close[0]}?" if close else f"known keys are {', '.join(known)}."
-
-
-def _known_keys(values: Any, path: KeyPath) -> list[str]:
-    """Keys of the section that contains the last part of `path`."""
-    section: Any = Rig
-    node = values
-    for part in path[:-1]:
-        node = node[part]
-        if isinstance(part, int):
-            section = _variant(section, node)
-            continue
-        annotation = section.model_fields[part].annotation
-        section = _variant(annotation, node)
-    return list(section.model_fields) if hasattr(section, "model_fields") else []
-
-
-def _variant(annotation: Any, node: Any) -> Any:
-    """The section class that `node` is an instance of, or the annotation of a list's entries."""
-    arguments = getattr(annotation, "__args__", ())
-    metadata = getattr(annotation, "__metadata__", None)
-    if metadata is not None:
-        return _variant(annotation.__origin__, node)
-    if isinstance(node, list):
-        return arguments[0] if arguments else annotation
-    for candidate in arguments:
-        field = candidate.model_fields.get("kind") if hasattr(candidate, "model_fields") else None
-        if field is not None and isinstance(node, dict) and node.get("kind") in field.annotation.__args__:
-            return candidate
-    return annotation
-
-
-def _sentence(error: ErrorDetails, document: RigDocument) -> str:
-    path = _plain_path(error["loc"], document.values)
-    kind = error["type"]
-    name = _dotted(path) or "the rig"
-    given = error["input"]
-    shown = "null" if given is None else repr(given) if isinstance(given, str) else f"{given}"
-    if len(shown) > 60:
-        shown = shown[:57] + "..."
-    context = error.get("ctx", {})
-    if kind == "extra_forbidden":
-        known = _known_keys(document.values, path)
-        return f"{document.place(path)}: unknown key {name}; {_suggestion(str(path[-1]), known)}"
-    if kind == "missing":
-        return f"{document.place(path)}: {name} is missing; add it."
-    if kind in ("union_tag_invalid", "union_tag_not_found"):
-        # The location of a discriminated union is the section; the key at fault is its `kind`.
-        expected = context.get("expected_tags") or "one of the known kinds"
-        tag = given.get("kind") if isinstance(given, dict) else None
-        end = f"got {tag!r}" if tag is not None else "it is missing"
-        return f"{document.place((*path, 'kind'))}: {name}.kind must be one of {expected}; {end}."
-    if kind == "value_error":
-        return f"{document.place(path)}: {name} {context.get('error', error['msg'])}."
-    if kind == "greater_than" and context.get("gt") not in (0, 0.0):
-        sentence = f"must be greater than {context['gt']}"
-    elif kind == "greater_than_equal":
-        bound = context["ge"]
-        sentence = "must not be negative" if bound == 0 else f"must be at least {bound:g}"
-    elif kind == "less_than_equal":
-        sentence = f"must be at most {context['le']:g}"
-    elif kind == "literal_error":
-        sentence = f"must be {context['expected']}"
-    elif kind == "string_pattern_mismatch":
-        sentence = f"does not have the form {context['pattern']}"
-    elif kind in ("too_short", "too_long"):
-        sentence = "has too few entries" if kind == "too_short" else "has too many entries"
-        shown = f"{context.get('actual_length')}"
-    else:
-        sentence = _SENTENCES.get(kind, error["msg"].replace("Input should", "should"))
-    return f"{document.place(path)}: {name} {sentence}, got {shown}."
+_IN_ITS_UNIT = dict.fromkeys(("float_type", "float_parsing"), "must be a number in the unit that its name says")
 
 
 def validate_rig(document: RigDocument) -> Rig:
@@ -787,11 +683,8 @@ def validate_rig(document: RigDocument) -> Rig:
     try:
         rig = Rig.model_validate(document.values)
     except ValidationError as failure:
-        # A misspelt key is also a missing one: name what is there and wrong first.
-        errors = sorted(failure.errors(include_url=False), key=lambda error: error["type"] != "extra_forbidden")
-        sentence = _sentence(errors[0], document)
-        more = len(errors) - 1
-        raise BenchError(sentence + (f" ({more} more like this)" if more else "")) from failure
+        errors = failure.errors(include_url=False)
+        raise BenchError(validation_sentence(errors, document, Rig, "the rig", words=_IN_ITS_UNIT)) from failure
     _check_references(rig, document)
     return rig
 

@@ -20,7 +20,7 @@ from nmt_core.blocks import BlockFlag, FloatArray, OscillatorPhase, Quantity, Sa
 from nmt_core.errors import BenchError
 from nmt_core.ramp import half_cosine
 from nmt_plant.device import Device, DeviceFault, DriveCommand, Waveform
-from nmt_plant.limits import ChannelLimit, LimitGuard, OpenLoop, row_extremes
+from nmt_plant.limits import ChannelLimit, LimitGuard, OpenLoop, watch_rows
 from nmt_plant.oscillator import PEAK_FACTOR, Oscillator, OscillatorBlock, check_command
 from nmt_plant.output_guard import OutputGuard, default_slew
 from nmt_plant.output_link import OutputLink
@@ -181,15 +181,16 @@ class GuardedDevice(Device):
         self._lead = 0 if output is None else output.settings.lead_blocks
         # A half-cosine from zero grows by at most this factor until its response is seen.
         self._rise_factor = float(2 + self._lead) ** 2
+        self._free_rise = settings.free_rise
+        self._voltage_limit = settings.voltage
+        self._slew_limit = settings.slew_at(self._sample_rate)
 
     def _prepare(self) -> None:
         """State at sample 0: drive at zero, nothing tripped, nothing pending."""
         self._oscillator = Oscillator(self._sample_rate, self._seed)
         self._watchdog = DriveWatchdog(self._settings.watchdog_blocks)
         settings = self._settings
-        self._output = OutputGuard(
-            self._sample_rate, settings.voltage, settings.slew_at(self._sample_rate), settings.limit_ramp
-        )
+        self._output = OutputGuard(self._sample_rate, self._voltage_limit, self._slew_limit, settings.limit_ramp)
         self._guard = LimitGuard(
             dict(settings.limits),
             settings.channels,
@@ -273,7 +274,7 @@ class GuardedDevice(Device):
     def _start(self) -> None:
         # Compile, or load, what a block needs: not in the first one.
         Oscillator(self._sample_rate).block(1)
-        row_extremes(np.zeros((1, 1)), np.zeros(1), np.zeros(1))
+        watch_rows(np.zeros((1, 1)), 0.0, np.ones((4, 1)), np.zeros((4, 1)))
         self._prepare()
         if self._link is not None:
             self._link.start()
@@ -320,7 +321,7 @@ class GuardedDevice(Device):
         elif self._reason or self._oscillator.is_stopping:
             share = self._share  # on the way to zero nothing rises
         else:
-            allowed = max(self._settings.free_rise, self._rise_factor * self._seen) * (1.0 + 1e-9)
+            allowed = max(self._free_rise, self._rise_factor * self._seen) * (1.0 + 1e-9)
             share = 1.0 if wanted <= allowed else allowed / wanted
         reached = share * wanted
         if not self._reason and self._oscillator.is_periodic and self._guard.predict(reached):
@@ -338,7 +339,7 @@ class GuardedDevice(Device):
                 self._trip(
                     f"output limit: the drive would have reached {value:.4g} V at sample "
                     f"{self._next_sample + self._lead * n + index}, "
-                    f"limit {self._settings.voltage or math.inf:g} V",
+                    f"limit {self._voltage_limit or math.inf:g} V",
                     BlockFlag.LIMIT,
                     0.0,
                 )
@@ -448,12 +449,10 @@ class GuardedDevice(Device):
             BenchError: a command beyond what the device can do, or beyond a limit of its output.
         """
         check_command(command, self._sample_rate)
-        limit = self._settings.voltage
-        if limit is not None:
-            self._check_peak(command, limit)
-        slew = self._settings.slew_at(self._sample_rate)
-        if slew is not None and command.waveform != Waveform.RANDOM:
-            self._check_slew(command, slew)
+        if self._voltage_limit is not None:
+            self._check_peak(command, self._voltage_limit)
+        if self._slew_limit is not None and command.waveform != Waveform.RANDOM:
+            self._check_slew(command, self._slew_limit)
 
     def _check_peak(self, command: DriveCommand, limit: float) -> None:
         """Refuse a command whose samples would pass the voltage limit, V."""
@@ -472,8 +471,10 @@ class GuardedDevice(Device):
     def _check_slew(self, command: DriveCommand, slew: float) -> None:
         """Refuse a periodic command that changes faster than the slew limit, V/s, between its samples."""
         angle = math.pi * max(command.frequency_hz, command.frequency_end_hz) / self._sample_rate
-        terms = [(1, complex(command.amplitude)), *command.harmonics]
-        fastest = 2.0 * self._sample_rate * sum(abs(value) * math.sin(order * angle) for order, value in terms)
+        fastest = command.amplitude * math.sin(angle)
+        if command.harmonics:
+            fastest += sum(abs(value) * math.sin(order * angle) for order, value in command.harmonics)
+        fastest *= 2.0 * self._sample_rate
         if fastest > slew * (1.0 + 1e-9):
             raise BenchError(
                 f"the drive changes by up to {fastest:.4g} V/s, beyond the slew limit of {slew:.4g} V/s; lower its "

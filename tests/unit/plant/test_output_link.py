@@ -229,6 +229,22 @@ def test_the_death_of_the_owner_is_a_fault_of_the_device() -> None:
         device.close()
 
 
+def test_is_ready_says_whether_a_read_would_wait() -> None:
+    device = LoopbackDevice(owned=True, **PATIENT)
+    device.configure()
+    device.start()
+    try:
+        until(lambda: device.is_ready)
+        device.read()
+        device.read()
+        # The third block is the first that was fed by a read; it needs its 20 ms.
+        until(lambda: device.is_ready)
+        assert device.next_sample == 2 * BLOCK
+    finally:
+        device.close()
+    assert LoopbackDevice().is_ready
+
+
 def test_an_owned_device_starts_again_at_zero() -> None:
     device = LoopbackDevice(owned=True, **PATIENT)
     for _ in range(2):

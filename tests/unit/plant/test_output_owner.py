@@ -269,7 +269,13 @@ def test_flood_of_random_messages_keeps_the_limit(bench: Bench) -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"chunk_samples": 33}, {"lead_blocks": 0}, {"deadline": 0.0}, {"block_samples": 20_000, "chunk_samples": 200}],
+    [
+        {"chunk_samples": 33},
+        {"lead_blocks": 0},
+        {"lead_blocks": 99},
+        {"deadline": 0.0},
+        {"block_samples": 20_000, "chunk_samples": 200},
+    ],
 )
 def test_settings_are_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(BenchError, match="output owner"):

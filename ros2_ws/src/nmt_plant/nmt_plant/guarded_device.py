@@ -252,6 +252,11 @@ class GuardedDevice(Device):
         return "" if self._link is None else self._link.sentence
 
     @property
+    def is_ready(self) -> bool:
+        """Whether `read` returns at once: always without a process that owns the output, else when a block is out."""
+        return self._link is None or self._link.available >= self._block_samples or self._link.has_ended
+
+    @property
     def output_pid(self) -> int | None:
         """Process that owns the output; None without one."""
         return None if self._link is None else self._link.pid

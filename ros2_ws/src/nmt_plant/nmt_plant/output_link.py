@@ -175,6 +175,18 @@ class OutputLink:
             self._position = first + values.size
 
     @property
+    def available(self) -> int:
+        """Samples that `collect` gives without waiting."""
+        self._listen(0.0)
+        return self._available
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the owner has gone, in order or not."""
+        self._listen(0.0)
+        return self._gone or self._process is None
+
+    @property
     def state(self) -> OutputState:
         """What the output does; UNKNOWN where the owner has died or does not report."""
         self._listen(0.0)

@@ -100,8 +100,11 @@ class OwnerSettings:
             )
         if 8 * self.block_samples > MESSAGE_BYTES - 64:
             raise BenchError(f"output owner: a block of {self.block_samples} samples does not fit into one message.")
-        if self.lead_blocks < 1 or not self.deadline > 0.0:
-            raise BenchError("output owner: lead_blocks must be at least 1 and deadline positive.")
+        if not 1 <= self.lead_blocks <= _MOST_QUEUED_BLOCKS // 2 or not self.deadline > 0.0:
+            raise BenchError(
+                f"output owner: lead_blocks must be 1 to {_MOST_QUEUED_BLOCKS // 2} and deadline positive, got "
+                f"{self.lead_blocks} and {self.deadline} s."
+            )
 
 
 class Converter(Protocol):

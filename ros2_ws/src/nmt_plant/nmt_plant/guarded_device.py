@@ -6,8 +6,10 @@ measures. Everything that keeps the drive safe stays here: the methods it consis
 
 from __future__ import annotations
 
+import contextlib
 import math
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, final
@@ -19,17 +21,18 @@ from nmt_core.errors import BenchError
 from nmt_core.ramp import half_cosine
 from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_plant.device import Device
-from nmt_plant.limits import ChannelLimit, LimitGuard, OpenLoop
+from nmt_plant.device import Device, DeviceFault
+from nmt_plant.limits import ChannelLimit, LimitGuard, OpenLoop, watch_rows
 from nmt_plant.oscillator import PEAK_FACTOR, Oscillator, OscillatorBlock, check_command
 from nmt_plant.output_guard import OutputGuard, default_slew
+from nmt_plant.output_link import OutputLink
+from nmt_plant.output_owner import OutputState, OwnerSettings
 from nmt_plant.watchdog import DriveWatchdog
 
 # The order in which `tick` works; tests hold it to this.
 TICK_ORDER = ("commands", "drive", "measure", "compute", "safety", "actuate", "publish")
 
-# A half-cosine from zero grows by at most this factor from one block's end to the next.
-_RISE_FACTOR = 4.0
+_CHUNK_TIME = 0.004  # s, how often the process that owns an output looks at everything
 _RISE_SHARE = 0.05  # of the voltage limit: what may be put out before any response has been seen
 
 # More than these waiting for their sample, or one that waits longer than these seconds, are refused.
@@ -103,6 +106,39 @@ class GuardSettings:
         return math.inf if self.voltage is None else _RISE_SHARE * self.voltage
 
 
+def owned_output(
+    sample_rate: float,
+    block_samples: int,
+    settings: GuardSettings,
+    lead_blocks: int = 2,
+    deadline_blocks: float = 3.0,
+    **link: Any,
+) -> OutputLink:
+    """An output in a process of its own, with the limits of a device.
+
+    Args:
+        sample_rate: Hz.
+        block_samples: samples in a block.
+        settings: limits and ramps of the device.
+        lead_blocks: blocks that wait at the output, so that one may be late.
+        deadline_blocks: blocks without a new one after which the output goes to zero.
+        **link: converter, arguments and stop_input of `output_link.OutputLink`.
+    """
+    most = max(1, int(_CHUNK_TIME * sample_rate))
+    chunk = next(size for size in range(min(most, block_samples), 0, -1) if block_samples % size == 0)
+    owner = OwnerSettings(
+        sample_rate=float(sample_rate),
+        block_samples=block_samples,
+        chunk_samples=chunk,
+        lead_blocks=lead_blocks,
+        deadline=deadline_blocks * block_samples / sample_rate,
+        ramp=settings.limit_ramp,
+        limit=settings.voltage,
+        slew=settings.slew_at(sample_rate),
+    )
+    return OutputLink(owner, **link)
+
+
 class GuardedDevice(Device):
     """Commands, final samples, trips and publishing of a device; `_measure` and `_compute` are left to the device.
 
@@ -115,6 +151,8 @@ class GuardedDevice(Device):
         groups: published channels, in order; their rows are those of what `_compute` returns.
         settings: limits, watchdog and ramps.
         seed: of the random waveform.
+        output: process that owns the output, see `owned_output`; None = the samples go to `_measure` directly. With it
+            a block is put out ``lead_blocks`` after it was made, and commands act that much later at the earliest.
     """
 
     QUIET_FLAG: ClassVar[BlockFlag] = BlockFlag.NONE
@@ -133,6 +171,7 @@ class GuardedDevice(Device):
         groups: Sequence[ChannelGroup],
         settings: GuardSettings,
         seed: int = 0,
+        output: OutputLink | None = None,
     ) -> None:
         super().__init__()
         self._sample_rate = float(sample_rate)
@@ -140,15 +179,20 @@ class GuardedDevice(Device):
         self._groups = groups
         self._settings = settings
         self._seed = seed
+        self._link = output
+        self._lead = 0 if output is None else output.settings.lead_blocks
+        # A half-cosine from zero grows by at most this factor until its response is seen.
+        self._rise_factor = float(2 + self._lead) ** 2
+        self._free_rise = settings.free_rise
+        self._voltage_limit = settings.voltage
+        self._slew_limit = settings.slew_at(self._sample_rate)
 
     def _prepare(self) -> None:
         """State at sample 0: drive at zero, nothing tripped, nothing pending."""
         self._oscillator = Oscillator(self._sample_rate, self._seed)
         self._watchdog = DriveWatchdog(self._settings.watchdog_blocks)
         settings = self._settings
-        self._output = OutputGuard(
-            self._sample_rate, settings.voltage, settings.slew_at(self._sample_rate), settings.limit_ramp
-        )
+        self._output = OutputGuard(self._sample_rate, self._voltage_limit, self._slew_limit, settings.limit_ramp)
         self._guard = LimitGuard(
             dict(settings.limits),
             settings.channels,
@@ -157,7 +201,10 @@ class GuardedDevice(Device):
             settings.rms_time,
             settings.warning_share,
         )
-        self._seen = 0.0  # V, amplitude of the drive in the last block
+        self._seen = 0.0  # V, amplitude of the drive in the block measured last
+        self._reached = 0.0  # V, amplitude of the drive in the block made last
+        still = OscillatorBlock(np.zeros(self._block_samples + 1), OscillatorPhase(0.0, 0.0, 0.0))
+        self._made = deque([(still, 0.0)] * self._lead)
         self._share = 1.0  # of the drive wanted that its rise lets through
         self._pending: list[DriveCommand] = []
         self._reason = ""
@@ -194,7 +241,27 @@ class GuardedDevice(Device):
     @property
     def _at_zero(self) -> bool:
         """Whether the next sample put out is zero, and all that follow without a new command."""
+        if self._link is not None:
+            state = self._link.state
+            waiting = state is OutputState.RUNNING and any(block.voltage.any() for block, _ in self._made)
+            if waiting or state in (OutputState.RAMPING, OutputState.UNKNOWN):
+                return False
         return self._oscillator.is_quiet and self._output.reaches_zero
+
+    @property
+    def output_sentence(self) -> str:
+        """What is known of an output that a process of its own owns, for people; empty without one."""
+        return "" if self._link is None else self._link.sentence
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether `read` returns at once: always without a process that owns the output, else when a block is out."""
+        return self._link is None or self._link.available >= self._block_samples or self._link.has_ended
+
+    @property
+    def output_pid(self) -> int | None:
+        """Process that owns the output; None without one."""
+        return None if self._link is None else self._link.pid
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -212,7 +279,14 @@ class GuardedDevice(Device):
         return self._output.spread
 
     def _start(self) -> None:
+        # Compile, or load, what a block needs: not in the first one.
+        Oscillator(self._sample_rate).block(1)
+        watch_rows(np.zeros((1, 1)), 0.0, np.ones((4, 1)), np.zeros((4, 1)))
         self._prepare()
+        if self._link is not None:
+            self._link.start()
+            for block, _ in self._made:
+                self._link.feed(block.voltage[:-1])
 
     @final
     def _read(self) -> list[SampleBlock]:
@@ -226,7 +300,7 @@ class GuardedDevice(Device):
         measured violation from the next block on; one that can be predicted acts before.
         """
         self._take_commands()
-        drive = self._drive()
+        drive = self._put_out(self._drive())
         true_values = self._measure(drive)
         recorded, overload = self._compute(true_values)
         blocks = self._blocks(recorded, drive.phase)
@@ -237,15 +311,16 @@ class GuardedDevice(Device):
     @final
     def _take_commands(self) -> None:
         """Apply, in order of arrival, what is due at this block; ignored while tripped."""
-        due = [command for command in self._pending if command.apply_at_sample <= self._next_sample]
-        self._pending = [command for command in self._pending if command.apply_at_sample > self._next_sample]
+        first = self._next_sample + self._lead * self._block_samples
+        due = [command for command in self._pending if command.apply_at_sample <= first]
+        self._pending = [command for command in self._pending if command.apply_at_sample > first]
         if not self._reason:
             for command in due:
                 self._oscillator.apply(command)
 
     @final
     def _drive(self) -> OscillatorBlock:
-        """The final samples of this block: what the oscillator makes, after rise, slew and absolute limit."""
+        """The final samples of the next block to be made: what the oscillator gives, after rise, slew and limit."""
         n = self._block_samples
         wanted = self._oscillator.bound(n)
         if wanted == 0.0:
@@ -253,27 +328,57 @@ class GuardedDevice(Device):
         elif self._reason or self._oscillator.is_stopping:
             share = self._share  # on the way to zero nothing rises
         else:
-            allowed = max(self._settings.free_rise, _RISE_FACTOR * self._seen) * (1.0 + 1e-9)
+            allowed = max(self._free_rise, self._rise_factor * self._seen) * (1.0 + 1e-9)
             share = 1.0 if wanted <= allowed else allowed / wanted
         reached = share * wanted
         if not self._reason and self._oscillator.is_periodic and self._guard.predict(reached):
             self._trip(self._guard.reason, BlockFlag.LIMIT, self._settings.limit_ramp)
             self._output.to_zero()
+            self._quiet_link(None)
         block = self._oscillator.block(n)
         voltage = self._rising(block.voltage, share)
-        self._seen = reached
+        self._reached = reached
         final_samples = self._output.block(voltage, n)
         if self._output.violation is not None:
             self._oscillator.ramp_to_zero(0.0)
             if not self._reason:
                 index, value = self._output.violation
                 self._trip(
-                    f"output limit: the drive would have reached {value:.4g} V at sample {self._next_sample + index}, "
-                    f"limit {self._settings.voltage or math.inf:g} V",
+                    f"output limit: the drive would have reached {value:.4g} V at sample "
+                    f"{self._next_sample + self._lead * n + index}, "
+                    f"limit {self._voltage_limit or math.inf:g} V",
                     BlockFlag.LIMIT,
                     0.0,
                 )
         return block if final_samples is block.voltage else replace(block, voltage=final_samples)
+
+    @final
+    def _put_out(self, block: OscillatorBlock) -> OscillatorBlock:
+        """Hand a block to the process that owns the output; returns what is put out in the block to be measured now.
+
+        Raises:
+            DeviceFault: that process has died or does not answer.
+        """
+        if self._link is None:
+            self._seen = self._reached
+            return block
+        n = self._block_samples
+        self._link.feed(block.voltage[:n])
+        self._made.append((block, self._reached))
+        made, self._seen = self._made.popleft()
+        values = self._link.collect(n, 1.0 + 4.0 * self._lead * n / self._sample_rate)
+        if self._link.is_tripped and not self._reason:
+            if self._link.state is OutputState.UNKNOWN:
+                raise DeviceFault(self._link.sentence)
+            self._trip(f"output: {self._link.reason}", BlockFlag.WATCHDOG, 0.0)
+        following = values[-1] if self._reason else self._made[0][0].voltage[0]
+        return replace(made, voltage=np.append(values, following))
+
+    def _quiet_link(self, ramp: float | None) -> None:
+        """Tell the process that owns the output at once, past the blocks that wait there."""
+        if self._link is not None:
+            with contextlib.suppress(DeviceFault):  # the next read says so
+                self._link.quiet(self._reason, ramp)
 
     def _rising(self, voltage: FloatArray, share: float) -> FloatArray:
         """The voltage times the share that is let through, along a half-cosine from the last block's share."""
@@ -315,12 +420,14 @@ class GuardedDevice(Device):
             return
         if self._guard.check(blocks, self._seen):
             self._trip(self._guard.reason, BlockFlag.LIMIT, self._settings.limit_ramp)
+            self._quiet_link(self._quiet_ramp)
         elif self._watchdog.block(not self._oscillator.is_quiet):
             self._trip(
                 f"watchdog: no drive command for {self._watchdog.missed} blocks",
                 BlockFlag.WATCHDOG,
                 self._settings.watchdog_ramp,
             )
+            self._quiet_link(self._quiet_ramp)
 
     @final
     def _actuate(self) -> None:
@@ -349,12 +456,10 @@ class GuardedDevice(Device):
             BenchError: a command beyond what the device can do, or beyond a limit of its output.
         """
         check_command(command, self._sample_rate)
-        limit = self._settings.voltage
-        if limit is not None:
-            self._check_peak(command, limit)
-        slew = self._settings.slew_at(self._sample_rate)
-        if slew is not None and command.waveform != Waveform.RANDOM:
-            self._check_slew(command, slew)
+        if self._voltage_limit is not None:
+            self._check_peak(command, self._voltage_limit)
+        if self._slew_limit is not None and command.waveform != Waveform.RANDOM:
+            self._check_slew(command, self._slew_limit)
 
     def _check_peak(self, command: DriveCommand, limit: float) -> None:
         """Refuse a command whose samples would pass the voltage limit, V."""
@@ -373,8 +478,10 @@ class GuardedDevice(Device):
     def _check_slew(self, command: DriveCommand, slew: float) -> None:
         """Refuse a periodic command that changes faster than the slew limit, V/s, between its samples."""
         angle = math.pi * max(command.frequency_hz, command.frequency_end_hz) / self._sample_rate
-        terms = [(1, complex(command.amplitude)), *command.harmonics]
-        fastest = 2.0 * self._sample_rate * sum(abs(value) * math.sin(order * angle) for order, value in terms)
+        fastest = command.amplitude * math.sin(angle)
+        if command.harmonics:
+            fastest += sum(abs(value) * math.sin(order * angle) for order, value in command.harmonics)
+        fastest *= 2.0 * self._sample_rate
         if fastest > slew * (1.0 + 1e-9):
             raise BenchError(
                 f"the drive changes by up to {fastest:.4g} V/s, beyond the slew limit of {slew:.4g} V/s; lower its "
@@ -407,6 +514,7 @@ class GuardedDevice(Device):
         if not self._reason:
             self._trip(reason, self.QUIET_FLAG, self._settings.limit_ramp if ramp is None else ramp)
         self._oscillator.ramp_to_zero(self._quiet_ramp)
+        self._quiet_link(self._quiet_ramp)
 
     @final
     def _reset(self) -> None:
@@ -416,6 +524,8 @@ class GuardedDevice(Device):
         self._output.release()
         self._guard.reset()
         self._seen, self._share = 0.0, 1.0
+        if self._link is not None:
+            self._link.reset()
         self._watchdog.command()
         self._reason = ""
         self._flags = BlockFlag.NONE
@@ -423,3 +533,5 @@ class GuardedDevice(Device):
     def _stop(self) -> None:
         self._oscillator.ramp_to_zero(0.0)
         self._pending.clear()
+        if self._link is not None:
+            self._link.close()

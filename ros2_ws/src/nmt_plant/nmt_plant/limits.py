@@ -20,8 +20,20 @@ PREDICTION_FACTOR = 1.25
 
 
 @njit(cache=True)
-def row_extremes(data: FloatArray, peaks: FloatArray, squares: FloatArray) -> None:
-    """Largest magnitude and mean square of every row of ``data``; infinity where a value is not a number."""
+def watch_rows(data: FloatArray, share: float, levels: FloatArray, values: FloatArray) -> int:
+    """Update the peaks and mean squares of every row of ``data`` and compare them with their levels.
+
+    Args:
+        data: (channels, samples).
+        share: weight of this block in the running mean of squares.
+        levels: (4, channels) abort peak, abort mean square, warning peak, warning mean square; infinity = none.
+        values: (4, channels) peak of this block, running mean square, largest of both so far; changed in place.
+
+    Returns:
+        1 where a peak violates its abort level, plus 2 for a mean square, plus 4 for a warning level. What is not a
+        number violates every finite level.
+    """
+    found = 0
     for row in range(data.shape[0]):
         peak = 0.0
         square = 0.0
@@ -30,8 +42,20 @@ def row_extremes(data: FloatArray, peaks: FloatArray, squares: FloatArray) -> No
             if not magnitude <= peak:
                 peak = magnitude if magnitude == magnitude else np.inf
             square += magnitude * magnitude
-        peaks[row] = peak
-        squares[row] = square / data.shape[1] if square == square else np.inf
+        mean = values[1, row] + share * (square / data.shape[1] - values[1, row])
+        if not mean <= np.inf:
+            mean = np.inf
+        values[0, row] = peak
+        values[1, row] = mean
+        values[2, row] = max(values[2, row], peak)
+        values[3, row] = max(values[3, row], mean)
+        if peak > levels[0, row]:
+            found |= 1
+        if mean > levels[1, row]:
+            found |= 2
+        if peak > levels[2, row] or mean > levels[3, row]:
+            found |= 4
+    return found
 
 
 @dataclass(frozen=True)
@@ -69,7 +93,7 @@ class OpenLoop:
 
 
 class _Rows:
-    """Levels of the channels of one quantity as rows, and what they have reached."""
+    """Levels of the channels of one quantity as rows, and what they have reached; see `watch_rows`."""
 
     def __init__(
         self, block: SampleBlock, limit: float | None, channels: Mapping[str, ChannelLimit], warning_share: float | None
@@ -78,18 +102,26 @@ class _Rows:
         own = [channels.get(name, ChannelLimit(name)) for name in block.channels]
         none = math.inf
         common = none if limit is None else limit
-        self.abort_peak = np.array([min(common, none if c.abort_peak is None else c.abort_peak) for c in own])
-        self.abort_rms = np.array([none if c.abort_rms is None else c.abort_rms for c in own])
         share = none if warning_share is None else warning_share
-        self.warning_peak = np.array(
-            [c.warning_peak or share * top for c, top in zip(own, self.abort_peak, strict=True)]
-        )
-        self.warning_rms = np.array([c.warning_rms or share * top for c, top in zip(own, self.abort_rms, strict=True)])
-        self.peaks, self.squares = np.zeros(len(own)), np.zeros(len(own))
-        self.mean_squares = np.zeros(len(own))
+        peak = [min(common, none if c.abort_peak is None else c.abort_peak) for c in own]
+        rms = [none if c.abort_rms is None else c.abort_rms for c in own]
+        warning_peak = [c.warning_peak or share * top for c, top in zip(own, peak, strict=True)]
+        warning_rms = [c.warning_rms or share * top for c, top in zip(own, rms, strict=True)]
+        self.levels = np.array([peak, np.square(rms), warning_peak, np.square(warning_rms)])
+        self.values = np.zeros((4, len(own)))
         self.background = np.zeros(len(own))
-        self.largest, self.largest_rms = np.zeros(len(own)), np.zeros(len(own))
-        self.watched = bool(np.isfinite([self.abort_peak, self.abort_rms, self.warning_peak, self.warning_rms]).any())
+        self.watched = bool(np.isfinite(self.levels).any())
+        self.limited = bool(np.isfinite(self.levels[0]).any())
+
+    @property
+    def abort_peak(self) -> FloatArray:
+        """Abort levels of the peaks."""
+        return np.asarray(self.levels[0], dtype=np.float64)
+
+    @property
+    def peaks(self) -> FloatArray:
+        """Peaks of the last block."""
+        return np.asarray(self.values[0], dtype=np.float64)
 
 
 @dataclass
@@ -139,8 +171,7 @@ class LimitGuard:
             rows = self._rows_of(block)
             if not (rows.watched or self._loops):
                 continue
-            row_extremes(block.data, rows.peaks, rows.squares)
-            if (rows.watched and self._check_rows(block, rows)) or self._check_loops(block, rows, drive):
+            if self._check_rows(block, rows) or (self._loops and self._check_loops(block, rows, drive)):
                 return True
         if self.drive_maximum is not None and drive > self.drive_maximum and blocks:
             self.reason = (
@@ -159,29 +190,33 @@ class LimitGuard:
         return rows
 
     def _check_rows(self, block: SampleBlock, rows: _Rows) -> bool:
+        """Update what the channels have reached; True where one of them trips."""
         share = -math.expm1(-block.samples / (block.sample_rate * self.rms_time))
-        rows.mean_squares += share * (rows.squares - rows.mean_squares)
-        rms = np.sqrt(rows.mean_squares)
-        np.maximum(rows.largest, rows.peaks, out=rows.largest)
-        np.maximum(rows.largest_rms, rms, out=rows.largest_rms)
-        if (rows.peaks > rows.abort_peak).any():
+        found = watch_rows(block.data, share, rows.levels, rows.values)
+        if not found:
+            return False
+        rms = np.sqrt(rows.values[1])
+        if found & 4:
+            self._note_warnings(block, rows, rms)
+        if found & 1:
             self._latch_peak(block, rows)
-        elif (rms > rows.abort_rms).any():
-            row = int(np.argmax(rms > rows.abort_rms))
+        elif found & 2:
+            row = int(np.argmax(rows.values[1] > rows.levels[1]))
             self.reason = (
                 f"{block.quantity.name.lower()} limit: {block.channels[row]} reached {rms[row]:.4g} {block.unit} rms "
-                f"at sample {block.end_sample - 1}, limit {rows.abort_rms[row]:g} {block.unit} rms"
+                f"at sample {block.end_sample - 1}, limit {math.sqrt(rows.levels[1, row]):g} {block.unit} rms"
             )
-        if (rows.peaks > rows.warning_peak).any() or (rms > rows.warning_rms).any():
-            for kind, values, levels in (("peak", rows.peaks, rows.warning_peak), ("rms", rms, rows.warning_rms)):
-                for index in np.flatnonzero(values > levels):
-                    name = block.channels[index]
-                    self.warnings.setdefault(
-                        f"{name} {kind}",
-                        f"{name} passed its warning level of {levels[index]:g} {block.unit} {kind} with "
-                        f"{values[index]:.4g} {block.unit} in the block from sample {block.first_sample}",
-                    )
         return bool(self.reason)
+
+    def _note_warnings(self, block: SampleBlock, rows: _Rows, rms: FloatArray) -> None:
+        for kind, values, levels in (("peak", rows.peaks, rows.levels[2]), ("rms", rms, np.sqrt(rows.levels[3]))):
+            for index in np.flatnonzero(values > levels):
+                name = block.channels[index]
+                self.warnings.setdefault(
+                    f"{name} {kind}",
+                    f"{name} passed its warning level of {levels[index]:g} {block.unit} {kind} with "
+                    f"{values[index]:.4g} {block.unit} in the block from sample {block.first_sample}",
+                )
 
     def _latch_peak(self, block: SampleBlock, rows: _Rows) -> None:
         violating = np.argwhere(~(np.abs(block.data) <= rows.abort_peak[:, None]))
@@ -223,7 +258,7 @@ class LimitGuard:
             return False
         for block in self._last:
             rows = self._rows[block.quantity]
-            if not np.isfinite(rows.abort_peak).any():
+            if not rows.limited:
                 continue
             if self._drive == 0.0:
                 rows.background[:] = rows.peaks
@@ -245,8 +280,8 @@ class LimitGuard:
         """Channel -> largest share of an abort level it has reached so far; only channels that have one."""
         shares: dict[str, float] = {}
         for rows in self._rows.values():
-            share = np.maximum(rows.largest / rows.abort_peak, rows.largest_rms / rows.abort_rms)
-            limited = np.isfinite(rows.abort_peak) | np.isfinite(rows.abort_rms)
+            share = np.maximum(rows.values[2] / rows.levels[0], np.sqrt(rows.values[3] / rows.levels[1]))
+            limited = np.isfinite(rows.levels[:2]).any(axis=0)
             shares.update({rows.channels[row]: float(share[row]) for row in np.flatnonzero(limited)})
         return shares
 
@@ -256,4 +291,4 @@ class LimitGuard:
         self._silent.clear()
         self._last, self._drive = (), 0.0
         for rows in self._rows.values():
-            rows.mean_squares[:] = 0.0
+            rows.values[:2] = 0.0

@@ -126,10 +126,12 @@ class OutputGuard:
             self._elapsed += count
             self.last = float(values[count - 1])
             return values
-        change = np.abs(np.diff(voltage, prepend=self.last)).max()
-        if np.abs(voltage).max() <= self._bound and change <= self._step:
-            self.last = float(voltage[count - 1])
-            return voltage
+        # NaN passes no comparison.
+        if -self._bound <= voltage.min() and voltage.max() <= self._bound and abs(voltage[0] - self.last) <= self._step:
+            change = voltage[1:] - voltage[:-1]
+            if not change.size or (-self._step <= change.min() and change.max() <= self._step):
+                self.last = float(voltage[count - 1])
+                return voltage
         return self._restrain(voltage, count)
 
     def _restrain(self, voltage: FloatArray, count: int) -> FloatArray:

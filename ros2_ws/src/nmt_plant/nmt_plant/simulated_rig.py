@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from nmt_core.blocks import BlockFlag, FloatArray, Quantity
 from nmt_plant.device import DeviceFault
-from nmt_plant.guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings
-from nmt_plant.limits import ChannelLimit, OpenLoop, row_extremes
+from nmt_plant.guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings, owned_output
+from nmt_plant.limits import ChannelLimit, OpenLoop
 from nmt_plant.oscillator import OscillatorBlock
 from nmt_rig.drift import Drift
 from nmt_rig.model.assembly import (
@@ -147,19 +148,23 @@ class SimulatedRig(GuardedDevice):
     Args:
         rig: validated rig.
         block_samples: overrides the rig's.
+        owned: whether a process of its own owns the output, for real time: it goes to zero when this one hangs or dies.
+        **output: settings of `guarded_device.owned_output`.
     """
 
     QUIET_FLAG = BlockFlag.WATCHDOG
 
-    def __init__(self, rig: Rig, block_samples: int | None = None) -> None:
+    def __init__(self, rig: Rig, block_samples: int | None = None, owned: bool = False, **output: Any) -> None:
         self.rig = rig
         self.sensors = rig_sensors(rig)
+        block, settings = block_samples or rig.block_samples, guard_settings(rig)
         super().__init__(
             rig.sample_rate_hz,
-            block_samples or rig.block_samples,
+            block,
             _channel_groups(self.sensors),
-            guard_settings(rig),
+            settings,
             rig.seed,
+            owned_output(rig.sample_rate_hz, block, settings, **output) if owned else None,
         )
         self._integrator: TimeIntegrator | None = None
         self._prepare()
@@ -196,8 +201,6 @@ class SimulatedRig(GuardedDevice):
         self._voltage_rows = [row for row, s in enumerate(self.sensors) if s.quantity == Quantity.VOLTAGE]
         # Compiles the time loop, or loads it: not in the first block.
         self._integrator.advance(np.zeros(2))
-        row_extremes(np.zeros((1, 1)), np.zeros(1), np.zeros(1))
-        self._oscillator.block(1)
 
     def _make_integrator(self) -> TimeIntegrator:
         system = build_system(self.rig)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
 from nmt_diagnose.inference.diagnose import Outcome
@@ -71,12 +71,5 @@ def _complete_inputs(
         "bags": bags,
         "model_file": {"path": str(model), "sha256": hashlib.sha256(model.read_bytes()).hexdigest()},
         "overrides": list(overrides),
-        "version": f"nmt {_version()}".strip(),
+        "version": f"nmt {bench_version()}".strip(),
     }
-
-
-def _version() -> str:
-    try:
-        return version("nmt_bench")
-    except PackageNotFoundError:
-        return ""

@@ -183,6 +183,9 @@ def _matrices(document: YamlDocument, structure: Mapping[str, Any], folder: Path
     points_at, kept = _kept_rows(document, structure.get("points_at"))
     try:
         matrices = Matrices(**found).checked()
+        beyond = [row for row in kept if row >= matrices.size]
+        if beyond:
+            raise ValueError(f"structure.points_at names row {beyond[0]}, but the rows are 0 to {matrices.size - 1}")
         if structure.get("modes") is not None:
             modes = structure["modes"]
             if not isinstance(modes, int) or isinstance(modes, bool):

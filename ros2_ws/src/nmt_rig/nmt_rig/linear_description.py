@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_rig.model.linear_modes import damped_modes, sticking_modes
 from nmt_rig.rig import Rig
@@ -15,17 +16,24 @@ def linear_description(rig: Rig) -> LinearDescription:
     """Linear modes of the sticking structure at the response points, and the plant with its exciter.
 
     The plant's frequency and damping ratio are those of the damped mode of structure and exciter whose shape
-    resembles the target mode most (largest MAC over all points). Force and displacement per volt are taken
-    at phase resonance of the structure, i.e. at the target mode's linear frequency, with all friction
-    sticking: the smallest levels of a test scale by them.
+    resembles the target mode most (largest MAC over all points; the nearest in frequency where several do alike). Force
+    and displacement per volt are taken at phase resonance of the structure, i.e. at the target mode's linear frequency,
+    with all friction sticking: the smallest levels of a test scale by them.
 
     Raises:
+        BenchError: the target mode is a rigid-body mode, or there is no such mode.
         ValueError: the plant has no oscillating mode.
     """
     structure = build_structure(rig)
     elements = build_resting_elements(rig, structure)
     target = rig.test.mode - 1
     modes = sticking_modes(structure, elements, max(rig.extraction.linear_modes, rig.test.mode))
+    if target >= modes.frequencies.size or modes.frequencies[target] <= 0.0:
+        rigid = int(np.sum(modes.frequencies == 0.0))
+        raise BenchError(
+            f"test.mode {rig.test.mode} of rig {rig.name} is no elastic mode: of the first {modes.frequencies.size} "
+            f"modes {rigid} are rigid-body modes; choose another test.mode."
+        )
     points = rig.response_points(Quantity[rig.extraction.quantity.upper()])
     rows = [modes.points.index(point) for point in points]
     drive = modes.points.index(rig.drive_point)
@@ -36,7 +44,10 @@ def linear_description(rig: Rig) -> LinearDescription:
         raise ValueError("structure and exciter together have no oscillating mode")
     shape = modes.shapes[:, target]
     overlap = np.abs(shape @ plant.shapes) ** 2 / np.sum(np.abs(plant.shapes) ** 2, axis=0)
-    nearest = int(np.argmax(overlap))
+    # Few points cannot tell the mode from one of the exciter's own: of those that look alike, the nearest.
+    alike = np.flatnonzero(overlap >= (1.0 - 1e-9) * np.max(overlap))
+    distance = np.abs(np.log(plant.frequencies[alike] / modes.frequencies[target]))
+    nearest = int(alike[np.argmin(distance)])
 
     q, force = system.response(float(modes.frequencies[target]))
     per_volt = input_per_volt(rig)
@@ -54,5 +65,5 @@ def linear_description(rig: Rig) -> LinearDescription:
         plant_damping_ratio=float(plant.damping_ratios[nearest]),
         moving_mass_kg=0.0 if shaker is None else shaker.moving_mass,
         force_per_volt=per_volt * abs(force),
-        displacement_per_volt=per_volt * float(abs(q[system.points[rig.drive_point]])),
+        displacement_per_volt=per_volt * float(abs(system.motion(rig.drive_point, q))),
     )

@@ -35,6 +35,7 @@ from nmt_rig.rig_model import (
     refuse_beyond_harmonic_balance,
     without_exciter_effects,
 )
+from nmt_rig.structure_sections import point_words
 
 FloatArray = NDArray[np.float64]
 
@@ -167,8 +168,8 @@ def with_exciter_at(rig: Rig, point: int | None) -> Rig:
         return rig
     if point not in rig.structure.points:
         raise BenchError(
-            f"exciter point {point} does not exist: rig {rig.name} has points 1 to "
-            f"{rig.structure.points[-1]}; choose one of them."
+            f"exciter point {point} does not exist: rig {rig.name} has {point_words(rig.structure.points)}; "
+            "choose one of them."
         )
     moved = [
         section.model_copy(update={"point": point}) if section.side == "exciter" else section

@@ -9,91 +9,28 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.validation_sentence import validation_sentence
 from nmt_rig.rig_file import KeyPath, RigDocument, apply_overrides, read_document
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Point = Annotated[int, Field(ge=1)]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+from nmt_rig.rig_section import Name, NotNegative, Point, Positive
+from nmt_rig.rig_section import Section as Section
+from nmt_rig.structure_files import completed, names_files, with_file_contents
+from nmt_rig.structure_sections import AddedMassSection as AddedMassSection
+from nmt_rig.structure_sections import AnyStructure, point_words
+from nmt_rig.structure_sections import BeamSection as BeamSection
+from nmt_rig.structure_sections import ChainSection as ChainSection
+from nmt_rig.structure_sections import MatricesSection as MatricesSection
+from nmt_rig.structure_sections import MatrixPointSection as MatrixPointSection
+from nmt_rig.structure_sections import ModalSection as ModalSection
+from nmt_rig.structure_sections import ModeSection as ModeSection
+from nmt_rig.structure_sections import ResidualSection as ResidualSection
+from nmt_rig.structure_sections import StructureSection as StructureSection
 
 # Environment variable with folders, separated as in PATH, that are searched for rigs by name first.
 RIG_PATH_VARIABLE = "NMT_RIG_PATH"
-
-
-class Section(BaseModel):
-    """Base of all sections: unknown keys, NaN, infinities and wrong types are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class AddedMassSection(Section):
-    """Mass fixed to a point; negative where the model has too much."""
-
-    point: Point
-    mass_kg: float
-
-
-class StructureSection(Section):
-    """Common keys of structures: masses added at points, and hysteretic damping K (1 + iη)."""
-
-    added_masses: list[AddedMassSection] = []
-    loss_factor: NotNegative = 0.0
-
-
-class BeamSection(StructureSection):
-    """Cantilever of Euler-Bernoulli elements; points 1..elements from the clamp outward."""
-
-    kind: Literal["beam"]
-    length_m: Positive
-    width_m: Positive
-    height_m: Positive
-    youngs_modulus_pa: Positive
-    density_kg_m3: Positive
-    elements: Annotated[int, Field(ge=1, le=200)]
-    stiffness_damping_s: NotNegative = 0.0
-    mesh_refinement: Annotated[int, Field(ge=1, le=20)] = 1
-    clamp_rotational_stiffness_nm_rad: Positive | None = None
-    clamp_lateral_stiffness_n_m: Positive | None = None
-
-    @property
-    def points(self) -> range:
-        """Numbers of the measurement points."""
-        return range(1, self.elements + 1)
-
-
-class ChainSection(StructureSection):
-    """Lumped masses in a row; point i = mass i."""
-
-    kind: Literal["chain"]
-    masses_kg: Annotated[list[Positive], Field(min_length=1, max_length=200)]
-    springs_n_m: list[NotNegative] = []
-    dampers_ns_m: list[NotNegative] | None = None
-    ground_springs_n_m: list[NotNegative] | None = None
-    ground_dampers_ns_m: list[NotNegative] | None = None
-
-    @property
-    def points(self) -> range:
-        """Numbers of the measurement points."""
-        return range(1, len(self.masses_kg) + 1)
-
-    @model_validator(mode="after")
-    def _lengths_fit(self) -> ChainSection:
-        n = len(self.masses_kg)
-        for key, count in (
-            ("springs_n_m", n - 1),
-            ("dampers_ns_m", n - 1),
-            ("ground_springs_n_m", n),
-            ("ground_dampers_ns_m", n),
-        ):
-            value = getattr(self, key)
-            if value is not None and len(value) != count:
-                raise ValueError(f"{key} needs {count} values for {n} masses, got {len(value)}")
-        return self
 
 
 class ElementSection(Section):
@@ -337,6 +274,32 @@ class ForceSection(Section):
     newton_per_volt: Positive = 1.0
 
 
+class ShakingTableSection(Section):
+    """Table that moves all supports of the structure; a volt asks for an acceleration (see model/shaking_table.py).
+
+    The force channel of such a rig is the force at `point` that does the base motion's power on the target mode,
+    -effective_mass_kg times the table's acceleration.
+    """
+
+    kind: Literal["shaking_table"]
+    point: Point
+    acceleration_per_volt_m_s2: Positive = 1.0
+    effective_mass_kg: float | None = None
+    bandwidth_hz: Positive | None = None
+    suspension_hz: Positive | None = None
+    suspension_damping_ratio: NotNegative = 0.7
+    responses: Literal["relative", "absolute"] = "relative"
+
+    @model_validator(mode="after")
+    def _mass_is_there(self) -> ShakingTableSection:
+        if self.effective_mass_kg == 0.0:
+            raise ValueError("effective_mass_kg must not be zero; leave it out to have it computed")
+        return self
+
+
+AnyExciter = ShakerSection | ForceSection | ShakingTableSection
+
+
 class TransverseSection(Section):
     """Share of the same quantity at another point that a sensor records as well."""
 
@@ -428,8 +391,8 @@ class LimitSection(Section):
     acceleration_m_s2: Positive | None = None
     velocity_m_s: Positive | None = None
     displacement_m: Positive | None = None
-    channels: list[ChannelLimitSection] = []
-    open_loop: list[OpenLoopSection] = []
+    channels: list[ChannelLimitSection] = Field(default_factory=list)
+    open_loop: list[OpenLoopSection] = Field(default_factory=list)
     warning_share: Annotated[float, Field(gt=0, le=1)] = 0.8
     rms_time_s: Positive = 1.0
     ramp_s: NotNegative = 0.1
@@ -483,7 +446,7 @@ class ExtractionSection(Section):
 
     harmonics: Annotated[int, Field(ge=1, le=50)] = 7
     linear_modes: Annotated[int, Field(ge=1)] = 2
-    quantity: Literal["displacement", "acceleration"] = "displacement"
+    quantity: Literal["displacement", "velocity", "acceleration"] = "displacement"
     hysteresis: HysteresisSection | None = None
 
 
@@ -509,20 +472,20 @@ class Rig(Section):
 
     name: Name
     description: str = ""
-    assumptions: list[str] = []
+    assumptions: Annotated[list[str], Field(default_factory=list)]
     seed: Annotated[int, Field(ge=0)] = 0
     sample_rate_hz: Positive = 10_000.0
     block_samples: Annotated[int, Field(ge=1, le=5000)] = 200
     substeps: Annotated[int, Field(ge=1, le=64)] = 1
-    structure: Annotated[BeamSection | ChainSection, Field(discriminator="kind")]
-    local_elements: list[AnyElement] = []
-    exciter: Annotated[ShakerSection | ForceSection, Field(discriminator="kind")]
+    structure: Annotated[AnyStructure, Field(discriminator="kind")]
+    local_elements: Annotated[list[AnyElement], Field(default_factory=list)]
+    exciter: Annotated[AnyExciter, Field(discriminator="kind")]
     sensors: Annotated[list[SensorSection], Field(min_length=1)]
     limits: LimitSection = LimitSection()
     watchdog: WatchdogSection = WatchdogSection()
     test: TestSection = TestSection()
     extraction: ExtractionSection = ExtractionSection()
-    pll: dict[str, Annotated[Any, AfterValidator(_plain_setting)]] = {}
+    pll: Annotated[dict[str, Annotated[Any, AfterValidator(_plain_setting)]], Field(default_factory=dict)]
     clock_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
     drift: DriftSection = DriftSection()
 
@@ -578,7 +541,7 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
     for path, point in _points_used(rig):
         if point not in points:
             raise BenchError(
-                f"{document.place(path)}: {_dotted(path)} is {point}, but the structure has points 1 to {points[-1]}."
+                f"{document.place(path)}: {_dotted(path)} is {point}, but the structure has {point_words(points)}."
             )
     for index, element in enumerate(rig.local_elements):
         if element.other_point == element.point:
@@ -629,7 +592,44 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
             f"{place}: extraction.linear_modes must be between test.mode ({rig.test.mode}) and the number of "
             f"{rig.extraction.quantity} sensors ({responses}), got {rig.extraction.linear_modes}."
         )
+    if isinstance(rig.structure, ModalSection) and rig.extraction.linear_modes > len(rig.structure.modes):
+        place = document.place(("extraction", "linear_modes"))
+        raise BenchError(
+            f"{place}: extraction.linear_modes is {rig.extraction.linear_modes}, but the structure has "
+            f"{len(rig.structure.modes)} modes; lower it."
+        )
+    if isinstance(rig.exciter, ShakingTableSection):
+        _check_table(rig, rig.exciter, document)
     _check_hysteresis(rig, document)
+
+
+def _check_table(rig: Rig, table: ShakingTableSection, document: RigDocument) -> None:
+    """A shaking table needs a structure that says how its base moves it, and takes no part of another exciter."""
+    if isinstance(rig.structure, ModalSection):
+        for index, mode in enumerate(rig.structure.modes):
+            if mode.participation is None:
+                place = document.place(("structure", "modes", index))
+                raise BenchError(
+                    f"{place}: structure.modes.{index} lacks participation; a shaking_table needs it of every mode."
+                )
+    if isinstance(rig.structure, MatricesSection) and rig.structure.base_load_kg is rig.structure.base_vector is None:
+        raise BenchError(
+            f"{document.place(('structure',))}: a shaking_table needs structure.base_vector, the displacement of every "
+            "row for a unit displacement of the base (or r in the file)."
+        )
+    for index, element in enumerate(rig.local_elements):
+        if element.side == "exciter" or isinstance(element, TunedMassQuadraticSection | RattlingMassSection):
+            raise BenchError(
+                f"{document.place(('local_elements', index))}: local_elements.{index} ({element.kind}) does not go "
+                "with a shaking_table: no element on the side of the exciter, and none with a mass of its own."
+            )
+    if table.responses == "absolute" and table.suspension_hz is None:
+        for index, sensor in enumerate(rig.sensors):
+            if sensor.quantity in ("displacement", "velocity"):
+                raise BenchError(
+                    f"{document.place(('sensors', index))}: sensors.{index} measures an absolute {sensor.quantity}, "
+                    "which needs the table's position: give exciter.suspension_hz, or write responses: relative."
+                )
 
 
 def _check_hysteresis(rig: Rig, document: RigDocument) -> None:
@@ -663,8 +663,17 @@ def _check_element(rig: Rig, index: int, element: ElementSection, document: RigD
             f"({rig.drive_point}) and it must not have an other_point."
         )
     if element.rotation and not isinstance(rig.structure, BeamSection):
-        place = document.place(("local_elements", index, "rotation"))
-        raise BenchError(f"{place}: local_elements.{index}.rotation needs a beam; points of a chain do not rotate.")
+        turning = {
+            entry.point
+            for entry in (rig.structure.points_at if isinstance(rig.structure, MatricesSection) else ())
+            if entry.rotation_row is not None
+        }
+        if not {element.point, element.other_point} - {None} <= turning:
+            place = document.place(("local_elements", index, "rotation"))
+            raise BenchError(
+                f"{place}: local_elements.{index}.rotation needs a beam, or matrices whose points have a rotation_row; "
+                f"the points of this {rig.structure.kind} do not rotate."
+            )
 
 
 def _dotted(path: Sequence[str | int]) -> str:
@@ -674,12 +683,17 @@ def _dotted(path: Sequence[str | int]) -> str:
 _IN_ITS_UNIT = dict.fromkeys(("float_type", "float_parsing"), "must be a number in the unit that its name says")
 
 
-def validate_rig(document: RigDocument) -> Rig:
+def validate_rig(document: RigDocument, folder: Path | None = None) -> Rig:
     """Rig from a parsed file.
+
+    Args:
+        document: the file.
+        folder: where files that its structure names are looked for; the working directory when None.
 
     Raises:
         BenchError: the first thing that is wrong, with file and line, and how many more there are.
     """
+    document = completed(with_file_contents(document, folder or Path()))
     try:
         rig = Rig.model_validate(document.values)
     except ValidationError as failure:
@@ -728,8 +742,12 @@ def load_rig(path_or_name: str | Path, overrides: Sequence[str] = ()) -> Rig:
     Raises:
         BenchError: no such rig, or anything wrong in it or in an override, with the line.
     """
-    document = read_document(find_rig(path_or_name))
-    changed = apply_overrides(document, overrides)
+    path = find_rig(path_or_name)
+    document = read_document(path)
+    # What the structure's files hold can be changed too: those that say which file come first.
+    first = [text for text in overrides if names_files(text.partition("=")[0].strip())]
+    read = with_file_contents(apply_overrides(document, first), path.parent)
+    changed = apply_overrides(read, [text for text in overrides if text not in first])
     _move_exciter_elements(document.values, changed.values)
     return validate_rig(changed)
 

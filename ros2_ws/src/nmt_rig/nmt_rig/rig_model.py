@@ -9,9 +9,10 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_rig.model.assembly import ElectromechanicalSystem, assemble
 from nmt_rig.model.attachments import Attachment, BoucWen, FractionalDamper, LuGre, RattlingMass, TunedMassQuadratic
-from nmt_rig.model.beam import euler_bernoulli_cantilever
+from nmt_rig.model.beam import euler_bernoulli_beam
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.iwan import IwanJoint
+from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.model.local_elements import (
     BacklashDamper,
     CubicSpring,
@@ -27,12 +28,16 @@ from nmt_rig.model.local_elements import (
     TwoSidedGap,
     UnilateralStop,
 )
+from nmt_rig.model.matrix_structure import modal_damping_matrix
+from nmt_rig.model.modal_structure import Mode, modal_structure
 from nmt_rig.model.shaker import ElectrodynamicShaker
+from nmt_rig.model.shaking_table import ShakingTable, effective_mass
 from nmt_rig.model.structure import Array, Structure
 from nmt_rig.rig import (
     BacklashDamperSection,
     BeamSection,
     BoucWenSection,
+    ChainSection,
     CubicSpringSection,
     EddyBrakeSection,
     ElementSection,
@@ -42,12 +47,15 @@ from nmt_rig.rig import (
     LinearDamperSection,
     LinearSpringSection,
     LuGreSection,
+    MatricesSection,
+    ModalSection,
     QuadraticDragSection,
     QuadraticSpringSection,
     QuinticSpringSection,
     RattlingMassSection,
     Rig,
     ShakerSection,
+    ShakingTableSection,
     TanhFrictionSection,
     TunedMassQuadraticSection,
     TwoSidedGapSection,
@@ -59,26 +67,13 @@ def build_structure(rig: Rig) -> Structure:
     """Linear structure of a rig, with added masses and those of its response sensors, and its loss factor.
 
     Raises:
-        BenchError: negative masses that leave the structure without inertia.
+        BenchError: numbers that make no structure, or negative masses that leave it without inertia.
     """
     s = rig.structure
-    if isinstance(s, BeamSection):
-        structure = euler_bernoulli_cantilever(
-            s.length_m,
-            s.width_m,
-            s.height_m,
-            s.youngs_modulus_pa,
-            s.density_kg_m3,
-            s.elements,
-            s.stiffness_damping_s,
-            s.mesh_refinement,
-            s.clamp_rotational_stiffness_nm_rad,
-            s.clamp_lateral_stiffness_n_m,
-        )
-    else:
-        structure = lumped_chain(
-            s.masses_kg, s.springs_n_m, s.dampers_ns_m, s.ground_springs_n_m, s.ground_dampers_ns_m
-        )
+    try:
+        structure = _bare_structure(s)
+    except ValueError as error:
+        raise BenchError(f"the structure of rig {rig.name} cannot be built: {error}; check its section.") from error
     masses = [(added.point, added.mass_kg) for added in s.added_masses]
     masses += [
         (rig.sensor_point(sensor), sensor.mass_kg)
@@ -94,6 +89,75 @@ def build_structure(rig: Rig) -> Structure:
                 "mass_kg."
             ) from error
     return structure.with_loss_factor(s.loss_factor) if s.loss_factor else structure
+
+
+def _bare_structure(s: BeamSection | ChainSection | ModalSection | MatricesSection) -> Structure:
+    if isinstance(s, BeamSection):
+        return euler_bernoulli_beam(
+            s.length_m,
+            s.width_m,
+            s.height_m,
+            s.youngs_modulus_pa,
+            s.density_kg_m3,
+            s.elements,
+            s.stiffness_damping_s,
+            s.mesh_refinement,
+            s.clamp_rotational_stiffness_nm_rad,
+            s.clamp_lateral_stiffness_n_m,
+            s.boundary,
+            s.suspension_stiffness_n_m,
+            s.suspension_damping_ns_m,
+        )
+    if isinstance(s, ChainSection):
+        return lumped_chain(s.masses_kg, s.springs_n_m, s.dampers_ns_m, s.ground_springs_n_m, s.ground_dampers_ns_m)
+    if isinstance(s, ModalSection):
+        modes = [
+            Mode(
+                2.0 * np.pi * mode.frequency_hz,
+                mode.damping_ratio,
+                tuple(s.shape(number)),
+                mode.modal_mass_kg,
+                mode.participation,
+            )
+            for number, mode in enumerate(s.modes)
+        ]
+        residual = s.residual
+        if residual is None:
+            return modal_structure(s.points, modes, base_motion=s.base_motion)
+        return modal_structure(
+            s.points,
+            modes,
+            np.array(residual.flexibility_m_n),
+            2.0 * np.pi * residual.frequency_hz,
+            residual.damping_ratio,
+            s.base_motion,
+        )
+    return _matrix_structure(s)
+
+
+def _matrix_structure(s: MatricesSection) -> Structure:
+    mass, stiffness = np.array(s.mass_kg), np.array(s.stiffness_n_m)
+    damping = np.zeros_like(mass)
+    if s.damping_ns_m is not None:
+        damping = np.array(s.damping_ns_m)
+    elif s.damping_ratios is not None:
+        damping = modal_damping_matrix(mass, stiffness, s.damping_ratios)
+    # A load that was given is of the mass as given; both grow together.
+    load = None
+    if s.base_load_kg is not None:
+        load = s.mass_factor * np.array(s.base_load_kg)
+    elif s.base_vector is not None:
+        load = s.mass_factor * (mass @ np.array(s.base_vector))
+    motion = {} if s.base_vector is None else {entry.point: s.base_vector[entry.row] for entry in s.points_at}
+    return Structure(
+        s.mass_factor * mass,
+        s.damping_factor * damping,
+        s.stiffness_factor * stiffness,
+        {entry.point: entry.row for entry in s.points_at},
+        {entry.point: entry.rotation_row for entry in s.points_at if entry.rotation_row is not None},
+        base_load=load,
+        base_motion=motion,
+    )
 
 
 def build_element(section: ElementSection, structure: Structure) -> LocalElement:
@@ -302,7 +366,7 @@ def build_iwan(section: IwanSection) -> IwanJoint:
 
 
 def build_shaker(rig: Rig) -> ElectrodynamicShaker | None:
-    """Shaker of a rig; None where an ideal force drives it."""
+    """Shaker of a rig; None where an ideal force or a shaking table drives it."""
     e = rig.exciter
     if not isinstance(e, ShakerSection):
         return None
@@ -321,8 +385,40 @@ def build_shaker(rig: Rig) -> ElectrodynamicShaker | None:
     )
 
 
+def build_table(rig: Rig, structure: Structure) -> ShakingTable | None:
+    """Shaking table under a rig; None where something else drives it.
+
+    Raises:
+        BenchError: the table does not move the target mode, or the point it refers to is a node of it.
+    """
+    e = rig.exciter
+    if not isinstance(e, ShakingTableSection):
+        return None
+    mass = e.effective_mass_kg
+    if mass is None:
+        modes = sticking_modes(structure, build_resting_elements(rig, structure), rig.test.mode)
+        try:
+            mass = effective_mass(structure, modes.full_shapes[:, rig.test.mode - 1], e.point)
+        except ValueError as error:
+            raise BenchError(
+                f"the shaking_table of rig {rig.name} has no effective mass on mode {rig.test.mode}: {error}; choose "
+                "another exciter.point or test.mode."
+            ) from error
+    return ShakingTable(
+        mass,
+        None if e.bandwidth_hz is None else 2.0 * np.pi * e.bandwidth_hz,
+        None if e.suspension_hz is None else 2.0 * np.pi * e.suspension_hz,
+        e.suspension_damping_ratio,
+        e.responses == "absolute",
+    )
+
+
 def build_system(rig: Rig) -> ElectromechanicalSystem:
-    """Structure, local elements and exciter of a rig as one system."""
+    """Structure, local elements and exciter of a rig as one system.
+
+    Raises:
+        BenchError: as :func:`build_structure` and :func:`build_table`.
+    """
     structure = build_structure(rig)
     return assemble(
         structure,
@@ -331,9 +427,15 @@ def build_system(rig: Rig) -> ElectromechanicalSystem:
         build_shaker(rig),
         build_attachments(rig, structure),
         build_exciter_elements(rig, structure),
+        build_table(rig, structure),
     )
 
 
 def input_per_volt(rig: Rig) -> float:
-    """Input of the system for 1 V of drive: 1 with a shaker, N/V with an ideal force."""
-    return 1.0 if isinstance(rig.exciter, ShakerSection) else float(rig.exciter.newton_per_volt)
+    """Input of the system for 1 V of drive: 1 with a shaker, N/V with an ideal force, m/s²/V with a shaking table."""
+    e = rig.exciter
+    if isinstance(e, ShakerSection):
+        return 1.0
+    if isinstance(e, ShakingTableSection):
+        return float(e.acceleration_per_volt_m_s2)
+    return float(e.newton_per_volt)

@@ -15,10 +15,12 @@ def rig_text(rig: Rig, source: str | Path | None = None, overrides: Sequence[str
 
     Args:
         rig: the validated rig.
-        source: name or path it was loaded from; without overrides its own text is kept, comments and all.
+        source: name or path it was loaded from; without overrides its own text is kept, comments and
+            all, unless its structure comes from files beside it.
         overrides: ``key=value`` texts that were applied.
     """
-    if source is not None and not overrides:
+    # What a structure read from other files is written out: the text has to load without them.
+    if source is not None and not overrides and not getattr(rig.structure, "source", ""):
         return find_rig(source).read_text(encoding="utf-8")
     values = rig.model_dump(mode="json", exclude_none=True)
     header = f"# {rig.name}"

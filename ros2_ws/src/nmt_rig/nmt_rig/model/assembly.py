@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,7 +11,8 @@ from nmt_rig.model.attachments import Attachment
 from nmt_rig.model.couplings import FORCE_FACTOR, Coupling, coupling_parameters
 from nmt_rig.model.local_elements import LINEAR_DAMPER, LINEAR_SPRING, LocalElement
 from nmt_rig.model.shaker import ElectrodynamicShaker
-from nmt_rig.model.structure import Array, Structure
+from nmt_rig.model.shaking_table import BaseMotion, ShakingTable, on_table
+from nmt_rig.model.structure import Array, PointMotion, Structure
 
 
 @dataclass(frozen=True)
@@ -40,13 +41,14 @@ class OutputRow:
 
 
 @dataclass(frozen=True)
-class ElectromechanicalSystem:
+class ElectromechanicalSystem(PointMotion):
     """M q̈ + C q̇ + K q + Σ d_j g_j + Σ c_k f_k = b · input.
 
     With a shaker q = [structure…, coil displacement (m), current (A)] and the input is the voltage u (V); the
     row of the current has no mass (inductance in `damping`, resistance in `stiffness`). Without a shaker q is
-    the structure's and the input is the force (N) at the drive point. Attachments put their unknowns with inertia
-    behind the structure's, those without at the very end.
+    the structure's and the input is the force (N) at the drive point. On a shaking table q is relative to the table,
+    its own unknowns stand behind the structure's, and the input is the acceleration asked for (m/s²). Attachments put
+    their unknowns with inertia behind the structure's, those without at the very end.
 
     Attributes:
         mass, damping, stiffness: (n, n).
@@ -57,9 +59,11 @@ class ElectromechanicalSystem:
         force: output row set of the (stinger) force on the structure, N.
         structure_size: number of degrees of freedom of the structure; they come first.
         coil, current: index of coil displacement and current, None without a shaker.
-        first_order: number of attachments' unknowns without inertia, at the end.
+        first_order: number of unknowns without inertia (of attachments, of a shaking table), at the end.
         couplings: forces f_k of two arguments with columns c_k of shape (n,).
         on_exciter: for each element, whether it is on the side of the exciter; empty = none is.
+        shapes: point number -> row (n,) of points that are no unknown of their own.
+        base: motion of the shaking table, None without one.
     """
 
     mass: Array
@@ -76,6 +80,8 @@ class ElectromechanicalSystem:
     first_order: int = 0
     couplings: tuple[Coupling, ...] = ()
     on_exciter: tuple[bool, ...] = ()
+    shapes: dict[int, Array] = field(default_factory=dict)
+    base: BaseMotion | None = None
 
     @property
     def size(self) -> int:
@@ -90,18 +96,6 @@ class ElectromechanicalSystem:
     def is_on_exciter(self, element: int) -> bool:
         """Whether an element (by its position) is on the side of the exciter."""
         return bool(self.on_exciter) and self.on_exciter[element]
-
-    def selector(self, point: int) -> Array:
-        """Unit vector (n,) of the lateral displacement of `point`.
-
-        Raises:
-            KeyError: no such point.
-        """
-        if point not in self.points:
-            raise KeyError(f"no point {point}; the structure has points {sorted(self.points)}")
-        vector = np.zeros(self.size)
-        vector[self.points[point]] = 1.0
-        return vector
 
     def sticking_stiffness(self) -> Array:
         """(n, n) stiffness with the local elements' tangent at rest (Jenkins elements stick)."""
@@ -138,21 +132,42 @@ class ElectromechanicalSystem:
 
 
 def displacement_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
-    """Lateral displacement of `point`, m (KeyError where there is no such point)."""
+    """Lateral displacement of `point`, m; that of the table is part of it where sensors see the absolute motion.
+
+    Raises:
+        KeyError: there is no such point.
+        ValueError: the absolute displacement is asked for, but the table's position is not modelled.
+    """
     zero = np.zeros(system.size)
-    return OutputRow(zero, zero, system.selector(point), 0.0)
+    return OutputRow(zero, zero, system.selector(point) + _table_position(system, point, "displacement"), 0.0)
 
 
 def velocity_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
-    """Lateral velocity of `point`, m/s (KeyError where there is no such point)."""
+    """Lateral velocity of `point`, m/s; Raises: as :func:`displacement_output`."""
     zero = np.zeros(system.size)
-    return OutputRow(zero, system.selector(point), zero, 0.0)
+    return OutputRow(zero, system.selector(point) + _table_position(system, point, "velocity"), zero, 0.0)
 
 
 def acceleration_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
     """Lateral acceleration of `point`, m/s² (KeyError where there is no such point)."""
     zero = np.zeros(system.size)
-    return OutputRow(system.selector(point), zero, zero, 0.0)
+    row = OutputRow(system.selector(point), zero, zero, 0.0)
+    weight = 0.0 if system.base is None else system.base.weights.get(point, 0.0)
+    return row if system.base is None or weight == 0.0 else row.plus(system.base.acceleration, weight)
+
+
+def _table_position(system: ElectromechanicalSystem, point: int, quantity: str) -> Array:
+    """(n,) share of the table's position in what a sensor at `point` sees."""
+    row = np.zeros(system.size)
+    weight = 0.0 if system.base is None else system.base.weights.get(point, 0.0)
+    if system.base is None or weight == 0.0:
+        return row
+    if system.base.index is None:
+        raise ValueError(
+            f"the absolute {quantity} of point {point} needs the table's position: give the table its suspension"
+        )
+    row[system.base.index] = weight
+    return row
 
 
 def input_output(system: ElectromechanicalSystem) -> OutputRow:
@@ -188,6 +203,7 @@ def assemble(
     shaker: ElectrodynamicShaker | None = None,
     attachments: Sequence[Attachment] = (),
     exciter_elements: Sequence[LocalElement] = (),
+    table: ShakingTable | None = None,
 ) -> ElectromechanicalSystem:
     """Join structure, local elements, exciter and attachments.
 
@@ -198,19 +214,30 @@ def assemble(
     freedom, and the stinger force stays available as
     f = -(m_T ẍ + d_T ẋ + k_T x + k_C (x - x_C) + d_C (ẋ - ẋ_C)).
 
+    On a shaking table the ground of local elements moves with the table, and the force is the one that stands for the
+    base acceleration at the drive point.
+
     Raises:
         KeyError: the structure has no such drive point.
-        ValueError: an element's direction does not fit the structure.
+        ValueError: an element's direction does not fit the structure; a table with a shaker, with elements on its side,
+            with attachments that have inertia, or under a structure without base load.
     """
     n = structure.size
-    if not exciter_elements:
+    if table is not None:
+        if shaker is not None or exciter_elements or any(attachment.inertial for attachment in attachments):
+            raise ValueError(
+                "a shaking table takes no shaker, no elements on its side and no attachments with mass of their own"
+            )
+        system = on_table(structure, _with_exciter(structure, elements, drive_point, None), table)
+    elif not exciter_elements:
         system = _with_exciter(structure, elements, drive_point, shaker)
     else:
         linear = [element for element in exciter_elements if element.kind in (LINEAR_SPRING, LINEAR_DAMPER)]
         others = [element for element in exciter_elements if element.kind not in (LINEAR_SPRING, LINEAR_DAMPER)]
         system = _with_exciter(structure, (*elements, *others), drive_point, shaker)
         # A moment (an element on the rotation) is no part of the lateral stinger force.
-        lateral = [element.direction[structure.points[drive_point]] != 0.0 for element in others]
+        drive = structure.selector(drive_point)
+        lateral = [bool(np.any(element.direction * drive)) for element in others]
         if any(lateral):
             system = replace(
                 system,
@@ -218,18 +245,16 @@ def assemble(
                 on_exciter=(False,) * len(elements) + tuple(lateral),
             )
         for element in linear:
-            system = _with_linear_on_exciter(system, element, structure.points[drive_point])
+            system = _with_linear_on_exciter(system, element)
     return _attached(system, n, attachments) if attachments else system
 
 
-def _with_linear_on_exciter(
-    system: ElectromechanicalSystem, element: LocalElement, drive: int
-) -> ElectromechanicalSystem:
+def _with_linear_on_exciter(system: ElectromechanicalSystem, element: LocalElement) -> ElectromechanicalSystem:
     """A linear spring or damper on the side of the exciter, as part of matrices and stinger force."""
     direction = _extended(element.direction, system.size)
     outer = np.outer(direction, direction)
     force = system.force
-    if direction[drive] != 0.0:
+    if np.any(direction * system.selector(system.drive_point)):
         force = replace(
             force,
             velocity=force.velocity - element.linear_damping * direction,
@@ -313,9 +338,11 @@ def _attached(system: ElectromechanicalSystem, n: int, attachments: Sequence[Att
         ),
         coil=None if system.coil is None else system.coil + inertial,
         current=None if system.current is None else system.current + inertial,
-        first_order=first_order,
+        first_order=system.first_order + first_order,
         couplings=tuple(couplings),
         on_exciter=flags,
+        shapes={point: moved(row) for point, row in system.shapes.items()},
+        base=None if system.base is None else system.base.moved(place, size),
     )
 
 
@@ -342,24 +369,25 @@ def _with_exciter(
             drive_point=drive_point,
             force=OutputRow(zero, zero, zero, 1.0),
             structure_size=n,
+            shapes=dict(structure.shapes),
         )
     size = n + 2
     coil, current = n, n + 1
-    x = structure.points[drive_point]
     mass, damping, stiffness = (np.zeros((size, size)) for _ in range(3))
     mass[:n, :n] = structure.mass
     damping[:n, :n] = structure.damping
     stiffness[:n, :n] = structure.stiffness
 
-    mass[x, x] += shaker.table_mass
+    own = np.outer(drive, drive)
+    mass[:n, :n] += shaker.table_mass * own
     mass[coil, coil] = shaker.coil_mass
-    damping[x, x] += shaker.table_damping
-    stiffness[x, x] += shaker.table_stiffness
+    damping[:n, :n] += shaker.table_damping * own
+    stiffness[:n, :n] += shaker.table_stiffness * own
     for matrix, value in ((damping, shaker.coil_damping), (stiffness, shaker.coil_stiffness)):
-        matrix[x, x] += value
+        matrix[:n, :n] += value * own
         matrix[coil, coil] += value
-        matrix[x, coil] -= value
-        matrix[coil, x] -= value
+        matrix[:n, coil] -= value * drive
+        matrix[coil, :n] -= value * drive
     stiffness[coil, current] = -shaker.force_factor
     damping[current, coil] = shaker.force_factor
     damping[current, current] = shaker.inductance
@@ -368,10 +396,10 @@ def _with_exciter(
     voltage = np.zeros(size)
     voltage[current] = 1.0
     rows = np.zeros((3, size))
-    rows[0, x] = -shaker.table_mass
-    rows[1, x] = -(shaker.table_damping + shaker.coil_damping)
+    rows[0, :n] = -shaker.table_mass * drive
+    rows[1, :n] = -(shaker.table_damping + shaker.coil_damping) * drive
     rows[1, coil] = shaker.coil_damping
-    rows[2, x] = -(shaker.table_stiffness + shaker.coil_stiffness)
+    rows[2, :n] = -(shaker.table_stiffness + shaker.coil_stiffness) * drive
     rows[2, coil] = shaker.coil_stiffness
     couplings: tuple[Coupling, ...] = ()
     if shaker.force_factor_linear != 0.0 or shaker.force_factor_quadratic != 0.0:
@@ -389,6 +417,7 @@ def _with_exciter(
         coil=coil,
         current=current,
         couplings=couplings,
+        shapes={point: _extended(row, size) for point, row in structure.shapes.items()},
     )
 
 

@@ -26,7 +26,7 @@ def lumped_chain(
         ground_dampers: n dampers to the ground, N s/m; none when omitted.
 
     Returns:
-        Structure with point i = mass i, i from 1.
+        Structure with point i = mass i, i from 1; its base load is that of the ground moving.
 
     Raises:
         ValueError: lengths that do not fit, a mass that is not positive, or a negative spring or damper.
@@ -61,4 +61,5 @@ def lumped_chain(
         damping=matrix(checked("dampers", dampers, n - 1), checked("ground_dampers", ground_dampers, n)),
         stiffness=matrix(checked("springs", springs, n - 1), checked("ground_springs", ground_springs, n)),
         points={i + 1: i for i in range(n)},
+        base_load=np.asarray(masses, dtype=float),
     )

@@ -28,6 +28,7 @@ from nmt_rig.model.harmonic_balance import (
     modal_inverse,
     transfer_matrices,
 )
+from nmt_rig.model.linear_modes import without_rounding
 from nmt_rig.model.local_elements import LocalElement
 from nmt_rig.model.structure import Structure
 
@@ -101,7 +102,7 @@ class EpmcProblem:
             stiffness += element.linear_stiffness * outer
             damping += element.linear_damping * outer
         squares, vectors = eigh(stiffness, structure.mass)
-        if squares[mode] <= 0.0:
+        if without_rounding(squares[[mode]], vectors[:, [mode]], stiffness)[0] <= 0.0:
             raise BenchError(f"mode {mode + 1} is a rigid-body mode; choose an elastic mode for the reference.")
         self.linear_frequency = float(np.sqrt(squares[mode]))
         self.linear_shape: FloatArray = vectors[:, mode]

@@ -13,6 +13,22 @@ from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.local_elements import LocalElement
 from nmt_rig.model.structure import Array, Structure
 
+# A mode whose strain energy φᵀKφ is so small a share of the sum of its terms' sizes is a rigid-body mode with rounding.
+_RIGID_SHARE = 1e-13
+
+
+def without_rounding(squares: Array, vectors: Array, stiffness: Array) -> Array:
+    """(m,) squared frequencies with those of rigid-body modes exactly zero.
+
+    Args:
+        squares: (m,) eigenvalues, (rad/s)².
+        vectors: (n, m) eigenvectors.
+        stiffness: (n, n) that they belong to.
+    """
+    sizes = np.einsum("im,im->m", np.abs(vectors), np.abs(stiffness) @ np.abs(vectors))
+    energies = np.einsum("im,im->m", vectors, stiffness @ vectors)
+    return np.where(energies > _RIGID_SHARE * sizes, np.maximum(squares, 0.0), 0.0)
+
 
 @dataclass(frozen=True)
 class LinearModes:
@@ -20,7 +36,7 @@ class LinearModes:
 
     Attributes:
         frequencies: (m,) rad/s.
-        damping_ratios: (m,) φᵀ C φ / (2 ω).
+        damping_ratios: (m,) φᵀ C φ / (2 ω); 0 for rigid-body modes.
         shapes: (points, m) mass-normalised shapes (1/√kg) at `points`.
         points: point numbers of the rows.
         full_shapes: (n, m) the same shapes on all degrees of freedom.
@@ -67,17 +83,18 @@ def sticking_modes(
         damping += element.linear_damping * outer
     squares, vectors = eigh(stiffness, structure.mass)
     keep = slice(0, count)
-    frequencies = np.sqrt(np.maximum(squares[keep], 0.0))
     full = vectors[:, keep]
-    points = tuple(sorted(structure.points))
-    rows = [structure.points[point] for point in points]
-    reference = full[rows] if rows else full
+    frequencies = np.sqrt(without_rounding(squares[keep], full, stiffness))
+    points = structure.point_numbers
+    at_points = np.array([structure.motion(point, full) for point in points]).reshape(len(points), full.shape[1])
+    reference = at_points if points else full
     largest = np.argmax(np.abs(reference), axis=0)
     full = full * np.where(reference[largest, np.arange(full.shape[1])] < 0, -1.0, 1.0)
     modal_damping = np.einsum("im,ij,jm->m", full, damping, full)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = np.where(frequencies > 0, modal_damping / (2.0 * frequencies), np.inf)
-    return LinearModes(frequencies, ratios, full[rows], points, full)
+        ratios = np.where(frequencies > 0, modal_damping / (2.0 * frequencies), 0.0)
+    shapes = np.array([structure.motion(point, full) for point in points]).reshape(len(points), full.shape[1])
+    return LinearModes(frequencies, ratios, shapes, points, full)
 
 
 def damped_modes(system: ElectromechanicalSystem) -> DampedModes:
@@ -100,8 +117,9 @@ def damped_modes(system: ElectromechanicalSystem) -> DampedModes:
     keep = np.flatnonzero(np.isfinite(values) & (values.imag > 1e-9 * np.abs(values)))
     keep = keep[np.argsort(np.abs(values[keep]))]
     values = values[keep]
-    points = tuple(sorted(system.points))
-    shapes = vectors[[system.points[point] for point in points]][:, keep]
+    vectors = vectors[:n, keep]
+    points = system.point_numbers
+    shapes = np.array([system.motion(point, vectors) for point in points]).reshape(len(points), vectors.shape[1])
     if points:
         largest = np.argmax(np.abs(shapes), axis=0)
         shapes = shapes / shapes[largest, np.arange(shapes.shape[1])]

@@ -113,7 +113,7 @@ def linear_phase_resonance(problem: ForcedProblem, band: float = 0.3) -> float:
 
     def quadrature(omega: float) -> float:
         unknowns, force = system.response(omega)
-        return float((force * np.conj(unknowns[system.points[system.drive_point]])).real)
+        return float((force * np.conj(system.motion(system.drive_point, unknowns))).real)
 
     grid = reference * np.linspace(1.0 - band, 1.0 + band, 1201)
     values = np.array([quadrature(omega) for omega in grid])
@@ -206,8 +206,6 @@ def extract_mode(
             "give one row of shapes per sensor."
         )
     system = problem.system
-    rows = [system.points[point] for point in sensor_points]
-    drive = system.points[system.drive_point]
     mass = estimated_mass(linear_shapes)
     inverse = np.linalg.pinv(linear_shapes)
     fundamental = problem.basis.fundamental
@@ -233,8 +231,10 @@ def extract_mode(
     oscillating = orders > 0
     for k, response in enumerate(responses):
         omega = response.angular_frequency
-        shape = response.unknowns[fundamental, rows]
-        velocity = 1j * orders * omega * response.unknowns[:, drive]
+        unknowns = response.unknowns.T
+        shape = np.array([system.motion(point, unknowns[:, fundamental]) for point in sensor_points])
+        drive = system.motion(system.drive_point, unknowns)
+        velocity = 1j * orders * omega * drive
         acceleration = 1j * orders * omega * velocity
         force = response.force
         # Paper eqs. 8 and 9: power of the fundamental, and of all harmonics for the PBMIF.
@@ -254,6 +254,6 @@ def extract_mode(
         columns["gamma_acceleration"][k] = abs(acceleration[fundamental]) / np.linalg.norm(acceleration[oscillating])
         columns["full_modal_amplitude"][k] = np.sqrt(full_square)
         columns["exact_damping_ratio"][k] = power / (omega**3 * full_square)
-        phase = response.unknowns[fundamental, drive] / abs(response.unknowns[fundamental, drive])
+        phase = drive[fundamental] / abs(drive[fundamental])
         participation[k] = inverse @ (shape / phase) / np.sqrt(square)
     return ExtractedMode(participation=participation, **columns)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +13,47 @@ from scipy.linalg import eigh
 Array = NDArray[np.float64]
 
 
+class PointMotion:
+    """Motion of numbered points: an unknown of its own, or a combination of unknowns (a row of mode shapes)."""
+
+    points: dict[int, int]
+    shapes: dict[int, Array]
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns n."""
+        raise NotImplementedError
+
+    @property
+    def point_numbers(self) -> tuple[int, ...]:
+        """Numbers of all points, ascending."""
+        return tuple(sorted({*self.points, *self.shapes}))
+
+    def selector(self, point: int) -> Array:
+        """Vector s of shape (n,) with lateral displacement of `point` = s · q; a unit vector for an unknown.
+
+        Raises:
+            KeyError: there is no such point.
+        """
+        if point in self.shapes:
+            return self.shapes[point].copy()
+        if point not in self.points:
+            raise KeyError(f"no point {point}; the structure has points {list(self.point_numbers)}")
+        vector = np.zeros(self.size)
+        vector[self.points[point]] = 1.0
+        return vector
+
+    def motion(self, point: int, unknowns: NDArray[Any]) -> Any:
+        """Lateral displacement of `point` from unknowns (n,) or (n, k): a number or (k,).
+
+        Raises:
+            KeyError: there is no such point.
+        """
+        return unknowns[self.points[point]] if point in self.points else self.selector(point) @ unknowns
+
+
 @dataclass(frozen=True)
-class Structure:
+class Structure(PointMotion):
     """Linear part of a test structure, M q̈ + C q̇ + K q = force.
 
     Attributes:
@@ -22,6 +62,11 @@ class Structure:
         stiffness: (n, n) stiffness matrix, N/m.
         points: point number -> index of the degree of freedom of its lateral displacement.
         rotations: point number -> index of the degree of freedom of its rotation, where points rotate.
+        shapes: point number -> row (n,) of points that are no degree of freedom: displacement = row · q.
+        base_load: (n,) p where the supports move together: with q relative to them, M q̈ + C q̇ + K q = -p a for a base
+            acceleration a; M r + M_b of the usual notation, kg. None where it is not known.
+        base_motion: point number -> displacement of the point, per displacement of the base, that is not in q; 1 where
+            left out.
 
     Raises:
         ValueError: matrices of different sizes or not finite, mass not positive definite, point out of range.
@@ -32,6 +77,9 @@ class Structure:
     stiffness: Array
     points: dict[int, int] = field(default_factory=dict)
     rotations: dict[int, int] = field(default_factory=dict)
+    shapes: dict[int, Array] = field(default_factory=dict)
+    base_load: Array | None = None
+    base_motion: dict[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = self.mass.shape[0]
@@ -44,6 +92,12 @@ class Structure:
         for point, index in self.points.items():
             if not 0 <= index < n:
                 raise ValueError(f"point {point} refers to degree of freedom {index}; there are {n}")
+        vectors = {f"shape at point {point}": row for point, row in self.shapes.items()}
+        if self.base_load is not None:
+            vectors["base load"] = self.base_load
+        for what, vector in vectors.items():
+            if vector.shape != (n,) or not np.all(np.isfinite(vector)):
+                raise ValueError(f"the {what} must have {n} finite entries, got {vector}")
         try:
             np.linalg.cholesky(self.mass)
         except np.linalg.LinAlgError as error:
@@ -53,18 +107,6 @@ class Structure:
     def size(self) -> int:
         """Number of degrees of freedom n."""
         return int(self.mass.shape[0])
-
-    def selector(self, point: int) -> Array:
-        """Unit vector s of shape (n,) with lateral displacement of `point` = s · q.
-
-        Raises:
-            KeyError: the structure has no such point.
-        """
-        if point not in self.points:
-            raise KeyError(f"no point {point}; the structure has points {sorted(self.points)}")
-        vector = np.zeros(self.size)
-        vector[self.points[point]] = 1.0
-        return vector
 
     def direction(self, point: int, other_point: int | None = None, rotation: bool = False) -> Array:
         """Direction (n,) of a local element between `point` and `other_point` (the ground when None).
@@ -101,10 +143,13 @@ class Structure:
             ValueError: negative masses that leave no positive definite mass matrix.
         """
         mass = self.mass.copy()
+        load = None if self.base_load is None else self.base_load.copy()
         for point, value in masses:
             selector = self.selector(point)
             mass += value * np.outer(selector, selector)
-        return replace(self, mass=mass)
+            if load is not None:
+                load += value * self.base_motion.get(point, 1.0) * selector
+        return replace(self, mass=mass, base_load=load)
 
     def with_loss_factor(self, loss_factor: float) -> Structure:
         """The structure with the viscous equivalent of hysteretic damping K (1 + iη) added.

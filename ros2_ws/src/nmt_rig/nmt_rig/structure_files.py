@@ -1,0 +1,231 @@
+"""Structures that a rig file takes from other files: read once, when the rig is loaded.
+
+The rig then holds the numbers, so that it travels in bags and result folders without the files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_core.yaml_document import YamlDocument
+from nmt_rig.file_errors import BadFileError
+from nmt_rig.matrix_files import read_matrices, read_matrix
+from nmt_rig.modal_files import read_modal_csv, read_uff55
+from nmt_rig.model.matrix_structure import Matrices, craig_bampton
+
+# Larger structures are integrated too slowly, and their rig files become too long.
+LARGEST = 60
+_FILE_KEYS = ("file", "mass_file", "stiffness_file", "damping_file")
+_MATRIX_KEYS = ("mass_kg", "stiffness_n_m", "damping_ns_m")
+
+
+def names_files(key: str) -> bool:
+    """Whether an override's key says which files or reduction a structure is read with, or replaces the structure."""
+    first, _, rest = key.partition(".")
+    return first == "structure" and rest in ("", *_FILE_KEYS, "modes", "direction", "points_at", "base_vector")
+
+
+def with_file_contents(document: YamlDocument, folder: Path) -> YamlDocument:
+    """The document with the contents of the files that its structure names; matrices checked, and reduced as it says.
+
+    Args:
+        document: a rig file.
+        folder: where relative paths start.
+
+    Raises:
+        BenchError: a file that cannot be read or does not fit, with the line of its key.
+    """
+    structure = document.values.get("structure")
+    if not isinstance(structure, Mapping):
+        return document
+    if structure.get("kind") == "modal" and structure.get("file") is not None:
+        return _replaced(document, _modal(document, structure, folder))
+    if structure.get("kind") == "matrices":
+        return _replaced(document, _matrices(document, structure, folder))
+    return document
+
+
+def _replaced(document: YamlDocument, structure: dict[str, Any]) -> YamlDocument:
+    return YamlDocument(document.name, {**document.values, "structure": structure}, document.places)
+
+
+def completed(document: YamlDocument) -> YamlDocument:
+    """A modal rig with what its file leaves out: an ideal force at the first point, sensors at all points, its modes.
+
+    So a structure given by one mode is a rig of a few lines.
+    """
+    values = document.values
+    structure = values.get("structure")
+    if not isinstance(structure, Mapping) or structure.get("kind") != "modal":
+        return document
+    points, modes = structure.get("points", [1]), structure.get("modes", [])
+    if not isinstance(points, list) or not points or not isinstance(modes, list):
+        return document
+    added: dict[str, Any] = {}
+    if "exciter" not in values:
+        added["exciter"] = {"kind": "force", "point": points[0]}
+    if "sensors" not in values:
+        added["sensors"] = [
+            {"quantity": "force", "point": "drive"},
+            *({"quantity": "displacement", "point": point} for point in points),
+            *({"quantity": "acceleration", "point": point} for point in points),
+            {"quantity": "voltage"},
+        ]
+    extraction = values.get("extraction", {})
+    if isinstance(extraction, Mapping) and "linear_modes" not in extraction:
+        quantity = extraction.get("quantity", "displacement")
+        sensors = added.get("sensors", values.get("sensors"))
+        listed = [s for s in sensors if isinstance(s, Mapping)] if isinstance(sensors, list) else []
+        responses = sum(sensor.get("quantity") == quantity for sensor in listed)
+        added["extraction"] = {**extraction, "linear_modes": max(1, min(2, len(modes), responses))}
+    return YamlDocument(document.name, {**values, **added}, document.places) if added else document
+
+
+def _path(document: YamlDocument, structure: Mapping[str, Any], key: str, folder: Path) -> Path | None:
+    text = structure.get(key)
+    if text is None:
+        return None
+    place = document.place(("structure", key))
+    if not isinstance(text, str) or not text:
+        raise BenchError(f"{place}: structure.{key} must be the path of a file.")
+    path = folder / Path(text).expanduser()
+    if not path.is_file():
+        raise BenchError(f"{place}: structure.{key} is {text}, and there is no file {path}; mend the path.")
+    return path
+
+
+def _reading(place: str, path: Path, read: Callable[[Path], Any]) -> Any:
+    """What `read` returns; what is wrong with the file as one sentence."""
+    try:
+        return read(path)
+    except OSError as error:
+        raise BenchError(f"{place}: {path.name} cannot be read: {error.strerror or error}.") from error
+    except BadFileError as error:
+        raise BenchError(f"{place}: {path.name}: {error}.") from error
+
+
+def _source(*paths: Path | None) -> str:
+    """Names and digests of files, for the rig to say where its numbers come from."""
+    return ", ".join(
+        f"{path.name} (SHA-256 {hashlib.sha256(path.read_bytes()).hexdigest()[:12]})"
+        for path in paths
+        if path is not None
+    )
+
+
+def _modal(document: YamlDocument, structure: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    path = _path(document, structure, "file", folder)
+    assert path is not None
+    place = document.place(("structure", "file"))
+    if structure.get("modes"):
+        raise BenchError(f"{place}: structure.file and structure.modes both give the modes; remove one.")
+    wanted = structure.get("points")
+    if path.suffix.lower() == ".csv":
+        points, modes = _reading(place, path, read_modal_csv)
+    elif path.suffix.lower() in (".uff", ".unv", ".uf"):
+        direction = str(structure.get("direction", "z"))
+        points, modes = _reading(place, path, partial(read_uff55, direction=direction))
+    else:
+        raise BenchError(
+            f"{place}: structure.file must be a .csv table or a universal file (.uff, .unv), got {path.name}."
+        )
+    if wanted is not None:
+        if not isinstance(wanted, list) or not set(wanted) <= set(points):
+            raise BenchError(
+                f"{document.place(('structure', 'points'))}: structure.points must be among the points of {path.name}: "
+                f"{', '.join(map(str, points))}."
+            )
+        rows = [points.index(point) for point in wanted]
+        modes = [{**mode, "shape": [mode["shape"][row] for row in rows]} for mode in modes]
+        points = wanted
+    rest = {key: value for key, value in structure.items() if key not in ("file", "direction", "points")}
+    return {**rest, "points": points, "modes": modes, "source": _source(path)}
+
+
+def _matrices(document: YamlDocument, structure: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    key = next((key for key in _FILE_KEYS if structure.get(key) is not None), "modes")
+    place = document.place(("structure", key))
+    paths = {name: _path(document, structure, name, folder) for name in _FILE_KEYS}
+    found: dict[str, Any] = {}
+    whole = paths["file"]
+    if whole is not None:
+        found = _reading(place, whole, read_matrices)
+    for name, path in paths.items():
+        if name != "file" and path is not None:
+            quantity = name.removesuffix("_file")
+            if quantity in found:
+                raise BenchError(f"{place}: structure.file and structure.{name} both give the {quantity}; remove one.")
+            found[quantity] = _reading(document.place(("structure", name)), path, read_matrix)
+    for name in (*_MATRIX_KEYS, "base_vector", "base_load_kg"):
+        quantity = name.removesuffix("_kg").removesuffix("_ns_m").removesuffix("_n_m")
+        if structure.get(name) is None or structure[name] == []:
+            continue
+        if quantity in found:
+            raise BenchError(f"{place}: structure.{key} and structure.{name} both give the {quantity}; remove one.")
+        try:
+            found[quantity] = np.array(structure[name], dtype=float)
+        except (TypeError, ValueError) as error:
+            raise BenchError(
+                f"{document.place(('structure', name))}: structure.{name} must be rows of numbers of equal length."
+            ) from error
+    for quantity in ("mass", "stiffness"):
+        if quantity not in found:
+            raise BenchError(f"{place}: the {quantity} matrix is missing; give structure.file, or {quantity}_file.")
+    if "damping" in found and structure.get("damping_ratios") is not None:
+        raise BenchError(f"{place}: the files give a damping matrix, and structure.damping_ratios too; remove one.")
+    points_at, kept = _kept_rows(document, structure.get("points_at"))
+    try:
+        matrices = Matrices(**found).checked()
+        beyond = [row for row in kept if row >= matrices.size]
+        if beyond:
+            raise ValueError(f"structure.points_at names row {beyond[0]}, but the rows are 0 to {matrices.size - 1}")
+        if structure.get("modes") is not None:
+            modes = structure["modes"]
+            if not isinstance(modes, int) or isinstance(modes, bool):
+                raise ValueError(f"structure.modes must be a whole number, got {modes!r}")
+            matrices = craig_bampton(matrices, kept, modes)
+            number = {row: position for position, row in enumerate(kept)}
+            points_at = [
+                {name: value if name == "point" or value is None else number[value] for name, value in entry.items()}
+                for entry in points_at
+            ]
+        if matrices.size > LARGEST:
+            raise ValueError(
+                f"the structure has {matrices.size} degrees of freedom, and {LARGEST} is the limit; reduce it with "
+                "structure.modes, the number of modes to keep beside the points"
+            )
+    except ValueError as error:
+        raise BenchError(f"{place}: {error}.") from error
+    plain = matrices.dense()
+    load = matrices.load()
+    result = {k: v for k, v in structure.items() if k not in (*_FILE_KEYS, *_MATRIX_KEYS, "modes", "base_vector")}
+    result |= {"points_at": points_at, "mass_kg": plain.mass.tolist(), "stiffness_n_m": plain.stiffness.tolist()}
+    if plain.damping is not None:
+        result["damping_ns_m"] = plain.damping.tolist()
+    if matrices.base_vector is not None:
+        result["base_vector"] = np.asarray(matrices.base_vector, dtype=float).tolist()
+    if load is not None:
+        result["base_load_kg"] = np.asarray(load, dtype=float).tolist()
+    result["source"] = _source(*paths.values()) or structure.get("source", "")
+    return result
+
+
+def _kept_rows(document: YamlDocument, points_at: Any) -> tuple[list[dict[str, Any]], list[int]]:
+    """Entries of points_at as they are, and the rows that they name, in order."""
+    place = document.place(("structure", "points_at"))
+    good = isinstance(points_at, list) and points_at and all(isinstance(entry, dict) for entry in points_at)
+    rows = [entry.get(key) for entry in points_at for key in ("row", "rotation_row")] if good else [None]
+    named = [row for row in rows if row is not None]
+    if not good or not all(isinstance(row, int) and row >= 0 for row in named) or any(row is None for row in rows[::2]):
+        raise BenchError(
+            f"{place}: structure.points_at must be a list of points with their rows of the matrices, counted from 0: "
+            "{point: 1, row: 12}."
+        )
+    return points_at, named

@@ -1,0 +1,133 @@
+"""Ends of a beam against the roots of their frequency equations, and free beams on soft springs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from nmt_core.errors import BenchError
+from nmt_rig.linear_description import linear_description
+from nmt_rig.model.beam import euler_bernoulli_beam, euler_bernoulli_cantilever
+from nmt_rig.model.linear_modes import sticking_modes
+from nmt_rig.rig import load_rig
+
+LENGTH, WIDTH, HEIGHT, MODULUS, DENSITY = 0.6, 0.03, 0.005, 70e9, 2700.0
+BENDING = MODULUS * WIDTH * HEIGHT**3 / 12.0
+PER_LENGTH = DENSITY * WIDTH * HEIGHT
+
+EQUATIONS = {
+    "clamped-free": (lambda x: np.cos(x) + 1.0 / np.cosh(x), (1.5, 4.0, 7.0)),
+    "clamped-clamped": (lambda x: np.cos(x) - 1.0 / np.cosh(x), (4.2, 7.4, 10.5)),
+    "free-free": (lambda x: np.cos(x) - 1.0 / np.cosh(x), (4.2, 7.4, 10.5)),
+    "clamped-pinned": (lambda x: np.sin(x) - np.tanh(x) * np.cos(x), (3.5, 6.5, 9.7)),
+    "pinned-pinned": (np.sin, (3.0, 6.0, 9.0)),
+}
+
+
+def beam(boundary, elements, **more):
+    return euler_bernoulli_beam(LENGTH, WIDTH, HEIGHT, MODULUS, DENSITY, elements, boundary=boundary, **more)
+
+
+def exact(boundary):
+    equation, starts = EQUATIONS[boundary]
+    roots = np.array([brentq(equation, start, start + 1.2) for start in starts])
+    return roots**2 * np.sqrt(BENDING / PER_LENGTH) / LENGTH**2
+
+
+def test_roots_are_those_of_the_textbooks():
+    roots = {name: np.sqrt(exact(name) * LENGTH**2 / np.sqrt(BENDING / PER_LENGTH)) for name in EQUATIONS}
+    np.testing.assert_allclose(roots["clamped-clamped"], [4.7300, 7.8532, 10.9956], atol=5e-5)
+    np.testing.assert_allclose(roots["clamped-pinned"], [3.9266, 7.0686, 10.2102], atol=5e-5)
+    np.testing.assert_allclose(roots["clamped-free"], [1.8751, 4.6941, 7.8548], atol=5e-5)
+
+
+@pytest.mark.parametrize("boundary", EQUATIONS)
+def test_frequencies_converge_with_the_fourth_power_of_the_mesh(boundary):
+    rigid = 2 if boundary == "free-free" else 0
+    errors = []
+    for elements in (8, 16):
+        found = sticking_modes(beam(boundary, elements)).frequencies[rigid : rigid + 3]
+        errors.append(np.abs(found / exact(boundary) - 1.0))
+    assert np.all(errors[1] < 1e-3)
+    np.testing.assert_allclose(np.log2(errors[0] / errors[1]), 4.0, atol=0.25)
+
+
+@pytest.mark.parametrize("boundary", EQUATIONS)
+def test_points_are_the_nodes_that_move(boundary):
+    structure = beam(boundary, 6, refinement=2)
+    shapes = sticking_modes(structure, [], 3)
+    count = {"clamped-free": 6, "free-free": 7}.get(boundary, 5)
+    assert shapes.points == tuple(range(1, count + 1))
+    assert structure.size == 2 * 13 - {"clamped-free": 2, "free-free": 0, "clamped-clamped": 4}.get(
+        boundary, {"clamped-pinned": 3, "pinned-pinned": 2}.get(boundary)
+    )
+    # Alike at both ends: the first elastic shape is symmetric about the middle.
+    if boundary in ("clamped-clamped", "pinned-pinned"):
+        np.testing.assert_allclose(shapes.shapes[:, 0], shapes.shapes[::-1, 0], rtol=1e-6)
+        assert np.argmax(np.abs(shapes.shapes[:, 0])) == 2
+
+
+def test_free_beams_have_two_modes_at_exactly_zero():
+    modes = sticking_modes(beam("free-free", 8))
+    assert np.all(modes.frequencies[:2] == 0.0)
+    assert modes.frequencies[2] > 0.0
+    assert np.all(np.isfinite(modes.damping_ratios))
+
+
+def test_a_free_beam_bounces_on_its_soft_springs():
+    structure = beam("free-free", 12, suspension_stiffness=2.0, suspension_damping=0.1)
+    modes = sticking_modes(structure)
+    mass = PER_LENGTH * LENGTH
+    # Rigid body on two springs at its ends: bounce and rocking (inertia m L²/12); the beam is 10⁵ times stiffer.
+    np.testing.assert_allclose(modes.frequencies[0], np.sqrt(2.0 * 2.0 / mass), rtol=1e-3)
+    np.testing.assert_allclose(
+        modes.frequencies[1], np.sqrt(2.0 * 2.0 * LENGTH**2 / 4.0 / (mass * LENGTH**2 / 12.0)), rtol=1e-3
+    )
+    np.testing.assert_allclose(modes.damping_ratios[0], 2.0 * 0.1 / (2.0 * mass * modes.frequencies[0]), rtol=1e-3)
+    np.testing.assert_allclose(modes.frequencies[2:5], exact("free-free"), rtol=2e-3)
+
+
+def test_stiff_springs_make_a_clamp_and_soft_ones_a_hinge():
+    clamped = sticking_modes(beam("clamped-clamped", 8), [], 3).frequencies
+    held = beam("clamped-clamped", 8, clamp_rotational_stiffness=1e9)
+    np.testing.assert_allclose(sticking_modes(held, [], 3).frequencies, clamped, rtol=1e-6)
+    hinged = beam("clamped-clamped", 8, clamp_rotational_stiffness=1e-6)
+    pinned = sticking_modes(beam("pinned-pinned", 8), [], 3).frequencies
+    np.testing.assert_allclose(sticking_modes(hinged, [], 3).frequencies, pinned, rtol=1e-6)
+
+
+def test_the_cantilever_is_the_beam_of_before():
+    old = euler_bernoulli_cantilever(LENGTH, WIDTH, HEIGHT, MODULUS, DENSITY, 5, 1e-5, 2)
+    new = euler_bernoulli_beam(LENGTH, WIDTH, HEIGHT, MODULUS, DENSITY, 5, 1e-5, 2)
+    for name in ("mass", "damping", "stiffness"):
+        assert np.array_equal(getattr(old, name), getattr(new, name))
+    assert old.points == new.points == {node: 4 * node - 2 for node in range(1, 6)}
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("structure.boundary=clamped", "structure.boundary must be 'clamped-free', 'clamped-clamped'"),
+        ("structure.suspension_stiffness_n_m=3", "suspension_stiffness_n_m carries a free-free beam"),
+    ],
+)
+def test_ends_that_do_not_fit_are_refused(override, says):
+    with pytest.raises(BenchError, match=says):
+        load_rig("beam", [override])
+
+
+def test_springs_of_an_end_that_is_not_there_are_refused():
+    with pytest.raises(BenchError, match="needs a clamped end, and the beam is pinned-pinned"):
+        load_rig("beam", ["structure.boundary=pinned-pinned", "structure.clamp_lateral_stiffness_n_m=1e6"])
+    with pytest.raises(BenchError, match=r"sensors\.4\.point is 6, but the structure has points 1 to 5"):
+        load_rig("beam", ["structure.boundary=clamped-clamped", "structure.elements=6"])
+
+
+def test_a_free_beam_is_tested_at_an_elastic_mode():
+    free = ["structure.boundary=free-free", "local_elements=[]"]
+    with pytest.raises(BenchError, match="of the first 2 modes 2 are rigid-body modes"):
+        linear_description(load_rig("beam", free))
+    linear = linear_description(load_rig("beam", [*free, "test.mode=3", "extraction.linear_modes=3"]))
+    assert linear.frequencies_rad_s[:2] == (0.0, 0.0)
+    assert linear.frequency_hz > 100.0

@@ -1,0 +1,219 @@
+"""A structure given by matrices is the beam they were exported from; reduction keeps statics and low modes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import io, sparse
+from scipy.linalg import eigh
+
+from nmt_core.errors import BenchError
+from nmt_rig.linear_description import linear_description
+from nmt_rig.model.beam import euler_bernoulli_beam
+from nmt_rig.model.linear_modes import sticking_modes
+from nmt_rig.model.matrix_structure import Matrices, craig_bampton, modal_damping_matrix
+from nmt_rig.reference import compute_reference
+from nmt_rig.rig import load_rig
+from nmt_rig.rig_model import build_structure
+from nmt_rig.rig_snapshot import rig_text
+
+BEAM = load_rig("beam")
+
+
+@pytest.fixture(scope="module")
+def beam():
+    return build_structure(BEAM)
+
+
+def rig_of(tmp_path, structure, overrides=()):
+    """The shipped beam's rig with matrices for its structure."""
+    text = rig_text(BEAM, None, ["x=y"])
+    start, end = text.index("structure:"), text.index("local_elements:")
+    file = tmp_path / "rig.yaml"
+    file.write_text(f"{text[:start]}structure: {{kind: matrices, {structure}}}\n{text[end:]}")
+    return load_rig(file, overrides)
+
+
+def points_at(beam, rotations=False):
+    entries = []
+    for point, row in beam.points.items():
+        rotation = f", rotation_row: {beam.rotations[point]}" if rotations else ""
+        entries.append(f"{{point: {point}, row: {row}{rotation}}}")
+    return "points_at: [" + ", ".join(entries) + "]"
+
+
+def export(tmp_path, beam, **more):
+    np.savez(tmp_path / "beam.npz", M=beam.mass, K=beam.stiffness, C=beam.damping, **more)
+
+
+def test_exported_matrices_are_the_beam(tmp_path, beam):
+    export(tmp_path, beam)
+    rig = rig_of(tmp_path, f"file: beam.npz, {points_at(beam, rotations=True)}")
+    structure = build_structure(rig)
+    for name in ("mass", "damping", "stiffness"):
+        np.testing.assert_allclose(getattr(structure, name), getattr(beam, name), rtol=1e-14)
+    assert structure.points == beam.points
+    assert structure.rotations == beam.rotations
+    ours, theirs = linear_description(rig), linear_description(BEAM)
+    np.testing.assert_allclose(ours.frequencies_rad_s, theirs.frequencies_rad_s, rtol=1e-12)
+    np.testing.assert_allclose(ours.force_per_volt, theirs.force_per_volt, rtol=1e-9)
+    amplitudes = [1e-5, 1e-4, 1e-3]
+    one, other = (compute_reference(r, 5, amplitudes) for r in (rig, BEAM))
+    np.testing.assert_allclose(one.omega_rad_s, other.omega_rad_s, rtol=1e-9)
+    np.testing.assert_allclose(one.damping_ratio, other.damping_ratio, rtol=1e-7)
+
+
+def test_what_travels_needs_no_files(tmp_path, beam):
+    export(tmp_path, beam)
+    rig = rig_of(tmp_path, f"file: beam.npz, modes: 2, {points_at(beam)}")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "rig.yaml").write_text(rig_text(rig, tmp_path / "rig.yaml"))
+    assert load_rig(elsewhere / "rig.yaml") == rig
+    assert rig.structure.source.startswith("beam.npz (SHA-256 ")
+
+
+@pytest.mark.parametrize("form", ["npz", "mat", "mtx", "npy", "sparse"])
+def test_every_form_of_file_gives_the_same(tmp_path, beam, form):
+    names = {"mass": ("M", beam.mass), "stiffness": ("K", beam.stiffness), "damping": ("C", beam.damping)}
+    keys = []
+    if form == "npz":
+        arrays = {}
+        for letter, matrix in names.values():
+            rows = sparse.csr_matrix(matrix)
+            arrays |= {f"{letter}_{part}": getattr(rows, part) for part in ("data", "indices", "indptr", "shape")}
+        np.savez(tmp_path / "beam.npz", **arrays)
+        keys = ["file: beam.npz"]
+    elif form == "mat":
+        io.savemat(tmp_path / "beam.mat", {"M": sparse.csc_matrix(beam.mass), "K": beam.stiffness, "C": beam.damping})
+        keys = ["file: beam.mat"]
+    else:
+        for quantity, (letter, matrix) in names.items():
+            if form == "mtx":
+                io.mmwrite(tmp_path / f"{letter}.mtx", sparse.coo_matrix(matrix), symmetry="symmetric", precision=17)
+            elif form == "npy":
+                np.save(tmp_path / f"{letter}.npy", matrix)
+            else:
+                sparse.save_npz(tmp_path / f"{letter}.npz", sparse.csc_matrix(matrix))
+            keys.append(f"{quantity}_file: {letter}.{'npz' if form == 'sparse' else form}")
+    structure = build_structure(rig_of(tmp_path, f"{', '.join(keys)}, {points_at(beam)}"))
+    for name in ("mass", "damping", "stiffness"):
+        np.testing.assert_allclose(getattr(structure, name), getattr(beam, name), rtol=1e-13, atol=0.0)
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sparse.csr_matrix])
+def test_reduction_is_exact_in_statics_and_close_in_the_lowest_modes(kind):
+    large = euler_bernoulli_beam(0.7, 0.02, 0.008, 185e9, 7830.0, 7, 1e-6, refinement=4)
+    kept = [large.points[2], large.points[7]]
+    matrices = Matrices(kind(large.mass), kind(large.stiffness), kind(large.damping), None, large.base_load).checked()
+    small = craig_bampton(matrices, kept, 6)
+    assert small.size == 8
+    flexibility = np.linalg.inv(large.stiffness)[np.ix_(kept, kept)]
+    np.testing.assert_allclose(np.linalg.inv(small.stiffness)[:2, :2], flexibility, rtol=1e-8)
+    ours = np.sqrt(eigh(small.stiffness, small.mass, eigvals_only=True))[:4]
+    np.testing.assert_allclose(ours, sticking_modes(large, [], 4).frequencies, rtol=2e-3)
+    np.testing.assert_allclose(ours[:2], sticking_modes(large, [], 2).frequencies, rtol=5e-5)
+    assert np.all(ours >= sticking_modes(large, [], 4).frequencies * (1.0 - 1e-9))  # Rayleigh: never too low
+    # The base still moves the same mass: pᵀ K⁻¹ at the points is the static deflection under gravity.
+    gravity = np.linalg.solve(large.stiffness, large.base_load)[kept]
+    np.testing.assert_allclose(np.linalg.solve(small.stiffness, small.load())[:2], gravity, rtol=1e-8)
+    all_modes = craig_bampton(matrices, kept, large.size - 2)
+    np.testing.assert_allclose(
+        np.sqrt(eigh(all_modes.stiffness, all_modes.mass, eigvals_only=True)[:10]),
+        sticking_modes(large, [], 10).frequencies,
+        rtol=1e-7,
+    )
+
+
+def test_a_large_sparse_model_is_reduced():
+    """A rod of 1500 springs, fixed at one end: ω_k = 2 sin((2k - 1) π / (2 (2n + 1))) √(k/m) in closed form."""
+    n = 1500
+    ones = np.ones(n)
+    stiffness = sparse.diags([2.0 * ones, -ones[1:], -ones[1:]], [0, 1, -1]).tolil()
+    stiffness[n - 1, n - 1] = 1.0
+    matrices = Matrices(sparse.identity(n, format="csr"), stiffness.tocsr(), None, ones).checked()
+    small = craig_bampton(matrices, [n - 1], 8)
+    found = np.sqrt(eigh(small.stiffness, small.mass, eigvals_only=True))[:4]
+    exact = 2.0 * np.sin((2.0 * np.arange(1, 5) - 1.0) * np.pi / (2.0 * (2 * n + 1)))
+    np.testing.assert_allclose(found, exact, rtol=2e-3)
+    np.testing.assert_allclose(np.linalg.inv(small.stiffness)[0, 0], n, rtol=1e-9)  # n springs in series
+    np.testing.assert_allclose(small.base_vector, [1.0, *[0.0] * 8])
+
+
+def test_damping_ratios_instead_of_a_matrix(tmp_path, beam):
+    export(tmp_path, beam)
+    damping = modal_damping_matrix(beam.mass, beam.stiffness, [0.003, 0.01])
+    modes = sticking_modes(type(beam)(beam.mass, damping, beam.stiffness, beam.points))
+    np.testing.assert_allclose(modes.damping_ratios[:4], [0.003, 0.01, 0.01, 0.01], rtol=1e-6)
+    np.savez(tmp_path / "beam.npz", mass=beam.mass, stiffness=beam.stiffness)
+    rig = rig_of(tmp_path, f"file: beam.npz, damping_ratios: [0.003, 0.01], {points_at(beam)}")
+    np.testing.assert_allclose(build_structure(rig).damping, damping, rtol=1e-9, atol=1e-12 * np.abs(damping).max())
+
+
+def test_factors_scale_what_they_say(tmp_path, beam):
+    export(tmp_path, beam)
+    factors = ["structure.stiffness_factor=1.21", "structure.mass_factor=0.5", "structure.damping_factor=2"]
+    structure = build_structure(rig_of(tmp_path, f"file: beam.npz, {points_at(beam)}", factors))
+    plain = sticking_modes(beam, [], 3)
+    scaled = sticking_modes(structure, [], 3)
+    np.testing.assert_allclose(scaled.frequencies, plain.frequencies * np.sqrt(1.21 / 0.5), rtol=1e-9)
+    np.testing.assert_allclose(scaled.damping_ratios, plain.damping_ratios * 2.0 / np.sqrt(1.21 * 0.5), rtol=1e-6)
+
+
+def two(**changes):
+    base = {"mass": np.eye(2), "stiffness": np.array([[2.0, -1.0], [-1.0, 1.0]]), "damping": None}
+    return Matrices(**(base | changes))
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sparse.csr_matrix])
+@pytest.mark.parametrize(
+    ("name", "matrix", "says"),
+    [
+        ("mass", [[1.0, 0.0], [0.0, 0.0]], "mass must be positive definite"),
+        ("mass", [[1.0, 2.0], [2.0, 1.0]], "mass must be positive definite"),
+        ("mass", [[1.0]], "mass must be 2 x 2, as the stiffness, got 1 x 1"),
+        ("stiffness", [[2.0, -1.0], [0.0, 1.0]], "stiffness is not symmetric"),
+        ("stiffness", [[1.0, -2.0], [-2.0, 1.0]], "stiffness has a negative eigenvalue"),
+        ("stiffness", [[np.nan, 0.0], [0.0, 1.0]], "stiffness has entries that are not finite"),
+        ("damping", [[-1.0, 0.0], [0.0, 1.0]], "damping has a negative eigenvalue"),
+    ],
+)
+def test_matrices_that_are_wrong_are_named(kind, name, matrix, says):
+    with pytest.raises(ValueError, match=says):
+        two(**{name: kind(np.array(matrix))}).checked()
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sparse.csr_matrix])
+def test_free_structures_are_accepted_and_rounding_is_forgiven(kind):
+    free = np.array([[1.0, -1.0], [-1.0, 1.0 + 1e-12]])
+    checked = two(stiffness=kind(free), mass=kind(np.eye(2)), damping=kind(np.zeros((2, 2)))).checked().dense()
+    assert np.array_equal(checked.stiffness, checked.stiffness.T)
+    with pytest.raises(ValueError, match="can still move freely"):
+        craig_bampton(Matrices(np.eye(3), np.array([[1.0, 0, 0], [0, 1, -1], [0, -1, 1]])).checked(), [0], 1)
+
+
+@pytest.mark.parametrize(
+    ("structure", "says"),
+    [
+        ("file: beam.npz", "structure.points_at must be a list of points"),
+        ("file: none.npz, {points}", "there is no file"),
+        ("file: rig.yaml, {points}", "structure.file must be .npz or .mat"),
+        ("file: broken.npz, {points}", "broken.npz: it is not an NPZ archive"),
+        ("file: other.npz, {points}", "it has none of M, K, C; it has stuff"),
+        ("file: beam.npz, points_at: [{{point: 2, row: 99}}], modes: 2", "names row 99, but the rows are 0 to 13"),
+        ("file: beam.npz, points_at: [{{point: 2, row: 99}}]", "names row 99, but the rows are 0 to 13"),
+        ("file: beam.npz, {points}, modes: 99", "7 modes are left beside the points, 99 are asked for"),
+        ("file: beam.npz, {points}, damping_ratios: [0.1]", "damping_ratios too; remove one"),
+        ("file: large.npz, points_at: [{{point: 2, row: 1}}]", "100 degrees of freedom, and 60 is the limit"),
+        ("mass_kg: [[1, 2], [3]], stiffness_n_m: [[1, 0], [0, 1]], {points}", "rows of numbers of equal length"),
+        ("stiffness_n_m: [[1, 0], [0, 1]], {points}", "the mass matrix is missing"),
+        ("file: beam.npz, mass_kg: [[1]], {points}", "both give the mass"),
+    ],
+)
+def test_matrices_sections_that_are_wrong_are_named(tmp_path, beam, structure, says):
+    export(tmp_path, beam)
+    (tmp_path / "broken.npz").write_text("nothing")
+    np.savez(tmp_path / "other.npz", stuff=np.eye(2))
+    np.savez(tmp_path / "large.npz", M=np.eye(100), K=np.eye(100))
+    with pytest.raises(BenchError, match=says.replace(".", r"\.")):
+        rig_of(tmp_path, structure.format(points=points_at(beam)))

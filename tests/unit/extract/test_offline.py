@@ -26,6 +26,7 @@ from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import read_json, write_results
 from nmt_extract.offline import extract_bag
 from nmt_extract.settings import ExtractionSettings
+from nmt_record.bag_reader import Bag
 from nmt_record.bag_writer import BagWriter
 
 SAMPLES = round(5 * RATE / FREQUENCY)
@@ -183,3 +184,52 @@ def test_a_cut_off_bag_says_what_is_lost(make_bag):
     result = extract_bag(path)
     assert result.loss is not None
     assert all(math.isfinite(point.damping_ratio) for point in result.points if point.status is Status.OK)
+
+
+def outcome(path):
+    """The result of an extraction, or the sentence that refuses the bag."""
+    try:
+        return extract_bag(path)
+    except BenchError as error:
+        return str(error)
+
+
+def test_a_bag_cut_before_its_first_lock_is_called_cut(make_bag, tmp_path):
+    """Nobody knows whether a level locked in what is missing."""
+    path = make_bag()
+    whole = (path / "bag_0.mcap").read_bytes()
+    verdicts = set()
+    for size in range(9_000, len(whole), 1_500):
+        (tmp_path / "cut.mcap").write_bytes(whole[:size])
+        result = outcome(tmp_path / "cut.mcap")
+        said = result if isinstance(result, str) else result.loss
+        assert "is cut off" in said
+        assert "locked" not in said
+        verdicts.update(["refused"] if isinstance(result, str) else [point.status.name for point in result.points])
+    assert verdicts >= {"refused", "REJECTED"}
+
+
+def test_damage_rejects_the_window_it_falls_into_and_no_other(make_bag):
+    path = make_bag()
+    file = path / "bag_0.mcap"
+    whole = file.read_bytes()
+    sound = extract_bag(path).points[0]
+    window = (LOCK.window_first_sample, LOCK.window_first_sample + LOCK.window_samples)
+    seen = set()
+    for position in range(12_000, len(whole) - 6_000, 1_700):
+        damaged = bytearray(whole)
+        damaged[position] ^= 16
+        file.write_bytes(damaged)
+        result = outcome(path)
+        if isinstance(result, str):  # the lock event was in it
+            assert "is damaged" in result
+            assert "locked" not in result
+            continue
+        hit = any(span.touches(*window) for span in Bag.open(path).lost_spans)
+        seen.add(hit)
+        if hit:
+            assert "is damaged" in result.loss
+            assert result.points[0].status is Status.REJECTED
+        else:
+            assert result.points[0].identical(sound)
+    assert seen == {True, False}

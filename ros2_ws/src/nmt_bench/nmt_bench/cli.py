@@ -50,6 +50,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "where model and real rig part, which effect causes it, how far the gap shrinks",
     ),
     "import": ("nmt_bench.commands.import_command", "data measured elsewhere (CSV, NPZ, UFF58, tables) as a bag"),
+    "repair": ("nmt_bench.commands.repair_command", "what can be saved of a damaged or cut bag, and what was lost"),
     "export": ("nmt_bench.commands.export_command", "a recording as UFF58, CSV or NPZ, ready for './nmt import'"),
     "reference": (
         "nmt_bench.commands.reference_command",

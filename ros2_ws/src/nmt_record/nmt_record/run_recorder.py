@@ -12,7 +12,7 @@ from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
 from nmt_core.vocabulary import RunPhase
 from nmt_core.wire import RUN_STATE
-from nmt_record.bag_writer import BagWriter
+from nmt_record.bag_writer import COMPRESSIONS, BagWriter
 from nmt_record.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, parse_topic
 from nmt_record.cdr_peek import BlockPeek, peek_stamp
 from nmt_record.gap_counter import GapCounter
@@ -32,6 +32,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("rig_file", "", "", "File with the same, instead of rig_yaml."),
     Parameter("chunk_messages", 500, "", "Messages after which a chunk is written.", low=1),
     Parameter("flush_interval", 0.5, "s", "Wall time after which a chunk is written.", low=0.01),
+    Parameter("compression", "none", "", "Compression of the chunks.", choices=tuple(COMPRESSIONS)),
+    Parameter("split_bytes", 0, "byte", "Size after which the bag goes on in another file; 0 = one file.", low=0),
+    Parameter("split_duration", 0.0, "s", "Wall time after which it does so; 0 = one file.", low=0.0),
     Parameter("settle_time", 0.25, "s", "Silence before the bag of a done run closes.", low=0.0),
     Parameter("patience", 2.0, "s", "Silence after which missing blocks are given up.", low=0.1),
 )
@@ -73,6 +76,9 @@ class RunRecorder:
             rig_yaml=_text(values, "rig_yaml", "rig_file"),
             chunk_messages=values["chunk_messages"],
             flush_interval=values["flush_interval"],
+            compression=str(values["compression"]),
+            split_bytes=values["split_bytes"],
+            split_duration=values["split_duration"],
             clock=clock,
         )
         self._run_id = str(json.loads(run_json).get("run_id", "")) if run_json else ""

@@ -19,7 +19,7 @@ from nmt_extract.extractor import Extractor
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_extract.modal_point import Status
 from nmt_extract.settings import ExtractionSettings
-from nmt_extract.window import ACQUIRING, FIXED, LOCK_LOST, LOCKED
+from nmt_record.window_policy import ACQUIRING, FIXED, LOCK_LOST, LOCKED
 
 SAMPLES = round(5 * RATE / FREQUENCY)
 

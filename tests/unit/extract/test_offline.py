@@ -25,9 +25,9 @@ from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import read_json, write_results
 from nmt_extract.offline import extract_bag
 from nmt_extract.settings import ExtractionSettings
-from nmt_extract.window import ACQUIRING, LOCK_LOST, LOCKED
 from nmt_record.bag_writer import BagWriter
 from nmt_record.message_definitions import local_definitions
+from nmt_record.window_policy import ACQUIRING, LOCK_LOST, LOCKED
 
 SAMPLES = round(5 * RATE / FREQUENCY)
 LOCK = lock_event(400, SAMPLES, 5, sample=399)

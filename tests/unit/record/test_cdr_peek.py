@@ -7,8 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from nmt_core.wire import BlockReader
 from nmt_record.bench_topics import RUN_STATE, SAMPLE_BLOCK
-from nmt_record.cdr_peek import peek_block, peek_run_state, peek_stamp
+from nmt_record.cdr_peek import peek_run_state, peek_stamp
 
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
 SETTINGS = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -37,20 +38,23 @@ def test_block_agrees_with_full_decoding(store, first, samples, names, points, f
         channels=names,
         points=np.zeros(points, dtype=np.uint32),
         data=np.ones(samples * len(names)),
-        oscillator_cycles=0.0,
-        oscillator_frequency_hz=0.0,
-        oscillator_rate_hz_s=0.0,
+        oscillator_cycles=0.25,
+        oscillator_frequency_hz=21.5,
+        oscillator_rate_hz_s=-3.0,
         flags=1,
     )
     raw = bytes(store.typestore.serialize_cdr(message, SAMPLE_BLOCK, little_endian=True))
     full = store.typestore.deserialize_cdr(raw, SAMPLE_BLOCK)
-    extent = peek_block(raw)
-    assert extent == (full.first_sample, len(full.data) // len(full.channels), full.sample_rate)
-    assert extent.end_sample == first + samples
+    head = BlockReader().head(raw)
+    assert head[:3] == (full.first_sample, len(full.data) // len(full.channels), full.sample_rate)
+    assert (head.quantity, head.unit, head.flags) == (full.quantity, full.unit, full.flags)
+    assert (head.channels, head.points) == (tuple(full.channels), tuple(full.points))
+    assert head.oscillator == (full.oscillator_cycles, full.oscillator_frequency_hz, full.oscillator_rate_hz_s)
+    assert head.end_sample == first + samples
     assert peek_stamp(raw) == sec * 1_000_000_000 + nanosec
-    for end in range(len(raw) - 34 - 8 * samples * len(names)):
-        with pytest.raises(ValueError, match=r"too short|do not divide|not plain"):
-            peek_block(raw[:end])
+    for end in range(len(raw) - 1):
+        with pytest.raises(ValueError, match=r"not a whole SampleBlock|do not divide|past the end|not little-endian"):
+            BlockReader().head(raw[:end])
 
 
 @SETTINGS
@@ -79,12 +83,13 @@ def test_run_state_agrees_with_full_decoding(store, run_id, phase, sample, reaso
 @SETTINGS
 @given(st.binary(max_size=200))
 def test_any_bytes_raise_nothing_but_value_errors(raw):
-    for peek in (peek_block, peek_run_state, peek_stamp):
+    for peek in (BlockReader().head, peek_run_state, peek_stamp):
         for prefix in (b"", b"\0\1\0\0"):
             with contextlib.suppress(ValueError):
                 assert peek(prefix + raw) is not None
 
 
 def test_big_endian_is_refused():
-    with pytest.raises(ValueError, match="little-endian"):
-        peek_block(b"\0\0\0\0" + bytes(100))
+    for peek in (BlockReader().head, peek_run_state, peek_stamp):
+        with pytest.raises(ValueError, match="little-endian"):
+            peek(b"\0\0\0\0" + bytes(100))

@@ -11,7 +11,8 @@ from nmt_extract.lock_event import LockEvent
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns, rejected_point
 from nmt_extract.settings import ExtractionSettings
-from nmt_extract.window import ACQUIRING, LOCK_LOST, SpoiledWindow, WindowAssembler
+from nmt_extract.window import SpoiledWindow, WindowAssembler
+from nmt_record.window_policy import ACQUIRING, LOCK_LOST
 
 
 class Extractor:
@@ -115,8 +116,8 @@ class Extractor:
             "rejected": self._counts[Status.REJECTED],
             "not_locked": self._counts[Status.NOT_LOCKED],
         }
-        counters.update({f"gaps_{topic}": count for topic, count in self._assembler.gaps.items()})
-        counters.update({f"blocks_{topic}": count for topic, count in self._assembler.blocks.items()})
+        counters.update({f"gaps_{topic}": count for topic, count in self._assembler.table.gaps.items()})
+        counters.update({f"blocks_{topic}": count for topic, count in self._assembler.table.blocks.items()})
         return counters
 
     def _not_locked_point(self, sample: int, level_index: int, reason: str, response_unit: str) -> ModalPoint:

@@ -19,9 +19,9 @@ from rosbags.rosbag2 import Reader
 from nmt_core.blocks import SampleBlock
 from nmt_core.conversions import block_from_message
 from nmt_core.errors import BenchError
+from nmt_core.wire import BlockHead, BlockReader
 from nmt_record.bag_writer import FAILURE_KEY, RIG_YAML_KEY, RUN_JSON_KEY, START, STOP, BagWriter
 from nmt_record.bench_topics import SAMPLE_BLOCK, bench_name
-from nmt_record.cdr_peek import peek_block
 from nmt_record.mcap_file import Channel, McapFile, check_magic
 from nmt_record.message_definitions import MessageDefinition, typestore_of
 
@@ -148,10 +148,11 @@ class Bag:
             raise BenchError(f"Topic '{topic}' of the bag {self.path} holds {self._types[topic]}, not samples.")
         self.require_topics(topic)
         cut = first_sample is not None or stop_sample is not None
+        head_of = BlockReader().head
         for _, _, _, raw in self.raw_messages([topic]):
             try:
                 if cut:
-                    extent = peek_block(raw)
+                    extent = head_of(raw)
                     if first_sample is not None and extent.end_sample <= first_sample:
                         continue
                     if stop_sample is not None and extent.first_sample >= stop_sample:
@@ -254,11 +255,12 @@ class Bag:
         if damage is None:
             return None
         lost = f", {self._source.lost_bytes} bytes at its end are lost" if self._source.lost_bytes else ""
-        last = None
+        last: BlockHead | None = None
         names = [name for name, (kind, _) in self.topics.items() if kind == SAMPLE_BLOCK]
-        for _, _, _, raw in self.raw_messages(names) if names else ():
+        readers = {name: BlockReader() for name in names}
+        for topic, _, _, raw in self.raw_messages(names) if names else ():
             try:
-                extent = peek_block(raw)
+                extent = readers[topic].head(raw)
             except ValueError:
                 continue
             if last is None or extent.end_sample > last.end_sample:

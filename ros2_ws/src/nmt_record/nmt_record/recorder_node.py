@@ -17,10 +17,11 @@ from std_msgs.msg import String
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
+from nmt_core.wire import BlockHead, BlockReader
 from nmt_msgs.msg import RunState
 from nmt_record.bag_writer import BagWriter
 from nmt_record.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, Service, parse_topic
-from nmt_record.cdr_peek import BlockExtent, BlockPeek, peek_run_state, peek_stamp
+from nmt_record.cdr_peek import peek_run_state, peek_stamp
 from nmt_record.gap_counter import GapCounter
 from nmt_record.message_definitions import local_definitions
 
@@ -172,15 +173,16 @@ class RecorderNode(BenchNode):
 
     def _callback(self, topic: BenchTopic) -> Any:
         if topic.message_type == SAMPLE_BLOCK:
-            return partial(self._on_block, topic.name, BlockPeek().extent)
+            return partial(self._on_block, topic.name, BlockReader().head)
         if topic.name == "run_state":
             return self._on_run_state
         stamped = local_definitions().fields(topic.message_type)[:1] in (("stamp",), ("header",))
         return partial(self._on_message, topic.name, stamped)
 
-    def _on_block(self, topic: str, extent: Callable[[bytes], BlockExtent], raw: bytes) -> None:
+    def _on_block(self, topic: str, head_of: Callable[[bytes], BlockHead], raw: bytes) -> None:
         try:
-            self.gaps.add(topic, extent(raw))
+            head = head_of(raw)
+            self.gaps.add(topic, head.first_sample, head.samples, head.sample_rate)
         except ValueError:
             self._malformed += 1
         self._on_message(topic, True, raw)

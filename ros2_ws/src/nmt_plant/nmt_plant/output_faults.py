@@ -26,7 +26,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
 from nmt_plant.loopback_device import LoopbackDevice
 from nmt_plant.output_owner import read_log
 

@@ -24,7 +24,7 @@ from nmt_rig.rig import Rig, validate_rig
 
 _DIGITS = 10
 _LONG = 100
-_LINE = 114
+_LINE = 116
 _ENDLESS = 10**6
 _OWN_LINES = (FoldedScalarString, LiteralScalarString)
 _EOL = {CommentedMap: 2, CommentedSeq: 0}

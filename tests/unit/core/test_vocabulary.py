@@ -198,3 +198,17 @@ def test_nobody_else_defines_a_state_flag_kind_or_unit():
         if path.name != "vocabulary.py" and (again := second_definitions(ast.parse(path.read_text(encoding="utf-8"))))
     }
     assert found == {}
+
+
+def test_drive_commands_are_made_from_a_loops_output_in_one_place():
+    """In the product a drive command is made by the codec, by the loop's answer, and by the plant's own benchmark."""
+    makers = set()
+    for path in SOURCES.glob("nmt_*/nmt_*/**/*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("DriveCommand"):
+                makers.add(str(path.relative_to(SOURCES)))
+    assert makers == {
+        "nmt_core/nmt_core/wire.py",
+        "nmt_plant/nmt_plant/benchmark.py",
+        "nmt_pll/nmt_pll/loop_core.py",
+    }

@@ -17,8 +17,9 @@ from nmt_core.errors import BenchError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from nmt_bench.harness import Bench, RunResult
+    from nmt_bench.harness import Bench
     from nmt_report.run_data import ReferenceCurve
+    from nmt_session.run_result import RunResult
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 

@@ -13,10 +13,11 @@ from nmt_bench.commands.output_folder import OutputFolder, add_output_options, c
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
-    from nmt_bench.harness import Bench, RunResult
+    from nmt_bench.harness import Bench
     from nmt_extract.swept_response import FrequencyResponseTable
     from nmt_extract.synthesis import ResonanceError
     from nmt_report.response_analysis import HeldForce, ModelResponse
+    from nmt_session.run_result import RunResult
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 

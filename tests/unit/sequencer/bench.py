@@ -20,7 +20,7 @@ RATE = 1000.0
 PACING = Pacing(RATE, BLOCK, tick_blocks=3, quiet_ramp=0.25, settle=0.2)
 
 
-def report(
+def status(
     last_sample: int, index: int, sequence: int, state: LoopState, flags: int = 0, reason: str = ""
 ) -> LoopStatus:
     """State of the loop after a block; nobody asks for the amplitudes here."""

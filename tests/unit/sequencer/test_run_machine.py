@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from unit.sequencer.bench import BLOCK, PACING, Bench, Fate
+from unit.sequencer.bench import BLOCK, PACING, Bench, Fate, status
 
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import BlockFlag, LoopState, ResultCode, RunPhase

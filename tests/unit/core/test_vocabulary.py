@@ -169,6 +169,9 @@ def second_definitions(tree: ast.AST) -> list[str]:
             for one, other in ((keys, values), (values, keys)):
                 if len(one) > 1 and all(type(item) is int for item in one) and other and set(other) <= UNITS:
                     found.append(f"line {node.lineno}: a table of units by number")
+                same_length = len(one) == len(other) > 1
+                if same_length and all((str(b).upper(), a) in WORDS for a, b in zip(one, other, strict=True)):
+                    found.append(f"line {node.lineno}: a table of words by number")
     return found
 
 
@@ -183,6 +186,8 @@ def test_a_second_definition_is_found():
         "from enum import IntEnum\nclass S(IntEnum):\n    LOCKED = 3\n    FIXED = 1",
         'UNITS = {1: "V", 3: "N"}',
         '_CONTROLS = {"V": 1, "m": 2, "N": 3}',
+        'CONTROLS = {1: "voltage", 2: "response", 3: "force"}',
+        'CODES = {"force": 1, "displacement": 2}',
     ):
         assert second_definitions(ast.parse(text)), text
     for text in ("ACCELERATION = 12", "LIMIT_KERNEL = 2", "limit = 2", 'NAMES = {1: "a", 2: "b"}'):

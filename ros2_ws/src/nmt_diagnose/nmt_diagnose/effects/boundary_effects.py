@@ -22,7 +22,7 @@ CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp
 
 def _compliance_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
     beam = rig.structure
-    if not isinstance(beam, BeamSection):
+    if not isinstance(beam, BeamSection) or "clamped" not in beam.boundary:
         return ()
     bending = beam.youngs_modulus_pa * beam.width_m * beam.height_m**3 / 12.0
     # 1 % of the static compliance of the tip.
@@ -39,7 +39,7 @@ def _with_compliance(rig: Rig, placement: Placement, values: Mapping[str, float]
 
 
 def _clamp_friction_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
-    if not isinstance(rig.structure, BeamSection):
+    if not isinstance(rig.structure, BeamSection) or "clamped" not in rig.structure.boundary:
         return ()
     lateral = Placement(
         "lateral",
@@ -60,7 +60,7 @@ def _clamp_friction_placements(rig: Rig, operating: OperatingRange) -> tuple[Pla
 
 
 def _contact_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
-    beam = isinstance(rig.structure, BeamSection)
+    beam = isinstance(rig.structure, BeamSection) and "clamped" in rig.structure.boundary
     return tuple(
         Placement(label, {"kt": 0.05 * stiffness, "slip_displacement": amplitude}, point, other)
         for label, point, other, amplitude, stiffness in spots(rig, operating)

@@ -150,7 +150,7 @@ def rig_parts(
     Raises:
         BenchError: the rig has something the twin does not cover.
     """
-    rig = _prepared(rig, settings, seconds, ideal_force)
+    rig = _prepared(rig, settings, seconds, ideal_force, channels)
     bare = rig.model_copy(update={"local_elements": []})
     system = build_system(bare)
     forced = ideal_force and isinstance(rig.exciter, ShakingTableSection)
@@ -254,7 +254,9 @@ def rig_parts(
     )
 
 
-def _prepared(rig: Rig, settings: TwinSettings, seconds: float, ideal_force: bool) -> Rig:
+def _prepared(
+    rig: Rig, settings: TwinSettings, seconds: float, ideal_force: bool, channels: Sequence[MeasuredChannel]
+) -> Rig:
     """Mesh as fine as wanted, stiffness as it is now, ideal force if asked for."""
     update: dict[str, object] = {}
     structure = rig.structure
@@ -272,10 +274,11 @@ def _prepared(rig: Rig, settings: TwinSettings, seconds: float, ideal_force: boo
         table = build_table(rig, build_structure(rig))
         assert table is not None
         dynamic = rig.exciter.bandwidth_hz is not None or rig.exciter.suspension_hz is not None
-        if dynamic and not ideal_force:
+        by_voltage = any(channel.quantity == Quantity.VOLTAGE for channel in channels)
+        if dynamic and by_voltage and not ideal_force:
             raise BenchError(
                 "the diagnosis' model takes the shaking table as ideal: leave bandwidth_hz and suspension_hz out of "
-                "the model, or give a test that is held by its force channel."
+                "the model, or the voltage out of the recording."
             )
         # The effective mass is that of the whole rig: the joints are taken out of it later.
         ideal = {"bandwidth_hz": None, "suspension_hz": None, "effective_mass_kg": table.effective_mass}

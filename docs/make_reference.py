@@ -306,11 +306,35 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "dropped_fraction": "share of samples that are lost; the one before is recorded again",
     },
     "LimitSection": {
-        "voltage_v": "largest drive voltage; commands beyond it are refused",
+        "voltage_v": "largest drive voltage, for every sample put out: commands beyond it are refused, harmonics and "
+        "random peaks (four times the rms) included; a sample beyond it is not put out",
+        "slew_v_s": "largest rate of change of the drive; a faster change is spread; left out = that of a sine of "
+        "`voltage_v` at a tenth of the sample rate, without `voltage_v` none",
+        "rise_from_v": "drive amplitude from which a faster rise than fourfold from block to block is spread, where "
+        "something measured has a limit; left out = 5 % of `voltage_v`",
+        "drive_maximum_v": "drive amplitude that ends a test, below `voltage_v`",
         "force_n": "largest measured force",
         "acceleration_m_s2": "largest measured acceleration, any point",
+        "velocity_m_s": "largest measured velocity, any point",
         "displacement_m": "largest measured displacement, any point",
+        "channels": "levels of single channels, see below",
+        "open_loop": "channels that must respond to the drive, see below",
+        "warning_share": "share of an abort level from which a channel is reported, where it has no warning level",
+        "rms_time_s": "time constant of the rms",
         "ramp_s": "half-cosine to zero after a violation",
+    },
+    "ChannelLimitSection": {
+        "channel": "name of the channel",
+        "abort_peak": "largest magnitude, in the channel's SI unit",
+        "abort_rms": "largest rms, as an exponential mean of squares over `rms_time_s`",
+        "warning_peak": "magnitude that is reported",
+        "warning_rms": "rms that is reported",
+    },
+    "OpenLoopSection": {
+        "channel": "name of the channel",
+        "least": "smallest peak in a block that counts as a response, in the channel's SI unit",
+        "drive_v": "drive amplitude from which a response is due",
+        "time_s": "how long there may be none",
     },
     "WatchdogSection": {
         "blocks": "blocks without a drive command after which the drive goes to zero; 0 = off",
@@ -342,7 +366,7 @@ _UNITS = {
     "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_m2": "N/m²", "_ns2_m2": "N s²/m²", "_ns_m": "N s/m", "_n_m": "N/m",
     "_kg_m3": "kg/m³", "_m_s2": "m/s²", "_m_s": "m/s", "_n_a": "N/A", "_kg": "kg", "_pa": "Pa", "_hz": "Hz",
     "_nm_rad": "N m/rad", "_ns_m2": "N s/m²", "_n_sa_m": "N sᵅ/m", "_per_s": "1/s", "_per_m": "1/m", "_per_m2": "1/m²",
-    "_ohm": "Ω", "_m_n": "m/N", "_h": "H", "_n": "N", "_m": "m", "_s": "s", "_v": "V", "_volt": "N/V",
+    "_ohm": "Ω", "_m_n": "m/N", "_h": "H", "_n": "N", "_m": "m", "_s": "s", "_v": "V", "_v_s": "V/s", "_volt": "N/V",
 }  # fmt: skip
 
 

@@ -1,6 +1,7 @@
-"""Resolve the requirements into the lock files: ``python requirements/lock.py``.
+"""Resolve the requirements into the lock files: ``python requirements/lock.py [--upgrade]``.
 
-Needs ``uv`` on the PATH and the network. One file per source of ROS 2 and Python version; where they can, all
+Needs ``uv`` on the PATH (it is in .venv/bin) and the network. What is locked keeps its version unless --upgrade is
+given. One file per source of ROS 2 and Python version; where they can, all
 Pythons get the versions of the first one. Each entry pins one version and lists the SHA-256 of its wheels
 for Linux x86_64 with glibc. Source archives are left out, so pip compiles nothing; the one
 exception is a package of a single Python file that was never published as a wheel.
@@ -8,9 +9,11 @@ exception is a package of a single Python file that was never published as a whe
 
 from __future__ import annotations
 
+import argparse
 import re
 import subprocess
 import sys
+import tempfile
 import urllib.request
 from functools import cache
 from pathlib import Path
@@ -51,17 +54,35 @@ def fits(filename: str, name: str, version: str, python: str) -> bool:
     return False
 
 
-def lock(source: str, python: str) -> None:
-    """Write ``lock/<source>-<python>.txt``."""
-    command = ["uv", "pip", "compile", "--quiet", "--no-header", "--no-annotate", "--no-config", "--upgrade"]
+def pins_of(path: Path) -> list[str]:
+    """The entries ``name==version`` of a lock file; empty if there is none."""
+    return re.findall(r"^\S+==\S+", path.read_text(), re.M) if path.exists() else []
+
+
+def lock(source: str, python: str, upgrade: bool) -> None:
+    """Write ``lock/<source>-<python>.txt``.
+
+    Args:
+        source: where ROS 2 comes from.
+        python: version of Python.
+        upgrade: take the newest versions instead of those in the present file.
+    """
+    target = FOLDER / "lock" / f"{source}-{python}.txt"
+    command = ["uv", "pip", "compile", "--quiet", "--no-header", "--no-annotate", "--no-config"]
     command += ["--default-index", INDEX, "--no-python-downloads", "--python-version", python]
     command += ["--python-platform", "x86_64-manylinux_2_28", str(FOLDER / f"{source}.in")]
     if (source, python) in SAME_AS_FIRST:
-        pins = re.findall(r"^\S+==\S+", (FOLDER / "lock" / "{}-{}.txt".format(*TARGETS[0])).read_text(), re.M)
+        pins = pins_of(FOLDER / "lock" / "{}-{}.txt".format(*TARGETS[0]))
         command += ["--constraint", "-"]
     else:
         pins = []
-    resolved = subprocess.run(command, check=True, input="\n".join(pins), stdout=subprocess.PIPE, text=True).stdout
+    with tempfile.TemporaryDirectory() as folder:
+        output = Path(folder) / "resolved.txt"
+        if not upgrade:  # uv keeps the versions that it finds in its output file
+            output.write_text("\n".join(pins_of(target)) + "\n")
+        command += ["--output-file", str(output)]
+        subprocess.run(command, check=True, input="\n".join(pins), stdout=subprocess.DEVNULL, text=True)
+        resolved = output.read_text()
     lines = [HEADER.format(source=source, version=python)]
     for pin in resolved.split():
         name, version = pin.split("==")
@@ -70,11 +91,14 @@ def lock(source: str, python: str) -> None:
         if not digests:
             raise SystemExit(f"{pin}: the index has no wheel for Python {python} on Linux x86_64")
         lines.append(f"{name}=={version}" + "".join(f" \\\n    --hash=sha256:{digest}" for digest in digests) + "\n")
-    (FOLDER / "lock").mkdir(exist_ok=True)
-    (FOLDER / "lock" / f"{source}-{python}.txt").write_text("".join(lines))
+    target.parent.mkdir(exist_ok=True)
+    target.write_text("".join(lines))
     sys.stdout.write(f"{source}-{python}: {len(lines) - 1} packages\n")
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Resolve the requirements into the lock files.")
+    parser.add_argument("--upgrade", action="store_true", help="take the newest versions")
+    options = parser.parse_args()
     for target in TARGETS:
-        lock(*target)
+        lock(*target, options.upgrade)

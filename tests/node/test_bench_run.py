@@ -16,16 +16,15 @@ import yaml
 
 from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.errors import BenchError
+from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import write_csv
 from nmt_extract.offline import extract_bag
 from nmt_record.bag_reader import Bag
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import load_rig
-from nmt_sequencer.run_machine import ResultCode
 
 SAMPLES = ("force", "displacement", "acceleration", "voltage")
-LOCKED = 3
 
 
 def samples_digest(bag: Path) -> str:
@@ -144,7 +143,7 @@ def test_cancelling_ramps_to_zero_and_closes_the_bag(tmp_path: Path) -> None:
     with Bench("beam", [0.2] * 20, out=tmp_path / "out", window_periods=50) as bench:
 
         def cancel_when_locked(progress: Progress) -> None:
-            if progress.state == LOCKED:
+            if progress.state == LoopState.LOCKED:
                 bench.cancel()
 
         result = bench.run(cancel_when_locked)
@@ -176,7 +175,7 @@ def test_a_killed_node_ends_the_run(victim: str, tmp_path: Path) -> None:
         killed: list[int] = []
 
         def kill_when_locked(progress: Progress) -> None:
-            if progress.state == LOCKED and not killed:
+            if progress.state == LoopState.LOCKED and not killed:
                 killed.append(progress.sample)
                 os.kill(pids[victim], signal.SIGKILL)
 
@@ -251,7 +250,7 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_recorded(tmp_path: Path) ->
         writer = bench.nodes["recorder"].writer
 
         def fill_the_disk(progress: Progress) -> None:
-            if progress.state == LOCKED:
+            if progress.state == LoopState.LOCKED:
                 writer._mcap.flush = full
 
         result = bench.run(fill_the_disk)

@@ -16,12 +16,11 @@ from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_extract.offline import extract_bag
 from nmt_record.bag_reader import Bag
 from nmt_record.segments import read_signals, segments
-from nmt_sequencer.run_machine import ResultCode
 
-LOCKED = 3
 RANDOM = {"test": "random", "levels": [0.05], "band_hz": (10.0, 500.0), "duration": 3.0, "seed": 5}
 SWEEP = {
     "test": "sweep",
@@ -113,7 +112,7 @@ def test_a_killed_loop_in_a_random_test_leaves_the_drive_at_zero(tmp_path: Path)
         killed: list[int] = []
 
         def kill_when_locked(progress: Progress) -> None:
-            if progress.state == LOCKED and not killed:
+            if progress.state == LoopState.LOCKED and not killed:
                 killed.append(progress.sample)
                 os.kill(pid, signal.SIGKILL)
 

@@ -14,15 +14,15 @@ pytest.importorskip("nmt_msgs.msg", reason="needs the built workspace; source ro
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.serialization import serialize_message
 from unit.extract.synthetic import FREQUENCY, RATE, Stream, in_phase_case, linear_description, lock_event
 
 from nmt_core.base_node import SAMPLES_QOS
-from nmt_core.conversions import fill_block
 from nmt_core.errors import BenchError
-from nmt_extract.conversions import fill_modal_point, modal_point_from_message
+from nmt_core.records import LevelCommand, LoopStatus
+from nmt_core.vocabulary import LoopState
+from nmt_core.wire import LEVEL, LOCK_EVENT, MODAL_POINT, BlockReader, BlockWriter, write_status
 from nmt_extract.extract_node import ExtractNode
-from nmt_extract.modal_point import Status, rejected_point
+from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag
 from nmt_msgs.msg import Frequency, Level, LockEvent, ModalPoint
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
@@ -59,7 +59,7 @@ class Rig(Node):
             topic: self.create_publisher(kind, topic, SAMPLES_QOS) for topic, kind in KINDS.items()
         }
         self.points = []
-        self.create_subscription(ModalPoint, "modal_point", self.points.append, SAMPLES_QOS)
+        self.create_subscription(ModalPoint, "modal_point", self.points.append, SAMPLES_QOS, raw=True)
 
 
 class Stage:
@@ -98,7 +98,7 @@ class Stage:
 
     def received(self, topic):
         """Messages of a topic that the node has taken."""
-        extractor = self.node.extractor
+        extractor = self.node.core.extractor
         assembler = extractor._assembler
         counts = {"frequency": len(assembler._states), "level": len(extractor._levels)}
         counts["lock"] = len(extractor._lock_samples)
@@ -127,15 +127,8 @@ def stage(monkeypatch):
         item.close()
 
 
-def lock_message(lock):
-    message = LockEvent()
-    for name, value in asdict(lock).items():
-        setattr(message, name, value)
-    return message
-
-
 def recording():
-    """Topic and message of a run: level 0 locks, level 1 loses its lock in the window, level 2 never."""
+    """Topic and serialised message of a run: level 0 locks, level 1 loses its lock in the window, level 2 never."""
     force, shape = in_phase_case()
     stream = Stream([0, force, 0.1 * force], [[0, x, 0, 0.01 * x] for x in shape], samples=10_000, noise=0.01)
     levels = {0: 0, 19: 1, 38: 2}
@@ -144,28 +137,25 @@ def recording():
         22: lock_event(4600, SAMPLES, 5, sample=4599, level_index=1),
     }
     lost = {30: 1, 45: 2}
-    level, state = 0, Frequency.FIXED
+    level, state = 0, LoopState.FIXED
     messages = []
+    writers = {topic: BlockWriter("beam") for topic in ("force", "displacement")}
     for index, pair in enumerate(zip(stream.blocks("force"), stream.blocks("displacement"), strict=True)):
         if index in levels:
-            level, state = levels[index], Frequency.ACQUIRING
-            messages.append(("level", Level(index=level, control=1, amplitude=0.1 * (level + 1))))
+            level, state = levels[index], LoopState.ACQUIRING
+            order = LevelCommand(level + 1, level, 0.1 * (level + 1), 0, 0.0)
+            messages.append(("level", LEVEL.write(order)))
         for block in pair:
-            message = fill_block(SampleBlockMessage(), block, "beam")
-            messages.append((block.quantity.topic, message))
+            messages.append((block.quantity.topic, writers[block.quantity.topic].write(block)))
         if index in locks:
-            state = Frequency.LOCKED
-            messages.append(("lock", lock_message(locks[index])))
+            state = LoopState.LOCKED
+            messages.append(("lock", LOCK_EVENT.write(locks[index])))
         reason = ""
         if index in lost:
-            state, reason = Frequency.LOCK_LOST, "phase error 9.1 deg"
+            state, reason = LoopState.LOCK_LOST, "phase error 9.1 deg"
         last = pair[0].end_sample - 1
-        messages.append(
-            (
-                "frequency",
-                Frequency(last_sample=last, state=state, level_index=level, reason=reason, response_unit="m"),
-            )
-        )
+        status = LoopStatus(last, level, 0, state, 0.0, 0.0, 0.0, 0.0, "m", 0.0, reason=reason)
+        messages.append(("frequency", write_status(status, RATE)))
     return messages
 
 
@@ -180,7 +170,7 @@ def write_bag(path, messages):
     for topic, kind in KINDS.items():
         writer.add_topic(topic, f"nmt_msgs/msg/{kind.__name__}")
     for topic, message in messages:
-        writer.write(topic, bytes(serialize_message(message)))
+        writer.write(topic, message)
     writer.close()
     return path
 
@@ -192,7 +182,7 @@ def test_live_points_equal_those_from_the_bag_bit_for_bit(stage, messages, tmp_p
         live.rig.publishers_by_topic[topic].publish(message)
         live.executor.spin_once(timeout_sec=0.0)
     live.spin_until(lambda: len(live.rig.points) >= 3)
-    points = [modal_point_from_message(message) for message in live.rig.points]
+    points = [MODAL_POINT.read(raw) for raw in live.rig.points]
     assert [(point.level_index, point.status) for point in points] == [
         (0, Status.OK),
         (1, Status.REJECTED),
@@ -214,36 +204,32 @@ def test_topics_may_come_late_against_each_other(stage, messages, order):
     """Each topic keeps its order; the lock event and the loop's states overtake the samples or lag behind."""
     live = stage()
     live.wait_for_discovery()
-    until = next(i for i, (topic, m) in enumerate(messages) if topic == "level" and m.index == 1)
+    until = [i for i, (topic, _) in enumerate(messages) if topic == "level"][1]
     for wanted in order:
         sent = [message for topic, message in messages[:until] if topic == wanted]
         for message in sent:
             live.rig.publishers_by_topic[wanted].publish(message)
         live.spin_until(lambda wanted=wanted, sent=sent: live.received(wanted) >= len(sent))
     live.spin_until(lambda: live.rig.points)
-    (point,) = live.rig.points
-    assert point.status == ModalPoint.STATUS_OK
+    (point,) = map(MODAL_POINT.read, live.rig.points)
+    assert point.status is Status.OK
 
 
 def test_a_malformed_block_rejects_the_window_and_the_node_lives_on(stage, messages):
     live = stage()
     live.wait_for_discovery()
     for topic, message in messages:
-        if topic == "force" and message.first_sample == 1000:
+        if topic == "force" and BlockReader().read(message).first_sample == 1000:
             broken = SampleBlockMessage(first_sample=1000, sample_rate=RATE, quantity=1, unit="N")
             live.rig.publishers_by_topic[topic].publish(broken)
             continue
         live.rig.publishers_by_topic[topic].publish(message)
         live.executor.spin_once(timeout_sec=0.0)
     live.spin_until(lambda: len(live.rig.points) >= 3)
-    assert live.rig.points[0].status == ModalPoint.STATUS_REJECTED
-    assert "'force'" in live.rig.points[0].reason
-    assert "missing" in live.rig.points[0].reason
-
-
-def test_messages_of_points_survive_both_ways():
-    empty = rejected_point(lock_event(5, 10, 3), RATE, "Samples 7 to 8 of 'force' are missing from the window.")
-    assert modal_point_from_message(fill_modal_point(ModalPoint(), empty)).identical(empty)
+    point = MODAL_POINT.read(live.rig.points[0])
+    assert point.status is Status.REJECTED
+    assert "'force'" in point.reason
+    assert "missing" in point.reason
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from nmt_bench.harness import Bench, RunResult
+from nmt_core.vocabulary import ResultCode
 from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
 from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import LOOP_SAMPLES, write_results
@@ -18,7 +19,6 @@ from nmt_report.run_report import report_data_from_bag, report_html
 from nmt_rig.reference import compute_reference
 from nmt_rig.rig import IwanSection, load_rig
 from nmt_rig.rig_model import build_iwan
-from nmt_sequencer.run_machine import ResultCode
 
 LEVELS = [0.6, 3.0, 12.0]
 

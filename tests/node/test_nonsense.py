@@ -11,13 +11,11 @@ from rclpy.node import Node
 
 from nmt_bench.harness import Bench, Progress
 from nmt_core.base_node import SAMPLES_QOS
+from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_extract.modal_point import Status
 from nmt_msgs.msg import Drive, Frequency, Level, LockEvent
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 from nmt_record.bag_reader import Bag
-from nmt_sequencer.run_machine import ResultCode
-
-LOCKED = 3
 
 
 def stranger(bench: Bench) -> Node:
@@ -49,7 +47,7 @@ def test_nonsense_drive_commands_are_refused_one_by_one(tmp_path: Path) -> None:
         sent: list[Drive] = []
 
         def disturb(progress: Progress) -> None:
-            if progress.state == LOCKED and not sent:
+            if progress.state == LoopState.LOCKED and not sent:
                 sent.extend(nonsense_drives())
                 for drive in sent:
                     publisher.publish(drive)
@@ -69,7 +67,7 @@ def test_blocks_of_another_source_do_not_reach_the_loop_unnoticed(tmp_path: Path
         sent: list[int] = []
 
         def disturb(progress: Progress) -> None:
-            if progress.state == LOCKED and not sent:
+            if progress.state == LoopState.LOCKED and not sent:
                 sent.append(progress.sample)
                 for message in (
                     SampleBlockMessage(),
@@ -95,7 +93,7 @@ def test_levels_that_make_no_sense_are_refused(tmp_path: Path) -> None:
         sent: list[int] = []
 
         def disturb(progress: Progress) -> None:
-            if progress.state == LOCKED and not sent:
+            if progress.state == LoopState.LOCKED and not sent:
                 sent.append(progress.sample)
                 for values in ({"amplitude": math.nan}, {"amplitude": -3.0}, {"amplitude": 1.0, "control": 9},
                                {"amplitude": 1.0, "ramp": math.inf}):  # fmt: skip
@@ -135,7 +133,7 @@ def test_a_second_goal_and_a_senseless_goal_are_rejected() -> None:
         answers: list[object] = []
 
         def disturb(progress: Progress) -> None:
-            if progress.state == LOCKED and not answers:
+            if progress.state == LoopState.LOCKED and not answers:
                 for levels in ([0.1], [], [math.nan], [-1.0]):
                     goal = {**bench.plan.goal, "levels": levels}
                     answers.append(bench.client.send_goal(goal, None))

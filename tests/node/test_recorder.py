@@ -22,8 +22,8 @@ from std_msgs.msg import Float64, String
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS
 from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
-from nmt_core.conversions import block_from_message, fill_block
 from nmt_core.errors import BenchError
+from nmt_core.wire import BlockReader, BlockWriter
 from nmt_msgs.msg import Drive, LockEvent, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 from nmt_record import Bag
@@ -58,7 +58,7 @@ class Rig(Node):
 
     def publish_block(self, topic, first_sample, samples=20):
         publish = self.blocks[topic].publish
-        publish(fill_block(SampleBlockMessage(), make_block(topic, first_sample, samples), "beam"))
+        publish(BlockWriter("beam").write(make_block(topic, first_sample, samples)))
 
     def publish_state(self, phase, sample=0, run_id="run-7"):
         self.run_state.publish(RunState(run_id=run_id, phase=phase, sample=sample))
@@ -180,7 +180,7 @@ def test_offline_blocks_equal_live_ones(stage):
     stage.start()
     live = []
     stage.rig.create_subscription(
-        SampleBlockMessage, "force", lambda message: live.append(block_from_message(message)), SAMPLES_QOS
+        SampleBlockMessage, "force", lambda raw: live.append(BlockReader().read(raw)), SAMPLES_QOS, raw=True
     )
     stage.until(lambda: stage.rig.blocks["force"].get_subscription_count() == 2)
     for index in range(5):

@@ -9,11 +9,16 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/nmt_bench"]),
         ("share/nmt_bench", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=[
+        "numpy>=1.26",
+        "rich>=13.7",
+        "rosbags==0.11.9",
+    ],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="nmt developers",
     maintainer_email="nmt@example.org",
-    description="Rig files, command line, run orchestration, launch-free harness, reports",
+    description="Command line, harness of the node processes, orchestration, benchmarks",
     license="Apache-2.0",
     entry_points={"console_scripts": ["nmt = nmt_bench.cli:main"]},
 )

@@ -9,7 +9,11 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/nmt_core"]),
         ("share/nmt_core", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=[
+        "numpy>=1.26",
+        "PyYAML>=6.0",
+    ],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="nmt developers",
     maintainer_email="nmt@example.org",

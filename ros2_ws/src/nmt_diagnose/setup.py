@@ -9,7 +9,12 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/nmt_diagnose"]),
         ("share/nmt_diagnose", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=[
+        "numba>=0.59",
+        "numpy>=1.26",
+        "scipy>=1.11",
+    ],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="nmt developers",
     maintainer_email="nmt@example.org",

@@ -9,11 +9,16 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/nmt_plant"]),
         ("share/nmt_plant", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=[
+        "numba>=0.59",
+        "numpy>=1.26",
+        "scipy>=1.11",
+    ],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="nmt developers",
     maintainer_email="nmt@example.org",
-    description="The rig: structural models, shaker, sensors, time integration, reference solutions; plant node",
+    description="The rig as a device: contract, oscillator, output guard, watchdog, simulated rig; plant node",
     license="Apache-2.0",
     entry_points={"console_scripts": ["plant = nmt_plant.plant_node:main"]},
 )

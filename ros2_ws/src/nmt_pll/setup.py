@@ -9,7 +9,11 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/nmt_pll"]),
         ("share/nmt_pll", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=[
+        "numba>=0.59",
+        "numpy>=1.26",
+    ],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="nmt developers",
     maintainer_email="nmt@example.org",

@@ -9,7 +9,10 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/nmt_sequencer"]),
         ("share/nmt_sequencer", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=[
+        "numpy>=1.26",
+    ],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="nmt developers",
     maintainer_email="nmt@example.org",

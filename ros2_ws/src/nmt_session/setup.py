@@ -9,7 +9,10 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/nmt_session"]),
         ("share/nmt_session", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=[
+        "PyYAML>=6.0",
+    ],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="nmt developers",
     maintainer_email="nmt@example.org",

@@ -9,7 +9,12 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/nmt_study"]),
         ("share/nmt_study", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=[
+        "joblib>=1.3",
+        "matplotlib>=3.6",
+        "numpy>=1.26",
+    ],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="nmt developers",
     maintainer_email="nmt@example.org",

@@ -184,6 +184,52 @@ def test_command_without_its_libraries(capsys: pytest.CaptureFixture[str], monke
     assert "setup" in err
 
 
+WITHOUT_ROS = """
+import sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("rclpy", "nmt_msgs", "std_msgs", "std_srvs", "diagnostic_msgs"):
+            raise ModuleNotFoundError("No module named " + repr(name), name=name)
+sys.meta_path.insert(0, Absent())
+from nmt_bench.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "beam"),
+        ("demo",),
+        ("sweep", "joint_resonator", "--force", "10", "--from", "350", "--to", "390"),
+        ("linear", "joint_resonator"),
+    ],
+)
+def test_commands_that_start_nodes_say_that_ros_is_missing(tmp_path: Path, words: tuple[str, ...]) -> None:
+    """As the script ``nmt`` that pip installs where there is no ROS 2."""
+    script = tmp_path / "nmt"
+    script.write_text(WITHOUT_ROS)
+    command = [sys.executable, str(script), *words, "--out", str(tmp_path / "out")]
+    result = subprocess.run(command, capture_output=True, text=True, env=environment(), cwd=tmp_path)
+    assert result.returncode == 2
+    assert one_sentence(result.stderr)
+    assert result.stderr.startswith(f"nmt {words[0]}: This starts ROS 2 nodes and 'rclpy' is not installed")
+    assert list(tmp_path.iterdir()) == [script]
+
+
+def test_a_missing_module_of_our_own_is_a_fault(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fail(*_: object) -> None:
+        raise ModuleNotFoundError("No module named 'nmt_rig.gone'", name="nmt_rig.gone")
+
+    monkeypatch.setattr("nmt_bench.commands.extract_command.check_output", fail)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    status, _, err = run(capsys, "extract", "bag", "--out", str(tmp_path / "out"))
+    assert status == 1
+    assert "should not have happened" in err
+
+
 def test_demo_is_the_run_of_the_beam(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     module = tmp_path / "pretended_run.py"
     module.write_text(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from markupsafe import Markup
 
 from nmt_extract.swept_response import FrequencyResponseTable
 from nmt_report.response_analysis import _until_given_up, held_force
@@ -48,11 +49,13 @@ def test_page_is_one_file_with_what_it_is_given() -> None:
             force_figure([measured]), response_figure([measured], "a1", [overlay], "caption"),
             synthesis_figure([overlay], 0, "a1"),
         ]  # fmt: skip
-    rows = html_table((("What", ""), ("much", "%")), [["<b>x</b>", "1"]], "note")
+    rows = html_table((("What", ""), ("much", "%")), [["<b>x</b>", "1"], [Markup("<b>y</b>"), "2"]], "note")
     page = ResponsePage("Kind", "Name <1>", "sub", ("fine", "good"), [("s", "S & T", html_figures(figures) + rows)])
     text = page.html()
     assert text == page.html()
     assert "Name &lt;1&gt;" in text
     assert "S &amp; T" in text
+    assert '<td class="text">&lt;b&gt;x&lt;/b&gt;</td><td>1</td>' in text
+    assert '<td class="text"><b>y</b></td><td>2</td>' in text
     assert text.count("<svg") == 3
     assert "http" not in text.replace("http-equiv", "")

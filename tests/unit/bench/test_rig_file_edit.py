@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -38,8 +39,8 @@ def library_candidates(rig: Rig) -> list[Candidate]:
 
 
 def with_effect(rig: Rig, candidate: Candidate) -> Rig:
-    values = {p.name: 1.2345678912345 * candidate.placement.scales[p.name] for p in candidate.effect.parameters}
-    return candidate.effect.apply(rig, candidate.placement, values)
+    values = {p.name: 1.2345678912345 * candidate.site.scales[p.name] for p in candidate.effect.parameters}
+    return candidate.effect.apply(rig, candidate.site, values)
 
 
 def test_every_effect_of_the_library_can_be_written(tmp_path: Path) -> None:
@@ -106,6 +107,87 @@ def test_unusual_forms(text: str, tmp_path: Path) -> None:
     assert changed_keys(load_text(edited_rig_text(text, "a.yaml", target), tmp_path), target) == []
 
 
+HAND_WRITTEN = """\
+# A chain by hand.
+name: a    # short
+
+structure:
+    kind: chain
+    masses_kg: [+1.0, 1.e0]   # weighed
+    springs_n_m: [1000.]
+    loss_factor: 1e-3
+
+# What is driven.
+exciter: {kind: force, point: 1}
+sensors:
+- quantity: force      # load cell
+- quantity: displacement
+  point: 1
+
+# How it is evaluated.
+extraction:
+    linear_modes: 1
+
+# How it was made up.
+assumptions:
+- 'masses: as weighed'
+
+# The test.
+test:
+    levels: "0.10, 0.20"   # N
+"""
+
+
+def test_comments_stay_where_they_lead_and_numbers_as_they_are_spelt(tmp_path: Path) -> None:
+    rig = load_text(HAND_WRITTEN, tmp_path)
+    long = "A remark that is longer than a line of a hundred characters, so that it is written over two lines, folded."
+    target = rig.model_copy(
+        update={
+            "structure": rig.structure.model_copy(update={"loss_factor": 0.00234567890123}),
+            "sensors": [*rig.sensors, rig.sensors[1].model_copy(update={"point": 2, "gain": 1.25})],
+            "assumptions": [*rig.assumptions, "one more", long],
+            "extraction": rig.extraction.model_copy(update={"harmonics": 9}),
+        }
+    )
+    result = edited_rig_text(HAND_WRITTEN, "a.yaml", target)
+    assert changed_keys(load_text(result, tmp_path), target) == []
+    lines = HAND_WRITTEN.splitlines()
+    lines[lines.index("    loss_factor: 1e-3")] = "    loss_factor: 0.002345678901"
+    lines.insert(lines.index("  point: 1") + 1, "- {quantity: displacement, point: 2, gain: 1.25}")
+    lines.insert(lines.index("    linear_modes: 1") + 1, "    harmonics: 9")
+    added = lines.index("- 'masses: as weighed'") + 1
+    split = long[:114].rindex(" ") if len(long) > 114 else len(long)
+    lines[added:added] = [
+        "- one more",
+        "- >-",
+        f"  {long[:split]}",
+        *([f"  {long[split + 1 :]}"] if split < len(long) else []),
+    ]
+    assert result.splitlines() == lines
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("name: a\nname: b\n", "name is given twice"),
+        ("name: !!python/object/apply:os.system ['true']\n", "line 1"),
+        (
+            "a: &a [1,1,1,1,1,1]\n"
+            + "".join(
+                f"{k}: &{k} [*{p},*{p},*{p},*{p},*{p},*{p}]\n" for p, k in zip("abcdefg", "bcdefgh", strict=True)
+            ),
+            "repeats itself",
+        ),
+        ("name: [\n", "mend the YAML syntax"),
+        ("- name\n", "must be a mapping"),
+    ],
+    ids=["key twice", "tag", "aliases of aliases", "syntax", "list"],
+)
+def test_hostile_text_is_refused_before_it_is_edited(text: str, sentence: str) -> None:
+    with pytest.raises(BenchError, match=sentence):
+        edited_rig_text(text, "a.yaml", load_rig("beam"))
+
+
 def test_a_rig_that_no_file_may_hold() -> None:
     rig = load_rig("joint_resonator")
     joint = rig.local_elements[0].model_copy(update={"exponent": -1.05})
@@ -127,7 +209,7 @@ def test_the_model_with_the_effect_says_what_was_done_and_runs(tmp_path: Path) -
     rig = load_rig("beam")
     candidate = next(c for c in library_candidates(rig) if c.effect.name == "cubic_stiffness")
     slip = next(p for p in calibration_parameters(rig) if p.name.endswith("slip_force_n"))
-    model = slip.apply(with_effect(rig, candidate), slip.theta_of(1.02))
+    model = slip.apply(with_effect(rig, candidate), math.log(1.02 / slip.value) / slip.std)
     diagnosis = fixture.report(Verdict.EFFECT).diagnosis
     text = model_text(find_rig("beam").read_text(encoding="utf-8"), "beam.yaml", rig, model, diagnosis)
     loaded = load_text(text, tmp_path)

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from nmt_core.blocks import Quantity, SampleBlock
+from nmt_core.records import LevelCommand
 from nmt_core.test_kind import TestKind
 from nmt_core.wire import BlockReader, BlockWriter
 from nmt_plant.device import DriveCommand, Waveform
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.random_drive import RandomDrive
-from nmt_pll.settings import LevelCommand, settings_from
+from nmt_pll.settings import settings_from
 from nmt_record.bag_reader import Bag
 from nmt_record.bag_writer import BagWriter
 from nmt_record.bench_topics import SAMPLE_BLOCK, parse_topic

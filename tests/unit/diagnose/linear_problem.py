@@ -55,6 +55,10 @@ class Plain:
     def rig(self, theta):
         return np.asarray(theta, dtype=float)
 
+    def index_of(self, candidate):
+        """One entry of θ for each candidate, none for the model."""
+        return slice(candidate, candidate + 1)
+
 
 def rows_of(m, levels=None, test=0, part=Part.REAL):
     levels = np.zeros(m, dtype=np.int64) if levels is None else np.asarray(levels, dtype=np.int64)

@@ -39,13 +39,17 @@ def test_the_right_effect_at_the_right_place_wins_with_the_right_size(hardening:
     scan = own.scan(null)
     assert own.candidates[scan[0].direction.candidate].label == "cubic_stiffness@2"
     first, *others = own.singles(null, scan)
-    assert first.label == "cubic_stiffness@2"
+    assert first.explanation.label == "cubic_stiffness@2"
     assert 0.6 < first.fit.chi_square / first.fit.used.sum() < 1.2
-    value = first.fit.parametrisation.physical(first.fit.theta)["cubic_stiffness@2"]["k"][0]  # type: ignore[attr-defined]
+    value = first.fit.parametrisation.reported(first.fit.theta, 0)["k"][0]
     relative = first.fit.std[-1] / first.fit.theta[-1]
     assert abs(value / CUBIC["stiffness_n_m3"] - 1.0) < 4.0 * relative
     assert first.sigmas == pytest.approx(1.0 / relative)
-    assert all(first.fit.log_evidence > other.fit.log_evidence + 10.0 for other in others if "2" not in other.label)
+    assert all(
+        first.fit.log_evidence > other.fit.log_evidence + 10.0
+        for other in others
+        if 2 not in other.explanation.placements[0].points
+    )
     # What is right leaves nothing for a second effect.
     assert all(pair.fit.log_evidence < first.fit.log_evidence + 3.0 for pair in own.pairs([first, *others]))
 
@@ -66,7 +70,7 @@ def test_two_effects_are_found_as_a_pair() -> None:
     best = own.pairs(singles)[0]
     assert {candidate.label for candidate in best.candidates} == {"cubic_stiffness@2", "phase_offset"}
     assert best.fit.log_evidence > singles[0].fit.log_evidence + 20.0
-    offset = best.fit.parametrisation.physical(best.fit.theta)["phase_offset"]  # type: ignore[attr-defined]
+    offset = best.fit.parametrisation.reported(best.fit.theta, [c.label for c in best.candidates].index("phase_offset"))
     assert next(iter(offset.values()))[0] == pytest.approx(OFFSET, abs=0.006)
 
 

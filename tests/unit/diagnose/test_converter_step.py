@@ -14,6 +14,7 @@ from nmt_diagnose.evidence.observables import Part
 from nmt_diagnose.evidence.read_evidence import read_evidence
 from nmt_diagnose.twin.converter import expected_clipped
 from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.twin.influence import Source
 from nmt_diagnose.twin.operating_range import operating_range
 
 
@@ -52,9 +53,9 @@ def test_a_coarse_channel_of_a_bag_is_named_and_the_twin_knows_its_step(tmp_path
     assert np.all(forward.predict(model).values[seen] == 0.0)
     assert forward.predict(rig).values[seen] == pytest.approx(step)
     found = {c.label: c for c in candidates(model, operating_range(model, evidence.tests))}["quantisation@x4"]
-    changed = found.effect.apply(model, found.placement, {"lsb": step})
+    changed = found.effect.apply(model, found.site, {"lsb": step})
     assert forward.predict(changed).values[seen] == pytest.approx(step)
-    columns, _ = forward.influence(model, forward.predict(model), "response_sensor:x4")
+    columns, _ = forward.influence(model, forward.predict(model), Source("response_sensor", channel="x4"))
     assert np.isfinite(columns).all()
     assert np.all(np.any(columns[seen], axis=1))
     # A converter that the model has, too, is no news.

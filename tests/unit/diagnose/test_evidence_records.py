@@ -15,7 +15,6 @@ from nmt_diagnose.evidence.conditions import BackboneTable, RandomTest, RecordTe
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.read_evidence import read_evidence
 from nmt_diagnose.evidence.record_evidence import interpolated, spread_samples, white_noise
-from nmt_diagnose.evidence.summary import as_inputs, found_tests, table_lines
 from nmt_record.imported_run import read_import, write_import
 from nmt_rig.rig import Rig, load_rig
 
@@ -199,19 +198,6 @@ def test_table_of_another_rig(tmp_path: Path) -> None:
     bag = table(tmp_path, "backbone", "frequency_hz,amplitude\n370.0,1\n369.0,2\n")
     with pytest.raises(BenchError, match="no mode of the model"):
         read_evidence([bag], rig_in(tmp_path))
-
-
-def test_summary_names_every_test(tmp_path: Path) -> None:
-    bag = table(tmp_path, "backbone", "frequency_hz,amplitude\n68.6,1\n68.9,2\n")
-    evidence = read_evidence([bag], rig_in(tmp_path))
-    (row,) = found_tests(evidence)
-    assert (row["kind"], row["levels"], row["observables"], row["unit"]) == ("backbone table", 2, 2, "m")
-    lines = table_lines(evidence)
-    assert len(lines) == 2
-    assert evidence.tests[0].name in lines[1]
-    inputs = as_inputs(evidence)
-    assert len(inputs["bags"][0]["sha256"]) == 64
-    assert inputs["tests"][0]["low"] == pytest.approx(1e-3)
 
 
 def test_silverbox(data_folder: Path, tmp_path: Path) -> None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from unit.diagnose.linear_problem import FunctionModel, Plain, evidence_of
-from unit.diagnose.twin_tests import chain
 
-from nmt_diagnose.effects.effect import Candidate, Placement
+from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
+from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.confidence import RANGES, Confidence, Reliability, bounded
 from nmt_diagnose.inference.confidence import confidence as frozen
 from nmt_diagnose.inference.contest import Contender
@@ -19,10 +20,10 @@ from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.judgement import Judgement, judge, with_share_left
 from nmt_diagnose.inference.problem import Problem
 
-RIG = chain()
-CUBIC = Candidate(effect_named("cubic_stiffness"), Placement("2", {"k": 1.0}, 2))
-QUINTIC = Candidate(effect_named("quintic_stiffness"), Placement("2", {"k": 1.0}, 2))
-DRAG = Candidate(effect_named("air_drag"), Placement("1", {"c2": 1.0}, 1))
+CUBIC = Candidate(effect_named("cubic_stiffness"), Site(Placement.at("structure", 2), {"k": 1.0}, 2))
+QUINTIC = Candidate(effect_named("quintic_stiffness"), Site(Placement.at("structure", 2), {"k": 1.0}, 2))
+DRAG = Candidate(effect_named("air_drag"), Site(Placement.at("structure", 1), {"c2": 1.0}, 1))
+JOINT = Placement("joint", detail="joint")
 LIBRARY = (CUBIC, QUINTIC, DRAG)
 ROWS = 50
 _generator = np.random.default_rng(11)
@@ -55,12 +56,12 @@ def judged(measured: np.ndarray, sources: tuple[SourceScore, ...] = (), confiden
     singles = [contender(measured, (CUBIC, A)), contender(measured, (QUINTIC, near)), contender(measured, (DRAG, B))]
     singles.sort(key=lambda item: -item.fit.log_evidence)
     pairs = [contender(measured, (CUBIC, A), (QUINTIC, near))]
-    return judge(contender(measured), singles, pairs, sources, (), LIBRARY, RIG, confidence)
+    return judge(contender(measured), singles, pairs, sources, (), LIBRARY, confidence)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.3, 1.0, 3.0])
 def test_probabilities_sum_to_one(size: float) -> None:
-    source = SourceScore("joint", "joint", 2.0, 9.0, 2.0)
+    source = SourceScore(JOINT, 2.0, 9.0, 2.0)
     found = judged(size * A + NOISE, sources=(source,))
     named = sum(group.probability for group in found.classes)
     assert found.none + found.unknown + named + found.by_label["other"] == pytest.approx(1.0)
@@ -77,7 +78,7 @@ def test_what_looks_alike_is_one_class_and_more_of_the_same_is_no_member() -> No
     single = found.by_label["cubic_stiffness@2"] + found.by_label["quintic_stiffness@2"]
     assert first.probability == pytest.approx(pair + single)
     assert first.probability > 0.95
-    assert next(iter(found.places)) == ("structure", "2")
+    assert next(iter(found.places)) == Placement.at("structure", 2)
 
 
 def test_noise_is_none_and_an_effect_is_one() -> None:
@@ -92,9 +93,9 @@ def test_noise_is_none_and_an_effect_is_one() -> None:
 def test_a_source_that_explains_more_than_all_names_is_unknown() -> None:
     measured = 0.5 * A + NOISE
     plain = judged(measured)
-    found = judged(measured, sources=(SourceScore("joint", "joint", plain.log_odds + 20.0, 60.0, 3.0),))
+    found = judged(measured, sources=(SourceScore(JOINT, plain.log_odds + 20.0, 60.0, 3.0),))
     assert found.unknown > 0.99
-    assert next(iter(found.places)) == ("joint", "joint")
+    assert next(iter(found.places)) == JOINT
     assert found.signs["unknown_odds"] > 10.0
 
 
@@ -109,7 +110,7 @@ def test_signs_beyond_what_was_seen_count_no_more() -> None:
 
 def test_reliabilities_move_probability_between_none_named_and_unnamed() -> None:
     measured = 0.5 * A + NOISE
-    source = (SourceScore("joint", "joint", 2.0, 9.0, 2.0),)
+    source = (SourceScore(JOINT, 2.0, 9.0, 2.0),)
     plain = judged(measured, source)
     doubtful = judged(measured, source, replace(PLAIN, gap=Reliability(0.0, {}), unnamed=Reliability(0.0, {})))
     assert doubtful.none == pytest.approx(0.5)
@@ -128,25 +129,25 @@ def test_two_effects_at_one_point_are_a_sign_of_their_own() -> None:
     pair = contender(2.0 * A + 2.0 * B + NOISE, (CUBIC, A), (DRAG, B))
     singles = [contender(2.0 * A + 2.0 * B + NOISE, (CUBIC, A))]
     plain = contender(2.0 * A + 2.0 * B + NOISE)
-    apart = judge(plain, singles, [pair], (), (), LIBRARY, RIG, PLAIN, pair)
+    apart = judge(plain, singles, [pair], (), (), LIBRARY, PLAIN, pair)
     assert apart.signs["second"] == 1.0
     assert apart.signs["together"] == 0.0  # points 2 and 1
-    near = replace(pair, candidates=(CUBIC, Candidate(DRAG.effect, Placement("2", {"c2": 1.0}, 2))))
+    near = replace(pair, candidates=(CUBIC, Candidate(DRAG.effect, Site(Placement.at("structure", 2), {"c2": 1.0}, 2))))
     library = (*LIBRARY, near.candidates[1])
-    assert judge(plain, singles, [near], (), (), library, RIG, PLAIN, near).signs["together"] == 1.0
+    assert judge(plain, singles, [near], (), (), library, PLAIN, near).signs["together"] == 1.0
 
 
 def test_what_a_test_finds_and_chance_would_not_is_unnamed() -> None:
     plain = contender(NOISE)
-    often = judge(plain, [], [], (), (), LIBRARY, RIG, PLAIN, None, 1e-3)
-    never = judge(plain, [], [], (), (), LIBRARY, RIG, PLAIN, None, 1e-12)
+    often = judge(plain, [], [], (), (), LIBRARY, PLAIN, None, 1e-3)
+    never = judge(plain, [], [], (), (), LIBRARY, PLAIN, None, 1e-12)
     assert often.log_odds < 0.0
     assert never.log_odds > 10.0
     assert never.unknown > 0.99
 
 
 def test_what_little_is_left_of_a_gap_is_all_that_can_be_unnamed() -> None:
-    source = (SourceScore("joint", "joint", 60.0, 9.0, 2.0),)
+    source = (SourceScore(JOINT, 60.0, 9.0, 2.0),)
     plain = judged(1.0 * A + NOISE, source, replace(PLAIN, unnamed=Reliability(0.0, {})))
     found = with_share_left(plain, 0.02)
     assert found.unknown == pytest.approx(0.02 * plain.unknown)
@@ -156,3 +157,27 @@ def test_what_little_is_left_of_a_gap_is_all_that_can_be_unnamed() -> None:
     assert found.classes[0].probability / plain.classes[0].probability == pytest.approx(
         named / (1.0 - plain.none - plain.unknown)
     )
+
+
+def test_the_prior_of_a_pair_is_that_of_two_draws_in_any_order() -> None:
+    """Two effects drawn one after the other, each kind as likely: a pair comes up in either order."""
+    kinds = [candidate.effect.name for candidate in LIBRARY]
+    wanted = {CUBIC.effect.name, DRAG.effect.name}
+    draws = list(product(kinds, repeat=2))
+    share = sum(set(draw) == wanted for draw in draws) / len(draws)
+    measured = 2.0 * A + 0.5 * B + NOISE
+    plain, single = contender(measured), contender(measured, (CUBIC, A))
+    pair = contender(measured, (CUBIC, A), (DRAG, B))
+    even = replace(PLAIN, inexactness=0.0)
+    found = judge(plain, [single], [pair], (), (), LIBRARY, even)
+    expected = even.prior_pair * share / (even.prior_effect / len(kinds))
+    assert -2.0 < found.signs["margin"] < 8.0
+    ratio = found.named[pair.explanation] / found.named[single.explanation]
+    gain = pair.fit.log_evidence - single.fit.log_evidence
+    assert np.log(ratio) == pytest.approx(np.log(expected) + gain)
+    # Something unnamed behind a pair costs the pair first.
+    behind = [
+        judge(plain, [single], [pair], (), (), LIBRARY, even, best, 1e-30).signs["unknown_odds"]
+        for best in (pair, single)
+    ]
+    assert behind[0] - behind[1] == pytest.approx(np.log(expected) + gain)

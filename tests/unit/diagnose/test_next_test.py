@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from unit.diagnose.linear_problem import FunctionModel, Plain, evidence_of
-from unit.diagnose.test_judgement import CUBIC, DRAG, RIG
+from unit.diagnose.test_judgement import CUBIC, DRAG
+from unit.diagnose.twin_tests import chain
 
 from nmt_diagnose.inference import next_test
 from nmt_diagnose.inference.contest import Contender
@@ -17,6 +18,7 @@ from nmt_diagnose.inference.judgement import ExplanationClass
 from nmt_diagnose.inference.next_test import Proposal, next_tests
 from nmt_diagnose.inference.problem import Problem
 
+RIG = chain()
 SIGMA = 0.5
 
 
@@ -69,7 +71,7 @@ def proposal() -> Proposal:
 
 def expected(future: dict[str, np.ndarray], a: Contender, b: Contender) -> float:
     """√(Δᵀ (σ² + J C Jᵀ)⁻¹ Δ) with a true and b adapting."""
-    ja, jb = future[a.label], future[b.label]
+    ja, jb = future[a.explanation.label], future[b.explanation.label]
     gap = ja * a.fit.theta[0] - jb * b.fit.theta[0]
     spread = SIGMA**2 * np.eye(6) + np.outer(jb, jb) * b.fit.covariance[0, 0]
     return float(np.sqrt(gap @ np.linalg.solve(spread, gap)))

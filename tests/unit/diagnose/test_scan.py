@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 from unit.diagnose.linear_problem import FunctionModel, Plain, evidence_of
 
+from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.generic_source import source_score
 from nmt_diagnose.inference.problem import Problem
@@ -41,8 +42,8 @@ def test_a_fit_that_stopped_short_scores_as_one_that_did_not():
     whole, cut = ({s.direction.candidate: s for s in scores(item, directions)} for item in (null, early))
     for k in range(2):
         assert cut[k].gain == pytest.approx(whole[k].gain, rel=1e-6, abs=1e-6)
-    assert source_score(early, effect[:, None], "structure", "1").gain == pytest.approx(
-        source_score(null, effect[:, None], "structure", "1").gain, rel=1e-6
+    assert source_score(early, effect[:, None], Placement.at("structure", 1)).gain == pytest.approx(
+        source_score(null, effect[:, None], Placement.at("structure", 1)).gain, rel=1e-6
     )
 
 
@@ -86,7 +87,7 @@ def test_generic_source_is_the_ratio_of_two_marginal_likelihoods():
         multivariate_normal(np.zeros(60), base + tau**2 * columns @ columns.T).logpdf(measured) - without
         for tau in sizes
     ]
-    assert source_score(null, 7.0 * columns, "structure", "point 1").gain == pytest.approx(
+    assert source_score(null, 7.0 * columns, Placement.at("structure", 1)).gain == pytest.approx(
         np.log(np.mean(np.exp(logs))), abs=5e-3
     )
 

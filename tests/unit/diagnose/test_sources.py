@@ -45,7 +45,7 @@ def test_a_source_is_found_where_it_is(change: dict[str, Any], place: str, detai
     else:
         truth = real(MODEL, **change)
     first, second, *_ = found(truth)
-    assert (first.place, first.detail) == (place, detail)
+    assert (first.placement.kind, first.placement.detail) == (place, detail)
     assert first.gain > max(10.0, second.gain + 3.0)
     assert first.explained > first.freedom
 

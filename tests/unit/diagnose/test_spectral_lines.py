@@ -15,6 +15,7 @@ from nmt_diagnose.evidence.observables import Part
 from nmt_diagnose.evidence.read_evidence import read_evidence
 from nmt_diagnose.evidence.spectral_lines import mains_line
 from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.twin.influence import Source
 from nmt_diagnose.twin.operating_range import operating_range
 
 RATE = 2000.0
@@ -80,7 +81,7 @@ def test_a_humming_channel_of_a_bag_is_named_and_the_twin_knows_its_line(tmp_pat
     forward = Forward(evidence.tests, rows)
     hum = {c.label: c for c in candidates(model, operating_range(model, evidence.tests)) if "hum" in c.label}
     own_hum = hum["mains_hum@x4 at 60 Hz"]
-    changed = own_hum.effect.apply(model, own_hum.placement, {"amplitude": 2e-7})
+    changed = own_hum.effect.apply(model, own_hum.site, {"amplitude": 2e-7})
     seen = line & own & (rows.frequency_hz == 60.0)
     values = forward.predict(changed).values
     assert np.all(np.abs(values - evidence.values)[line] < 4.0 * evidence.sigma[line])
@@ -88,13 +89,17 @@ def test_a_humming_channel_of_a_bag_is_named_and_the_twin_knows_its_line(tmp_pat
     # A source at another place does not touch the line, and none makes rows undefined.
     prediction = forward.predict(model)
     touched = {
-        place: forward.influence(model, prediction, place)[0]
-        for place in ("response_sensor:x4", "response_sensor:x2", "structure:4")
+        name: forward.influence(model, prediction, source)[0]
+        for name, source in (
+            ("x4", Source("response_sensor", channel="x4")),
+            ("x2", Source("response_sensor", channel="x2")),
+            ("point 4", Source("structure", 4)),
+        )
     }
     assert all(np.isfinite(columns).all() for columns in touched.values())
-    assert np.any(touched["response_sensor:x4"][seen])
-    assert not np.any(touched["response_sensor:x2"][seen])
-    assert not np.any(touched["structure:4"][line])
+    assert np.any(touched["x4"][seen])
+    assert not np.any(touched["x2"][seen])
+    assert not np.any(touched["point 4"][line])
 
 
 def test_an_order_that_is_folded_onto_the_line_is_no_line() -> None:

@@ -18,6 +18,7 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.evidence.conditions import BackboneTable, MeasuredChannel, RecordTest, RingDownTest
 from nmt_diagnose.evidence.observables import Part
 from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.twin.influence import Source
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_plant.device import DriveCommand, Waveform
@@ -31,6 +32,8 @@ from nmt_rig.rig_file import RigDocument
 from nmt_rig.rig_model import build_elements, build_structure, build_system
 
 PLAIN = TwinSettings(harmonics=7, mesh_refinement=1)
+AT_2, A2 = Source("structure", 2), Source("response_sensor", channel="a2")
+EXCITER, FORCE, LOOP = Source("exciter"), Source("force_sensor"), Source("controller")
 
 
 def run_and_stop(rig: Rig, hz: float, volts: float, driven: float, free: float) -> np.ndarray:
@@ -416,20 +419,20 @@ def test_sources_span_what_an_effect_at_their_place_does():
     for label in ("cubic_stiffness@2", "viscous_damping@2", "suspension_cubic", "response_gain@a2", "phase_offset"):
         parametrisation = Parametrisation(rig, (), (own[label],))
         signature = forward.jacobian(parametrisation, np.zeros(1), prediction)[:, 0]
-        for place in ("structure:2", "structure:1", "exciter", "response_sensor:a2", "force_sensor", "controller"):
+        for place in (AT_2, Source("structure", 1), EXCITER, A2, FORCE, LOOP):
             columns, names = forward.influence(rig, prediction, place)
             assert columns.shape == (len(signature), len(names))
             if columns.shape[1]:
                 rest = signature - columns @ np.linalg.lstsq(columns, signature, rcond=1e-10)[0]
                 left[label, place] = np.linalg.norm(rest) / np.linalg.norm(signature)
     for label, place in (
-        ("cubic_stiffness@2", "structure:2"), ("viscous_damping@2", "structure:2"), ("suspension_cubic", "exciter"),
-        ("response_gain@a2", "response_sensor:a2"), ("phase_offset", "controller"),
+        ("cubic_stiffness@2", AT_2), ("viscous_damping@2", AT_2), ("suspension_cubic", EXCITER),
+        ("response_gain@a2", A2), ("phase_offset", LOOP),
     ):  # fmt: skip
         assert left[label, place] < 0.02, (label, place, left[label, place])
-    assert left["cubic_stiffness@2", "controller"] > 0.9
-    assert left["response_gain@a2", "controller"] > 0.9
-    assert left["cubic_stiffness@2", "force_sensor"] > 0.1
+    assert left["cubic_stiffness@2", LOOP] > 0.9
+    assert left["response_gain@a2", LOOP] > 0.9
+    assert left["cubic_stiffness@2", FORCE] > 0.1
 
 
 def test_shared_sources_are_fewer():
@@ -437,11 +440,11 @@ def test_shared_sources_are_fewer():
     test, table = locked(rig, [level(v, 24.0) for v in (0.5, 2.0)], "x1")
     forward = Forward([test], rows_of(table))
     prediction = forward.predict(rig)
-    every, _ = forward.influence(rig, prediction, "structure:2")
-    shared, names = forward.influence(rig, prediction, "structure:2", shared=True)
+    every, _ = forward.influence(rig, prediction, AT_2)
+    shared, names = forward.influence(rig, prediction, AT_2, shared=True)
     assert shared.shape[1] == every.shape[1] // 2 == len(names)
     np.testing.assert_allclose(shared.sum(axis=1), every.sum(axis=1), atol=1e-12)
-    assert forward.influence(rig, prediction, "time")[0].shape[1] == 3
+    assert forward.influence(rig, prediction, Source("time"))[0].shape[1] == 3
 
 
 def test_what_the_twin_does_not_cover_is_said():
@@ -485,8 +488,8 @@ def test_every_candidate_gives_a_rig_that_the_plant_accepts():
             again = validate_rig(RigDocument("changed", changed.model_dump(exclude_none=True), {}))
             assert again != rig, own.label
             assert again == changed, own.label
-            physical = parametrisation.physical(theta)[own.label]
-            assert all(math.isfinite(value) for value, _, _ in physical.values()), own.label
+            reported = parametrisation.reported(theta, 0)
+            assert all(math.isfinite(value) for value, _ in reported.values()), own.label
 
 
 def test_parametrisation_orders_and_scales():
@@ -502,7 +505,7 @@ def test_parametrisation_orders_and_scales():
     changed = parametrisation.rig(np.array([2.0, 1.0, math.log(0.5), -1.0]))
     assert changed.structure.youngs_modulus_pa == pytest.approx(185e9 * math.exp(0.02))
     stop = changed.local_elements[-1]
-    assert stop.gap_m == pytest.approx(0.5 * own[0].placement.scales["gap"])
+    assert stop.gap_m == pytest.approx(0.5 * own[0].site.scales["gap"])
     assert changed.sensors[0].gain == pytest.approx(0.98)
     assert parametrisation.rig(np.array([0.0, -1.0, 0.0, 0.0])) is rig
     with pytest.raises(BenchError, match="no effect"):

@@ -182,7 +182,7 @@ def test_hum_is_a_line_of_its_channel():
     table = [(0, 0, channel, -1, Part.LINE) for channel in range(3)]
     parametrisation = Parametrisation(rig, (), (own,))
     forward = Forward([test], rows_of(table, 50.1), SETTINGS)
-    size = own.placement.scales["amplitude"]
+    size = own.site.scales["amplitude"]
     prediction = forward.predict(parametrisation.rig(np.array([3.0])))
     np.testing.assert_allclose(prediction.values, [0.0, 3.0 * size, 0.0])
     jacobian = forward.jacobian(parametrisation, np.zeros(1), forward.predict(rig))

@@ -15,11 +15,11 @@ from unit.extract.synthetic import (
 )
 
 from nmt_core.errors import BenchError
+from nmt_core.vocabulary import LoopState
 from nmt_extract.extractor import Extractor
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_extract.modal_point import Status
 from nmt_extract.settings import ExtractionSettings
-from nmt_extract.window import ACQUIRING, FIXED, LOCK_LOST, LOCKED
 
 SAMPLES = round(5 * RATE / FREQUENCY)
 
@@ -41,7 +41,7 @@ def run(schedule, locks=(), levels=((0, 0.1, "V"), (1, 0.2, "V"))):
         last = pair[0].end_sample - 1
         if last in locks:
             extractor.add_lock(locks[last])
-        reason = "no lock within 30 s" if state == LOCK_LOST else ""
+        reason = "no lock within 30 s" if state == LoopState.LOCK_LOST else ""
         extractor.add_state(last, state, level, reason, "m")
         points += extractor.take()
     return [*points, *extractor.finish()], extractor
@@ -49,7 +49,7 @@ def run(schedule, locks=(), levels=((0, 0.1, "V"), (1, 0.2, "V"))):
 
 def test_a_level_that_locks_gives_one_point():
     lock = lock_event(400, SAMPLES, 5, sample=399)
-    points, extractor = run([(ACQUIRING, 0), *[(LOCKED, 0)] * 14], [lock])
+    points, extractor = run([(LoopState.ACQUIRING, 0), *[(LoopState.LOCKED, 0)] * 14], [lock])
     assert [point.status for point in points] == [Status.OK]
     assert points[0].damping_ratio == pytest.approx(0.012, rel=1e-9)
     assert points[0].time_ns == round((400 + SAMPLES - 1) / RATE * 1e9)
@@ -58,7 +58,7 @@ def test_a_level_that_locks_gives_one_point():
 
 
 def test_a_level_that_never_locks_is_reported_once():
-    points, extractor = run([(FIXED, 0), (ACQUIRING, 0), *[(LOCK_LOST, 0)] * 5])
+    points, extractor = run([(LoopState.FIXED, 0), (LoopState.ACQUIRING, 0), *[(LoopState.LOCK_LOST, 0)] * 5])
     (point,) = points
     assert point.status is Status.NOT_LOCKED
     assert point.reason == "The level did not lock: no lock within 30 s."
@@ -69,12 +69,12 @@ def test_a_level_that_never_locks_is_reported_once():
 
 def test_every_level_that_does_not_lock_is_reported():
     schedule = [
-        (ACQUIRING, 0),
-        (LOCK_LOST, 0),
-        (LOCK_LOST, 0),
-        (ACQUIRING, 1),
-        (ACQUIRING, 1),
-        (LOCK_LOST, 1),
+        (LoopState.ACQUIRING, 0),
+        (LoopState.LOCK_LOST, 0),
+        (LoopState.LOCK_LOST, 0),
+        (LoopState.ACQUIRING, 1),
+        (LoopState.ACQUIRING, 1),
+        (LoopState.LOCK_LOST, 1),
     ]
     points, _ = run(schedule)
     assert [(point.level_index, point.level, point.status) for point in points] == [
@@ -85,7 +85,7 @@ def test_every_level_that_does_not_lock_is_reported():
 
 def test_lock_lost_within_the_window_rejects_it_and_is_not_reported_twice():
     lock = lock_event(400, SAMPLES, 5, sample=399)
-    points, _ = run([(ACQUIRING, 0), *[(LOCKED, 0)] * 5, *[(LOCK_LOST, 0)] * 9], [lock])
+    points, _ = run([(LoopState.ACQUIRING, 0), *[(LoopState.LOCKED, 0)] * 5, *[(LoopState.LOCK_LOST, 0)] * 9], [lock])
     (point,) = points
     assert point.status is Status.REJECTED
     assert "lock lost at sample 1399 (no lock within 30 s)" in point.reason
@@ -93,31 +93,34 @@ def test_lock_lost_within_the_window_rejects_it_and_is_not_reported_twice():
 
 def test_lock_lost_after_the_window_does_no_harm():
     lock = lock_event(400, SAMPLES, 5, sample=399)
-    points, _ = run([(ACQUIRING, 0), *[(LOCKED, 0)] * 14, (LOCK_LOST, 0)], [lock])
+    points, _ = run([(LoopState.ACQUIRING, 0), *[(LoopState.LOCKED, 0)] * 14, (LoopState.LOCK_LOST, 0)], [lock])
     assert [point.status for point in points] == [Status.OK]
 
 
 def test_a_second_try_of_the_same_level_counts_for_itself():
     lock = lock_event(400, SAMPLES, 5, sample=399)
-    points, _ = run([(ACQUIRING, 0), *[(LOCKED, 0)] * 14, (ACQUIRING, 0), (LOCK_LOST, 0)], [lock])
+    points, _ = run(
+        [(LoopState.ACQUIRING, 0), *[(LoopState.LOCKED, 0)] * 14, (LoopState.ACQUIRING, 0), (LoopState.LOCK_LOST, 0)],
+        [lock],
+    )
     assert [point.status for point in points] == [Status.OK, Status.NOT_LOCKED]
 
 
 def test_the_end_of_the_streams_gives_up_the_open_window():
     lock = lock_event(400, SAMPLES, 5, sample=399)
-    points, _ = run([(ACQUIRING, 0), *[(LOCKED, 0)] * 7], [lock])
+    points, _ = run([(LoopState.ACQUIRING, 0), *[(LoopState.LOCKED, 0)] * 7], [lock])
     (point,) = points
     assert point.reason == "The window was never completed: 'force' ended after 1200 of its 2253 samples."
 
 
 def test_a_level_nobody_announced_has_the_responses_unit():
-    points, _ = run([(ACQUIRING, 0), (LOCK_LOST, 0)], levels=())
+    points, _ = run([(LoopState.ACQUIRING, 0), (LoopState.LOCK_LOST, 0)], levels=())
     assert math.isnan(points[0].level)
     assert points[0].level_unit == "m"
 
 
 def test_the_quiet_level_at_the_end_is_no_level():
-    points, _ = run([(ACQUIRING, 0), (LOCK_LOST, 0)], levels=((0, 0.1, "V"), (0, 0.0, "V")))
+    points, _ = run([(LoopState.ACQUIRING, 0), (LoopState.LOCK_LOST, 0)], levels=((0, 0.1, "V"), (0, 0.0, "V")))
     assert points[0].level == 0.1
 
 

@@ -2,41 +2,57 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+import struct
 
 import pytest
 
 from nmt_core.linear_description import LinearDescription
-from nmt_core.test_kind import TestKind
-from nmt_core.wire import LoopStatus, write_status
+from nmt_core.records import LevelCommand, LockEvent
+from nmt_core.vocabulary import LoopState, TestKind
+from nmt_core.wire import LEVEL, LOCK_EVENT, LoopStatus, write_status
 from nmt_extract.extractor import Extractor
 from nmt_extract.message_feed import MessageFeed
 from nmt_extract.modal_point import Status
 
 LINEAR = LinearDescription("test", 2, 0, (2,), (139.0,), (0.01,), ((1.0,),), 1.0, 140.0, 0.02, 0.04)
-ACQUIRING, LOST = 2, 4
-OLD = {}
+EVENT = LockEvent(0, 0.3, "V", 299, 22.0, 0.0, 300, 1000, 20)
+KIND_IN_LEVEL = 4 + 64  # after the time-out; the kind of test and five numbers follow
 
 
-def points(fields: dict[str, int]) -> list[Status]:
+def level(index: int, kind: int | None) -> bytes:
+    """A serialised level; None as kind: as recorded before there were kinds."""
+    raw = bytearray(LEVEL.write(LevelCommand(index + 1, index, 0.3, 0, 0.1)))
+    assert raw[KIND_IN_LEVEL] == TestKind.PHASE_RESONANCE
+    raw[KIND_IN_LEVEL] = kind or 0
+    return bytes(raw if kind is not None else raw[:KIND_IN_LEVEL])
+
+
+def lock(kind: int | None) -> bytes:
+    """A serialised lock event, likewise."""
+    raw = LOCK_EVENT.write(EVENT)
+    return raw[:-1] + (b"" if kind is None else struct.pack("<B", kind))
+
+
+def points(kind: int | None) -> list[Status]:
     """Status of the points of a level that locks for a window without samples, and of one that does not lock."""
     extractor = Extractor(LINEAR)
     feed = MessageFeed(extractor)
     for index in range(2):
-        feed.decoded["level"](SimpleNamespace(index=index, amplitude=0.3, control=1, **fields))
-    window = {"window_first_sample": 300, "window_samples": 1000, "window_periods": 20}
-    event = {"level_index": 0, "level": 0.3, "level_unit": "V", "sample": 299, "frequency_hz": 22.0, "phase_error": 0.0}
-    feed.decoded["lock"](SimpleNamespace(**event, **window, **fields))
-    for sample, state in ((2000, ACQUIRING), (3000, LOST)):
-        feed.raw["frequency"](write_status(LoopStatus(sample, 1, 2, state, 22.0, 0.0, 1.0, 1.0, "m", 0.1), 1000.0))
+        feed.callbacks["level"](level(index, kind))
+    feed.callbacks["lock"](lock(kind))
+    for sample, state in ((2000, LoopState.ACQUIRING), (3000, LoopState.LOCK_LOST)):
+        feed.callbacks["frequency"](
+            write_status(LoopStatus(sample, 1, 2, state, 22.0, 0.0, 1.0, 1.0, "m", 0.1), 1000.0)
+        )
+    assert feed.malformed == 0
     return [point.status for point in extractor.finish()]
 
 
-@pytest.mark.parametrize("fields", [OLD, {"test": 0}, {"test": 1}])
-def test_phase_resonance_gives_points(fields):
-    assert sorted(points(fields)) == sorted([Status.NOT_LOCKED, Status.REJECTED])
+@pytest.mark.parametrize("kind", [None, 0, 1])
+def test_phase_resonance_gives_points(kind):
+    assert sorted(points(kind)) == sorted([Status.NOT_LOCKED, Status.REJECTED])
 
 
 @pytest.mark.parametrize("kind", [*(kind for kind in TestKind if not kind.gives_modal_points), 77])
 def test_other_kinds_give_none(kind):
-    assert points({"test": int(kind)}) == []
+    assert points(int(kind)) == []

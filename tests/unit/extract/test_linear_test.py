@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 from dataclasses import replace
+from html import unescape
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
+from nmt_bench import import_data
 from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_extract.linear_evaluation import evaluate_linear_test
 from nmt_extract.linear_file import Linearity, description, frf_table, linear_mapping, linearity
 from nmt_extract.linear_test import LinearTest, LinearTestSettings, _target_of, linear_test
 from nmt_plant.device import DriveCommand, Waveform
 from nmt_plant.simulated_rig import SimulatedRig
+from nmt_record.bag_reader import Bag
 from nmt_record.segments import Signals
+from nmt_report.linear_report import exact_modes, linear_page
+from nmt_report.quantity_format import uncertain
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import Rig, load_rig
 
@@ -284,3 +294,85 @@ def test_frf_table_holds_what_was_estimated(resonator):
         np.testing.assert_allclose(complex_column, getattr(test.force_frf, label)[row], rtol=1e-7)
     np.testing.assert_allclose(column["a2_f1_coherence"], test.force_frf.coherence[row], rtol=1e-7)
     assert {"f1_u_h1_real", "a3_u_h1_imag", "f1_u_coherence"} <= set(head)
+
+
+# -- from a recording -------------------------------------------------------------------------------------------------
+
+
+def imported(signals: Signals, folder: Path, segments: list[dict[str, Any]]) -> Bag:
+    """A bag with these signals, by way of an import of NPZ data."""
+    names = list(signals.channels)
+    np.savez(folder / "data.npz", **signals.channels)
+    channels = [
+        {
+            "column": name,
+            "quantity": signals.quantities[name].name.lower(),
+            "unit": {"FORCE": "N", "DISPLACEMENT": "m", "ACCELERATION": "m/s^2", "VOLTAGE": "V"}[
+                signals.quantities[name].name
+            ],
+            "point": signals.points[name],
+            "name": name,
+        }
+        for name in names
+    ]
+    document = {"file": "data.npz", "sample_rate": signals.sample_rate, "channels": channels, "segments": segments}
+    (folder / "sidecar.yaml").write_text(yaml.safe_dump(document))
+    import_data(folder / "sidecar.yaml", folder / "bag")
+    return Bag.open(folder / "bag")
+
+
+def test_a_recording_gives_what_its_windows_give(resonator, tmp_path):
+    rig, signals, _ = resonator
+    seconds = [{"kind": "random", "start": 0.0, "stop": 10.0, "level": 0.1, "band_hz": [12.0, 1900.0]}]
+    seconds.append({"kind": "random", "start": 10.0, "stop": 25.0, "level": 0.25, "band_hz": [12.0, 1900.0]})
+    bag = imported(signals, tmp_path, seconds)
+    asked = settings(rig)
+    result = evaluate_linear_test(
+        bag, band_hz=BAND, modes=asked.modes, rig_mode=asked.rig_mode, drive_point=asked.drive_point,
+        quantity=asked.quantity,
+    )  # fmt: skip
+    rate = round(signals.sample_rate)
+    lower = linear_test(_between(signals, 0, 10 * rate), asked)
+    upper = linear_test(_between(signals, 10 * rate, 25 * rate), asked)
+    for mode, expected in zip(result.test.modes, upper.modes, strict=True):
+        assert mode.frequency_hz == expected.frequency_hz
+        assert mode.damping_ratio == expected.damping_ratio
+        np.testing.assert_array_equal(mode.shape, expected.shape)
+    assert result.level == 0.25
+    assert result.check == linearity(upper, lower, 0.25, 0.1)
+    assert result.remarks == upper.remarks
+    assert result.to_mapping()["quality"]["remarks"] == list(upper.remarks)
+    # What is not said comes from the recording: response quantity, drive point and band of the excitation.
+    own = evaluate_linear_test(bag, modes=asked.modes, rig_mode=asked.rig_mode)
+    assert own.test.settings.quantity is Quantity.ACCELERATION
+    assert own.test.settings.drive_point == rig.drive_point
+    assert own.test.settings.band_hz == (12.0, 1900.0)
+    page = linear_page(result, rig, exact_modes(rig))
+    text = unescape(re.sub(r"<[^>]+>", " ", re.sub(r"<(style|script|svg)\b.*?</\1>", "", page, flags=re.S)))
+    assert f"{len(upper.modes)} modes fitted and scaled" in text
+    assert uncertain(upper.modes[0].frequency_hz, upper.modes[0].frequency_std) in text
+    assert result.check.sentence in text
+    for heading in ("Against the model", "Mass-normalised shape at", "Plant: structure and exciter", "Estimated mass"):
+        assert heading in text
+
+
+@pytest.mark.parametrize(
+    ("asked", "sentence"),
+    [
+        ({"modes": 0}, "number of modes to keep must be at least 1, got 0"),
+        ({"near_hz": -1.0}, "frequency near the target must be positive"),
+        ({"segment_s": math.inf}, "length of a segment must be positive"),
+        ({"band_hz": (20.0, 10.0)}, "two rising frequencies"),
+        ({}, "no whole window of random excitation"),
+    ],
+)
+def test_what_cannot_be_evaluated_is_refused(asked, sentence, resonator, tmp_path):
+    _, signals, _ = resonator
+    short = _between(signals, 0, 4 * round(signals.sample_rate))
+    bag = imported(short, tmp_path, [{"kind": "sweep", "start": 0.0, "stop": 4.0, "level": 1.0}])
+    with pytest.raises(BenchError, match=sentence):
+        evaluate_linear_test(bag, **asked)
+
+
+def _between(signals: Signals, first: int, last: int) -> Signals:
+    return replace(signals, channels={name: row[first:last] for name, row in signals.channels.items()})

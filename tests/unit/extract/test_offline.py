@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict
-from typing import Any
 
-import numpy as np
 import pytest
 from unit.extract.synthetic import (
     FREQUENCY,
@@ -20,14 +18,16 @@ from unit.extract.synthetic import (
 )
 
 from nmt_core.errors import BenchError
+from nmt_core.records import LevelCommand, LoopStatus
+from nmt_core.vocabulary import LoopState
+from nmt_core.wire import LEVEL, LOCK_EVENT, BlockWriter, write_status
 from nmt_extract.extractor import Extractor
 from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import read_json, write_results
 from nmt_extract.offline import extract_bag
 from nmt_extract.settings import ExtractionSettings
-from nmt_extract.window import ACQUIRING, LOCK_LOST, LOCKED
+from nmt_record.bag_reader import Bag
 from nmt_record.bag_writer import BagWriter
-from nmt_record.message_definitions import local_definitions
 
 SAMPLES = round(5 * RATE / FREQUENCY)
 LOCK = lock_event(400, SAMPLES, 5, sample=399)
@@ -46,44 +46,6 @@ TOPICS = {
 }
 
 
-class Messages:
-    """Makes messages of the local type store; fields that are not named are zero."""
-
-    def __init__(self) -> None:
-        self.store = local_definitions()
-        for kind in TOPICS.values():
-            self.store.definition(kind)
-
-    def make(self, kind: str, **values: Any) -> Any:
-        types = self.store.typestore.types
-        fields = self.store.typestore.fielddefs[kind][1]
-        zero = {}
-        for name, (node, description) in fields:
-            if name in values:
-                continue
-            if int(node) == 2:
-                zero[name] = self.make(description)
-            elif int(node) == 1:
-                zero[name] = "" if description[0] == "string" else 0
-            else:
-                zero[name] = []
-        return types[kind](**zero, **values)
-
-    def block(self, block) -> Any:
-        return self.make(
-            "nmt_msgs/msg/SampleBlock",
-            first_sample=block.first_sample,
-            sample_rate=block.sample_rate,
-            quantity=int(block.quantity),
-            unit=block.unit,
-            channels=list(block.channels),
-            points=np.array(block.points, dtype=np.uint32),
-            data=block.data.ravel(),
-            oscillator_cycles=block.oscillator.cycles,
-            oscillator_frequency_hz=block.oscillator.frequency_hz,
-        )
-
-
 @pytest.fixture(scope="module")
 def stream():
     force, shape = in_phase_case()
@@ -95,31 +57,27 @@ def make_bag(tmp_path, stream):
     writers = []
 
     def make(run=RUN, lock=LOCK, states=None, leave_out=(), close=True, drop=()):
-        messages = Messages()
+        blocks = BlockWriter("beam")
         writer = BagWriter(tmp_path / "bag", run_json=json.dumps(run) if run else "", rig_yaml="", chunk_messages=4)
         writers.append(writer)
         for topic, kind in TOPICS.items():
             writer.add_topic(topic, kind)
 
-        def write(topic, message):
+        def write(topic, raw):
             if topic not in leave_out:
-                writer.write_message(topic, message)
+                writer.write(topic, raw)
 
-        write("level", messages.make(TOPICS["level"], index=0, control=1, amplitude=0.1))
+        write("level", LEVEL.write(LevelCommand(1, 0, 0.1, 0, 0.0)))
         for pair in zip(stream.blocks("force"), stream.blocks("displacement"), strict=True):
             for block in pair:
                 if block.first_sample not in drop:
-                    write(block.quantity.topic, messages.block(block))
+                    write(block.quantity.topic, blocks.write(block))
             last = pair[0].end_sample - 1
             if lock and last == lock.sample:
-                write("lock", messages.make(TOPICS["lock"], **asdict(lock)))
-            state = (states or {}).get(last, LOCKED)
-            write(
-                "frequency",
-                messages.make(
-                    TOPICS["frequency"], last_sample=last, state=state, response_unit="m", reason="too noisy"
-                ),
-            )
+                write("lock", LOCK_EVENT.write(lock))
+            state = (states or {}).get(last, LoopState.LOCKED)
+            status = LoopStatus(last, 0, 0, state, 0.0, 0.0, 0.0, 0.0, "m", 0.0, reason="too noisy")
+            write("frequency", write_status(status, RATE))
         if close:
             writer.close()
         else:
@@ -180,14 +138,14 @@ def test_missing_blocks_reject_the_window(make_bag):
 
 
 def test_lost_lock_rejects_the_window(make_bag):
-    (point,) = extract_bag(make_bag(states={999: LOCK_LOST})).points
+    (point,) = extract_bag(make_bag(states={999: LoopState.LOCK_LOST})).points
     assert point.status is Status.REJECTED
     assert "lock lost at sample 999 (too noisy)" in point.reason
 
 
 def test_bags_without_lock_events_are_refused_with_a_sentence(make_bag):
     with pytest.raises(BenchError, match="no level of the run locked"):
-        extract_bag(make_bag(lock=None, states={199: ACQUIRING}))
+        extract_bag(make_bag(lock=None, states={199: LoopState.ACQUIRING}))
 
 
 @pytest.mark.parametrize(
@@ -226,3 +184,52 @@ def test_a_cut_off_bag_says_what_is_lost(make_bag):
     result = extract_bag(path)
     assert result.loss is not None
     assert all(math.isfinite(point.damping_ratio) for point in result.points if point.status is Status.OK)
+
+
+def outcome(path):
+    """The result of an extraction, or the sentence that refuses the bag."""
+    try:
+        return extract_bag(path)
+    except BenchError as error:
+        return str(error)
+
+
+def test_a_bag_cut_before_its_first_lock_is_called_cut(make_bag, tmp_path):
+    """Nobody knows whether a level locked in what is missing."""
+    path = make_bag()
+    whole = (path / "bag_0.mcap").read_bytes()
+    verdicts = set()
+    for size in range(9_000, len(whole), 1_500):
+        (tmp_path / "cut.mcap").write_bytes(whole[:size])
+        result = outcome(tmp_path / "cut.mcap")
+        said = result if isinstance(result, str) else result.loss
+        assert "is cut off" in said
+        assert "locked" not in said
+        verdicts.update(["refused"] if isinstance(result, str) else [point.status.name for point in result.points])
+    assert verdicts >= {"refused", "REJECTED"}
+
+
+def test_damage_rejects_the_window_it_falls_into_and_no_other(make_bag):
+    path = make_bag()
+    file = path / "bag_0.mcap"
+    whole = file.read_bytes()
+    sound = extract_bag(path).points[0]
+    window = (LOCK.window_first_sample, LOCK.window_first_sample + LOCK.window_samples)
+    seen = set()
+    for position in range(12_000, len(whole) - 6_000, 1_700):
+        damaged = bytearray(whole)
+        damaged[position] ^= 16
+        file.write_bytes(damaged)
+        result = outcome(path)
+        if isinstance(result, str):  # the lock event was in it
+            assert "is damaged" in result
+            assert "locked" not in result
+            continue
+        hit = any(span.touches(*window) for span in Bag.open(path).lost_spans)
+        seen.add(hit)
+        if hit:
+            assert "is damaged" in result.loss
+            assert result.points[0].status is Status.REJECTED
+        else:
+            assert result.points[0].identical(sound)
+    assert seen == {True, False}

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from nmt_core.records import LockEvent
 from nmt_extract.extractor import Extractor
-from nmt_extract.lock_event import LockEvent
 from nmt_extract.modal_point import Status
 from nmt_extract.settings import ExtractionSettings
 from nmt_plant.device import DriveCommand, Waveform

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from unit.extract.synthetic import FREQUENCY, POINTS, RATE, Stream, lock_event
 
 from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity
-from nmt_extract.window import ACQUIRING, FIXED, LOCK_LOST, LOCKED, SpoiledWindow, Window, WindowAssembler
+from nmt_core.vocabulary import LoopState
+from nmt_extract.window import SpoiledWindow, Window, WindowAssembler
 
 SAMPLES = round(5 * RATE / FREQUENCY)
 LOCK = lock_event(300, SAMPLES, 5, sample=299)
@@ -28,7 +29,7 @@ def feed(assembler, force, displacement, states=()):
             if block is not None:
                 assembler.add_block(block.quantity.topic, block)
     for last_sample, state in states:
-        assembler.add_state(last_sample, state, "phase error 9 deg." if state == LOCK_LOST else "")
+        assembler.add_state(last_sample, state, "phase error 9 deg." if state == LoopState.LOCK_LOST else "")
 
 
 def only(assembler):
@@ -203,8 +204,8 @@ def test_a_swept_block_is_followed():
 
 
 def states(changes=()):
-    """A LOCKED state for each block, but for the given ones."""
-    table = dict.fromkeys(range(199, 4000, 200), LOCKED)
+    """A LoopState.LOCKED state for each block, but for the given ones."""
+    table = dict.fromkeys(range(199, 4000, 200), LoopState.LOCKED)
     table.update(changes)
     return sorted(table.items())
 
@@ -213,13 +214,13 @@ def states(changes=()):
     ("changes", "reason"),
     [
         ({}, ""),
-        ({199: ACQUIRING}, ""),
-        ({999: ACQUIRING}, "acquiring at sample 999"),
-        ({999: LOCK_LOST}, "lock lost at sample 999 (phase error 9 deg)."),
-        ({399: FIXED}, "fixed frequency at sample 399"),
-        ({2599: LOCK_LOST}, "lock lost at sample 2599"),
-        ({2599: ACQUIRING, 2799: ACQUIRING}, ""),
-        ({2799: LOCK_LOST}, ""),
+        ({199: LoopState.ACQUIRING}, ""),
+        ({999: LoopState.ACQUIRING}, "acquiring at sample 999"),
+        ({999: LoopState.LOCK_LOST}, "lock lost at sample 999 (phase error 9 deg)."),
+        ({399: LoopState.FIXED}, "fixed frequency at sample 399"),
+        ({2599: LoopState.LOCK_LOST}, "lock lost at sample 2599"),
+        ({2599: LoopState.ACQUIRING, 2799: LoopState.ACQUIRING}, ""),
+        ({2799: LoopState.LOCK_LOST}, ""),
     ],
 )
 @pytest.mark.parametrize("states_first", [True, False])
@@ -227,7 +228,7 @@ def test_the_loop_must_hold_its_lock(stream, changes, reason, states_first):
     assembler = WindowAssembler(TOPICS)
     if states_first:
         for entry in states(changes):
-            assembler.add_state(*entry, "phase error 9 deg." if entry[1] == LOCK_LOST else "")
+            assembler.add_state(*entry, "phase error 9 deg." if entry[1] == LoopState.LOCK_LOST else "")
         assembler.add_lock(LOCK)
         feed(assembler, stream.blocks("force"), stream.blocks("displacement"))
     else:
@@ -263,7 +264,7 @@ def test_the_memory_stays_bounded():
     (block,) = Stream([0, 1j], [[0, 1.0]] * 4, samples=200).blocks("force")
     for index in range(1000):
         assembler.add_block("force", replace(block, first_sample=200 * index))
-        assembler.add_state(200 * index + 199, LOCKED)
+        assembler.add_state(200 * index + 199, LoopState.LOCKED)
     assert sum(map(len, assembler._records.values())) <= 6
     assert len(assembler._states) <= 6
     assembler.add_block("force", replace(block, first_sample=0))

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
+import itertools
 import shutil
 import sys
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
+_NUMBERS = itertools.count()
 
 # Stands in for Python, pip and colcon: notes each call, leaves what the real one would, fails where told to.
 PRETENDER = """#!{python} -S
-import os, shutil, sys
+import os, shutil, sys, time
 root = {root!r}
 words = sys.argv[1:]
 def say(what):
@@ -34,10 +36,20 @@ elif words[:2] == ["-m", "venv"]:
         shutil.copy(os.path.join(root, "pretender"), python)
     with open(os.path.join(words[-1], "pyvenv.cfg"), "w") as file:
         file.write("include-system-site-packages = false\\n")
+elif words[:4] == ["-m", "pip", "config", "list"]:
+    if os.path.exists(os.path.join(root, "pip-settings")):
+        print(open(os.path.join(root, "pip-settings")).read())
+elif words[:2] == ["-m", "uv"]:
+    with open(os.path.join(root, "uv-call"), "w") as file:
+        file.write("\\n".join([*words, *(f"{{k}}={{v}}" for k, v in os.environ.items() if k.startswith("UV_"))]))
+    say("uv install " + os.path.basename(words[-1]))
 elif words[:2] == ["-m", "pip"]:
     say("pip " + ("uninstall " + " ".join(words[words.index("uninstall") + 2:]) if "uninstall" in words
                   else "install " + os.path.basename(words[-1])))
 elif words[0].endswith("colcon"):
+    held = os.path.join(root, "held")
+    while os.path.exists(os.path.join(root, "hold-nmt_bench.warm_up")) and not os.path.exists(held):
+        time.sleep(0.01)
     names = words[words.index("--packages-select") + 1 : words.index("--cmake-args")]
     say("colcon " + " ".join(names))
     install = words[words.index("--install-base") + 1]
@@ -46,21 +58,40 @@ elif words[0].endswith("colcon"):
         open(os.path.join(install, name, "share", name, "package.xml"), "w").close()
 elif words[:1] == ["-m"]:
     say(" ".join(words[1:]))
+    if os.path.exists(os.path.join(root, "hold-" + words[1])):
+        with open(os.path.join(root, "held.new"), "w") as file:
+            file.write(str(os.getpid()))
+        os.replace(os.path.join(root, "held.new"), os.path.join(root, "held"))
+        time.sleep(300)
     for variable in ("PYTHONPATH", "ROS_AUTOMATIC_DISCOVERY_RANGE", "OPENBLAS_NUM_THREADS"):
         say(variable + "=" + os.environ.get(variable, ""))
 """
 
 
-def load_launcher(path: Path) -> ModuleType:
-    """The launcher's file as a module."""
-    loader = SourceFileLoader("nmt_launcher", str(path))
-    specification = importlib.util.spec_from_loader("nmt_launcher", loader)
+def load_launcher(root: Path) -> ModuleType:
+    """The launcher of the project in a folder, as a package of its own name: each project has its own paths."""
+    name = f"launcher_{next(_NUMBERS)}"
+    folder = root / "requirements" / "launcher"
+    specification = importlib.util.spec_from_file_location(
+        name, folder / "__init__.py", submodule_search_locations=[str(folder)]
+    )
     assert specification
-    module = importlib.util.module_from_spec(specification)
-    writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True
-    loader.exec_module(module)
-    sys.dont_write_bytecode = writes
-    return module
+    assert specification.loader
+    package = sys.modules[name] = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(package)
+    for module in sorted(folder.glob("[!_]*.py")):
+        importlib.import_module(f"{name}.{module.stem}")
+    return package
+
+
+def copy_launcher(root: Path) -> None:
+    """Put the launcher's files into an empty project."""
+    shutil.copy(ROOT / "nmt", root / "nmt")
+    shutil.copytree(
+        ROOT / "requirements" / "launcher",
+        root / "requirements" / "launcher",
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
 
 
 class Project:
@@ -68,7 +99,7 @@ class Project:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        shutil.copy(ROOT / "nmt", root / "nmt")
+        copy_launcher(root)
         self.write("requirements/lock/wheels-3.11.txt", "numpy==2.0\nsetuptools==79.0.1\nyaml==1.0\n")
         self.write("ros2_ws/src/nmt_msgs/package.xml", "<package/>")
         self.write("ros2_ws/src/nmt_msgs/msg/Level.msg", "float64 amplitude\n")
@@ -77,7 +108,7 @@ class Project:
         self.write("ros2_ws/src/nmt_pll/nmt_pll/gains.py", "")
         self.python = self.write("pretender", PRETENDER.format(python=sys.executable, root=str(root)))
         self.python.chmod(0o755)
-        self.launcher = load_launcher(root / "nmt")
+        self.launcher = load_launcher(root)
 
     def write(self, name: str, text: str) -> Path:
         """Write a file of the project."""
@@ -101,11 +132,11 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
         monkeypatch.delenv(name, raising=False)
     made = Project(tmp_path)
     monkeypatch.setenv("NMT_PYTHON", str(made.python))
-    monkeypatch.setattr(made.launcher, "machine_troubles", lambda source: [])
+    monkeypatch.setattr(made.launcher.set_up, "machine_troubles", lambda source: [])
     return made
 
 
 @pytest.fixture(scope="session")
 def launcher() -> ModuleType:
     """The launcher of this project."""
-    return load_launcher(ROOT / "nmt")
+    return load_launcher(ROOT)

@@ -1,4 +1,4 @@
-"""Everything but nodes, conversions, the harness and the run command imports on a machine without ROS 2."""
+"""Everything but nodes, the harness and the run command imports on a machine without ROS 2."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def may_use_ros(module: str) -> bool:
     """Whether the design lets a module import ROS 2."""
     last = module.rpartition(".")[2]
     bench = module.startswith(("nmt_bench.harness", "nmt_bench.commands.run_command"))
-    return bench or last.endswith("_node") or last == "conversions"
+    return bench or last.endswith("_node")
 
 
 def test_numerical_modules_import_without_ros():

@@ -12,14 +12,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from .conftest import ROOT, load_launcher
+from .conftest import copy_launcher, load_launcher
 
 
 @pytest.fixture
 def machine(tmp_path, monkeypatch):
     """A launcher in a folder of its own on a machine that lacks nothing."""
-    shutil.copy(ROOT / "nmt", tmp_path / "nmt")
-    launcher = load_launcher(tmp_path / "nmt")
+    copy_launcher(tmp_path)
+    launcher = load_launcher(tmp_path)
     for name in ("g++", "gcc"):
         (tmp_path / name).write_text("#!/bin/sh\n")
         (tmp_path / name).chmod(0o755)
@@ -33,12 +33,12 @@ def machine(tmp_path, monkeypatch):
 
 
 def test_complete_machine_has_no_trouble(machine):
-    assert machine.machine_troubles("wheels") == []
+    assert machine.machine.machine_troubles("wheels") == []
 
 
 def only_trouble(machine, source="wheels"):
     """The one sentence found."""
-    found = machine.machine_troubles(source)
+    found = machine.machine.machine_troubles(source)
     assert len(found) == 1, found
     return found[0]
 
@@ -51,14 +51,14 @@ def test_missing_compiler(machine, tmp_path):
 def test_compiler_named_by_the_user_is_taken(machine, monkeypatch, tmp_path):
     (tmp_path / "g++").rename(tmp_path / "g++-13")
     monkeypatch.setenv("CXX", "g++-13 -march=native")
-    assert machine.machine_troubles("wheels") == []
+    assert machine.machine.machine_troubles("wheels") == []
 
 
 @pytest.mark.parametrize(("sysname", "machine_name"), [("Linux", "aarch64"), ("Darwin", "x86_64")])
 def test_wheels_need_linux_on_x86_64_and_a_system_ros_does_not(machine, monkeypatch, sysname, machine_name):
     monkeypatch.setattr(os, "uname", lambda: SimpleNamespace(sysname=sysname, machine=machine_name))
     assert f"{sysname} {machine_name}" in only_trouble(machine)
-    assert machine.machine_troubles("system") == []
+    assert machine.machine.machine_troubles("system") == []
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_wheels_need_linux_on_x86_64_and_a_system_ros_does_not(machine, monkeypa
 )
 def test_wheels_need_a_recent_glibc(machine, monkeypatch, libc, refused):
     monkeypatch.setattr(os, "confstr", lambda name: libc)
-    assert bool(machine.machine_troubles("wheels")) == refused
+    assert bool(machine.machine.machine_troubles("wheels")) == refused
 
 
 def test_little_disk(machine, monkeypatch):
@@ -88,7 +88,7 @@ def test_folder_of_another_user(machine, monkeypatch):
 @pytest.mark.parametrize("name", ["my bench", "a:b", "quote'd"])
 def test_path_that_the_build_tools_do_not_bear(machine, monkeypatch, tmp_path, name):
     (tmp_path / name).mkdir()
-    monkeypatch.setattr(machine, "ROOT", str(tmp_path / name))
+    monkeypatch.setattr(machine.machine, "ROOT", str(tmp_path / name))
     assert "move the folder" in only_trouble(machine)
 
 
@@ -117,9 +117,11 @@ def test_path_that_the_build_tools_do_not_bear(machine, monkeypatch, tmp_path, n
     ],
 )
 def test_failure_is_explained_from_the_log(project, log, sentence):
-    with project.launcher.only_set_up() as guard:
-        runner = project.launcher.StepRunner("requirements", project.launcher.Progress(1, 1, "x"), guard)
-        with pytest.raises(project.launcher.SetupError) as failure:
+    with project.launcher.set_up.only_set_up() as guard:
+        runner = project.launcher.programs.StepRunner(
+            "requirements", project.launcher.progress.Progress(1, 1, "x"), guard
+        )
+        with pytest.raises(project.launcher.places.SetupError) as failure:
             runner.run(["sh", "-c", f"cat <<'END'\n{log}\nEND\nexit 3"], dict(os.environ))
     assert sentence in str(failure.value)
     assert ".nmt/log/requirements.log" in str(failure.value)
@@ -134,8 +136,8 @@ def test_interrupt_ends_the_program_and_what_it_started(project):
             raise KeyboardInterrupt
         return ""
 
-    with project.launcher.only_set_up() as guard:
-        runner = project.launcher.StepRunner("workspace", project.launcher.Progress(1, 1, "x"), guard)
+    with project.launcher.set_up.only_set_up() as guard:
+        runner = project.launcher.programs.StepRunner("workspace", project.launcher.progress.Progress(1, 1, "x"), guard)
         with pytest.raises(KeyboardInterrupt):
             runner.run(command, dict(os.environ), interrupt_when_started)
     status = Path(f"/proc/{noted.read_text().strip()}/stat")

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
+import subprocess
 import sys
 from importlib import metadata
+from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
@@ -47,18 +50,18 @@ def test_lock_pins_each_entry_with_hashes_and_nothing_else(lock):
 
 @pytest.mark.parametrize("lock", LOCKS, ids=lambda p: p.stem)
 def test_lock_holds_what_is_asked_for(lock, launcher):
-    pins = launcher.pins_of(str(lock))
+    pins = launcher.distributions.pins_of(str(lock))
     for name, condition in direct(lock.stem.split("-")[0] + ".in").items():
-        assert launcher.normalised(name) in pins
+        assert launcher.distributions.normalised(name) in pins
         if condition.startswith("=="):
-            assert pins[launcher.normalised(name)] == condition[2:]
+            assert pins[launcher.distributions.normalised(name)] == condition[2:]
     assert int(pins["setuptools"].split(".")[0]) < 80
     assert pins["empy"].startswith("3.")
 
 
 def recent_pins(launcher) -> list[dict[str, str]]:
     """Pins for Python 3.11, 3.12 and 3.13 with the wheels."""
-    return [launcher.pins_of(str(ROOT / f"requirements/lock/wheels-3.{m}.txt")) for m in (11, 12, 13)]
+    return [launcher.distributions.pins_of(str(ROOT / f"requirements/lock/wheels-3.{m}.txt")) for m in (11, 12, 13)]
 
 
 def test_same_versions_on_recent_pythons(launcher):
@@ -77,9 +80,9 @@ def test_what_only_the_oldest_of_them_has_is_asked_for_by_a_condition_on_the_pyt
         for requirement in map(Requirement, distribution.requires or []):
             for version, names in asked.items():
                 if not requirement.marker or requirement.marker.evaluate({"python_version": version, "extra": ""}):
-                    names.add(launcher.normalised(requirement.name))
+                    names.add(launcher.distributions.normalised(requirement.name))
         conditional |= asked["3.11"] - asked["3.12"]
-        needs[launcher.normalised(distribution.name)] = asked["3.11"]
+        needs[launcher.distributions.normalised(distribution.name)] = asked["3.11"]
     explained = set()
     while conditional - explained:
         explained |= conditional
@@ -92,7 +95,7 @@ def test_what_only_the_oldest_of_them_has_is_asked_for_by_a_condition_on_the_pyt
 
 
 def test_numpy_beside_a_system_ros_is_the_one_its_messages_were_built_with(launcher):
-    assert launcher.pins_of(str(ROOT / "requirements/lock/system-3.12.txt"))["numpy"].startswith("1.26.")
+    assert launcher.distributions.pins_of(str(ROOT / "requirements/lock/system-3.12.txt"))["numpy"].startswith("1.26.")
 
 
 def make_distribution(site, name="pkg", record=None):
@@ -111,25 +114,25 @@ def make_distribution(site, name="pkg", record=None):
 
 
 def test_complete_distribution_is_recognised(launcher, tmp_path):
-    assert launcher.is_complete(str(make_distribution(tmp_path)))
+    assert launcher.distributions.is_complete(str(make_distribution(tmp_path)))
 
 
 def test_distribution_with_a_missing_file_is_not_complete(launcher, tmp_path):
     metadata = make_distribution(tmp_path)
     (tmp_path / "pkg.py").unlink()
-    assert not launcher.is_complete(str(metadata))
+    assert not launcher.distributions.is_complete(str(metadata))
 
 
 def test_distribution_with_a_cut_file_is_not_complete(launcher, tmp_path):
     metadata = make_distribution(tmp_path)
     (tmp_path / "pkg.py").write_text("x")
-    assert not launcher.is_complete(str(metadata))
+    assert not launcher.distributions.is_complete(str(metadata))
 
 
 def test_distribution_whose_installation_did_not_end_is_not_complete(launcher, tmp_path):
-    assert not launcher.is_complete(str(make_distribution(tmp_path, record=["pkg.py,sha256=abc,6"])))
+    assert not launcher.distributions.is_complete(str(make_distribution(tmp_path, record=["pkg.py,sha256=abc,6"])))
     (tmp_path / "pkg-1.0.dist-info" / "RECORD").unlink()
-    assert not launcher.is_complete(str(tmp_path / "pkg-1.0.dist-info"))
+    assert not launcher.distributions.is_complete(str(tmp_path / "pkg-1.0.dist-info"))
 
 
 def test_half_installed_distribution_is_forgotten_before_pip_runs(project):
@@ -137,16 +140,93 @@ def test_half_installed_distribution_is_forgotten_before_pip_runs(project):
     whole, cut = make_distribution(site, "numpy"), make_distribution(site, "yaml")
     (site / "yaml.py").unlink()
     state = {"source": "wheels", "python": "3.11"}
-    with project.launcher.only_set_up() as guard:
-        runner = project.launcher.StepRunner("requirements", project.launcher.Progress(1, 1, "x"), guard)
-        project.launcher.make_environment(state, str(project.python), runner)
-        project.launcher.install_requirements(state, runner)
+    with project.launcher.set_up.only_set_up() as guard:
+        runner = project.launcher.programs.StepRunner(
+            "requirements", project.launcher.progress.Progress(1, 1, "x"), guard
+        )
+        project.launcher.virtual_environment.make_environment(state, str(project.python), runner)
+        project.launcher.requirements.install_requirements(state, runner)
     assert whole.exists()
     assert not cut.exists()
+    selected = (project.root / ".nmt" / "first.txt").read_text()
+    assert [line.split("==")[0] for line in selected.splitlines()] == ["setuptools", "yaml"]
 
 
-def test_launcher_uses_the_standard_library_and_old_syntax():
-    tree = ast.parse((ROOT / "nmt").read_text(), feature_version=(3, 7))
-    imported = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
-    imported |= {str(n.module) for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
-    assert {name.split(".")[0] for name in imported} <= set(sys.stdlib_module_names)
+WITH_UV = "numpy==2.0\nsetuptools==79.0.1\nuv==0.13.8\nyaml==1.0\n"
+SETTINGS = """global.index-url='https://me:secret@mirror.example/simple'
+global.extra-index-url='https://one.example/simple https://two.example/simple'
+global.timeout='20'
+install.timeout='60.5'
+:env:.no-index='false'
+freeze.timeout='1'
+global.find-links='/nowhere https://files.example'
+"""
+
+
+def test_uv_installs_what_pip_does_not_have_to(project):
+    project.write("requirements/lock/wheels-3.11.txt", WITH_UV)
+    project.write("pip-settings", SETTINGS)
+    project.launcher.set_up.set_up(None)
+    assert project.calls()[1:3] == ["pip install first.txt", "uv install wheels-3.11.txt"]
+    call = (project.root / "uv-call").read_text().splitlines()
+    assert "--require-hashes" in call
+    assert "UV_INDEX=https://one.example/simple https://two.example/simple" in call
+    assert "UV_DEFAULT_INDEX=https://me:secret@mirror.example/simple" in call
+    assert "UV_HTTP_TIMEOUT=60" in call
+    assert "UV_FIND_LINKS=https://files.example" in call
+    assert not any(line.startswith("UV_NO_INDEX") for line in call)
+    assert "secret" not in (project.root / ".nmt" / "log" / "requirements.log").read_text()
+
+
+def test_pip_installs_where_uv_fails(project):
+    project.write("requirements/lock/wheels-3.11.txt", WITH_UV)
+    project.write("fail-at-uv", "")
+    project.launcher.set_up.set_up(None)
+    assert project.calls()[1:4] == [
+        "pip install first.txt",
+        "uv install wheels-3.11.txt",
+        "pip install wheels-3.11.txt",
+    ]
+
+
+def test_variables_that_the_user_has_set_for_uv_are_left_alone(launcher):
+    variables = launcher.index_settings.uv_variables
+    settings = {"index-url": "https://a", "proxy": "http://p:1", "no-index": "1", "cert": "/c.pem"}
+    assert variables(settings, {}) == {
+        "UV_DEFAULT_INDEX": "https://a",
+        "UV_NO_INDEX": "1",
+        "SSL_CERT_FILE": "/c.pem",
+        "HTTPS_PROXY": "http://p:1",
+        "HTTP_PROXY": "http://p:1",
+    }
+    taken = {"UV_DEFAULT_INDEX": "https://b", "https_proxy": "http://q", "SSL_CERT_FILE": "/d.pem"}
+    assert variables(settings, taken) == {"UV_NO_INDEX": "1", "HTTP_PROXY": "http://p:1"}
+
+
+def imported_by(path: Path, **options: object) -> set[str]:
+    """Top-level modules that a file imports; its own package's (relative) left out."""
+    nodes = list(ast.walk(ast.parse(path.read_text(), **options)))
+    names = {a.name for n in nodes if isinstance(n, ast.Import) for a in n.names}
+    names |= {str(n.module) for n in nodes if isinstance(n, ast.ImportFrom) and n.level == 0}
+    return {name.split(".")[0] for name in names}
+
+
+def test_launcher_uses_the_standard_library_only():
+    files = sorted((ROOT / "requirements" / "launcher").glob("*.py"))
+    assert len(files) > 10
+    for path in files:
+        assert imported_by(path) <= set(sys.stdlib_module_names), path
+    assert imported_by(ROOT / "nmt", feature_version=(3, 7)) <= {*sys.stdlib_module_names, "launcher"}
+
+
+def test_old_python_is_answered_with_one_sentence(tmp_path):
+    script = (
+        "import runpy, sys; sys.version_info = (3, 8, 18, 'final', 0); "
+        f"runpy.run_path({str(ROOT / 'nmt')!r}, run_name='__main__')"
+    )
+    environment = {**os.environ, "PATH": str(tmp_path)}
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
+    assert answer.returncode == 1
+    assert answer.stderr == (
+        "nmt: nmt needs Python 3.10 to 3.13; this is Python 3.8 and no newer one is on the PATH.\n"
+    )

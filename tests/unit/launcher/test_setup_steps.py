@@ -14,14 +14,14 @@ from pathlib import Path
 
 import pytest
 
-FIRST = ["venv", "pip install build-tool.txt", "pip install wheels-3.11.txt", "colcon nmt_msgs nmt_pll"]
+FIRST = ["venv", "pip install first.txt", "pip install wheels-3.11.txt", "colcon nmt_msgs nmt_pll"]
 
 
 def test_first_use_does_every_step_and_the_second_none(project):
-    state = project.launcher.set_up(None)
+    state = project.launcher.set_up.set_up(None)
     assert project.calls() == FIRST
     assert (state["source"], state["python"]) == ("wheels", "3.11")
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert project.calls() == []
 
 
@@ -35,82 +35,82 @@ def test_first_use_does_every_step_and_the_second_none(project):
 )
 def test_interrupted_set_up_goes_on_where_it_stopped(project, failing, first, second):
     marker = project.write("fail-at-" + failing, "")
-    with pytest.raises(project.launcher.SetupError, match="disk is full"):
-        project.launcher.set_up(None)
+    with pytest.raises(project.launcher.places.SetupError, match="disk is full"):
+        project.launcher.set_up.set_up(None)
     assert project.calls() == first
     marker.unlink()
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert project.calls() == second
 
 
 def test_changed_message_rebuilds_its_package_only(project):
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     project.calls()
     project.write("ros2_ws/src/nmt_msgs/msg/Level.msg", "float64 amplitude\nuint32 index\n")
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert project.calls() == ["colcon nmt_msgs"]
     project.write("ros2_ws/src/nmt_msgs/msg/Lock.msg", "uint64 sample\n")
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert project.calls() == ["colcon nmt_msgs"]
 
 
 def test_new_or_edited_python_file_needs_nothing(project):
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     project.calls()
     project.write("ros2_ws/src/nmt_pll/nmt_pll/gains.py", "GAIN = 2\n")
     project.write("ros2_ws/src/nmt_pll/nmt_pll/lock.py", "")
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert project.calls() == []
 
 
 def test_changed_entry_points_rebuild_their_package(project):
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     project.calls()
     project.write("ros2_ws/src/nmt_pll/setup.py", "setup(entry_points={})\n")
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert project.calls() == ["colcon nmt_pll"]
 
 
 def test_new_package_is_built_and_a_removed_one_forgotten(project):
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     project.calls()
     added = project.write("ros2_ws/src/nmt_more/package.xml", "<package/>")
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert project.calls() == ["colcon nmt_more"]
     added.unlink()
-    state = project.launcher.set_up(None)
+    state = project.launcher.set_up.set_up(None)
     assert project.calls() == []
     assert sorted(state["workspace"]) == ["nmt_msgs", "nmt_pll"]
     assert not (project.root / "ros2_ws/install/nmt_more").exists()
 
 
 def test_deleted_install_folder_is_built_again(project):
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     project.calls()
     (project.root / "ros2_ws/install/nmt_pll/share/nmt_pll/package.xml").unlink()
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert project.calls() == ["colcon nmt_pll"]
 
 
 def test_changed_lock_file_touches_the_requirements_only(project):
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     project.calls()
     project.write("requirements/lock/wheels-3.11.txt", "numpy==2.1\nsetuptools==79.0.1\n")
     site = project.root / ".venv/lib/python3.11/site-packages"
     (site / "yaml-1.0.dist-info").mkdir(parents=True)
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert project.calls() == ["pip uninstall yaml", *FIRST[1:3]]
 
 
 def test_kernels_are_cached_once_their_module_exists(project):
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     project.calls()
     project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     asked = project.calls()
     assert asked[0] == "nmt_bench.warm_up"
     assert "OPENBLAS_NUM_THREADS=1" in asked
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert project.calls() == []
 
 
@@ -118,63 +118,80 @@ def test_a_changed_kernel_discards_every_cached_one(project):
     kernel = project.write("ros2_ws/src/nmt_plant/nmt_plant/kernel.py", "from numba import njit\n")
     project.write("ros2_ws/src/nmt_plant/nmt_plant/plain.py", "x = 1\n")
     project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     cached = kernel.parent / "__pycache__" / "kernel.f-1.py311.1.nbc"
     cached.parent.mkdir(exist_ok=True)
     cached.write_text("old")
     project.write("ros2_ws/src/nmt_plant/nmt_plant/plain.py", "x = 2\n")
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert cached.exists()
     project.write("ros2_ws/src/nmt_plant/nmt_plant/kernel.py", "from numba import njit  # another formula\n")
     project.calls()
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert not cached.exists()
     assert "nmt_bench.warm_up" in project.calls()
+
+
+def test_kernels_are_compiled_beside_the_build_and_ended_with_it(project):
+    """The build fails once the compilation, which would take minutes, is under way."""
+    project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
+    project.write("hold-nmt_bench.warm_up", "")
+    project.write("fail-at-colcon", "")
+    with pytest.raises(project.launcher.places.SetupError):
+        project.launcher.set_up.set_up(None)
+    pid = int((project.root / "held").read_text())
+    assert not Path(f"/proc/{pid}").exists()
+    (project.root / "hold-nmt_bench.warm_up").unlink()
+    (project.root / "fail-at-colcon").unlink()
+    project.calls()
+    state = project.launcher.set_up.set_up(None)
+    assert "nmt_bench.warm_up" in project.calls()
+    assert project.launcher.stamps.pending_steps(state) == []
 
 
 def test_failing_kernels_do_not_stop_the_bench(project, capsys):
     project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
     project.write("fail-at-nmt_bench.warm_up", "")
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert "could not be compiled beforehand" in capsys.readouterr().err
 
 
 def test_moved_project_is_set_up_anew(project, tmp_path_factory, monkeypatch):
-    state = project.launcher.set_up(None)
-    assert project.launcher.pending_steps(state) == []
-    monkeypatch.setattr(project.launcher, "ROOT", str(tmp_path_factory.mktemp("elsewhere")))
-    assert project.launcher.pending_steps(state)[0] == "environment"
+    state = project.launcher.set_up.set_up(None)
+    assert project.launcher.stamps.pending_steps(state) == []
+    monkeypatch.setattr(project.launcher.stamps, "ROOT", str(tmp_path_factory.mktemp("elsewhere")))
+    assert project.launcher.stamps.pending_steps(state)[0] == "environment"
 
 
 def test_vanished_interpreter_is_replaced(project):
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     project.calls()
     (project.root / ".venv/bin/python").unlink()
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     assert project.calls() == FIRST
 
 
 def test_fresh_set_up_discards_the_old_one(project):
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     project.calls()
-    assert project.launcher.main(["setup", "--fresh"]) == 0
+    assert project.launcher.commands.main(["setup", "--fresh"]) == 0
     assert project.calls() == FIRST
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"source": "wheels"}'])
 def test_unreadable_stamps_mean_a_new_set_up(project, text):
-    project.launcher.set_up(None)
+    project.launcher.set_up.set_up(None)
     project.calls()
-    Path(project.launcher.STATE_FILE).write_text(text)
-    project.launcher.set_up(None)
+    Path(project.launcher.places.STATE_FILE).write_text(text)
+    project.launcher.set_up.set_up(None)
     assert project.calls() == FIRST
 
 
 def test_second_set_up_waits_for_the_first(project):
-    os.makedirs(project.launcher.STATE_FOLDER)
-    with open(os.path.join(project.launcher.STATE_FOLDER, "lock"), "w") as held:
+    os.makedirs(project.launcher.places.STATE_FOLDER)
+    with open(os.path.join(project.launcher.places.STATE_FOLDER, "lock"), "w") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        second = threading.Thread(target=project.launcher.set_up, args=(None,))
+        second = threading.Thread(target=project.launcher.set_up.set_up, args=(None,))
         second.start()
         second.join(0.5)
         assert second.is_alive()
@@ -189,9 +206,9 @@ def test_killed_launcher_leaves_its_lock_to_the_program_it_started(project):
     runner_script = (
         f"import os, sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "from conftest import load_launcher; from pathlib import Path\n"
-        f"launcher = load_launcher(Path({str(project.root / 'nmt')!r}))\n"
-        "with launcher.only_set_up() as guard:\n"
-        "    runner = launcher.StepRunner('requirements', launcher.Progress(1, 1, 'x'), guard)\n"
+        f"launcher = load_launcher(Path({str(project.root)!r}))\n"
+        "with launcher.set_up.only_set_up() as guard:\n"
+        "    runner = launcher.programs.StepRunner('requirements', launcher.progress.Progress(1, 1, 'x'), guard)\n"
         f"    runner.run(['sh', '-c', 'touch {held}; sleep 60'], dict(os.environ))\n"
     )
     process = subprocess.Popen([sys.executable, "-c", runner_script], stderr=subprocess.DEVNULL)
@@ -203,7 +220,7 @@ def test_killed_launcher_leaves_its_lock_to_the_program_it_started(project):
     process.kill()
     process.wait()
     try:
-        with open(os.path.join(project.launcher.STATE_FOLDER, "lock")) as lock:
+        with open(os.path.join(project.launcher.places.STATE_FOLDER, "lock")) as lock:
             with pytest.raises(BlockingIOError):
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             os.killpg(child, signal.SIGKILL)

@@ -96,17 +96,49 @@ def test_a_command_waits_for_its_sample(running):
     assert np.any(voltage(running.read()) != 0.0)
 
 
+def test_a_command_out_of_its_range_is_refused(running):
+    with pytest.raises(BenchError, match="amplitude must be finite and not negative"):
+        running.write(DriveCommand(Waveform.SINE, 22.0, -0.5))
+    assert np.all(voltage(running.read()) == 0.0)
+
+
 def test_a_command_beyond_half_the_sample_rate_is_refused(running):
     with pytest.raises(BenchError):
         running.write(DriveCommand(Waveform.SINE, running.sample_rate, 0.5))
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        DriveCommand(Waveform.SINE, 22.0, 1e4),
+        DriveCommand(Waveform.SINE, 22.0, 0.3, harmonics=((3, 1e6 + 0j),)),
+        DriveCommand(Waveform.RANDOM, amplitude=1e4, band_low_hz=10.0, band_high_hz=100.0),
+        DriveCommand(Waveform.SINE, 22.0, 0.3, apply_at_sample=2**60),
+        DriveCommand(Waveform.SINE, 22.0, 0.3, ramp=1e300),
+    ],
+    ids=["amplitude", "harmonics", "random", "far ahead", "endless ramp"],
+)
+def test_a_command_beyond_the_output_guard_is_refused_and_the_drive_stays_as_it_was(running, command):
+    with pytest.raises(BenchError):
+        running.write(command)
+    assert np.all(voltage(running.read()) == 0.0)
+    assert running.tripped == ""
+
+
+def test_a_step_is_finite_and_within_its_amplitude(running):
+    running.write(DriveCommand(Waveform.SINE, 400.0, 9.0))
+    drive = np.concatenate([voltage(running.read()) for _ in range(4)])
+    assert np.isfinite(drive).all()
+    assert np.abs(drive).max() <= 9.0 + 1e-6
+
+
 def test_watchdog_ramps_to_zero_and_latches(running):
     running.write(SINE)
     blocks = [running.read() for _ in range(14)]
-    flagged = [bool(b[0].flags & BlockFlag.WATCHDOG) for b in blocks]
-    assert not any(flagged[:4])
-    assert flagged[-1]
+    # The fifth block without a command is flagged; the ramp begins with the sixth.
+    assert [bool(b[0].flags & BlockFlag.WATCHDOG) for b in blocks] == [False] * 4 + [True] * 10
+    theta = blocks[0][0].oscillator.phase(5 * running.block_samples, running.sample_rate)
+    np.testing.assert_allclose(np.concatenate([voltage(b) for b in blocks[:5]]), 0.5 * np.cos(theta), atol=1e-6)
     assert "watchdog" in running.tripped
     assert np.all(voltage(blocks[-1]) == 0.0)
     drive = np.concatenate([voltage(b) for b in blocks])

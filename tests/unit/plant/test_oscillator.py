@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
+from nmt_plant.device import check_drive
 from nmt_plant.oscillator import BandNoise, Oscillator
 
 RATE = 10_000.0
@@ -97,6 +99,21 @@ def test_blocks_of_any_length_agree(waveform):
         np.testing.assert_allclose(other, outcome[0], atol=1e-10)
 
 
+def test_the_bound_is_the_largest_amplitude_of_the_block_to_come():
+    rng = np.random.default_rng(5)
+    oscillator = Oscillator(RATE)
+    for _ in range(60):
+        harmonics = ((3, complex(rng.normal(), rng.normal())),) if rng.random() < 0.5 else ()
+        oscillator.apply(sine(40.0, rng.uniform(0.0, 3.0), float(rng.choice([0.0, 0.013, 0.1])), harmonics=harmonics))
+        for _ in range(3):
+            bound = oscillator.bound(250)
+            output = oscillator.block(250).voltage[:-1]
+            assert np.abs(output).max() <= bound * (1 + 1e-12)
+            if not harmonics and oscillator.amplitude == bound:
+                assert np.abs(output).max() == pytest.approx(bound, rel=1e-2), "a whole period of a settled sine"
+            assert oscillator.bound(250) >= oscillator.amplitude
+
+
 def test_random_has_its_rms_and_band():
     noise = BandNoise(50.0, 500.0, RATE, np.random.Generator(np.random.PCG64(1)))
     values = noise.values(200_000)[:-1]
@@ -110,6 +127,7 @@ def test_random_has_its_rms_and_band():
 @pytest.mark.parametrize(
     "command",
     [
+        {"waveform": Waveform.UNKNOWN},
         {"waveform": Waveform.SINE, "frequency_hz": 0.0},
         {"waveform": Waveform.SINE, "frequency_hz": float("nan")},
         {"waveform": Waveform.SINE, "frequency_hz": 10.0, "amplitude": -1.0},
@@ -120,7 +138,7 @@ def test_random_has_its_rms_and_band():
 )
 def test_bad_commands_are_refused(command):
     with pytest.raises(BenchError, match="drive command"):
-        DriveCommand(**command)
+        check_drive(DriveCommand(**command))
 
 
 def test_beyond_half_the_sample_rate_is_refused():

@@ -43,8 +43,8 @@ def test_the_watchdog_ramps_a_random_drive_down() -> None:
     assert device.is_quiet
 
 
-def test_a_peak_trips_although_the_rms_is_far_below_the_limit() -> None:
-    device = started("limits.voltage_v=0.3")
+def test_a_measured_peak_trips_although_the_rms_is_far_below_the_limit() -> None:
+    device = started("limits.channels=[{channel: u, abort_peak: 0.3}]")
     values, flags = voltage(device, 40)
     assert "voltage limit" in device.tripped
     assert flags & BlockFlag.LIMIT

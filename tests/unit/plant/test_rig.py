@@ -99,6 +99,17 @@ def test_unknown_rig_names_the_known_ones():
         ("seed=[", "not valid YAML"),
         ("local_elements.joint.slip_force_n=-1", "must be positive"),
         ("sensors.1.point=4", "channel x4 exists already"),
+        ("limits.slew_v_s=0", "limits.slew_v_s must be positive"),
+        ("limits.warning_share=1.5", "limits.warning_share must be at most 1"),
+        ("limits.drive_maximum_v=51", "drive_maximum_v must not be larger than voltage_v"),
+        ('limits.channels=[{"channel": "a9", "abort_peak": 1}]', "limits.channels.0.channel is a9, but .* are f2, x2,"),
+        ('limits.channels=[{"channel": "a2"}]', "limits.channels.0 has no level"),
+        (
+            'limits.channels=[{"channel": "a2", "abort_rms": 1, "warning_rms": 2}]',
+            "warning_rms must not be larger than abort_rms",
+        ),
+        ('limits.open_loop=[{"channel": "q", "least": 1, "drive_v": 1}]', "limits.open_loop.0.channel is q"),
+        ('limits.open_loop=[{"channel": "f2", "least": 1, "drive": 1}]', "did you mean drive_v"),
         ("extraction.linear_modes=9", "number of displacement sensors"),
     ],
 )

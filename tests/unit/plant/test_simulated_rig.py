@@ -30,7 +30,7 @@ def test_tick_works_in_the_written_order(monkeypatch):
     methods = dict(
         zip(
             TICK_ORDER,
-            ["_take_commands", "_measure", "_compute", "_safety", "_actuate", "_publish"],
+            ["_take_commands", "_drive", "_measure", "_compute", "_safety", "_actuate", "_publish"],
             strict=True,
         )
     )

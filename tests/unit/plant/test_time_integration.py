@@ -15,6 +15,7 @@ from nmt_rig.model.assembly import (
     displacement_output,
     input_output,
 )
+from nmt_rig.model.attachments import BoucWen
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.local_elements import (
     CubicSpring,
@@ -169,6 +170,25 @@ def test_slow_jenkins_loop_has_its_corners_exactly():
     swing = 0.5 * (y.max() - y.min())
     expected = 4 * 1.0 * (swing - 1.0 / 8000.0)
     assert integrator.slider_dissipation[0] - start == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("attachments", [(), (BoucWen(np.array([1.0]), 1e-6, 1.0),)], ids=["elements", "with coupling"])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_slider_pulled_one_way_loses_slip_force_times_way(attachments, sense):
+    """μN (X - μN / k_t) from the first step on: the part of a step that lies behind the onset of slip is loss too."""
+    stiffness, limit = 8000.0, 1.0
+    heavy = assemble(
+        lumped_chain([0.01], [], None, [1e5], [30.0]), [one(Jenkins, stiffness, limit)], 1, None, attachments
+    )
+    # Steps as wide as they come: the slider yields in the middle of one.
+    integrator = TimeIntegrator(heavy, 50.0, [displacement_output(heavy, 1)], corner_levels=0)
+    y = integrator.advance(sense * 40.0 * np.arange(12))[0]
+    assert np.all(np.diff(sense * y) > 0.0)
+    onset = int(np.argmax(sense * y > limit / stiffness))
+    assert sense * y[onset] - limit / stiffness > 0.1 * limit / stiffness
+    # The state is a step ahead of the last output.
+    way = sense * integrator.physical_state[0] - limit / stiffness
+    assert integrator.slider_dissipation[0] == pytest.approx(limit * way, rel=1e-9)
 
 
 @pytest.mark.parametrize("amplitude", [0.05, 1.5])

@@ -9,11 +9,13 @@ import numpy as np
 
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.linear_description import LinearDescription
+from nmt_core.records import LevelCommand
+from nmt_core.vocabulary import LoopState
 from nmt_plant.device import DriveCommand, Waveform
 from nmt_plant.simulated_rig import SimulatedRig
-from nmt_pll.lock import LoopState, Transition
+from nmt_pll.lock import Transition
 from nmt_pll.loop import LockWindow, LoopOutput, PhaseLockedLoop
-from nmt_pll.settings import LevelCommand, LoopSettings
+from nmt_pll.settings import LoopSettings
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nmt_core.blocks import Quantity, SampleBlock
+from nmt_core.records import LevelCommand
 from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import ControlKind, LoopState
 from nmt_plant.device import DriveCommand, Waveform
 from nmt_plant.simulated_rig import SimulatedRig
-from nmt_pll.lock import LoopState
-from nmt_pll.settings import CONTROL_FORCE, LevelCommand, LoopSettings
+from nmt_pll.settings import LoopSettings
 from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
 from nmt_rig.rig import load_rig
 
@@ -52,7 +53,7 @@ class SweptRig:
     def order(self, amplitude: float, frequency_hz: float, **fields: object) -> LevelCommand:
         """A level for the next block."""
         self.sequence += 1
-        values = {"ramp": 0.2, "control": CONTROL_FORCE, "timeout": 20.0, "window_periods": 20, **fields}
+        values = {"ramp": 0.2, "control": ControlKind.FORCE, "timeout": 20.0, "window_periods": 20, **fields}
         level = LevelCommand(
             sequence=self.sequence,
             index=self.sequence - 1,

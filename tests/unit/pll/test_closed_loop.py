@@ -10,8 +10,8 @@ import pytest
 from unit.pll.closed_loop import ClosedLoop
 
 from nmt_core.blocks import BlockFlag, Quantity
-from nmt_pll.lock import LoopState
-from nmt_pll.settings import CONTROL_FORCE, CONTROL_RESPONSE, LoopSettings
+from nmt_core.vocabulary import ControlKind, LoopState
+from nmt_pll.settings import LoopSettings
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 
@@ -172,13 +172,13 @@ RESPONSES = {2: (2e-5, 1e-4, 4e-4), 6: (1e-4, 1e-3, 3e-3)}
 @pytest.mark.parametrize(
     ("point", "control", "targets"),
     [
-        *((point, CONTROL_FORCE, targets) for point, targets in FORCES.items()),
-        *((point, CONTROL_RESPONSE, targets) for point, targets in RESPONSES.items()),
+        *((point, ControlKind.FORCE, targets) for point, targets in FORCES.items()),
+        *((point, ControlKind.RESPONSE, targets) for point, targets in RESPONSES.items()),
     ],
 )
 def test_a_controlled_amplitude_reaches_and_holds_its_target(point, control, targets):
     bench = ClosedLoop(point)
-    name = "force_amplitude" if control == CONTROL_FORCE else "response_amplitude"
+    name = "force_amplitude" if control == ControlKind.FORCE else "response_amplitude"
     for target in targets:
         outcome = bench.run_level(target, control=control, window_periods=60)
         assert outcome.lock is not None, outcome.reason
@@ -189,7 +189,7 @@ def test_a_controlled_amplitude_reaches_and_holds_its_target(point, control, tar
 def test_a_controlled_acceleration_reaches_and_holds_its_target():
     bench = ClosedLoop(2, response=Quantity.ACCELERATION)
     for target in (0.2, 1.0, 6.0):
-        outcome = bench.run_level(target, control=CONTROL_RESPONSE, window_periods=60)
+        outcome = bench.run_level(target, control=ControlKind.RESPONSE, window_periods=60)
         assert outcome.lock is not None, outcome.reason
         np.testing.assert_allclose(outcome.column("response_amplitude"), target, rtol=5e-3)
         assert max(output.amplitude for output in outcome.outputs) < 3.0  # no leap on the way

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from nmt_pll.lock import Dwell, DwellStatistics, LockCriteria, LockStateMachine, LoopState
+from nmt_core.vocabulary import LoopState
+from nmt_pll.lock import Dwell, DwellStatistics, LockCriteria, LockStateMachine
 
 CORRELATION = 4.0
 

@@ -11,9 +11,10 @@ import pytest
 from nmt_core.blocks import UNKNOWN_PHASE, BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_pll.lock import LoopState
+from nmt_core.records import LevelCommand
+from nmt_core.vocabulary import ControlKind, LoopState
 from nmt_pll.loop import PhaseLockedLoop
-from nmt_pll.settings import CONTROL_FORCE, CONTROL_RESPONSE, LevelCommand, LoopSettings
+from nmt_pll.settings import LoopSettings
 
 RATE = 1e4
 BLOCK = 200
@@ -368,17 +369,17 @@ def test_a_block_without_the_drive_point_is_refused():
 def test_a_held_response_starts_from_the_linear_estimate_in_its_own_unit(response):
     loop, blocks = make(response=response)
     per_volt = LINEAR.displacement_per_volt * abs(FACTOR[response])
-    loop.set_level(level(1.5 * per_volt, control=CONTROL_RESPONSE))
+    loop.set_level(level(1.5 * per_volt, control=ControlKind.RESPONSE))
     assert loop.process(*blocks.pair()).amplitude == pytest.approx(1.5, rel=1e-6)
 
 
 def test_a_held_force_starts_from_the_linear_estimate():
     loop, blocks = make()
-    loop.set_level(level(0.6, control=CONTROL_FORCE))
+    loop.set_level(level(0.6, control=ControlKind.FORCE))
     assert loop.process(*blocks.pair()).amplitude == pytest.approx(2.0)
 
 
 def test_without_an_estimate_a_held_amplitude_starts_from_next_to_nothing():
     loop, blocks = make(force_per_volt=math.nan)
-    loop.set_level(level(0.6, control=CONTROL_FORCE))
+    loop.set_level(level(0.6, control=ControlKind.FORCE))
     assert 0.0 < loop.process(*blocks.pair()).amplitude <= 1e-3

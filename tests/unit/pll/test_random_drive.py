@@ -8,11 +8,10 @@ import pytest
 
 from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.errors import BenchError
+from nmt_core.records import LevelCommand
 from nmt_core.test_kind import TestKind
-from nmt_pll.level_loop import WAVEFORM_RANDOM
-from nmt_pll.lock import LoopState
+from nmt_core.vocabulary import ControlKind, LoopState, Waveform
 from nmt_pll.random_drive import RandomDrive
-from nmt_pll.settings import CONTROL_FORCE, LevelCommand
 
 RATE, BLOCK = 1000.0, 100
 LEVEL = LevelCommand(
@@ -56,7 +55,7 @@ def test_the_window_opens_after_ramp_settling_time_and_latency():
     assert math.isnan(lock.phase_error)
     assert outputs[1].amplitude == 0.0
     after = outputs[2]
-    assert (after.waveform, after.amplitude, after.ramp) == (WAVEFORM_RANDOM, 0.3, 0.5)
+    assert (after.waveform, after.amplitude, after.ramp) == (Waveform.RANDOM, 0.3, 0.5)
     assert (after.band_low_hz, after.band_high_hz) == (10.0, 200.0)
     assert (after.force_amplitude, after.response_amplitude) == pytest.approx((2.0, 1.0))
     assert outputs[-1].state == LoopState.LOCKED
@@ -74,7 +73,7 @@ def test_a_limit_ends_it():
     ("fields", "sentence"),
     [
         ({"test": TestKind.SWEEP}, "no sweep test"),
-        ({"control": CONTROL_FORCE}, "voltage"),
+        ({"control": ControlKind.FORCE}, "voltage"),
         ({"band_high_hz": 500.0}, "half the sample rate"),
         ({"duration": 0.0}, "duration"),
         ({"amplitude": math.nan}, "finite"),

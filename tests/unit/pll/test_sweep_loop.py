@@ -9,8 +9,7 @@ from unit.pll.swept_rig import SweptRig
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.test_kind import TestKind
-from nmt_pll.lock import LoopState
-from nmt_pll.settings import CONTROL_RESPONSE, CONTROL_VOLTAGE
+from nmt_core.vocabulary import ControlKind, LoopState
 
 
 @pytest.mark.parametrize(("start", "stop"), [(366.0, 371.0), (371.0, 366.0)])
@@ -67,11 +66,11 @@ def test_what_still_rings_after_a_sweep_teaches_nothing_of_the_exciter(seed: int
 
 def test_response_and_voltage_can_be_held_too() -> None:
     rig = SweptRig()
-    rig.order(50.0, 366.0, frequency_end_hz=369.0, rate_hz_s=1.0, control=CONTROL_RESPONSE)
+    rig.order(50.0, 366.0, frequency_end_hz=369.0, rate_hz_s=1.0, control=ControlKind.RESPONSE)
     outcome = rig.run()
     assert np.max(np.abs(outcome.column("response_amplitude") / 50.0 - 1.0)) < 0.05
     rig = SweptRig()
-    rig.order(3.0, 366.0, frequency_end_hz=367.0, rate_hz_s=1.0, control=CONTROL_VOLTAGE)
+    rig.order(3.0, 366.0, frequency_end_hz=367.0, rate_hz_s=1.0, control=ControlKind.VOLTAGE)
     assert set(rig.run().column("amplitude")) == {3.0}
 
 

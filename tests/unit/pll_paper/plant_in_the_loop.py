@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.blocks import Quantity
+from nmt_core.records import LevelCommand
 from nmt_plant.device import DriveCommand, Waveform
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings
-from nmt_pll.settings import LevelCommand
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 

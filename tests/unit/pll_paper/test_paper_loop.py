@@ -12,10 +12,10 @@ from unit.pll_paper.plant_in_the_loop import LoopOnRig
 from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_pll.lock import LoopState
+from nmt_core.records import LevelCommand
+from nmt_core.vocabulary import LoopState
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings, paper_parameters, paper_settings_from
-from nmt_pll.settings import LevelCommand
 
 RATE, BLOCK = 10_000.0, 200
 LINEAR = LinearDescription("model", 2, 0, (2,), (139.4,), (0.005,), ((1.0,),), 1.0, 140.0, 0.02, 0.043, 0.28, 5e-4)

@@ -144,7 +144,7 @@ CASES: dict[str, tuple[Case, str]] = {
     "unknown kind": (of_sidecar(set_item("segments", 0, "kind", value="random_walk")), "kind must be.*random_walk"),
     "no channels": (of_sidecar(set_item("channels", value=[])), "neither channels nor"),
     "no rate and no time": (of_sidecar(set_item("sample_rate", value=None)), "sample_rate: … in Hz or time: …"),
-    "rate zero": (of_sidecar(set_item("sample_rate", value=0)), "sample_rate must be greater than 0"),
+    "rate zero": (of_sidecar(set_item("sample_rate", value=0)), "sample_rate must be positive"),
     "rate not finite": (
         of_sidecar(set_item("sample_rate", value=float("nan"))),
         "sample_rate.*finite|sample_rate must",
@@ -169,7 +169,7 @@ CASES: dict[str, tuple[Case, str]] = {
         of_sidecar(set_item("segments", 1, "stop", value=60.0)),
         "reaches from 3 to 60 s, but the data from 0 to 6",
     ),
-    "segment negative": (of_sidecar(set_item("segments", 0, "start", value=-1.0)), "start must be at least 0"),
+    "segment negative": (of_sidecar(set_item("segments", 0, "start", value=-1.0)), "start must not be negative"),
     "segment backwards": (of_sidecar(set_item("segments", 1, "stop", value=1.0)), "not after its start"),
     "segments overlap": (of_sidecar(set_item("segments", 1, "start", value=2.0)), "must not overlap"),
     "window outside": (of_sidecar(set_item("segments", 1, "window", value=[2.0, 5.0])), "not within its 3 to 6 s"),
@@ -321,7 +321,7 @@ def test_the_unspoilt_recording_passes_without_a_note(tmp_path: Path) -> None:
 
 
 def test_no_sidecar(tmp_path: Path) -> None:
-    with pytest.raises(BenchError, match="cannot read the sidecar"):
+    with pytest.raises(BenchError, match="cannot read the YAML sidecar"):
         read_import(tmp_path / "sidecar.yaml")
 
 

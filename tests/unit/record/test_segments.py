@@ -157,6 +157,6 @@ def test_bags_from_before_there_were_kinds_hold_phase_resonance(tmp_path, store)
     writer.write("lock", raw[:-1], 3000, 3000)  # the kind is the last byte
     writer.close()
     bag = Bag.open(tmp_path / "bag")
-    assert not hasattr(bag.lock_events()[0], "test")
+    assert bag.lock_events()[0].test is TestKind.PHASE_RESONANCE
     (segment,) = segments(bag)
     assert (segment.kind, segment.periods) == (TestKind.PHASE_RESONANCE, 20)

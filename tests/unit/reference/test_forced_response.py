@@ -81,7 +81,8 @@ def test_jacobians(beam, joint, shaker, finite_differences) -> None:
     elements = [*joint, CubicSpring(beam.direction(5), 1e7), QuadraticDrag(beam.direction(7), 5.0)]
     problem = ForcedProblem(assemble(beam, elements, 4, shaker), FourierBasis.up_to(5), 139.4)
     rng = np.random.default_rng(1)
-    local = problem.linear_start(139.4) + 0.05 * rng.normal(size=problem.local_size)
+    linear = problem.linear_start(139.4)
+    local = linear + 0.05 * rng.normal(size=linear.size)
     quadrature, drive, force = (
         _Quadrature(problem),
         _DriveHeld(problem, 0.0, 30.0),

@@ -11,18 +11,10 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from nmt_sequencer.run_machine import (
-    FLAG_LIMIT,
-    LOOP_LOCKED,
-    LOOP_LOST,
-    LevelOrder,
-    Pacing,
-    RunMachine,
-    RunPhase,
-    RunPlan,
-)
+from nmt_core.records import LevelCommand
+from nmt_core.vocabulary import BlockFlag, LoopState, RunPhase
+from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
 
-FIXED, ACQUIRING = 1, 2
 BLOCK = 100
 RATE = 1000.0
 PACING = Pacing(RATE, BLOCK, tick_blocks=3, quiet_ramp=0.25, settle=0.2)
@@ -57,15 +49,15 @@ class MiniLoop:
 
     fates: list[Fate]
     index: int = 0
-    state: int = FIXED
+    state: int = LoopState.FIXED
     sequence: int = 0
     flags: int = 0
-    waiting: list[LevelOrder] = field(default_factory=list)
+    waiting: list[LevelCommand] = field(default_factory=list)
     begun: int = 0
     newest: Report | None = None
-    late: list[LevelOrder] = field(default_factory=list)
+    late: list[LevelCommand] = field(default_factory=list)
 
-    def on_level(self, order: LevelOrder, produced: int) -> Report | None:
+    def on_level(self, order: LevelCommand, produced: int) -> Report | None:
         """Take an order; the acknowledgement repeats the newest report."""
         self.sequence = max(self.sequence, order.sequence)
         self.waiting.append(order)
@@ -83,23 +75,27 @@ class MiniLoop:
         while self.waiting and self.waiting[0].apply_at_sample <= first:
             order = self.waiting.pop(0)
             if order.amplitude == 0.0:
-                if self.state != LOOP_LOST or order.index != self.index:
-                    self.state = FIXED
+                if self.state != LoopState.LOCK_LOST or order.index != self.index:
+                    self.state = LoopState.FIXED
             else:
-                self.state, self.begun = ACQUIRING, first
+                self.state, self.begun = LoopState.ACQUIRING, first
             self.index = order.index
         fate = self.fates[self.index % len(self.fates)]
         age = (first - self.begun) // BLOCK
-        if self.state == ACQUIRING and age == fate.blocks:
+        if self.state == LoopState.ACQUIRING and age == fate.blocks:
             if fate.locks:
-                self.state, reason = LOOP_LOCKED, "phase error is small"
+                self.state, reason = LoopState.LOCKED, "phase error is small"
                 lock = self.index, end - 1, end + fate.window * BLOCK
             else:
-                self.state, reason = LOOP_LOST, f"level {self.index} did not lock"
-        elif self.state == LOOP_LOCKED and fate.lost_after is not None and age >= fate.blocks + fate.lost_after:
-            self.state, reason = LOOP_LOST, f"level {self.index} lost its lock"
-        if self.state in (ACQUIRING, LOOP_LOCKED) and fate.limit_after is not None and age >= fate.limit_after:
-            self.flags = FLAG_LIMIT
+                self.state, reason = LoopState.LOCK_LOST, f"level {self.index} did not lock"
+        elif self.state == LoopState.LOCKED and fate.lost_after is not None and age >= fate.blocks + fate.lost_after:
+            self.state, reason = LoopState.LOCK_LOST, f"level {self.index} lost its lock"
+        if (
+            self.state in (LoopState.ACQUIRING, LoopState.LOCKED)
+            and fate.limit_after is not None
+            and age >= fate.limit_after
+        ):
+            self.flags = BlockFlag.LIMIT
         self.newest = Report(end - 1, self.index, self.sequence, self.state, self.flags, reason)
         return self.newest, lock
 
@@ -111,7 +107,7 @@ class Bench:
     fates: list[Fate]
     pacing: Pacing = PACING
     produced: int = 0
-    orders: list[LevelOrder] = field(default_factory=list)
+    orders: list[LevelCommand] = field(default_factory=list)
     horizons: list[int] = field(default_factory=list)
     progress: list[float] = field(default_factory=list)
     acknowledged: int = 0
@@ -121,7 +117,7 @@ class Bench:
         self.loop = MiniLoop(self.fates)
         self.reports: deque[Report] = deque()
         self.locks: deque[tuple[int, int, int]] = deque()
-        self.levels: deque[LevelOrder] = deque()
+        self.levels: deque[LevelCommand] = deque()
         self.states: deque[int] = deque()
         self.plant_horizon = 0
 

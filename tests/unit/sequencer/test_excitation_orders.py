@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import pytest
 from unit.sequencer.bench import Bench, Fate
 
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
 from nmt_core.test_kind import TestKind
-from nmt_sequencer.run_machine import ResultCode, RunPlan
+from nmt_core.vocabulary import ResultCode
+from nmt_sequencer.run_machine import RunPlan
 
 SWEEP = Excitation(TestKind.SWEEP, rate_hz_s=0.2, frequency_end_hz=390.0)
 
@@ -24,7 +27,8 @@ def test_every_order_says_what_kind_of_test_it_belongs_to():
         (38.15, 360.0),
         (0.0, 0.0),
     ]
-    assert all(order.excitation == SWEEP for order in bench.orders)
+    names = [item.name for item in fields(SWEEP)]
+    assert all(getattr(order, name) == getattr(SWEEP, name) for order in bench.orders for name in names)
 
 
 def test_plans_beyond_the_sample_rate_are_refused():

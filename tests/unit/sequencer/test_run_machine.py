@@ -8,20 +8,11 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from unit.sequencer.bench import BLOCK, FIXED, PACING, Bench, Fate, Report
+from unit.sequencer.bench import BLOCK, PACING, Bench, Fate, Report
 
 from nmt_core.errors import BenchError
-from nmt_sequencer.run_machine import (
-    FLAG_LIMIT,
-    LOOP_LOCKED,
-    LOOP_LOST,
-    NO_HORIZON,
-    Pacing,
-    ResultCode,
-    RunMachine,
-    RunPhase,
-    RunPlan,
-)
+from nmt_core.vocabulary import BlockFlag, LoopState, ResultCode, RunPhase
+from nmt_sequencer.run_machine import NO_HORIZON, Pacing, RunMachine, RunPlan
 
 TICK = PACING.tick
 REALTIME = replace(PACING, lockstep=False)
@@ -62,7 +53,7 @@ def test_works_through_the_levels_and_ends_with_zero(pacing):
     assert all(record.complete and not record.reason for record in machine.records)
     assert [record.index for record in machine.records] == [0, 1, 2]
     assert [record.amplitude for record in machine.records] == [1.0, 2.0, 3.0]
-    assert bench.loop.state == FIXED
+    assert bench.loop.state == LoopState.FIXED
 
 
 @PACINGS
@@ -187,7 +178,7 @@ def test_a_lock_without_its_event_waits_for_it():
     while [name for name in bench.possible() if name != "locks"]:
         bench.move(next(name for name in bench.possible() if name != "locks"))
     assert bench.locks
-    assert bench.machine.report.state == LOOP_LOCKED
+    assert bench.machine.report.state == LoopState.LOCKED
     stands = bench.machine.horizon
     bench.move("locks")
     assert bench.machine.horizon > stands
@@ -251,9 +242,9 @@ def test_a_limit_ends_the_run(pacing):
 def test_a_limit_ends_a_pause():
     bench = Bench([Fate(window=10_000)], REALTIME)
     bench.start(plan())
-    bench.until(lambda: bench.loop.state == LOOP_LOCKED)
+    bench.until(lambda: bench.loop.state == LoopState.LOCKED)
     assert bench.call(bench.machine.pause)
-    bench.loop.flags = FLAG_LIMIT
+    bench.loop.flags = BlockFlag.LIMIT
     bench.run()
     assert bench.machine.code == ResultCode.LIMIT
 
@@ -270,7 +261,7 @@ def acquiring(bench):
 
 
 def in_window(bench):
-    return bench.machine.report is not None and bench.machine.report.state == LOOP_LOCKED
+    return bench.machine.report is not None and bench.machine.report.state == LoopState.LOCKED
 
 
 def second_level(bench):
@@ -431,7 +422,7 @@ def test_a_second_run_goes_on_in_sample_and_sequence(pacing):
 def test_a_lost_run_does_not_spoil_the_next(pacing):
     """The loop still reports the loss of the first run's level 0 when the second run's level 0 is ordered."""
     bench = finished([Fate(locks=False)], pacing, levels=(1.0,))
-    assert bench.loop.state == LOOP_LOST
+    assert bench.loop.state == LoopState.LOCK_LOST
     bench.loop.fates = [Fate()]
     bench.start(plan((5.0,)))
     # The level is slow to arrive; blocks pass meanwhile where nothing holds them back.
@@ -469,7 +460,7 @@ def test_old_reports_change_nothing():
     bench.until(lambda: in_window(bench))
     machine = bench.machine
     newest, horizon, report = machine.newest, machine.horizon, machine.report
-    machine.on_report(Report(newest - BLOCK, 0, 1, LOOP_LOST, FLAG_LIMIT))
+    machine.on_report(Report(newest - BLOCK, 0, 1, LoopState.LOCK_LOST, BlockFlag.LIMIT))
     assert (machine.newest, machine.horizon, machine.report) == (newest, horizon, report)
     assert machine.take_orders() == []
 

@@ -17,11 +17,11 @@ import tempfile
 import time
 import traceback
 from collections.abc import Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
 
+from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
 
 EXIT_DONE = 0
@@ -29,7 +29,8 @@ EXIT_UNEXPECTED = 1
 EXIT_USER = 2
 EXIT_INTERRUPTED = 130
 
-PROGRAM = "./nmt"
+PROGRAM = "nmt" if Path(sys.argv[0]).name == "nmt" else "./nmt"
+"""As the user calls it: the script that pip installs, or the launcher, which starts ``python -m nmt_bench``."""
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("nmt_bench.commands.demo_command", "the paper's virtual experiment, from the first node to the report"),
@@ -49,6 +50,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "where model and real rig part, which effect causes it, how far the gap shrinks",
     ),
     "import": ("nmt_bench.commands.import_command", "data measured elsewhere (CSV, NPZ, UFF58, tables) as a bag"),
+    "repair": ("nmt_bench.commands.repair_command", "what can be saved of a damaged or cut bag, and what was lost"),
     "export": ("nmt_bench.commands.export_command", "a recording as UFF58, CSV or NPZ, ready for './nmt import'"),
     "reference": (
         "nmt_bench.commands.reference_command",
@@ -71,6 +73,10 @@ also, from the launcher:
   setup                 only the set-up
 """
 
+_ROS_MODULES = frozenset(
+    {"builtin_interfaces", "diagnostic_msgs", "nmt_msgs", "rcl_interfaces", "rclpy", "std_msgs", "std_srvs"}
+)
+
 
 class _Parser(argparse.ArgumentParser):
     """An argument parser whose refusal is one sentence."""
@@ -92,7 +98,7 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     parser = _Parser(
         prog=PROGRAM,
         description="A test bench for nonlinear modal testing, on simulated rigs and on hardware.",
-        epilog=_LAUNCHER_COMMANDS,
+        epilog=_LAUNCHER_COMMANDS if PROGRAM == "./nmt" else None,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"nmt {_version()}")
@@ -130,6 +136,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BenchError as error:
         _complain(command, str(error))
         return EXIT_USER
+    except ModuleNotFoundError as error:
+        library = (error.name or "nmt_").partition(".")[0]
+        if library.startswith("nmt_") and library not in _ROS_MODULES:
+            return _unexpected(command, error, words)
+        _complain(command, _missing_module(library))
+        return EXIT_USER
     except KeyboardInterrupt:
         _complain(command, "Stopped on request (Ctrl-C).")
         return EXIT_INTERRUPTED
@@ -139,10 +151,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_UNEXPECTED
     except Exception as error:
-        kind = type(error).__name__
-        log = write_error_log(words)
-        _complain(command, f"This should not have happened ({kind}: {_first_line(error)}); details are in {log}.")
-        return EXIT_UNEXPECTED
+        return _unexpected(command, error, words)
 
 
 def run_parsed(arguments: argparse.Namespace) -> int:
@@ -181,10 +190,30 @@ def _load(name: str, module: str) -> ModuleType:
     except ModuleNotFoundError as error:
         if error.name is None:
             raise
-        hint = "run './nmt setup' and, if that does not mend it, './nmt doctor'"
-        raise BenchError(
-            f"The command '{name}' cannot start because '{error.name}' is not installed; {hint}."
-        ) from error
+        raise BenchError(f"The command '{name}' cannot start: {_missing_module(error.name)}") from error
+
+
+def _missing_module(name: str) -> str:
+    """What to say where a module cannot be imported."""
+    library = name.partition(".")[0]
+    if PROGRAM == "./nmt":
+        return f"'{library}' is not installed; run './nmt setup' and, if that does not mend it, './nmt doctor'."
+    if library in _ROS_MODULES:
+        return (
+            f"This starts ROS 2 nodes and '{library}' is not installed; use './nmt' of a clone, which brings ROS 2, or "
+            "a workspace built and sourced beside ROS 2 Jazzy."
+        )
+    if library == "distributed":
+        return "'distributed' is not installed; type: pip install 'nmt[dask]'."
+    return f"'{library}' is not installed, although nmt needs it; type: pip install --force-reinstall nmt."
+
+
+def _unexpected(command: str | None, error: Exception, words: Sequence[str]) -> int:
+    """Say that something failed which should not, and where the details are."""
+    log = write_error_log(words)
+    sentence = f"This should not have happened ({type(error).__name__}: {_first_line(error)}); details are in {log}."
+    _complain(command, sentence)
+    return EXIT_UNEXPECTED
 
 
 def _complain(command: str | None, sentence: str) -> None:
@@ -199,7 +228,4 @@ def _first_line(error: Exception) -> str:
 
 
 def _version() -> str:
-    try:
-        return version("nmt_bench")
-    except PackageNotFoundError:
-        return "(not installed)"
+    return bench_version() or "(not installed)"

@@ -21,7 +21,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -32,6 +32,7 @@ from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -42,68 +43,19 @@ from nmt_bench.orchestration.shared_memory import remove_dead_segments
 from nmt_core.base_node import STATE_QOS, calm_collector
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_core.test_kind import TestKind
-from nmt_extract.conversions import modal_point_from_message
-from nmt_extract.modal_point import ModalPoint
+from nmt_core.modal_point import ModalPoint
+from nmt_core.vocabulary import ResultCode, RunPhase
+from nmt_core.wire import MODAL_POINT, RUN_STATE
 from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import RunState
-from nmt_rig.rig import Rig, load_rig
-from nmt_rig.rig_snapshot import rig_text
-from nmt_sequencer.level_plan import parse_levels
-from nmt_sequencer.run_machine import ResultCode
-from nmt_session.node_plan import NODES, NodePlan, TestPlan, plan_nodes
+from nmt_rig.rig import Rig
+from nmt_session.node_plan import NODES, NodePlan, plan_nodes
+from nmt_session.plan_test import plan_test
+from nmt_session.run_result import Progress, RunResult
 
 START_TIMEOUT = 60.0
 _POLL = 0.02
 _LAST_WRITES = 0.5  # s that the recorder gets for what is on its way to it
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a run stands; fields as in the action's feedback."""
-
-    level_index: int
-    level_count: int
-    level: float
-    state: int
-    frequency_hz: float
-    phase_error: float
-    fraction_done: float
-    sample: int
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """How a run ended.
-
-    Attributes:
-        code: result code.
-        message: one sentence.
-        points: modal points in the order of the levels.
-        bag: folder of the bag, None if nothing was recorded.
-        bag_state: ``closed``, ``failed``, ``open`` (the recorder did not answer) or ``lost`` (it died).
-        wall_time: s from the start of the first level to the end of the run.
-        bench_time: s of bench time.
-        lost_node: name of the node that died, empty if none did.
-        interrupted: True after Ctrl-C.
-        remarks: sentences on gaps, late blocks and real-time margin.
-    """
-
-    code: ResultCode
-    message: str
-    points: tuple[ModalPoint, ...]
-    bag: Path | None
-    bag_state: str
-    wall_time: float
-    bench_time: float
-    lost_node: str = ""
-    interrupted: bool = False
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def real_time_factor(self) -> float:
-        """Bench time over wall time."""
-        return self.bench_time / self.wall_time if self.wall_time > 0 else 0.0
 
 
 class Bench:
@@ -163,52 +115,31 @@ class Bench:
         frequency_end_hz: float = 0.0,
         duration: float = 0.0,
     ) -> None:
-        changes = list(overrides)
-        if exciter is not None:
-            changes.append(f"exciter.point={exciter}")
-        if seed is not None:
-            changes.append(f"seed={seed}")
-        if isinstance(rig, Rig):
-            if changes:
-                raise BenchError("Overrides need a rig by name or path; this one is loaded already.")
-            self.rig, text = rig, rig_text(rig)
-        else:
-            self.rig = load_rig(str(rig), changes)
-            text = rig_text(self.rig, rig, changes)
-        if levels is None and control != "voltage":
-            raise BenchError(
-                f"Levels of {control} are needed: those of rig {self.rig.name} are voltages; give --levels."
-            )
-        kind = TestKind.named(test)
-        if levels is None and not kind.closes_phase_loop:
-            label = kind.label.replace("_", " ")
-            raise BenchError(f"A {label} test needs levels: those of rig {self.rig.name} are for phase resonance.")
-        plan = self.rig.test.levels if levels is None else levels
-        amplitudes = tuple(parse_levels(plan) if isinstance(plan, str) else plan)
-        if kind is TestKind.STEPPED_SINE and len(amplitudes) == 1:
-            amplitudes *= max(1, len(frequencies_hz))
-        self.test = TestPlan(
-            rig=self.rig,
-            rig_yaml=text,
-            levels=amplitudes,
-            run_id=run_id or time.strftime(f"{self.rig.name}-%Y%m%d-%H%M%S"),
+        self.test = plan_test(
+            rig,
+            levels,
+            overrides=overrides,
+            exciter=exciter,
+            seed=seed,
             pacing=pacing,
             latency_blocks=latency_blocks,
             window_periods=window_periods,
             ramp=ramp,
             timeout=timeout,
             stop_on_lost_lock=stop_on_lost_lock,
+            run_id=run_id,
             linear=linear,
-            node_values=node_values or {},
+            node_values=node_values,
             control=control,
             strategy=strategy,
             test=test,
-            frequencies_hz=tuple(frequencies_hz),
+            frequencies_hz=frequencies_hz,
             band_hz=band_hz,
             rate_hz_s=rate_hz_s,
             frequency_end_hz=frequency_end_hz,
             duration=duration,
         )
+        self.rig = self.test.rig
         self.use_processes = processes
         self._out = Path(out) if out is not None else None
         self._domain_id = domain_id
@@ -337,7 +268,7 @@ class Bench:
             code, text = ResultCode.NODE_LOST, self._obituary(lost)
         else:
             code, text = ResultCode(message.result_code), message.message
-            points = tuple(modal_point_from_message(point) for point in message.points)
+            points = tuple(MODAL_POINT.read(serialize_message(point)) for point in message.points)
             if lost:
                 code, text = ResultCode.NODE_LOST, self._obituary(lost)
         return RunResult(
@@ -466,7 +397,7 @@ class _RunClient(Node):  # type: ignore[misc]
         self.newest_sample = -1
         self._counters: dict[str, dict[str, str]] = {}
         self.create_subscription(String, "bag", self._on_bag, STATE_QOS)
-        self.create_subscription(RunState, "run_state", self._on_state, STATE_QOS)
+        self.create_subscription(RunState, "run_state", self._on_state, STATE_QOS, raw=True)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
 
     def server_is_ready(self) -> bool:
@@ -484,12 +415,16 @@ class _RunClient(Node):  # type: ignore[misc]
         with contextlib.suppress(ValueError, TypeError, KeyError):
             self.bag_state = json.loads(message.data)["state"]
 
-    def _on_state(self, message: RunState) -> None:
+    def _on_state(self, raw: bytes) -> None:
+        try:
+            state = RUN_STATE.read(raw)
+        except ValueError:
+            return
         now = time.monotonic()
-        if message.phase == RunState.RUNNING:
+        if state.phase == RunPhase.RUNNING:
             self.started = self.started or now
-        if message.sample > self.newest_sample:
-            self.newest_sample = message.sample
+        if state.sample > self.newest_sample:
+            self.newest_sample = state.sample
             self.last_progress = now
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

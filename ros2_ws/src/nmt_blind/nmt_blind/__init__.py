@@ -1,1 +1,40 @@
-"""The blind check of the diagnosis: sealed cases, campaigns, scores, baselines, calibration."""
+"""The blind check of the diagnosis: sealed cases, campaigns, scores, baselines, calibration.
+
+Public names, each loaded when it is asked for: :func:`make_campaign` draws and seals the cases, :func:`run_campaign`
+diagnoses them, :func:`score_campaign` opens the seal and :func:`write_sheets` writes what was reached.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from nmt_core.public_names import loaded
+
+if TYPE_CHECKING:
+    from nmt_blind.campaign.run import CampaignRun, run_campaign
+    from nmt_blind.campaign.score import Scores, score_campaign
+    from nmt_blind.campaign.score_sheet import write_sheets
+    from nmt_blind.cases.make import Made, make_campaign
+
+_HOMES = {
+    "CampaignRun": "nmt_blind.campaign.run",
+    "Made": "nmt_blind.cases.make",
+    "Scores": "nmt_blind.campaign.score",
+    "make_campaign": "nmt_blind.cases.make",
+    "run_campaign": "nmt_blind.campaign.run",
+    "score_campaign": "nmt_blind.campaign.score",
+    "write_sheets": "nmt_blind.campaign.score_sheet",
+}
+__all__ = [
+    "CampaignRun",
+    "Made",
+    "Scores",
+    "make_campaign",
+    "run_campaign",
+    "score_campaign",
+    "write_sheets",
+]
+
+
+def __getattr__(name: str) -> Any:
+    return loaded(__name__, name, _HOMES)

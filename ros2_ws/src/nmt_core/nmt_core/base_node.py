@@ -20,6 +20,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
+from nmt_core.dds_profile import check_ports, seal_transport
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter, ParameterValue, check_values
 
@@ -251,10 +252,16 @@ def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -
     Returns:
         Exit code: 0 after a regular end or Ctrl-C, 2 for a mistake of the user.
     """
+    try:
+        seal_transport()
+    except BenchError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
     rclpy.init(args=args)
     node: BenchNode | None = None
     try:
         node = factory()
+        check_ports(node.context.get_domain_id())
         executor = EventsExecutor()
         executor.add_node(node)
         calm_collector()

@@ -6,57 +6,24 @@ The sample index is the clock of the bench: everything that happens is named by 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nmt_core.vocabulary import SAMPLE_TOPICS, BlockFlag, Quantity
+
+__all__ = [
+    "SAMPLE_TOPICS",
+    "UNKNOWN_PHASE",
+    "BlockFlag",
+    "FloatArray",
+    "OscillatorPhase",
+    "Quantity",
+    "SampleBlock",
+]
+
 FloatArray = NDArray[np.float64]
-
-
-class Quantity(IntEnum):
-    """What a channel measures; the values are those of ``nmt_msgs/SampleBlock``."""
-
-    UNKNOWN = 0
-    FORCE = 1
-    DISPLACEMENT = 2
-    VELOCITY = 3
-    ACCELERATION = 4
-    VOLTAGE = 5
-    CURRENT = 6
-
-    @property
-    def unit(self) -> str:
-        """SI unit of the quantity, empty for ``UNKNOWN``."""
-        return _UNITS[self]
-
-    @property
-    def topic(self) -> str:
-        """Name of the topic that carries the quantity."""
-        return self.name.lower()
-
-
-_UNITS = {
-    Quantity.UNKNOWN: "",
-    Quantity.FORCE: "N",
-    Quantity.DISPLACEMENT: "m",
-    Quantity.VELOCITY: "m/s",
-    Quantity.ACCELERATION: "m/s^2",
-    Quantity.VOLTAGE: "V",
-    Quantity.CURRENT: "A",
-}
-
-SAMPLE_TOPICS = tuple(quantity.topic for quantity in Quantity if quantity is not Quantity.UNKNOWN)
-
-
-class BlockFlag(IntFlag):
-    """Flags of a block; the values are those of ``nmt_msgs/SampleBlock``."""
-
-    NONE = 0
-    OVERLOAD = 1
-    LIMIT = 2
-    WATCHDOG = 4
 
 
 class OscillatorPhase(NamedTuple):

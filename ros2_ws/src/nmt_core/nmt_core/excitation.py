@@ -8,9 +8,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import ControlKind, TestKind
 
-CONTROL_VOLTAGE = 1
 _LONGEST = 1e6  # s
 
 # Which fields a kind of test has; the others must be zero.
@@ -43,19 +42,24 @@ class Excitation:
     duration: float = 0.0
 
     @classmethod
-    def from_goal(cls, goal: Any) -> Excitation:
-        """Read from a message or action goal with the fields of the same names.
+    def from_goal(cls, goal: Mapping[str, Any]) -> Excitation:
+        """Read from the fields of an action goal.
 
         Raises:
             BenchError: no such kind of test.
         """
         names = [item.name for item in fields(cls) if item.name != "test"]
-        return cls(TestKind.of(int(goal.test)), **{name: float(getattr(goal, name)) for name in names})
+        return cls(TestKind.of(int(goal["test"])), **{name: float(goal[name]) for name in names})
+
+    @property
+    def level_fields(self) -> dict[str, Any]:
+        """All fields by name: what goes into levels."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
 
     @property
     def values(self) -> Mapping[str, float | int]:
-        """All fields by name, the kind of test as a number: what goes into messages."""
-        return {item.name: getattr(self, item.name) for item in fields(self)} | {"test": int(self.test)}
+        """All fields by name, the kind of test as a number: what goes into the action's goal."""
+        return self.level_fields | {"test": int(self.test)}
 
     def check(self, frequencies_hz: Sequence[float], levels: int, control: int, sample_rate: float) -> None:
         """Refuse what a bench with this sample rate cannot do.
@@ -87,7 +91,7 @@ class Excitation:
                     f"The random band of {self.band_low_hz:g} to {self.band_high_hz:g} Hz must lie between 0 and half "
                     f"the sample rate, {nyquist:g} Hz, the lower edge first."
                 )
-            if control != CONTROL_VOLTAGE:
+            if control != ControlKind.VOLTAGE:
                 raise BenchError("A random test has levels of voltage (V rms) only; leave the control at voltage.")
         if "duration" in _FIELDS[self.test] and not 0.0 < self.duration < _LONGEST:
             raise BenchError(

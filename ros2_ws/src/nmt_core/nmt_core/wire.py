@@ -1,53 +1,61 @@
-"""The three messages of the sample path as bytes.
+"""Every message of the bench as bytes: one codec each, between the bench's records and the serialised form.
 
 Between plant and loop a message must not cost more than the block it carries. rclpy builds a Python object for every
 nested field of every message; these codecs go from the bench's own types to the serialised form (XCDR version 1, little
 endian, as Fast DDS and every bag have it) and back in a few microseconds. What others publish is read as well, and
 what is published here is the ordinary message: tests compare byte for byte with rclpy.
+
+Samples, drive commands and loop states, of which each block needs one, have codecs written out by hand; the others are
+tables of their fields.
 """
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.blocks import OscillatorPhase, SampleBlock
+from nmt_core.cdr import (
+    BASE,
+    COUNT,
+    ENCAPSULATION,
+    STAMP,
+    TIME,
+    MessageCodec,
+    aligned,
+    bench_stamp,
+    bench_time_ns,
+    check_encapsulation,
+    read_string,
+    string_bytes,
+)
+from nmt_core.errors import BenchError
+from nmt_core.modal_point import COMPLEX, MEASURED, ComplexArray, ModalPoint
+from nmt_core.records import DriveCommand, LevelCommand, LockEvent, LoopStatus, RunRecord, RunState
+from nmt_core.vocabulary import PointStatus, Quantity, RecordKind, ResultCode, RunPhase, TestKind, Waveform
 
-_ENCAPSULATION = b"\x00\x01\x00\x00"
-_BASE = len(_ENCAPSULATION)
-_STAMP = struct.Struct("<iI")
-_COUNT = struct.Struct("<I")
+__all__ = [
+    "LEVEL",
+    "LOCK_EVENT",
+    "MODAL_POINT",
+    "RUN_RECORD",
+    "RUN_STATE",
+    "BlockReader",
+    "BlockWriter",
+    "DriveCommand",
+    "LoopStatus",
+    "bench_stamp",
+    "read_drive",
+    "read_status",
+    "write_drive",
+    "write_status",
+]
+
 _INDEX = struct.Struct("<Qd")
 _TAIL = struct.Struct("<dddB")
-
-
-_MAX_SECONDS = 2**31 - 1
-
-
-def _aligned(position: int, size: int) -> int:
-    """Next position with the alignment of ``size``, counted from the end of the encapsulation header."""
-    return _BASE + -(-(position - _BASE) // size) * size
-
-
-def bench_stamp(sample: int, sample_rate: float) -> tuple[int, int]:
-    """Bench time of a sample as seconds and nanoseconds, at most what a ROS time can hold."""
-    seconds = int(sample / sample_rate)
-    if seconds > _MAX_SECONDS:
-        return _MAX_SECONDS, 999_999_999
-    return seconds, min(999_999_999, round((sample - seconds * sample_rate) / sample_rate * 1e9))
-
-
-def _string(text: str) -> bytes:
-    data = text.encode()
-    return _COUNT.pack(len(data) + 1) + data + b"\x00"
-
-
-def _check_encapsulation(raw: bytes) -> None:
-    if raw[:2] != _ENCAPSULATION[:2]:
-        raise ValueError("the message is not little-endian XCDR1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,29 +117,29 @@ class BlockReader:
 
     @staticmethod
     def _find_layout(raw: bytes) -> _BlockLayout:
-        _check_encapsulation(raw)
+        check_encapsulation(raw)
         try:
-            _, index = _read_string(raw, 12)
-            index = _aligned(index, 8)
+            _, index = read_string(raw, 12)
+            index = aligned(index, 8)
             quantity_at = index + _INDEX.size
-            unit, position = _read_string(raw, _aligned(quantity_at + 1, 4))
-            position = _aligned(position, 4)
-            (channel_count,) = _COUNT.unpack_from(raw, position)
+            unit, position = read_string(raw, aligned(quantity_at + 1, 4))
+            position = aligned(position, 4)
+            (channel_count,) = COUNT.unpack_from(raw, position)
             position += 4
             if channel_count > len(raw):
                 raise ValueError("more channels than bytes")
             channels = []
             for _ in range(channel_count):
-                name, position = _read_string(raw, _aligned(position, 4))
+                name, position = read_string(raw, aligned(position, 4))
                 channels.append(name)
-            position = _aligned(position, 4)
-            (point_count,) = _COUNT.unpack_from(raw, position)
+            position = aligned(position, 4)
+            (point_count,) = COUNT.unpack_from(raw, position)
             if 4 * point_count > len(raw):
                 raise ValueError("more points than bytes")
             points = struct.unpack_from(f"<{point_count}I", raw, position + 4)
             position += 4 + 4 * point_count
-            (count,) = _COUNT.unpack_from(raw, position)
-            data = _aligned(position + 4, 8)
+            (count,) = COUNT.unpack_from(raw, position)
+            data = aligned(position + 4, 8)
             quantity = Quantity(raw[quantity_at])
         except (struct.error, IndexError, UnicodeDecodeError) as error:
             raise ValueError(f"the message is not a whole SampleBlock: {error}") from error
@@ -151,14 +159,6 @@ class BlockReader:
         )
 
 
-def _read_string(raw: bytes, position: int) -> tuple[str, int]:
-    (length,) = _COUNT.unpack_from(raw, position)
-    end = position + 4 + length
-    if end > len(raw):
-        raise ValueError("a text runs past the end of the message")
-    return raw[position + 4 : end - 1].decode(), end
-
-
 class BlockWriter:
     """Serialises blocks of one quantity as ``nmt_msgs/SampleBlock``.
 
@@ -167,7 +167,7 @@ class BlockWriter:
     """
 
     def __init__(self, frame_id: str) -> None:
-        self._frame = _string(frame_id)
+        self._frame = string_bytes(frame_id)
         self._key: tuple[object, ...] = ()
         self._buffer = bytearray()
         self._index = self._data = self._tail = 0
@@ -179,7 +179,7 @@ class BlockWriter:
             self._lay_out(block)
             self._key = key
         buffer = self._buffer
-        _STAMP.pack_into(buffer, _BASE, *bench_stamp(block.first_sample, block.sample_rate))
+        STAMP.pack_into(buffer, BASE, *bench_stamp(block.first_sample, block.sample_rate))
         _INDEX.pack_into(buffer, self._index, block.first_sample, block.sample_rate)
         buffer[self._data : self._tail] = np.ascontiguousarray(block.data, dtype=np.float64).tobytes()
         phase = block.oscillator
@@ -187,25 +187,25 @@ class BlockWriter:
         return bytes(buffer)
 
     def _lay_out(self, block: SampleBlock) -> None:
-        buffer = bytearray(_ENCAPSULATION + bytes(_STAMP.size) + self._frame)
+        buffer = bytearray(ENCAPSULATION + bytes(STAMP.size) + self._frame)
 
         def pad(size: int) -> int:
-            buffer.extend(bytes(_aligned(len(buffer), size) - len(buffer)))
+            buffer.extend(bytes(aligned(len(buffer), size) - len(buffer)))
             return len(buffer)
 
         self._index = pad(8)
         buffer.extend(bytes(_INDEX.size))
         buffer.append(int(block.quantity))
         pad(4)
-        buffer.extend(_string(block.unit))
+        buffer.extend(string_bytes(block.unit))
         pad(4)
-        buffer.extend(_COUNT.pack(len(block.channels)))
+        buffer.extend(COUNT.pack(len(block.channels)))
         for channel in block.channels:
             pad(4)
-            buffer.extend(_string(channel))
+            buffer.extend(string_bytes(channel))
         pad(4)
-        buffer.extend(_COUNT.pack(len(block.points)) + struct.pack(f"<{len(block.points)}I", *block.points))
-        buffer.extend(_COUNT.pack(block.data.size))
+        buffer.extend(COUNT.pack(len(block.points)) + struct.pack(f"<{len(block.points)}I", *block.points))
+        buffer.extend(COUNT.pack(block.data.size))
         self._data = pad(8)
         buffer.extend(bytes(8 * block.data.size))
         self._tail = len(buffer)
@@ -213,30 +213,16 @@ class BlockWriter:
         self._buffer = buffer
 
 
-class PlainDrive(NamedTuple):
-    """A drive command without harmonics; fields as in ``nmt_msgs/Drive``."""
-
-    apply_at_sample: int
-    based_on_sample: int
-    waveform: int
-    frequency_hz: float
-    amplitude: float
-    ramp: float
-    band_low_hz: float = 0.0
-    band_high_hz: float = 0.0
-    rate_hz_s: float = 0.0
-    frequency_end_hz: float = 0.0
-
-
-_DRIVE_END = 76  # position after the three counts: a message with harmonics has other things behind it
 # stamp, apply, based, waveform, three numbers, three empty sequences, four numbers
 _DRIVE = struct.Struct("<4siIQQB7xdddIII4xdddd")
 
 
-def write_drive(drive: PlainDrive, sample_rate: float) -> bytes:
+def write_drive(drive: DriveCommand, sample_rate: float) -> bytes:
     """Serialise as ``nmt_msgs/Drive`` with the stamp of ``based_on_sample``."""
+    if drive.harmonics:
+        return _HARMONIC_DRIVE.write((drive, sample_rate))
     return _DRIVE.pack(
-        _ENCAPSULATION,
+        ENCAPSULATION,
         *bench_stamp(drive.based_on_sample, sample_rate),
         drive.apply_at_sample,
         drive.based_on_sample,
@@ -254,36 +240,80 @@ def write_drive(drive: PlainDrive, sample_rate: float) -> bytes:
     )
 
 
-def read_drive(raw: bytes) -> PlainDrive | None:
-    """A serialised ``nmt_msgs/Drive``; None if it has harmonics and needs the full deserialisation.
+def read_drive(raw: bytes) -> DriveCommand:
+    """A serialised ``nmt_msgs/Drive``.
 
     Raises:
         ValueError: the bytes are not a whole Drive message.
+        BenchError: the waveform is not known, or the harmonics' lists differ in length.
     """
-    _check_encapsulation(raw)
-    if len(raw) < _DRIVE_END:
+    check_encapsulation(raw)
+    if len(raw) < _DRIVE.size:
         raise ValueError("the message is not a whole Drive")
     values = _DRIVE.unpack_from(raw)
-    if values[9]:
-        return None
-    return PlainDrive(*values[3:9], *values[12:16])
+    if values[9] or values[10] or values[11]:
+        return _HARMONIC_DRIVE.read(raw)[0]
+    waveform = _WAVEFORMS.get(values[5])
+    if waveform is None:
+        raise _unknown_waveform(values[5])
+    return DriveCommand._make((waveform, *values[6:9], values[3], values[4], (), *values[12:16]))
 
 
-class LoopStatus(NamedTuple):
-    """State of the loop after a block; fields as in ``nmt_msgs/Frequency``."""
+_WAVEFORMS = {int(waveform): waveform for waveform in Waveform if waveform is not Waveform.UNKNOWN}
 
-    last_sample: int
-    level_index: int
-    level_sequence: int
-    state: int
-    frequency_hz: float
-    phase_error: float
-    force_amplitude: float
-    response_amplitude: float
-    response_unit: str
-    drive_amplitude: float
-    flags: int = 0
-    reason: str = ""
+
+def _unknown_waveform(value: int) -> BenchError:
+    return BenchError(f"drive command: waveform {value} is unknown; use OFF, SINE, RANDOM or SWEEP.")
+
+
+def _drive_values(stamped: tuple[DriveCommand, float]) -> dict[str, Any]:
+    drive, sample_rate = stamped
+    values = drive._asdict()
+    harmonics = values.pop("harmonics")
+    return {
+        **values,
+        "stamp": bench_time_ns(drive.based_on_sample, sample_rate),
+        "harmonics": [order for order, _ in harmonics],
+        "harmonics_real": [value.real for _, value in harmonics],
+        "harmonics_imag": [value.imag for _, value in harmonics],
+    }
+
+
+def _drive_record(values: dict[str, Any]) -> tuple[DriveCommand, float]:
+    values.pop("stamp")
+    real, imag, orders = values.pop("harmonics_real"), values.pop("harmonics_imag"), values["harmonics"]
+    if not len(orders) == len(real) == len(imag):
+        raise BenchError("drive command: harmonics, harmonics_real and harmonics_imag must have equal lengths.")
+    if values["waveform"] not in _WAVEFORMS:
+        raise _unknown_waveform(values["waveform"])
+    values["waveform"] = _WAVEFORMS[values["waveform"]]
+    values["harmonics"] = tuple(
+        (order, complex(a, b)) for order, a, b in zip(orders, real.tolist(), imag.tolist(), strict=True)
+    )
+    return DriveCommand(**values), 0.0
+
+
+_HARMONIC_DRIVE: MessageCodec[tuple[DriveCommand, float]] = MessageCodec(
+    "Drive",
+    (
+        ("stamp", TIME),
+        ("apply_at_sample", "uint64"),
+        ("based_on_sample", "uint64"),
+        ("waveform", "uint8"),
+        ("frequency_hz", "float64"),
+        ("amplitude", "float64"),
+        ("ramp", "float64"),
+        ("harmonics", "uint32[]"),
+        ("harmonics_real", "float64[]"),
+        ("harmonics_imag", "float64[]"),
+        ("band_low_hz", "float64"),
+        ("band_high_hz", "float64"),
+        ("rate_hz_s", "float64"),
+        ("frequency_end_hz", "float64"),
+    ),
+    _drive_values,
+    _drive_record,
+)
 
 
 _STATUS_HEAD = struct.Struct("<4siIQIIB7xdddd")
@@ -293,7 +323,7 @@ _STATUS_TAIL = struct.Struct("<dB")
 def write_status(status: LoopStatus, sample_rate: float) -> bytes:
     """Serialise as ``nmt_msgs/Frequency`` with the stamp of ``last_sample``."""
     head = _STATUS_HEAD.pack(
-        _ENCAPSULATION,
+        ENCAPSULATION,
         *bench_stamp(status.last_sample, sample_rate),
         status.last_sample,
         status.level_index,
@@ -303,9 +333,9 @@ def write_status(status: LoopStatus, sample_rate: float) -> bytes:
         status.phase_error,
         status.force_amplitude,
         status.response_amplitude,
-    ) + _string(status.response_unit)
-    head += bytes(_aligned(len(head), 8) - len(head)) + _STATUS_TAIL.pack(status.drive_amplitude, status.flags)
-    return head + bytes(_aligned(len(head), 4) - len(head)) + _string(status.reason)
+    ) + string_bytes(status.response_unit)
+    head += bytes(aligned(len(head), 8) - len(head)) + _STATUS_TAIL.pack(status.drive_amplitude, status.flags)
+    return head + bytes(aligned(len(head), 4) - len(head)) + string_bytes(status.reason)
 
 
 def read_status(raw: bytes) -> LoopStatus:
@@ -314,13 +344,148 @@ def read_status(raw: bytes) -> LoopStatus:
     Raises:
         ValueError: the bytes are not a whole Frequency message.
     """
-    _check_encapsulation(raw)
+    check_encapsulation(raw)
     try:
         head = _STATUS_HEAD.unpack_from(raw)
-        unit, position = _read_string(raw, _STATUS_HEAD.size)
-        position = _aligned(position, 8)
+        unit, position = read_string(raw, _STATUS_HEAD.size)
+        position = aligned(position, 8)
         drive_amplitude, flags = _STATUS_TAIL.unpack_from(raw, position)
-        reason, _ = _read_string(raw, _aligned(position + _STATUS_TAIL.size, 4))
+        reason, _ = read_string(raw, aligned(position + _STATUS_TAIL.size, 4))
     except (struct.error, UnicodeDecodeError) as error:
         raise ValueError(f"the message is not a whole Frequency: {error}") from error
     return LoopStatus._make((*head[3:11], unit, drive_amplitude, flags, reason))
+
+
+def _plain_values(names: tuple[tuple[str, str], ...]) -> Any:
+    """Field values of a record whose attributes are named as the fields, the stamp ``time_ns``."""
+    attributes = tuple((name, "time_ns" if name == "stamp" else name) for name, _ in names)
+    return lambda record: {name: getattr(record, attribute) for name, attribute in attributes}
+
+
+_LEVEL_FIELDS = (
+    ("sequence", "uint32"),
+    ("index", "uint32"),
+    ("control", "uint8"),
+    ("amplitude", "float64"),
+    ("apply_at_sample", "uint64"),
+    ("ramp", "float64"),
+    ("frequency_hz", "float64"),
+    ("window_periods", "uint32"),
+    ("timeout", "float64"),
+    ("test", "uint8"),
+    ("band_low_hz", "float64"),
+    ("band_high_hz", "float64"),
+    ("rate_hz_s", "float64"),
+    ("frequency_end_hz", "float64"),
+    ("duration", "float64"),
+)
+LEVEL: MessageCodec[LevelCommand] = MessageCodec(
+    "Level",
+    _LEVEL_FIELDS,
+    _plain_values(_LEVEL_FIELDS),
+    lambda values: LevelCommand(**{**values, "test": TestKind.of(values["test"])}),
+    later="test",
+)
+"""``nmt_msgs/Level``."""
+
+_LOCK_FIELDS = (
+    ("stamp", TIME),
+    ("level_index", "uint32"),
+    ("level", "float64"),
+    ("level_unit", "string"),
+    ("sample", "uint64"),
+    ("frequency_hz", "float64"),
+    ("phase_error", "float64"),
+    ("window_first_sample", "uint64"),
+    ("window_samples", "uint64"),
+    ("window_periods", "uint32"),
+    ("test", "uint8"),
+)
+
+
+def _lock_record(values: dict[str, Any]) -> LockEvent:
+    return LockEvent(time_ns=values.pop("stamp"), test=TestKind.of(values.pop("test")), **values)
+
+
+LOCK_EVENT: MessageCodec[LockEvent] = MessageCodec(
+    "LockEvent", _LOCK_FIELDS, _plain_values(_LOCK_FIELDS), _lock_record, later="test"
+)
+"""``nmt_msgs/LockEvent``."""
+
+_STATE_FIELDS = (
+    ("stamp", TIME),
+    ("run_id", "string"),
+    ("phase", "uint8"),
+    ("level_index", "uint32"),
+    ("level_count", "uint32"),
+    ("level", "float64"),
+    ("progress", "float64"),
+    ("sample", "uint64"),
+    ("horizon_sample", "uint64"),
+    ("result_code", "uint8"),
+    ("reason", "string"),
+)
+
+
+def _state_record(values: dict[str, Any]) -> RunState:
+    phase, code = RunPhase(values.pop("phase")), ResultCode(values.pop("result_code"))
+    return RunState(time_ns=values.pop("stamp"), phase=phase, result_code=code, **values)
+
+
+RUN_STATE: MessageCodec[RunState] = MessageCodec("RunState", _STATE_FIELDS, _plain_values(_STATE_FIELDS), _state_record)
+"""``nmt_msgs/RunState``."""
+
+_RECORD_FIELDS = (("stamp", TIME), ("kind", "uint8"), ("run_json", "string"), ("rig_yaml", "string"))
+RUN_RECORD: MessageCodec[RunRecord] = MessageCodec(
+    "RunRecord",
+    _RECORD_FIELDS,
+    _plain_values(_RECORD_FIELDS),
+    lambda values: RunRecord(RecordKind(values["kind"]), values["run_json"], values["rig_yaml"], values["stamp"]),
+)
+"""``nmt_msgs/RunRecord``."""
+
+_POINT_FIELDS = (
+    ("stamp", TIME),
+    ("level_index", "uint32"),
+    ("status", "uint8"),
+    ("reason", "string"),
+    ("level", "float64"),
+    ("level_unit", "string"),
+    ("window_first_sample", "uint64"),
+    ("window_samples", "uint64"),
+    ("window_periods", "uint32"),
+    *((name + suffix, "float64") for name in MEASURED for suffix in ("", "_std")),
+    ("harmonics", "uint32"),
+    ("points", "uint32[]"),
+    *((name + part, "float64[]") for name in COMPLEX for part in ("_real", "_imag")),
+)
+_POINT_COMPLEX = tuple(name + part for name in COMPLEX for part in ("_real", "_imag"))
+
+
+def _point_values(point: ModalPoint) -> dict[str, Any]:
+    values = {name: getattr(point, name) for name, _ in _POINT_FIELDS if name not in ("stamp", *_POINT_COMPLEX)}
+    values["stamp"] = point.time_ns
+    for name in COMPLEX:
+        array = getattr(point, name).ravel()
+        values[f"{name}_real"], values[f"{name}_imag"] = array.real, array.imag
+    return values
+
+
+def _point_record(values: dict[str, Any]) -> ModalPoint:
+    arrays: dict[str, Any] = {
+        name: _complex(values.pop(f"{name}_real"), values.pop(f"{name}_imag")) for name in COMPLEX
+    }
+    shape = arrays["shape_harmonics"]
+    arrays["shape_harmonics"] = shape.reshape((values["harmonics"] + 1, -1) if shape.size else (0, 0))
+    status = PointStatus(values.pop("status"))
+    return ModalPoint(time_ns=values.pop("stamp"), status=status, **values, **arrays)
+
+
+def _complex(real: Any, imag: Any) -> ComplexArray:
+    values = np.empty(real.shape, dtype=np.complex128)
+    values.real, values.imag = real, imag
+    return values
+
+
+MODAL_POINT: MessageCodec[ModalPoint] = MessageCodec("ModalPoint", _POINT_FIELDS, _point_values, _point_record)
+"""``nmt_msgs/ModalPoint``."""

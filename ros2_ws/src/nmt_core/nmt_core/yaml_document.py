@@ -6,7 +6,6 @@ sentence that names the file and the line.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,28 +13,11 @@ from typing import Any
 import yaml
 
 from nmt_core.errors import BenchError
+from nmt_core.hardened import LARGEST_DOCUMENT, YAML_FAULTS, BoundedYaml, check_number, read_text
 
 KeyPath = tuple[str | int, ...]
 _MOST_NODES = 20_000
 _DEEPEST = 40
-
-
-class _Loader(yaml.SafeLoader):
-    """SafeLoader with YAML 1.2 floats and without dates."""
-
-
-_Loader.yaml_implicit_resolvers = {
-    letter: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(("float", "timestamp"))]
-    for letter, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(
-        r"^[-+]?(?:(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+|\.(?:inf|Inf|INF))$"
-        r"|^\.(?:nan|NaN|NAN)$"
-    ),
-    list("-+0123456789."),
-)
 
 
 @dataclass(frozen=True)
@@ -75,8 +57,10 @@ def parse_document(
     Raises:
         BenchError: not YAML, not a mapping, duplicate keys, or far too large.
     """
+    if len(text) > LARGEST_DOCUMENT:
+        raise BenchError(f"{name} has {len(text)} characters, far too many for a {what}; is it the right file?")
     try:
-        loader = _Loader(text)
+        loader = BoundedYaml(text)
     except yaml.YAMLError as error:
         raise BenchError(f"{name} is not a YAML text file: {str(error).splitlines()[0]}.") from error
     try:
@@ -88,6 +72,8 @@ def parse_document(
         values = _construct(loader, node, (), places, name, budget)
     except yaml.YAMLError as error:
         raise BenchError(_syntax_message(error, name)) from error
+    except RecursionError as error:
+        raise BenchError(f"{name}: the file is nested too deeply; write it out plainly.") from error
     finally:
         loader.dispose()
     if not isinstance(values, dict):
@@ -101,13 +87,7 @@ def read_document(path: Path, what: str = "rig file", needs: str = "name, struct
     Raises:
         BenchError: the file cannot be read, or as :func:`parse_document`.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise BenchError(f"{path} is not a text file in UTF-8; give a YAML {what}.") from error
-    except OSError as error:
-        raise BenchError(f"cannot read the {what} {path}: {error.strerror}.") from error
-    return parse_document(text, path.name, what, needs)
+    return parse_document(read_text(path, f"YAML {what}", LARGEST_DOCUMENT), path.name, what, needs)
 
 
 def _syntax_message(error: yaml.YAMLError, name: str) -> str:
@@ -118,7 +98,7 @@ def _syntax_message(error: yaml.YAMLError, name: str) -> str:
 
 
 def _construct(
-    loader: _Loader, node: yaml.Node, path: KeyPath, places: dict[KeyPath, str], name: str, budget: list[int]
+    loader: BoundedYaml, node: yaml.Node, path: KeyPath, places: dict[KeyPath, str], name: str, budget: list[int]
 ) -> Any:
     line = f"line {node.start_mark.line + 1}"
     budget[0] -= 1
@@ -129,7 +109,7 @@ def _construct(
         result: dict[str, Any] = {}
         for key_node, value_node in node.value:
             key_line = f"line {key_node.start_mark.line + 1}"
-            key = loader.construct_object(key_node) if isinstance(key_node, yaml.ScalarNode) else None
+            key = _scalar(loader, key_node, name) if isinstance(key_node, yaml.ScalarNode) else None
             if not isinstance(key, str):
                 raise BenchError(f"{name} {key_line}: every key must be a plain word.")
             if key in result:
@@ -141,7 +121,20 @@ def _construct(
         return result
     if isinstance(node, yaml.SequenceNode):
         return [_construct(loader, item, (*path, index), places, name, budget) for index, item in enumerate(node.value)]
+    value = _scalar(loader, node, name)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        check_number(value, f"{name} {line}")
+    return value
+
+
+def _scalar(loader: BoundedYaml, node: yaml.Node, name: str) -> Any:
     try:
         return loader.construct_object(node)
-    except ValueError as error:
-        raise BenchError(f"{name} {line}: cannot read this value: {error}.") from error
+    except yaml.YAMLError:
+        raise
+    except YAML_FAULTS as error:
+        said = str(getattr(node, "value", ""))[:40]
+        raise BenchError(
+            f"{name} line {node.start_mark.line + 1}: cannot read this value: '{said}' is no "
+            f"{node.tag.rsplit(':', 1)[-1]}; mend it, or leave the tag out."
+        ) from error

@@ -1,1 +1,34 @@
-"""The gap between a rig and its model: where it lies, which unmodelled effect causes it, how far it shrinks."""
+"""The gap between a rig and its model: where it lies, which unmodelled effect causes it, how far it shrinks.
+
+Public names, each loaded when it is asked for: :func:`diagnose_bags` does it; :func:`nmt_report.write_diagnosis` writes
+its files.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from nmt_core.public_names import loaded
+
+if TYPE_CHECKING:
+    from nmt_diagnose.inference.diagnose import DiagnosisSettings, Outcome, diagnose_bags
+    from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+
+_HOMES = {
+    "Diagnosis": "nmt_diagnose.inference.diagnosis",
+    "DiagnosisSettings": "nmt_diagnose.inference.diagnose",
+    "Outcome": "nmt_diagnose.inference.diagnose",
+    "Verdict": "nmt_diagnose.inference.diagnosis",
+    "diagnose_bags": "nmt_diagnose.inference.diagnose",
+}
+__all__ = [
+    "Diagnosis",
+    "DiagnosisSettings",
+    "Outcome",
+    "Verdict",
+    "diagnose_bags",
+]
+
+
+def __getattr__(name: str) -> Any:
+    return loaded(__name__, name, _HOMES)

@@ -1,26 +1,70 @@
-"""Harmonics and modal properties from locked windows, live and from bags; extraction node."""
+"""Harmonics and modal properties from locked windows, linear modal tests and synthesis; extraction node.
 
-from nmt_extract.extractor import Extractor
-from nmt_extract.harmonics import harmonic_amplitudes
-from nmt_extract.lock_event import LockEvent
-from nmt_extract.modal import estimated_mass, modal_point
-from nmt_extract.modal_point import ModalPoint, Status
-from nmt_extract.offline import ExtractionResult, extract_bag
-from nmt_extract.settings import ExtractionSettings
-from nmt_extract.window import SpoiledWindow, Window, WindowAssembler
+Public names, each loaded when it is asked for. From a recording: :func:`extract_bag`, :func:`evaluate_linear_test`;
+from its results: :func:`synthesise`, :func:`write_results`, :func:`frf_table`; the rest are their parts.
+"""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from nmt_core.public_names import loaded
+
+if TYPE_CHECKING:
+    from nmt_core.records import LockEvent
+    from nmt_extract.extractor import Extractor
+    from nmt_extract.harmonics import harmonic_amplitudes
+    from nmt_extract.linear_evaluation import LinearTestResult, evaluate_linear_test
+    from nmt_extract.linear_file import frf_table
+    from nmt_extract.modal import estimated_mass
+    from nmt_extract.modal_point import ModalPoint, Status
+    from nmt_extract.modal_table import write_results
+    from nmt_extract.offline import ExtractionResult, extract_bag
+    from nmt_extract.settings import ExtractionSettings
+    from nmt_extract.synthesised_responses import SynthesisResult, synthesise
+    from nmt_extract.window import SpoiledWindow, Window, WindowAssembler
+
+_HOMES = {
+    "ExtractionResult": "nmt_extract.offline",
+    "ExtractionSettings": "nmt_extract.settings",
+    "Extractor": "nmt_extract.extractor",
+    "LinearTestResult": "nmt_extract.linear_evaluation",
+    "LockEvent": "nmt_core.records",
+    "ModalPoint": "nmt_extract.modal_point",
+    "SpoiledWindow": "nmt_extract.window",
+    "Status": "nmt_extract.modal_point",
+    "SynthesisResult": "nmt_extract.synthesised_responses",
+    "Window": "nmt_extract.window",
+    "WindowAssembler": "nmt_extract.window",
+    "estimated_mass": "nmt_extract.modal",
+    "evaluate_linear_test": "nmt_extract.linear_evaluation",
+    "extract_bag": "nmt_extract.offline",
+    "frf_table": "nmt_extract.linear_file",
+    "harmonic_amplitudes": "nmt_extract.harmonics",
+    "synthesise": "nmt_extract.synthesised_responses",
+    "write_results": "nmt_extract.modal_table",
+}
 __all__ = [
     "ExtractionResult",
     "ExtractionSettings",
     "Extractor",
+    "LinearTestResult",
     "LockEvent",
     "ModalPoint",
     "SpoiledWindow",
     "Status",
+    "SynthesisResult",
     "Window",
     "WindowAssembler",
     "estimated_mass",
+    "evaluate_linear_test",
     "extract_bag",
+    "frf_table",
     "harmonic_amplitudes",
-    "modal_point",
+    "synthesise",
+    "write_results",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    return loaded(__name__, name, _HOMES)

@@ -7,11 +7,12 @@ from typing import Any
 
 from nmt_core.blocks import SampleBlock
 from nmt_core.linear_description import LinearDescription
-from nmt_extract.lock_event import LockEvent
+from nmt_core.records import LockEvent
+from nmt_core.vocabulary import LoopState
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns, rejected_point
 from nmt_extract.settings import ExtractionSettings
-from nmt_extract.window import ACQUIRING, LOCK_LOST, SpoiledWindow, WindowAssembler
+from nmt_extract.window import SpoiledWindow, WindowAssembler
 
 
 class Extractor:
@@ -58,9 +59,9 @@ class Extractor:
     ) -> None:
         """Take the loop's state after one block (``nmt_msgs/Frequency``)."""
         previous, self._state = self._state, state
-        if state == ACQUIRING and previous != ACQUIRING:
+        if state == LoopState.ACQUIRING and previous != LoopState.ACQUIRING:
             self._acquiring_since = last_sample
-        if state == LOCK_LOST and previous != LOCK_LOST:
+        if state == LoopState.LOCK_LOST and previous != LoopState.LOCK_LOST:
             locked = self._lock_samples.get(level_index, -1)
             never_locked = not self._acquiring_since <= locked <= last_sample or locked < 0
             if never_locked and level_index not in self._passed_over:

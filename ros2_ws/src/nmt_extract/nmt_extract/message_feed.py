@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
-from nmt_core.test_kind import TestKind
-from nmt_core.wire import BlockReader, read_status
-from nmt_extract.conversions import level_unit, lock_event_from_message
+from nmt_core.errors import BenchError
+from nmt_core.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.vocabulary import ControlKind
+from nmt_core.wire import LEVEL, LOCK_EVENT, BlockReader, read_status
 from nmt_extract.extractor import Extractor
 
 STATE_TOPICS = ("frequency", "lock", "level")
 """Topics that the extraction reads besides samples."""
-
-
-def gives_modal_points(message: Any) -> bool:
-    """Whether a level or lock event is of a kind of test that is extracted; as all were before there were kinds."""
-    value = int(getattr(message, "test", 0))
-    return value in tuple(TestKind) and TestKind(value).gives_modal_points
 
 
 class MessageFeed:
@@ -27,18 +21,20 @@ class MessageFeed:
         extractor: what the messages go to.
 
     Attributes:
-        raw: function of one serialised message, by topic name: samples and loop states, the bulk of the traffic.
-        decoded: function of one deserialised message, by topic name.
-        malformed: serialised messages that could not be read.
+        callbacks: function of one serialised message, by topic name.
+        malformed: messages that could not be read.
     """
 
     def __init__(self, extractor: Extractor) -> None:
         self._extractor = extractor
         self.malformed = 0
-        self.raw: dict[str, Callable[[bytes], None]] = {"frequency": self._on_frequency}
-        self.decoded: dict[str, Callable[[Any], None]] = {"lock": self._on_lock, "level": self._on_level}
+        self.callbacks: dict[str, Callable[[bytes], None]] = {
+            "frequency": self._on_frequency,
+            "lock": self._on_lock,
+            "level": self._on_level,
+        }
         for topic in extractor.settings.topics:
-            self.raw[topic] = self._block_callback(topic)
+            self.callbacks[topic] = self._block_callback(topic)
 
     def _block_callback(self, topic: str) -> Callable[[bytes], None]:
         add_record = self._extractor.add_record
@@ -61,17 +57,47 @@ class MessageFeed:
         except ValueError:
             self.malformed += 1
             return
+        self.add_status(status)
+
+    def add_status(self, status: LoopStatus) -> None:
+        """Take the loop's state after a block."""
         self._extractor.add_state(
             status.last_sample, status.state, status.level_index, status.reason, status.response_unit
         )
 
-    def _on_lock(self, message: Any) -> None:
-        if not gives_modal_points(message):
+    def _on_lock(self, raw: bytes) -> None:
+        try:
+            lock = LOCK_EVENT.read(raw)
+        except BenchError:
+            return  # a kind of test that is not known is not extracted
+        except ValueError:
+            self.malformed += 1
             return
-        self._extractor.add_lock(lock_event_from_message(message))
+        self.add_lock(lock)
 
-    def _on_level(self, message: Any) -> None:
-        if not gives_modal_points(message):
-            self._extractor.pass_over_level(int(message.index))
+    def add_lock(self, lock: LockEvent) -> None:
+        """Take a lock event; only those of phase resonance tests are extracted."""
+        if lock.test.gives_modal_points:
+            self._extractor.add_lock(lock)
+
+    def _on_level(self, raw: bytes) -> None:
+        try:
+            level = LEVEL.read(raw)
+        except BenchError:
+            self._extractor.pass_over_level(int(LEVEL.values(raw)["index"]))
             return
-        self._extractor.add_level(int(message.index), float(message.amplitude), level_unit(int(message.control)))
+        except ValueError:
+            self.malformed += 1
+            return
+        self.add_level(level)
+
+    def add_level(self, level: LevelCommand) -> None:
+        """Take a level of the plan."""
+        if not level.test.gives_modal_points:
+            self._extractor.pass_over_level(level.index)
+            return
+        unit = ControlKind(level.control).level_unit() if level.control in _KNOWN else ""
+        self._extractor.add_level(level.index, level.amplitude, unit)
+
+
+_KNOWN = frozenset(ControlKind)

@@ -86,17 +86,15 @@ def extract_opened_bag(
     _require(bag, settings)
     extractor = Extractor(linear, settings, require_loop_state=_count(bag, "frequency") > 0)
     feed = MessageFeed(extractor)
-    raw_callbacks, callbacks = feed.raw, feed.decoded
     points: list[ModalPoint] = []
     wanted = [topic for topic in (*settings.topics, *STATE_TOPICS) if topic in bag.topics]
     for topic, _, _, raw in bag.raw_messages(wanted):
-        if topic in raw_callbacks:
-            raw_callbacks[topic](raw)
-        else:
-            callbacks[topic](bag.deserialise(topic, raw))
+        feed.callbacks[topic](raw)
         if extractor.ready:
             points += extractor.take()
     points += extractor.finish()
+    if not points:
+        _refuse_if_damaged(bag)
     counters = {**extractor.counters, "malformed": feed.malformed}
     return ExtractionResult(points, run, bag.loss, counters, linear, settings)
 
@@ -134,6 +132,8 @@ def _settings_of(run: dict[str, Any], bag: Any) -> ExtractionSettings:
 
 def _require(bag: Any, settings: ExtractionSettings) -> None:
     has = ", ".join(sorted(topic for topic, (_, count) in bag.topics.items() if count)) or "no messages at all"
+    if not all(_count(bag, topic) for topic in (*settings.topics, "lock")):
+        _refuse_if_damaged(bag)
     missing = [topic for topic in settings.topics if not _count(bag, topic)]
     if missing:
         raise BenchError(
@@ -153,6 +153,12 @@ def _require(bag: Any, settings: ExtractionSettings) -> None:
             "to extract; "
             "see the reasons on topic 'frequency'."
         )
+
+
+def _refuse_if_damaged(bag: Any) -> None:
+    """What is lost may have held the windows: nothing is said about the run itself."""
+    if bag.loss:
+        raise BenchError(f"{bag.loss} What could be read holds no window to extract.")
 
 
 def _count(bag: Any, topic: str) -> int:

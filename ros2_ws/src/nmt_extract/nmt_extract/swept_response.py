@@ -16,7 +16,7 @@ a four-term Blackman–Harris window made a kernel of fourth order. Its properti
 
 None of that is the difference between a sweep and a steady response. A resonance of decay δ passed at α = 2π r rad/s²
 answers with H(Ω) − (i α/2) H″(Ω) + …: at the peak it lags by α/δ², and the peak is found α/δ late (rad/s). That part
-is physics, present with any estimator; ``sweep_lag_hz`` says how large it is.
+is physics, present with any estimator.
 """
 
 from __future__ import annotations
@@ -150,16 +150,6 @@ def default_duration(frequency_hz: float, rate_hz_s: float) -> float:
     """Length of the kernel, s: a quarter of a second, at least 12 periods, at most what sweeps over 0.25 Hz."""
     least = 1.2 * _LEAST_PERIODS / frequency_hz
     return max(least, min(0.25, 0.25 / max(abs(rate_hz_s), 1e-9)))
-
-
-def sweep_lag_hz(rate_hz_s: float, decay: float) -> float:
-    """By how much a sweep finds the peak of a resonance late: α/δ in Hz, with the sign of the rate.
-
-    Args:
-        rate_hz_s: sweep rate, Hz/s.
-        decay: δ = damping ratio times angular frequency, rad/s.
-    """
-    return rate_hz_s / decay
 
 
 def swept_response(

@@ -15,10 +15,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nmt_core.blocks import BlockFlag, FloatArray, Quantity, SampleBlock
-from nmt_extract.lock_event import LockEvent
+from nmt_core.records import LockEvent
+from nmt_core.vocabulary import LoopState
 
-FIXED, ACQUIRING, LOCKED, LOCK_LOST = 1, 2, 3, 4
-_STATE_NAMES = {FIXED: "fixed frequency", ACQUIRING: "acquiring", LOCKED: "locked", LOCK_LOST: "lock lost"}
+_STATE_NAMES: dict[int, str] = {
+    LoopState.FIXED: "fixed frequency",
+    LoopState.ACQUIRING: "acquiring",
+    LoopState.LOCKED: "locked",
+    LoopState.LOCK_LOST: "lock lost",
+}
 _FLAG_NAMES = (
     (BlockFlag.OVERLOAD, "a converter was overloaded"),
     (BlockFlag.LIMIT, "a safety limit had tripped"),
@@ -36,7 +41,7 @@ class Channel(NamedTuple):
     point: int
 
 
-class LoopState(NamedTuple):
+class StateAfter(NamedTuple):
     """State of the phase-locked loop after the block that ends with ``last_sample``."""
 
     last_sample: int
@@ -137,7 +142,7 @@ class WindowAssembler:
         self._maximum = maximum_samples
         self._records: dict[str, deque[_Record]] = {topic: deque() for topic in self._topics}
         self._end: dict[str, int | None] = dict.fromkeys(self._topics)
-        self._states: deque[LoopState] = deque()
+        self._states: deque[StateAfter] = deque()
         self._state_sample = -1
         self._pending: list[LockEvent] = []
         # Nothing can change for a pending window before a stream reaches this sample.
@@ -186,10 +191,10 @@ class WindowAssembler:
         """Take the loop's state after one block."""
         if last_sample < self._state_sample:
             self._states.clear()  # the acquisition has started anew
-        self._states.append(LoopState(last_sample, state, reason))
+        self._states.append(StateAfter(last_sample, state, reason))
         self._state_sample = last_sample
         if self._pending:
-            if state != LOCKED or last_sample + 1 >= self._next_end:
+            if state != LoopState.LOCKED or last_sample + 1 >= self._next_end:
                 self._check()
         else:
             oldest = last_sample - self._history
@@ -254,7 +259,7 @@ class WindowAssembler:
             last = entry.last_sample >= lock.window_end - 1
             # The block that ends the window may already show the next level: it takes effect after that
             # block.
-            if entry.state == LOCK_LOST or (entry.state != LOCKED and not last):
+            if entry.state == LoopState.LOCK_LOST or (entry.state != LoopState.LOCKED and not last):
                 name = _STATE_NAMES.get(entry.state, "unknown state")
                 why = f" ({entry.reason.rstrip('.')})" if entry.reason else ""
                 where = f"{name} at sample {entry.last_sample}{why}"

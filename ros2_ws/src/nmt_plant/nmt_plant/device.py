@@ -14,84 +14,52 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from enum import Enum, IntEnum
+from enum import Enum
 
 from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
 
 
-class Waveform(IntEnum):
-    """Drive waveform; the values are those of ``nmt_msgs/Drive``."""
-
-    OFF = 1
-    SINE = 2
-    RANDOM = 3
-    SWEEP = 4
-
-
-@dataclass(slots=True)
-class DriveCommand:
-    """What the oscillator shall do; not to be changed once made. Fields as in ``nmt_msgs/Drive``.
-
-    Attributes:
-        waveform: OFF, SINE, RANDOM or SWEEP.
-        frequency_hz: Hz, positive for SINE and SWEEP.
-        amplitude: V peak (SINE, SWEEP), V rms (RANDOM).
-        ramp: s, half-cosine from the present amplitude; 0 = at once. The same amplitude again does not
-            restart it.
-        apply_at_sample: first block that starts at or after this sample; 0 = next block.
-        based_on_sample: last sample the command was computed from.
-        harmonics: (harmonic number >= 2, complex amplitude in V) of additional terms Re A_n exp(i n θ).
-        band_low_hz, band_high_hz: band edges of RANDOM.
-        rate_hz_s, frequency_end_hz: rate of SWEEP and where it holds.
+def check_drive(command: DriveCommand) -> None:
+    """Refuse a drive command that no device can follow.
 
     Raises:
         BenchError: a value out of its range.
     """
+    if (
+        command.waveform == Waveform.SINE
+        and 0.0 < command.frequency_hz < math.inf
+        and 0.0 <= command.amplitude < math.inf
+        and 0.0 <= command.ramp < math.inf
+        and not command.harmonics
+        and command.band_low_hz == command.band_high_hz == command.rate_hz_s == command.frequency_end_hz == 0.0
+    ):
+        return  # the ordinary case, once a block
+    if command.waveform not in _WAVEFORMS:
+        raise BenchError(f"drive command: waveform {command.waveform} is unknown; use OFF, SINE, RANDOM or SWEEP.")
+    for name in ("frequency_hz", "amplitude", "ramp", "band_low_hz", "band_high_hz", "frequency_end_hz"):
+        value = getattr(command, name)
+        if not (math.isfinite(value) and value >= 0):
+            raise BenchError(f"drive command: {name} must be finite and not negative, got {value}.")
+    if not math.isfinite(command.rate_hz_s):
+        raise BenchError(f"drive command: rate_hz_s must be finite, got {command.rate_hz_s}.")
+    periodic = command.waveform in (Waveform.SINE, Waveform.SWEEP)
+    if periodic and command.frequency_hz <= 0:
+        raise BenchError("drive command: frequency_hz must be positive for a sine or a sweep.")
+    if command.waveform == Waveform.RANDOM and not 0 < command.band_low_hz < command.band_high_hz:
+        raise BenchError("drive command: a random drive needs 0 < band_low_hz < band_high_hz.")
+    if command.waveform == Waveform.SWEEP:
+        way = command.frequency_end_hz - command.frequency_hz
+        if command.frequency_end_hz <= 0 or way * command.rate_hz_s < 0 or (way != 0 and command.rate_hz_s == 0):
+            raise BenchError("drive command: rate_hz_s must lead from frequency_hz to frequency_end_hz.")
+    for order, value in command.harmonics:
+        if order < 2 or not (math.isfinite(value.real) and math.isfinite(value.imag)):
+            raise BenchError("drive command: harmonics need an order of at least 2 and a finite amplitude.")
 
-    waveform: Waveform
-    frequency_hz: float = 0.0
-    amplitude: float = 0.0
-    ramp: float = 0.0
-    apply_at_sample: int = 0
-    based_on_sample: int = 0
-    harmonics: tuple[tuple[int, complex], ...] = ()
-    band_low_hz: float = 0.0
-    band_high_hz: float = 0.0
-    rate_hz_s: float = 0.0
-    frequency_end_hz: float = 0.0
 
-    def __post_init__(self) -> None:
-        if (
-            self.waveform == Waveform.SINE
-            and 0.0 < self.frequency_hz < math.inf
-            and 0.0 <= self.amplitude < math.inf
-            and 0.0 <= self.ramp < math.inf
-            and not self.harmonics
-            and self.band_low_hz == self.band_high_hz == self.rate_hz_s == self.frequency_end_hz == 0.0
-        ):
-            return  # the ordinary case, once a block
-        if self.waveform not in tuple(Waveform):
-            raise BenchError(f"drive command: waveform {self.waveform} is unknown; use OFF, SINE, RANDOM or SWEEP.")
-        for name in ("frequency_hz", "amplitude", "ramp", "band_low_hz", "band_high_hz", "frequency_end_hz"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise BenchError(f"drive command: {name} must be finite and not negative, got {value}.")
-        if not math.isfinite(self.rate_hz_s):
-            raise BenchError(f"drive command: rate_hz_s must be finite, got {self.rate_hz_s}.")
-        periodic = self.waveform in (Waveform.SINE, Waveform.SWEEP)
-        if periodic and self.frequency_hz <= 0:
-            raise BenchError("drive command: frequency_hz must be positive for a sine or a sweep.")
-        if self.waveform == Waveform.RANDOM and not 0 < self.band_low_hz < self.band_high_hz:
-            raise BenchError("drive command: a random drive needs 0 < band_low_hz < band_high_hz.")
-        if self.waveform == Waveform.SWEEP:
-            way = self.frequency_end_hz - self.frequency_hz
-            if self.frequency_end_hz <= 0 or way * self.rate_hz_s < 0 or (way != 0 and self.rate_hz_s == 0):
-                raise BenchError("drive command: rate_hz_s must lead from frequency_hz to frequency_end_hz.")
-        for order, value in self.harmonics:
-            if order < 2 or not (math.isfinite(value.real) and math.isfinite(value.imag)):
-                raise BenchError("drive command: harmonics need an order of at least 2 and a finite amplitude.")
+_WAVEFORMS = frozenset(waveform for waveform in Waveform if waveform is not Waveform.UNKNOWN)
 
 
 class DeviceState(Enum):
@@ -173,9 +141,10 @@ class Device(ABC):
         """Hand over a drive command; it counts for the watchdog even while a trip overrides it.
 
         Raises:
-            BenchError: a command beyond what the device can do.
+            BenchError: a command out of its range, or beyond what the device can do.
         """
         self._require("write", DeviceState.RUNNING)
+        check_drive(command)
         self._write(command)
 
     def quiet(self, reason: str, ramp: float | None = None) -> None:

@@ -1,24 +1,43 @@
-"""A device with oscillator, watchdog and limits of its own, working block by block in one fixed order.
+"""A device with oscillator, output guard, watchdog and limits of its own, working block by block in one fixed order.
 
-Simulated devices and converters without safety functions of their own extend `GuardedDevice`; they say what a
-block measures, and everything that keeps the drive safe stays in one place.
+Simulated devices and converters extend `GuardedDevice`; they are handed the final samples of a block and say what it
+measures. Everything that keeps the drive safe stays here: the methods it consists of cannot be overridden.
 """
 
 from __future__ import annotations
 
+import contextlib
+import math
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, final
+
+import numpy as np
 
 from nmt_core.blocks import BlockFlag, FloatArray, OscillatorPhase, Quantity, SampleBlock
-from nmt_plant.device import Device, DriveCommand, Waveform
-from nmt_plant.limits import LimitGuard
-from nmt_plant.oscillator import Oscillator, OscillatorBlock, check_command
+from nmt_core.errors import BenchError
+from nmt_core.ramp import half_cosine
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
+from nmt_plant.device import Device, DeviceFault
+from nmt_plant.limits import ChannelLimit, LimitGuard, OpenLoop, watch_rows
+from nmt_plant.oscillator import PEAK_FACTOR, Oscillator, OscillatorBlock, check_command
+from nmt_plant.output_guard import OutputGuard, default_slew
+from nmt_plant.output_link import OutputLink
+from nmt_plant.output_owner import OutputState, OwnerSettings
 from nmt_plant.watchdog import DriveWatchdog
 
 # The order in which `tick` works; tests hold it to this.
-TICK_ORDER = ("commands", "measure", "compute", "safety", "actuate", "publish")
+TICK_ORDER = ("commands", "drive", "measure", "compute", "safety", "actuate", "publish")
+
+_CHUNK_TIME = 0.004  # s, how often the process that owns an output looks at everything
+_RISE_SHARE = 0.05  # of the voltage limit: what may be put out before any response has been seen
+
+# More than these waiting for their sample, or one that waits longer than these seconds, are refused.
+_MOST_PENDING = 1000
+_LONGEST_WAIT = 60.0
 
 
 class ChannelGroup(NamedTuple):
@@ -36,22 +55,95 @@ class GuardSettings:
     """When a device takes its drive to zero, and how fast.
 
     Attributes:
-        limits: quantity -> largest magnitude, SI.
+        limits: quantity -> largest magnitude, SI; that of VOLTAGE holds for every sample put out, too.
         limit_ramp: s, ramp to zero after a violation, and of `quiet` unless it names another.
         watchdog_blocks: blocks without a command that trip; 0 = off.
         watchdog_ramp: s, ramp to zero after a trip of the watchdog.
+        slew: V/s, largest rate of change of the output; None = as belongs to the limit of VOLTAGE, see
+            `output_guard.default_slew`; without that limit none.
+        rise_from: V, amplitude from which the drive may at most quadruple from block to block, so that its response is
+            seen in time; None = 5 % of the limit of VOLTAGE. Only with a limit on something measured.
+        channels: abort and warning levels of single channels.
+        open_loops: channels that must respond to the drive.
+        drive_maximum: V, amplitude of the drive that ends a test; None = none.
+        rms_time: s, time constant of the rms.
+        warning_share: of an abort level, from which it is reported; None = only at the warning levels of `channels`.
     """
 
     limits: Mapping[Quantity, float]
     limit_ramp: float
     watchdog_blocks: int
     watchdog_ramp: float
+    slew: float | None = None
+    rise_from: float | None = None
+    channels: tuple[ChannelLimit, ...] = ()
+    open_loops: tuple[OpenLoop, ...] = ()
+    drive_maximum: float | None = None
+    rms_time: float = 1.0
+    warning_share: float | None = None
+
+    @property
+    def voltage(self) -> float | None:
+        """V, largest magnitude of the output."""
+        return self.limits.get(Quantity.VOLTAGE)
+
+    def slew_at(self, sample_rate: float) -> float | None:
+        """V/s, slew limit of the output at a sample rate in Hz."""
+        if self.slew is None and self.voltage is not None:
+            return default_slew(self.voltage, sample_rate)
+        return self.slew
+
+    @property
+    def free_rise(self) -> float:
+        """V, amplitude that the drive may take up at once; infinity = any."""
+        measured = any(quantity is not Quantity.VOLTAGE for quantity in self.limits) or any(
+            limit.abort_peak is not None for limit in self.channels
+        )
+        if not measured:
+            return math.inf
+        if self.rise_from is not None:
+            return self.rise_from
+        return math.inf if self.voltage is None else _RISE_SHARE * self.voltage
+
+
+def owned_output(
+    sample_rate: float,
+    block_samples: int,
+    settings: GuardSettings,
+    lead_blocks: int = 2,
+    deadline_blocks: float = 3.0,
+    **link: Any,
+) -> OutputLink:
+    """An output in a process of its own, with the limits of a device.
+
+    Args:
+        sample_rate: Hz.
+        block_samples: samples in a block.
+        settings: limits and ramps of the device.
+        lead_blocks: blocks that wait at the output, so that one may be late.
+        deadline_blocks: blocks without a new one after which the output goes to zero.
+        **link: converter, arguments and stop_input of `output_link.OutputLink`.
+    """
+    most = max(1, int(_CHUNK_TIME * sample_rate))
+    chunk = next(size for size in range(min(most, block_samples), 0, -1) if block_samples % size == 0)
+    owner = OwnerSettings(
+        sample_rate=float(sample_rate),
+        block_samples=block_samples,
+        chunk_samples=chunk,
+        lead_blocks=lead_blocks,
+        deadline=deadline_blocks * block_samples / sample_rate,
+        ramp=settings.limit_ramp,
+        limit=settings.voltage,
+        slew=settings.slew_at(sample_rate),
+    )
+    return OutputLink(owner, **link)
 
 
 class GuardedDevice(Device):
-    """Commands, trips and publishing of a device; `_measure` and `_compute` are left to the device.
+    """Commands, final samples, trips and publishing of a device; `_measure` and `_compute` are left to the device.
 
-    A subclass calls `_prepare` at the end of its constructor.
+    A subclass calls `_prepare` at the end of its constructor. One that overrides a method of the guard is refused
+    when it is defined (TypeError).
 
     Args:
         sample_rate: Hz.
@@ -59,10 +151,18 @@ class GuardedDevice(Device):
         groups: published channels, in order; their rows are those of what `_compute` returns.
         settings: limits, watchdog and ramps.
         seed: of the random waveform.
+        output: process that owns the output, see `owned_output`; None = the samples go to `_measure` directly. With it
+            a block is put out ``lead_blocks`` after it was made, and commands act that much later at the earliest.
     """
 
     QUIET_FLAG: ClassVar[BlockFlag] = BlockFlag.NONE
     """Flag of the blocks after `quiet`."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        for name in vars(cls):
+            if getattr(getattr(GuardedDevice, name, None), "__final__", False):
+                raise TypeError(f"{cls.__name__}.{name} would replace a part of the output guard; implement _measure")
 
     def __init__(
         self,
@@ -71,6 +171,7 @@ class GuardedDevice(Device):
         groups: Sequence[ChannelGroup],
         settings: GuardSettings,
         seed: int = 0,
+        output: OutputLink | None = None,
     ) -> None:
         super().__init__()
         self._sample_rate = float(sample_rate)
@@ -78,12 +179,33 @@ class GuardedDevice(Device):
         self._groups = groups
         self._settings = settings
         self._seed = seed
+        self._link = output
+        self._lead = 0 if output is None else output.settings.lead_blocks
+        # A half-cosine from zero grows by at most this factor until its response is seen.
+        self._rise_factor = float(2 + self._lead) ** 2
+        self._free_rise = settings.free_rise
+        self._voltage_limit = settings.voltage
+        self._slew_limit = settings.slew_at(self._sample_rate)
 
     def _prepare(self) -> None:
         """State at sample 0: drive at zero, nothing tripped, nothing pending."""
         self._oscillator = Oscillator(self._sample_rate, self._seed)
         self._watchdog = DriveWatchdog(self._settings.watchdog_blocks)
-        self._guard = LimitGuard(dict(self._settings.limits))
+        settings = self._settings
+        self._output = OutputGuard(self._sample_rate, self._voltage_limit, self._slew_limit, settings.limit_ramp)
+        self._guard = LimitGuard(
+            dict(settings.limits),
+            settings.channels,
+            settings.open_loops,
+            settings.drive_maximum,
+            settings.rms_time,
+            settings.warning_share,
+        )
+        self._seen = 0.0  # V, amplitude of the drive in the block measured last
+        self._reached = 0.0  # V, amplitude of the drive in the block made last
+        still = OscillatorBlock(np.zeros(self._block_samples + 1), OscillatorPhase(0.0, 0.0, 0.0))
+        self._made = deque([(still, 0.0)] * self._lead)
+        self._share = 1.0  # of the drive wanted that its rise lets through
         self._pending: list[DriveCommand] = []
         self._reason = ""
         self._flags = BlockFlag.NONE
@@ -114,21 +236,71 @@ class GuardedDevice(Device):
     def is_quiet(self) -> bool:
         """Whether the drive is at zero and stays there without a new command."""
         harmless = all(command.waveform == Waveform.OFF for command in self._pending)
-        return self._oscillator.is_quiet and (bool(self._reason) or harmless)
+        return self._at_zero and (bool(self._reason) or harmless)
+
+    @property
+    def _at_zero(self) -> bool:
+        """Whether the next sample put out is zero, and all that follow without a new command."""
+        if self._link is not None:
+            state = self._link.state
+            waiting = state is OutputState.RUNNING and any(block.voltage.any() for block, _ in self._made)
+            if waiting or state in (OutputState.RAMPING, OutputState.UNKNOWN):
+                return False
+        return self._oscillator.is_quiet and self._output.reaches_zero
+
+    @property
+    def output_sentence(self) -> str:
+        """What is known of an output that a process of its own owns, for people; empty without one."""
+        return "" if self._link is None else self._link.sentence
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether `read` returns at once: always without a process that owns the output, else when a block is out."""
+        return self._link is None or self._link.available >= self._block_samples or self._link.has_ended
+
+    @property
+    def output_pid(self) -> int | None:
+        """Process that owns the output; None without one."""
+        return None if self._link is None else self._link.pid
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for each channel that has passed a warning level since the start."""
+        return tuple(self._guard.warnings.values())
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """Channel -> largest share of an abort level that it has reached since the start."""
+        return self._guard.margins
+
+    @property
+    def spread_samples(self) -> int:
+        """Samples that the slew limit has held back since the start."""
+        return self._output.spread
 
     def _start(self) -> None:
+        # Compile, or load, what a block needs: not in the first one.
+        Oscillator(self._sample_rate).block(1)
+        watch_rows(np.zeros((1, 1)), 0.0, np.ones((4, 1)), np.zeros((4, 1)))
         self._prepare()
+        if self._link is not None:
+            self._link.start()
+            for block, _ in self._made:
+                self._link.feed(block.voltage[:-1])
 
+    @final
     def _read(self) -> list[SampleBlock]:
         return self.tick()
 
+    @final
     def tick(self) -> list[SampleBlock]:
         """One block, in the order of TICK_ORDER; `read` calls it.
 
-        Commands that are due act on this block's drive; a violation seen in it acts from the next one on.
+        Commands that are due act on this block's drive. A sample beyond the output's limit acts at that sample, a
+        measured violation from the next block on; one that can be predicted acts before.
         """
         self._take_commands()
-        drive = self._oscillator.block(self._block_samples)
+        drive = self._put_out(self._drive())
         true_values = self._measure(drive)
         recorded, overload = self._compute(true_values)
         blocks = self._blocks(recorded, drive.phase)
@@ -136,17 +308,92 @@ class GuardedDevice(Device):
         self._actuate()
         return self._publish(blocks, overload)
 
+    @final
     def _take_commands(self) -> None:
         """Apply, in order of arrival, what is due at this block; ignored while tripped."""
-        due = [command for command in self._pending if command.apply_at_sample <= self._next_sample]
-        self._pending = [command for command in self._pending if command.apply_at_sample > self._next_sample]
+        first = self._next_sample + self._lead * self._block_samples
+        due = [command for command in self._pending if command.apply_at_sample <= first]
+        self._pending = [command for command in self._pending if command.apply_at_sample > first]
         if not self._reason:
             for command in due:
                 self._oscillator.apply(command)
 
+    @final
+    def _drive(self) -> OscillatorBlock:
+        """The final samples of the next block to be made: what the oscillator gives, after rise, slew and limit."""
+        n = self._block_samples
+        wanted = self._oscillator.bound(n)
+        if wanted == 0.0:
+            share = 1.0
+        elif self._reason or self._oscillator.is_stopping:
+            share = self._share  # on the way to zero nothing rises
+        else:
+            allowed = max(self._free_rise, self._rise_factor * self._seen) * (1.0 + 1e-9)
+            share = 1.0 if wanted <= allowed else allowed / wanted
+        reached = share * wanted
+        if not self._reason and self._oscillator.is_periodic and self._guard.predict(reached):
+            self._trip(self._guard.reason, BlockFlag.LIMIT, self._settings.limit_ramp)
+            self._output.to_zero()
+            self._quiet_link(None)
+        block = self._oscillator.block(n)
+        voltage = self._rising(block.voltage, share)
+        self._reached = reached
+        final_samples = self._output.block(voltage, n)
+        if self._output.violation is not None:
+            self._oscillator.ramp_to_zero(0.0)
+            if not self._reason:
+                index, value = self._output.violation
+                self._trip(
+                    f"output limit: the drive would have reached {value:.4g} V at sample "
+                    f"{self._next_sample + self._lead * n + index}, "
+                    f"limit {self._voltage_limit or math.inf:g} V",
+                    BlockFlag.LIMIT,
+                    0.0,
+                )
+        return block if final_samples is block.voltage else replace(block, voltage=final_samples)
+
+    @final
+    def _put_out(self, block: OscillatorBlock) -> OscillatorBlock:
+        """Hand a block to the process that owns the output; returns what is put out in the block to be measured now.
+
+        Raises:
+            DeviceFault: that process has died or does not answer.
+        """
+        if self._link is None:
+            self._seen = self._reached
+            return block
+        n = self._block_samples
+        self._link.feed(block.voltage[:n])
+        self._made.append((block, self._reached))
+        made, self._seen = self._made.popleft()
+        values = self._link.collect(n, 1.0 + 4.0 * self._lead * n / self._sample_rate)
+        if self._link.is_tripped and not self._reason:
+            if self._link.state is OutputState.UNKNOWN:
+                raise DeviceFault(self._link.sentence)
+            self._trip(f"output: {self._link.reason}", BlockFlag.WATCHDOG, 0.0)
+        following = values[-1] if self._reason else self._made[0][0].voltage[0]
+        return replace(made, voltage=np.append(values, following))
+
+    def _quiet_link(self, ramp: float | None) -> None:
+        """Tell the process that owns the output at once, past the blocks that wait there."""
+        if self._link is not None:
+            with contextlib.suppress(DeviceFault):  # the next read says so
+                self._link.quiet(self._reason, ramp)
+
+    def _rising(self, voltage: FloatArray, share: float) -> FloatArray:
+        """The voltage times the share that is let through, along a half-cosine from the last block's share."""
+        start, self._share = min(self._share, share), share
+        if start == 1.0:
+            return voltage
+        weight = start + (share - start) * half_cosine(np.arange(voltage.size) / self._block_samples)
+        return np.asarray(weight * voltage, dtype=np.float64)
+
     @abstractmethod
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
-        """True values of all channels under the drive of this block, shape (channels, samples), SI."""
+        """True values of all channels under the drive of this block, shape (channels, samples), SI.
+
+        ``drive.voltage`` holds the final samples: a converter puts out these and no others.
+        """
 
     def _compute(self, true_values: FloatArray) -> tuple[FloatArray, bool]:
         """Recorded values (channels, samples), SI, and whether a channel was beyond its range."""
@@ -167,23 +414,28 @@ class GuardedDevice(Device):
             for group in self._groups
         ]
 
+    @final
     def _safety(self, blocks: Sequence[SampleBlock]) -> None:
         if self._reason:
             return
-        if self._guard.check(blocks):
+        if self._guard.check(blocks, self._seen):
             self._trip(self._guard.reason, BlockFlag.LIMIT, self._settings.limit_ramp)
+            self._quiet_link(self._quiet_ramp)
         elif self._watchdog.block(not self._oscillator.is_quiet):
             self._trip(
                 f"watchdog: no drive command for {self._watchdog.missed} blocks",
                 BlockFlag.WATCHDOG,
                 self._settings.watchdog_ramp,
             )
+            self._quiet_link(self._quiet_ramp)
 
+    @final
     def _actuate(self) -> None:
         """Hand the drive to the output: while tripped it can only go to zero."""
         if self._reason:
             self._oscillator.ramp_to_zero(0.0 if self._oscillator.is_quiet else self._quiet_ramp)
 
+    @final
     def _publish(self, blocks: Sequence[SampleBlock], overload: bool) -> list[SampleBlock]:
         flags = int(self._flags | (BlockFlag.OVERLOAD if overload else BlockFlag.NONE))
         self._next_sample += self._block_samples
@@ -191,6 +443,7 @@ class GuardedDevice(Device):
             return list(blocks)
         return [replace(block, flags=flags) for block in blocks]
 
+    @final
     def _trip(self, reason: str, flag: BlockFlag, ramp: float) -> None:
         self._reason = reason
         self._flags |= flag
@@ -200,27 +453,79 @@ class GuardedDevice(Device):
         """Refuse a command, other than OFF, that the device cannot follow.
 
         Raises:
-            BenchError: a command beyond what the device can do.
+            BenchError: a command beyond what the device can do, or beyond a limit of its output.
         """
         check_command(command, self._sample_rate)
+        if self._voltage_limit is not None:
+            self._check_peak(command, self._voltage_limit)
+        if self._slew_limit is not None and command.waveform != Waveform.RANDOM:
+            self._check_slew(command, self._slew_limit)
 
+    def _check_peak(self, command: DriveCommand, limit: float) -> None:
+        """Refuse a command whose samples would pass the voltage limit, V."""
+        if command.waveform == Waveform.RANDOM:
+            if PEAK_FACTOR * command.amplitude > limit:
+                raise BenchError(
+                    f"peaks of a random drive of {command.amplitude:g} V rms reach {PEAK_FACTOR:g} times as much, "
+                    f"beyond the voltage limit of {limit:g} V; lower the level."
+                )
+            return
+        together = command.amplitude + sum(abs(value) for _, value in command.harmonics)
+        if together > limit:
+            what = "drive amplitude with its harmonics" if command.harmonics else "drive amplitude"
+            raise BenchError(f"{what} {together:g} V is beyond the voltage limit of {limit:g} V; lower the level.")
+
+    def _check_slew(self, command: DriveCommand, slew: float) -> None:
+        """Refuse a periodic command that changes faster than the slew limit, V/s, between its samples."""
+        angle = math.pi * max(command.frequency_hz, command.frequency_end_hz) / self._sample_rate
+        fastest = command.amplitude * math.sin(angle)
+        if command.harmonics:
+            fastest += sum(abs(value) * math.sin(order * angle) for order, value in command.harmonics)
+        fastest *= 2.0 * self._sample_rate
+        if fastest > slew * (1.0 + 1e-9):
+            raise BenchError(
+                f"the drive changes by up to {fastest:.4g} V/s, beyond the slew limit of {slew:.4g} V/s; lower its "
+                "level or its frequency."
+            )
+
+    @final
     def _write(self, command: DriveCommand) -> None:
         # A command the oscillator cannot follow is refused here, where its sender can be told.
         if command.waveform != Waveform.OFF:
             self._check(command)
+        self._check_wait(command)
         self._watchdog.command()
         self._pending.append(command)
 
+    def _check_wait(self, command: DriveCommand) -> None:
+        """Refuse a command that lies too far ahead, or one too many of those that wait."""
+        wait = (command.apply_at_sample - self._next_sample) / self._sample_rate
+        if wait > _LONGEST_WAIT:
+            raise BenchError(
+                f"a drive command for sample {command.apply_at_sample} lies {wait:.4g} s ahead of sample "
+                f"{self._next_sample}; {_LONGEST_WAIT:g} s are allowed."
+            )
+        # There is always room for OFF.
+        if len(self._pending) >= _MOST_PENDING * (2 if command.waveform == Waveform.OFF else 1):
+            raise BenchError(f"{len(self._pending)} drive commands wait for their sample; no more are taken.")
+
+    @final
     def _quiet(self, reason: str, ramp: float | None) -> None:
         if not self._reason:
             self._trip(reason, self.QUIET_FLAG, self._settings.limit_ramp if ramp is None else ramp)
         self._oscillator.ramp_to_zero(self._quiet_ramp)
+        self._quiet_link(self._quiet_ramp)
 
+    @final
     def _reset(self) -> None:
         # The tripped drive must be at rest before anybody takes over again.
         self._oscillator.ramp_to_zero(0.0)
         self._pending.clear()
+        self._output.release()
         self._guard.reset()
+        self._seen, self._share = 0.0, 1.0
+        if self._link is not None:
+            self._link.reset()
         self._watchdog.command()
         self._reason = ""
         self._flags = BlockFlag.NONE
@@ -228,3 +533,5 @@ class GuardedDevice(Device):
     def _stop(self) -> None:
         self._oscillator.ramp_to_zero(0.0)
         self._pending.clear()
+        if self._link is not None:
+            self._link.close()

@@ -6,10 +6,12 @@ acceleration channel records the same in m/s². For checking cabling, sequencing
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from nmt_core.blocks import FloatArray, Quantity
-from nmt_plant.guarded_device import ChannelGroup, GuardedDevice, GuardSettings
+from nmt_plant.guarded_device import ChannelGroup, GuardedDevice, GuardSettings, owned_output
 from nmt_plant.oscillator import OscillatorBlock
 
 
@@ -25,6 +27,8 @@ class LoopbackDevice(GuardedDevice):
         watchdog_blocks: blocks without a command that trip; 0 = off.
         quiet_ramp: s, ramp to zero after a trip.
         point: measurement point of both channels.
+        owned: whether a process of its own owns the output, for real time.
+        **output: settings of `guarded_device.owned_output`.
     """
 
     def __init__(
@@ -37,12 +41,15 @@ class LoopbackDevice(GuardedDevice):
         watchdog_blocks: int = 50,
         quiet_ramp: float = 0.1,
         point: int = 1,
+        owned: bool = False,
+        **output: Any,
     ) -> None:
         channels = (
             (Quantity.FORCE, f"f{point}", point),
             (Quantity.ACCELERATION, f"a{point}", point),
             (Quantity.VOLTAGE, "u", 0),
         )
+        settings = GuardSettings({Quantity.VOLTAGE: voltage_limit}, quiet_ramp, watchdog_blocks, quiet_ramp)
         super().__init__(
             sample_rate,
             int(block_samples),
@@ -50,7 +57,8 @@ class LoopbackDevice(GuardedDevice):
                 ChannelGroup(quantity, quantity.unit, (name,), (at,), slice(row, row + 1))
                 for row, (quantity, name, at) in enumerate(channels)
             ],
-            GuardSettings({Quantity.VOLTAGE: voltage_limit}, quiet_ramp, watchdog_blocks, quiet_ramp),
+            settings,
+            output=owned_output(sample_rate, int(block_samples), settings, **output) if owned else None,
         )
         self._gain, self._delay = newton_per_volt, delay_samples
         self._prepare()
@@ -62,7 +70,7 @@ class LoopbackDevice(GuardedDevice):
     @property
     def is_quiet(self) -> bool:
         """Whether the drive is at zero and no command waits, unless tripped."""
-        return self._oscillator.is_quiet and (bool(self._reason) or not self._pending)
+        return self._at_zero and (bool(self._reason) or not self._pending)
 
     def _configure(self) -> None:
         pass

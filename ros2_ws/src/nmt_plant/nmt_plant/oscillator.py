@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -16,7 +17,15 @@ from scipy.signal import butter, sosfilt, sosfreqz
 from nmt_core.blocks import FloatArray, OscillatorPhase
 from nmt_core.errors import BenchError
 from nmt_core.ramp import half_cosine
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
+
+PEAK_FACTOR = 4.0
+"""Peak by rms that a random drive is taken to reach; Gaussian noise passes it once in some 16,000 values."""
+
+_LONGEST_RAMP = 86_400.0  # s
+_MOST_HARMONICS = 200
+_NARROWEST_BAND = 2e-5  # of the sample rate, for the lower edge and the width
 
 
 @njit(cache=True)
@@ -55,6 +64,14 @@ class Envelope:
         if target != self.target:
             self._start, self._elapsed, self._length, self.target = self.value, 0, length, target
 
+    def largest(self, samples: int) -> float:
+        """Largest value from the present sample to the one `samples` later; a half-cosine has it at an end."""
+        if self._elapsed >= self._length:
+            return self.target
+        share = min((self._elapsed + samples) / self._length, 1.0)
+        end = self._start + (self.target - self._start) * (0.5 - 0.5 * math.cos(math.pi * share))
+        return max(self.value, end)
+
     def values(self, count: int) -> FloatArray:
         """Values at the present and the following samples, shape (count,)."""
         if self._elapsed >= self._length:
@@ -83,19 +100,40 @@ def check_command(command: DriveCommand, sample_rate: float) -> None:
     """Refuse what an oscillator at this sample rate (Hz) cannot follow.
 
     Raises:
-        BenchError: a frequency, harmonic or band beyond half the sample rate.
+        BenchError: a frequency, harmonic or band beyond half the sample rate; a band too low or too narrow for its
+            filter; a ramp of more than a day; more than 200 harmonics.
     """
     nyquist = 0.5 * sample_rate
+    if command.waveform == Waveform.OFF:
+        return
+    if command.ramp > _LONGEST_RAMP:
+        raise BenchError(
+            f"the drive's ramp of {command.ramp:g} s is longer than a day; use {_LONGEST_RAMP:g} s at most."
+        )
+    if len(command.harmonics) > _MOST_HARMONICS:
+        raise BenchError(f"the drive has {len(command.harmonics)} harmonics; use {_MOST_HARMONICS} at most.")
     if command.waveform == Waveform.RANDOM:
         highest = command.band_high_hz
-    elif command.waveform == Waveform.OFF:
-        return
+        least = _NARROWEST_BAND * sample_rate
+        if command.band_low_hz < least or command.band_high_hz - command.band_low_hz < least:
+            raise BenchError(
+                f"the random band {command.band_low_hz:g} to {command.band_high_hz:g} Hz must begin at {least:g} Hz or "
+                f"above and be at least as wide, at a sample rate of {sample_rate:g} Hz."
+            )
     else:
         highest = max(command.frequency_hz, command.frequency_end_hz)
         if command.harmonics:
             highest *= max(order for order, _ in command.harmonics)
     if highest >= nyquist:
         raise BenchError(f"the drive reaches {highest:g} Hz; it must stay below half the sample rate, {nyquist:g} Hz.")
+
+
+@lru_cache(maxsize=16)
+def _band_filter(low_hz: float, high_hz: float, sample_rate: float) -> tuple[FloatArray, float]:
+    """Second-order sections of the band-pass, and the gain that gives unit variance."""
+    sections = butter(4, [low_hz, high_hz], "bandpass", fs=sample_rate, output="sos")
+    _, response = sosfreqz(sections, worN=1 << 16)
+    return sections, float(1.0 / np.sqrt(np.mean(np.abs(response) ** 2)))
 
 
 class BandNoise:
@@ -108,9 +146,7 @@ class BandNoise:
                 f"{0.5 * sample_rate} Hz."
             )
         self._generator = generator
-        self._filter = butter(4, [low_hz, high_hz], "bandpass", fs=sample_rate, output="sos")
-        _, response = sosfreqz(self._filter, worN=1 << 16)
-        self._gain = 1.0 / np.sqrt(np.mean(np.abs(response) ** 2))
+        self._filter, self._gain = _band_filter(low_hz, high_hz, sample_rate)
         self._memory = np.zeros((self._filter.shape[0], 2))
         self._next = self._draw(1)
 
@@ -172,6 +208,25 @@ class Oscillator:
         main, harmonics = self._amplitude, self._harmonic_weight
         return main.target == 0.0 == harmonics.target and main.value == 0.0 == harmonics.value
 
+    @property
+    def is_stopping(self) -> bool:
+        """Whether the amplitude is zero or on its way there."""
+        return self._amplitude.target == 0.0 == self._harmonic_weight.target
+
+    @property
+    def is_periodic(self) -> bool:
+        """Whether the drive is a sine or a sweep."""
+        return self._waveform in (Waveform.SINE, Waveform.SWEEP)
+
+    def bound(self, samples: int) -> float:
+        """Largest amplitude in the next `samples`, V: harmonics added up, `PEAK_FACTOR` times a random rms."""
+        largest = self._amplitude.largest(samples)
+        if self._waveform == Waveform.RANDOM:
+            return PEAK_FACTOR * largest
+        if self._harmonics:
+            largest += self._harmonic_weight.largest(samples) * sum(abs(value) for _, value in self._harmonics)
+        return largest
+
     def apply(self, command: DriveCommand) -> None:
         """Follow a command from the next block on.
 
@@ -181,10 +236,10 @@ class Oscillator:
             BenchError: a frequency, harmonic or band beyond half the sample rate.
         """
         check_command(command, self.sample_rate)
-        length = round(command.ramp * self.sample_rate)
         if command.waveform == Waveform.OFF:
             self.ramp_to_zero(command.ramp)
             return
+        length = round(command.ramp * self.sample_rate)
         random = command.waveform == Waveform.RANDOM
         if random:
             band = (command.band_low_hz, command.band_high_hz)
@@ -207,7 +262,7 @@ class Oscillator:
 
     def ramp_to_zero(self, ramp: float) -> None:
         """Half-cosine to zero within `ramp` seconds; phase and frequency go on."""
-        length = round(ramp * self.sample_rate)
+        length = round(min(ramp, _LONGEST_RAMP) * self.sample_rate)
         self._amplitude.aim(0.0, length)
         self._harmonic_weight.aim(0.0, length)
         self._rate = 0.0

@@ -6,19 +6,18 @@ import contextlib
 import time
 from typing import Any
 
-from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
-from nmt_core.wire import BlockWriter
+from nmt_core.vocabulary import RunPhase
+from nmt_core.wire import RUN_STATE, BlockWriter, read_drive
 from nmt_msgs.msg import Drive, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
-from nmt_plant.conversions import command_from_bytes, command_from_message
 from nmt_plant.device import Device, DeviceFault, DeviceState
-from nmt_plant.lockstep import LockstepGate
+from nmt_plant.plant_core import PlantCore
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.rig import load_rig
 
@@ -67,13 +66,9 @@ class PlantNode(BenchNode):
             self._frame = rig.name
             device = SimulatedRig(rig)
         self.device = device
-        device.configure()
-        device.start()
-        self._lockstep = self.values["pacing"] == "lockstep"
+        self.core = PlantCore(device, int(self.values["latency_blocks"]), self.values["pacing"] == "lockstep")
+        self._lockstep = self.core.lockstep
         self._period = device.block_samples / device.sample_rate
-        self._gate = LockstepGate(device.block_samples, int(self.values["latency_blocks"]))
-        self._running = False
-        self._run_phase = RunState.UNKNOWN
         self._failed = ""
         self._last_command = time.monotonic()
         self._next_due = 0.0
@@ -82,38 +77,29 @@ class PlantNode(BenchNode):
         self._jitter: list[float] = []
 
         self._publishers_by_quantity: dict[int, tuple[Any, BlockWriter]] = {}
-        for block in self._probe():
-            publisher = self.bench_publisher(SampleBlockMessage, block.quantity.topic, SAMPLES_QOS)
-            self._publishers_by_quantity[int(block.quantity)] = (publisher, BlockWriter(self._frame))
+        for quantity in self.core.quantities:
+            publisher = self.bench_publisher(SampleBlockMessage, quantity.topic, SAMPLES_QOS)
+            self._publishers_by_quantity[int(quantity)] = (publisher, BlockWriter(self._frame))
         self.bench_subscription(Drive, "drive", self._on_drive, SAMPLES_QOS, raw=True)
-        self.bench_subscription(RunState, "run_state", self._on_run_state, STATE_QOS)
+        self.bench_subscription(RunState, "run_state", self._on_run_state, STATE_QOS, raw=True)
         self.create_service(Trigger, "reset", self._reset)
         self._guard_timer = self.create_timer(_GUARD_PERIOD, self._guard)
         if not self._lockstep:
             self._tick_timer = self.create_timer(min(1.0e-3, self._period / 8.0), self._tick)
 
-    def _probe(self) -> list[SampleBlock]:
-        """One block for the list of quantities; the device starts again from sample 0."""
-        blocks = self.device.read()
-        self.device.stop()
-        self.device.configure()
-        self.device.start()
-        return blocks
-
     # -- lockstep ------------------------------------------------------------------------------------------------
 
-    def _on_run_state(self, message: RunState) -> None:
-        self._run_phase = message.phase
-        if self._lockstep and message.phase in (RunState.RUNNING, RunState.PAUSED, RunState.STOPPING, RunState.DONE):
-            self._gate.horizon = max(self._gate.horizon, message.horizon_sample)
-            if not self._running and message.phase == RunState.RUNNING:
-                self._begin()
-        elif not self._lockstep and message.phase == RunState.RUNNING and not self._running:
+    def _on_run_state(self, raw: bytes) -> None:
+        try:
+            state = RUN_STATE.read(raw)
+        except ValueError as error:
+            self.get_logger().error(f"Run state refused: {error}", throttle_duration_sec=1.0)
+            return
+        if self.core.take_state(state):
             self._begin()
         self._advance()
 
     def _begin(self) -> None:
-        self._running = True
         self._last_command = time.monotonic()
         self._started = time.monotonic()
         self._next_due = self._started + self._period
@@ -122,11 +108,7 @@ class PlantNode(BenchNode):
         self._last_command = time.monotonic()
         self._commands += 1
         try:
-            command, based_on = command_from_bytes(raw)
-            self._gate.answered = max(self._gate.answered, based_on)
-            if command is None:
-                command = command_from_message(deserialize_message(raw, Drive))
-            self.device.write(command)
+            self.core.take_drive(read_drive(raw))
         except (BenchError, ValueError) as error:
             self._refused += 1
             self.get_logger().error(f"Drive command refused: {error}", throttle_duration_sec=1.0)
@@ -134,28 +116,29 @@ class PlantNode(BenchNode):
 
     def _advance(self) -> None:
         """Produce the blocks that are due in lockstep: one for every answer."""
-        if not (self._lockstep and self._running):
-            return
-        while not self._failed and self._gate.may_produce(self.device.next_sample):
+        while not self._failed and self.core.due:
             self._produce()
 
     def _produce(self) -> None:
         began = time.perf_counter()
         try:
-            blocks = self.device.read()
+            blocks = self.core.produce()
         except DeviceFault as error:
             self._fail(f"The device failed: {error}")
             return
+        self._publish(blocks)
+        self._busy += time.perf_counter() - began
+
+    def _publish(self, blocks: list[SampleBlock]) -> None:
         for block in blocks:
             publisher, writer = self._publishers_by_quantity[int(block.quantity)]
             publisher.publish(writer.write(block))
-        self._busy += time.perf_counter() - began
 
     # -- real time -----------------------------------------------------------------------------------------------
 
     def _tick(self) -> None:
         """Produce the blocks whose last sample has come to pass on the steady clock."""
-        if not self._running or self._failed:
+        if not self.core.running or self._failed:
             return
         now = time.monotonic()
         if now - self._next_due > _LATE_LIMIT:
@@ -177,31 +160,27 @@ class PlantNode(BenchNode):
 
     def _guard(self) -> None:
         """Quiet the drive when the nodes that command it have gone; in lockstep blocks go on until it is at zero."""
-        if self._failed or not self._running:
+        if self._failed or not self.core.running:
             return
         silent = self.silent_node()
-        starved = self._gate.starved(self.device.next_sample)
+        starved = self.core.starved
         overdue = time.monotonic() - self._last_command > float(self.values["command_timeout"])
         if silent:
             self._quiet_down(f"node {silent} has fallen silent")
-        elif self._lockstep and starved and overdue and self._run_phase != RunState.PAUSED and not self.device.is_quiet:
+        elif self._lockstep and starved and overdue and self.core.phase != RunPhase.PAUSED and not self.device.is_quiet:
             self._quiet_down("no drive command arrives")
-        elif self._run_phase == RunState.DONE and starved and not self.device.is_quiet:
+        elif self.core.phase == RunPhase.DONE and starved and not self.device.is_quiet:
             self._quiet_down("the run is over")
 
     def _quiet_down(self, reason: str) -> None:
         """Emergency ramp to zero; in lockstep produced right away, since nobody else moves bench time on."""
-        if self.device.is_quiet or self.device.state is not DeviceState.RUNNING:
-            return
-        if not self.device.tripped:
+        if not self.device.is_quiet and self.device.state is DeviceState.RUNNING and not self.device.tripped:
             self.get_logger().error(f"Drive goes to zero: {reason}.")
-            self.device.quiet(reason)
-        if self._lockstep:
-            blocks = 0
-            while not self.device.is_quiet and not self._failed and blocks * self._period < 60.0:
-                self._produce()
-                blocks += 1
-            self._produce()  # one block that shows the drive at zero
+        try:
+            for blocks in self.core.quiet_down(reason):
+                self._publish(blocks)
+        except DeviceFault as error:
+            self._fail(f"The device failed: {error}")
 
     def _fail(self, reason: str) -> None:
         self._failed = reason
@@ -242,15 +221,8 @@ class PlantNode(BenchNode):
 
     def shut_down(self) -> None:
         """Take the drive to zero along its ramp and release the device."""
-        if self.device.state is DeviceState.RUNNING:
-            with contextlib.suppress(Exception):
-                if not self.device.is_quiet:
-                    self.device.quiet("the plant node ends")
-                    for _ in range(int(10.0 / self._period)):
-                        if self.device.is_quiet:
-                            break
-                        self.device.read()
-        self.device.close()
+        with contextlib.suppress(Exception):
+            self.core.shut_down("the plant node ends")
 
 
 def main(args: list[str] | None = None) -> int:

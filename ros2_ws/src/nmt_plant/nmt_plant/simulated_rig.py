@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from nmt_core.blocks import BlockFlag, FloatArray, Quantity
-from nmt_core.errors import BenchError
-from nmt_plant.device import DeviceFault, DriveCommand
-from nmt_plant.guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings
-from nmt_plant.limits import within_limit
+from nmt_plant.device import DeviceFault
+from nmt_plant.guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings, owned_output
+from nmt_plant.limits import ChannelLimit, OpenLoop
 from nmt_plant.oscillator import OscillatorBlock
 from nmt_rig.drift import Drift
 from nmt_rig.model.assembly import (
@@ -28,7 +28,7 @@ from nmt_rig.rig import Rig, ShakerSection
 from nmt_rig.rig_model import build_system, input_per_volt
 from nmt_rig.sensors import Sensor, SensorChannel
 
-__all__ = ["TICK_ORDER", "SimulatedRig", "rig_sensors", "sensor_output", "sensor_row"]
+__all__ = ["TICK_ORDER", "SimulatedRig", "guard_settings", "rig_sensors", "sensor_output", "sensor_row"]
 
 
 def rig_sensors(rig: Rig) -> tuple[Sensor, ...]:
@@ -114,36 +114,57 @@ def _channel_groups(sensors: Sequence[Sensor]) -> list[ChannelGroup]:
     return groups
 
 
+def guard_settings(rig: Rig) -> GuardSettings:
+    """What a rig file says about limits and watchdog, for any device that extends `GuardedDevice`."""
+    section = rig.limits
+    limits = {
+        Quantity.VOLTAGE: section.voltage_v,
+        Quantity.FORCE: section.force_n,
+        Quantity.ACCELERATION: section.acceleration_m_s2,
+        Quantity.VELOCITY: section.velocity_m_s,
+        Quantity.DISPLACEMENT: section.displacement_m,
+    }
+    return GuardSettings(
+        limits={quantity: limit for quantity, limit in limits.items() if limit is not None},
+        limit_ramp=section.ramp_s,
+        watchdog_blocks=rig.watchdog.blocks,
+        watchdog_ramp=rig.watchdog.ramp_s,
+        slew=section.slew_v_s,
+        rise_from=section.rise_from_v,
+        channels=tuple(
+            ChannelLimit(own.channel, own.abort_peak, own.abort_rms, own.warning_peak, own.warning_rms)
+            for own in section.channels
+        ),
+        open_loops=tuple(OpenLoop(own.channel, own.least, own.drive_v, own.time_s) for own in section.open_loop),
+        drive_maximum=section.drive_maximum_v,
+        rms_time=section.rms_time_s,
+        warning_share=section.warning_share,
+    )
+
+
 class SimulatedRig(GuardedDevice):
     """A rig file brought to life; every `read` integrates one block.
 
     Args:
         rig: validated rig.
         block_samples: overrides the rig's.
+        owned: whether a process of its own owns the output, for real time: it goes to zero when this one hangs or dies.
+        **output: settings of `guarded_device.owned_output`.
     """
 
     QUIET_FLAG = BlockFlag.WATCHDOG
 
-    def __init__(self, rig: Rig, block_samples: int | None = None) -> None:
+    def __init__(self, rig: Rig, block_samples: int | None = None, owned: bool = False, **output: Any) -> None:
         self.rig = rig
         self.sensors = rig_sensors(rig)
-        limits = {
-            Quantity.VOLTAGE: rig.limits.voltage_v,
-            Quantity.FORCE: rig.limits.force_n,
-            Quantity.ACCELERATION: rig.limits.acceleration_m_s2,
-            Quantity.DISPLACEMENT: rig.limits.displacement_m,
-        }
+        block, settings = block_samples or rig.block_samples, guard_settings(rig)
         super().__init__(
             rig.sample_rate_hz,
-            block_samples or rig.block_samples,
+            block,
             _channel_groups(self.sensors),
-            GuardSettings(
-                {quantity: limit for quantity, limit in limits.items() if limit is not None},
-                rig.limits.ramp_s,
-                rig.watchdog.blocks,
-                rig.watchdog.ramp_s,
-            ),
+            settings,
             rig.seed,
+            owned_output(rig.sample_rate_hz, block, settings, **output) if owned else None,
         )
         self._integrator: TimeIntegrator | None = None
         self._prepare()
@@ -180,8 +201,6 @@ class SimulatedRig(GuardedDevice):
         self._voltage_rows = [row for row, s in enumerate(self.sensors) if s.quantity == Quantity.VOLTAGE]
         # Compiles the time loop, or loads it: not in the first block.
         self._integrator.advance(np.zeros(2))
-        within_limit(np.zeros((1, 1)), 1.0)
-        self._oscillator.block(1)
 
     def _make_integrator(self) -> TimeIntegrator:
         system = build_system(self.rig)
@@ -219,15 +238,6 @@ class SimulatedRig(GuardedDevice):
             recorded[row], over = channel.measure(true_values[row], self._drive_voltage)
             overload = overload or over
         return recorded, overload
-
-    def _check(self, command: DriveCommand) -> None:
-        super()._check(command)
-        limit = self.rig.limits.voltage_v
-        if limit is not None and command.amplitude > limit:
-            raise BenchError(
-                f"drive amplitude {command.amplitude:g} V is beyond the rig's voltage limit "
-                f"of {limit:g} V; lower the level."
-            )
 
     def _close(self) -> None:
         self._integrator = None

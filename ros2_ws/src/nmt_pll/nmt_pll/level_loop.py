@@ -11,12 +11,9 @@ import numpy as np
 
 from nmt_core.blocks import BlockFlag, FloatArray, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
-from nmt_pll.lock import LockStateMachine, LoopState, Transition
-from nmt_pll.settings import LevelCommand
-
-WAVEFORM_SINE, WAVEFORM_RANDOM, WAVEFORM_SWEEP = 2, 3, 4
-"""Waveforms of the drive; values as in ``nmt_msgs/Drive``."""
+from nmt_core.records import LevelCommand
+from nmt_core.vocabulary import LoopState, TestKind, Waveform
+from nmt_pll.lock import LockStateMachine, Transition
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +44,7 @@ class LoopOutput(NamedTuple):
         lock: set with the block in which lock was confirmed.
         transition: set with the block in which the state changed.
         flags: flags of the blocks.
-        waveform: of the drive while its amplitude is not zero; as in ``nmt_msgs/Drive``.
+        waveform: of the drive while its amplitude is not zero.
         rate_hz_s: SWEEP: rate of the frequency from the next block on, Hz/s.
         frequency_end_hz: SWEEP: where it ends, Hz.
         band_low_hz, band_high_hz: RANDOM: band of the noise, Hz.
@@ -65,7 +62,7 @@ class LoopOutput(NamedTuple):
     lock: LockWindow | None
     transition: Transition | None
     flags: int
-    waveform: int = WAVEFORM_SINE
+    waveform: Waveform = Waveform.SINE
     rate_hz_s: float = 0.0
     frequency_end_hz: float = 0.0
     band_low_hz: float = 0.0

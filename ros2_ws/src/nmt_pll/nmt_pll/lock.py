@@ -4,22 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numba import njit
 
 from nmt_core.blocks import FloatArray
-
-
-class LoopState(IntEnum):
-    """State of the loop; values as in ``nmt_msgs/Frequency``."""
-
-    UNKNOWN = 0
-    FIXED = 1
-    ACQUIRING = 2
-    LOCKED = 3
-    LOCK_LOST = 4
+from nmt_core.vocabulary import LoopState
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,14 @@ import numpy as np
 from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_core.test_kind import TestKind
+from nmt_core.records import LevelCommand
+from nmt_core.vocabulary import ControlKind, LoopState, TestKind
 from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.gains import LoopPlant
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import Dwell, LockCriteria, LoopState
+from nmt_pll.lock import Dwell, LockCriteria
 from nmt_pll.phase_detector import AdaptiveFourierFilter, phase_error
-from nmt_pll.settings import CONTROL_FORCE, CONTROL_RESPONSE, CONTROL_VOLTAGE, LevelCommand, LoopSettings
+from nmt_pll.settings import LoopSettings
 
 _VELOCITY_LEAD = {
     Quantity.DISPLACEMENT: math.pi / 2.0,
@@ -77,7 +78,7 @@ class PhaseLockedLoop(LevelLoop):
         self._decaying = False
 
     def _check_control(self, level: LevelCommand) -> None:
-        if level.control not in (CONTROL_VOLTAGE, CONTROL_RESPONSE, CONTROL_FORCE):
+        if level.control not in (ControlKind.VOLTAGE, ControlKind.RESPONSE, ControlKind.FORCE):
             raise BenchError(
                 f"Level {level.index}: control {level.control} is not known; use voltage, response or force."
             )
@@ -168,12 +169,12 @@ class PhaseLockedLoop(LevelLoop):
 
     def _start_voltage(self, level: LevelCommand, was_quiet: bool) -> float:
         """Drive voltage a level starts with; controlled amplitudes start from the linear estimate."""
-        if level.control == CONTROL_VOLTAGE:
+        if level.control == ControlKind.VOLTAGE:
             return level.amplitude
         if not was_quiet:
             return self._amplitude
         per_volt = self.linear.displacement_per_volt
-        if level.control == CONTROL_FORCE:
+        if level.control == ControlKind.FORCE:
             per_volt = self.linear.force_per_volt
         else:
             per_volt *= self._per_displacement()
@@ -193,9 +194,9 @@ class PhaseLockedLoop(LevelLoop):
         self.decay += weight * (min(max(decay, 0.0), 0.3 * omega) - self.decay)
         self.controller.update(error, self.schedule.gains(self.decay), self.block_duration)
         level = self._level
-        if level is not None and level.control != CONTROL_VOLTAGE and end > self._closed_from:
-            measured = force if level.control == CONTROL_FORCE else response
-            if level.control == CONTROL_FORCE:
+        if level is not None and level.control != ControlKind.VOLTAGE and end > self._closed_from:
+            measured = force if level.control == ControlKind.FORCE else response
+            if level.control == ControlKind.FORCE:
                 self.amplitude_controller.bandwidth = self.schedule.force_bandwidth(self.decay)
             else:
                 self.amplitude_controller.bandwidth = self.schedule.amplitude_bandwidth

@@ -32,10 +32,10 @@ from numba import njit
 from nmt_core.blocks import FloatArray, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_core.records import LevelCommand
+from nmt_core.vocabulary import ControlKind, LoopState
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import LoopState
 from nmt_pll.paper_settings import PaperSettings
-from nmt_pll.settings import CONTROL_VOLTAGE, LevelCommand
 
 # x̂ for the product: a displacement, or an acceleration upside down.
 _SIGN = {Quantity.DISPLACEMENT: 1.0, Quantity.ACCELERATION: -1.0}
@@ -122,7 +122,7 @@ class PaperLoop(LevelLoop):
         self.reset()
 
     def _check_control(self, level: LevelCommand) -> None:
-        if level.control != CONTROL_VOLTAGE:
+        if level.control != ControlKind.VOLTAGE:
             raise BenchError(
                 f"Level {level.index}: the paper's loop steps the voltage only; "
                 "use the adaptive loop for other controls."

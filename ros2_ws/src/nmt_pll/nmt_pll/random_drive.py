@@ -7,10 +7,9 @@ from typing import ClassVar
 
 from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
-from nmt_pll.level_loop import WAVEFORM_RANDOM, LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import LoopState
-from nmt_pll.settings import CONTROL_VOLTAGE, LevelCommand
+from nmt_core.records import LevelCommand
+from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
+from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 
 
 class RandomDrive(LevelLoop):
@@ -66,10 +65,10 @@ class RandomDrive(LevelLoop):
         output = self._output(end, 0.0, math.nan, (amplitudes[0], amplitudes[1]), lock, flags)
         if not output.amplitude > 0.0:
             return output
-        return output._replace(waveform=WAVEFORM_RANDOM, band_low_hz=self._band[0], band_high_hz=self._band[1])
+        return output._replace(waveform=Waveform.RANDOM, band_low_hz=self._band[0], band_high_hz=self._band[1])
 
     def _check_control(self, level: LevelCommand) -> None:
-        if level.control != CONTROL_VOLTAGE:
+        if level.control != ControlKind.VOLTAGE:
             raise BenchError(f"Level {level.index}: a random drive has levels of voltage (V rms) only.")
         if level.amplitude == 0.0:
             return

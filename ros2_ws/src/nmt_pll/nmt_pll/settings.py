@@ -9,7 +9,6 @@ from typing import Any
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import Parameter
-from nmt_core.test_kind import TestKind
 
 # Settings that may be negative.
 SIGNED_SETTINGS = frozenset({"phase_offset_rad", "loop_latency_s"})
@@ -98,34 +97,6 @@ class LoopSettings:
     def resolved_cutoff(self, linear: LinearDescription) -> float:
         """ω_LP in rad/s."""
         return self.cutoff or 0.15 * linear.frequencies_rad_s[linear.target_mode]
-
-
-@dataclass(frozen=True, slots=True)
-class LevelCommand:
-    """One level for the loop to work on; fields as in ``nmt_msgs/Level``.
-
-    ``amplitude`` of a RANDOM test is the rms of the voltage (V); ``duration`` (s) is the length of its window, of
-    RING_DOWN that of the free decay; ``frequency_hz`` is the start of a SWEEP that goes to ``frequency_end_hz``.
-    """
-
-    sequence: int
-    index: int
-    amplitude: float
-    apply_at_sample: int
-    ramp: float
-    control: int = 1
-    frequency_hz: float = 0.0
-    window_periods: int = 0
-    timeout: float = 0.0
-    test: TestKind = TestKind.PHASE_RESONANCE
-    band_low_hz: float = 0.0
-    band_high_hz: float = 0.0
-    rate_hz_s: float = 0.0
-    frequency_end_hz: float = 0.0
-    duration: float = 0.0
-
-
-CONTROL_VOLTAGE, CONTROL_RESPONSE, CONTROL_FORCE = 1, 2, 3
 
 
 _DESCRIPTIONS = {

@@ -11,12 +11,13 @@ import numpy as np
 from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.ramp import half_cosine
-from nmt_core.test_kind import TestKind
+from nmt_core.records import LevelCommand
+from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
 from nmt_pll.held_amplitude import ForceHolder, ResponseHolder, turn
-from nmt_pll.level_loop import WAVEFORM_SINE, WAVEFORM_SWEEP, LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import Dwell, LoopState
+from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
+from nmt_pll.lock import Dwell
 from nmt_pll.phase_detector import AdaptiveFourierFilter
-from nmt_pll.settings import CONTROL_FORCE, CONTROL_RESPONSE, CONTROL_VOLTAGE, LevelCommand, LoopSettings
+from nmt_pll.settings import LoopSettings
 
 _CUTOFF = 0.15  # ω_LP as a share of the frequency
 _PROBE_VOLTAGE = 1.0e-4  # V, first voltage where nothing is known of the exciter
@@ -83,7 +84,7 @@ class _GivenFrequencyLoop(LevelLoop):
         self.phase_dwell = Dwell(length, correlation)
 
     def _check_control(self, level: LevelCommand) -> None:
-        if level.control not in (CONTROL_VOLTAGE, CONTROL_RESPONSE, CONTROL_FORCE):
+        if level.control not in (ControlKind.VOLTAGE, ControlKind.RESPONSE, ControlKind.FORCE):
             raise BenchError(
                 f"Level {level.index}: control {level.control} is not known; use voltage, response or force."
             )
@@ -145,10 +146,10 @@ class _GivenFrequencyLoop(LevelLoop):
         output = self._output(end, 2.0 * math.pi * frequency, math.nan, (abs(phasors[0]), abs(phasors[1])), lock, flags)
         moving = self._moves_for > 0 and self._moves_from <= apply < self._moves_from + self._moves_for
         if not moving:
-            return output._replace(frequency_hz=frequency, waveform=WAVEFORM_SINE)
+            return output._replace(frequency_hz=frequency, waveform=Waveform.SINE)
         return output._replace(
             frequency_hz=frequency,
-            waveform=WAVEFORM_SWEEP,
+            waveform=Waveform.SWEEP,
             rate_hz_s=self._rate,
             frequency_end_hz=self._frequency_end,
         )
@@ -231,10 +232,10 @@ class _GivenFrequencyLoop(LevelLoop):
         level = self._level
         assert level is not None
         self._held = {
-            CONTROL_FORCE: abs(phasors[0]),
-            CONTROL_RESPONSE: abs(phasors[1]),
-            CONTROL_VOLTAGE: self._commanded,
-        }[level.control]
+            ControlKind.FORCE: abs(phasors[0]),
+            ControlKind.RESPONSE: abs(phasors[1]),
+            ControlKind.VOLTAGE: self._commanded,
+        }[ControlKind(level.control)]
         if self._stage == _Stage.FADE:
             if end < self._until:
                 return ""
@@ -246,9 +247,9 @@ class _GivenFrequencyLoop(LevelLoop):
             return self._probe(level, phasors, end)
         self._ramp = self.block_duration
         target = self._target(level, end)
-        if level.control == CONTROL_FORCE:
+        if level.control == ControlKind.FORCE:
             wanted = self.force_holder.voltage(self._amplitude, target, phasors[0], taken)
-        elif level.control == CONTROL_RESPONSE:
+        elif level.control == ControlKind.RESPONSE:
             wanted = self.response_holder.voltage(self._amplitude, target, phasors[1])
         else:
             wanted = target
@@ -278,7 +279,7 @@ class _GivenFrequencyLoop(LevelLoop):
                 f"the drive at rest ({noise:.2g}): noise, or a structure that does not come to rest"
             )
         self._ramp = self.block_duration
-        if level.control == CONTROL_VOLTAGE:
+        if level.control == ControlKind.VOLTAGE:
             self._held = 0.0
             self._approach(level, end)
             self._amplitude = min(_PROBE_VOLTAGE, level.amplitude)
@@ -289,7 +290,7 @@ class _GivenFrequencyLoop(LevelLoop):
         return ""
 
     def _probe(self, level: LevelCommand, phasors: tuple[complex, complex], end: int) -> str:
-        floor = self.settings.force_floor if level.control == CONTROL_FORCE else self.settings.response_floor
+        floor = self.settings.force_floor if level.control == ControlKind.FORCE else self.settings.response_floor
         wanted = max(_PROBE_MARGIN * max(self._noise, default=0.0), floor)
         if self._held >= min(wanted, 0.5 * level.amplitude):
             self._approach(level, end)
@@ -307,7 +308,7 @@ class _GivenFrequencyLoop(LevelLoop):
             )
         if end > self._deadline and self.machine.state == LoopState.ACQUIRING:
             return f"no stationary amplitude within the time-out: {self._obstacle(level) or 'still approaching'}"
-        if self._stage == _Stage.WINDOW and level.control != CONTROL_VOLTAGE:
+        if self._stage == _Stage.WINDOW and level.control != ControlKind.VOLTAGE:
             if self._held > 0 and abs(math.log(self._held / level.amplitude)) < _LOST:
                 self._good_until = end
             elif end - self._good_until > _LOST_AFTER * self.sample_rate:
@@ -343,7 +344,7 @@ class _GivenFrequencyLoop(LevelLoop):
         if not self.dwell.full:
             return "too short since the amplitude reached its target" if self._stage == _Stage.SETTLE else ""
         s, p, tolerance = self.dwell.statistics(), self.phase_dwell.statistics(), self.settings.amplitude_tolerance
-        if level.control != CONTROL_VOLTAGE and abs(s.mean) > tolerance + 2.0 * s.mean_std:
+        if level.control != ControlKind.VOLTAGE and abs(s.mean) > tolerance + 2.0 * s.mean_std:
             return f"the held amplitude is {100.0 * math.expm1(s.mean):.2f} % off its target"
         if abs(s.frequency_drift) > tolerance + 2.0 * s.frequency_drift_std:
             return f"the force drifts by {100.0 * s.frequency_drift:.2f} % over the dwell"

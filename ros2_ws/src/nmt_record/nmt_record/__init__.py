@@ -1,9 +1,37 @@
-"""rosbag2 writer and reader of the bench; recorder node.
+"""rosbag2 writer and reader of the bench, the windows of a recording, imports and exports; recorder node.
 
-Public names: :class:`Bag` reads, :class:`BagWriter` writes. The node is in :mod:`nmt_record.recorder_node`.
+Public names, each loaded when it is asked for: :class:`Bag` reads, :class:`BagWriter` writes, :func:`export_run` hands
+a recording to other tools. Data measured elsewhere become a bag with :func:`nmt_bench.import_data`, which knows rig
+files too. The node is in :mod:`nmt_record.recorder_node`.
 """
 
-from nmt_record.bag_reader import Bag
-from nmt_record.bag_writer import BagWriter
+from __future__ import annotations
 
-__all__ = ["Bag", "BagWriter"]
+from typing import TYPE_CHECKING, Any
+
+from nmt_core.public_names import loaded
+
+if TYPE_CHECKING:
+    from nmt_record.bag_reader import Bag
+    from nmt_record.bag_writer import BagWriter
+    from nmt_record.exported_run import ExportedRun, export_run
+    from nmt_record.segments import read_signals
+
+_HOMES = {
+    "Bag": "nmt_record.bag_reader",
+    "BagWriter": "nmt_record.bag_writer",
+    "ExportedRun": "nmt_record.exported_run",
+    "export_run": "nmt_record.exported_run",
+    "read_signals": "nmt_record.segments",
+}
+__all__ = [
+    "Bag",
+    "BagWriter",
+    "ExportedRun",
+    "export_run",
+    "read_signals",
+]
+
+
+def __getattr__(name: str) -> Any:
+    return loaded(__name__, name, _HOMES)

@@ -1,4 +1,4 @@
-"""Reads bags, whole or cut off, without ROS.
+"""Reads bags, whole, cut off or damaged, without ROS.
 
 The message definitions come from the bag itself, so it opens where the bench's messages were never installed.
 """
@@ -9,20 +9,25 @@ import json
 import re
 import shutil
 from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
-import yaml
 from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 
 from nmt_core.blocks import SampleBlock
-from nmt_core.conversions import block_from_message
+from nmt_core.cdr import MessageCodec, Record
 from nmt_core.errors import BenchError
-from nmt_record.bag_writer import FAILURE_KEY, RIG_YAML_KEY, RUN_JSON_KEY, START, STOP, BagWriter
+from nmt_core.hardened import json_value, read_text, yaml_value
+from nmt_core.records import LockEvent
+from nmt_core.vocabulary import RecordKind
+from nmt_core.wire import LOCK_EVENT, BlockReader
+from nmt_record.bag_writer import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY, BagWriter
 from nmt_record.bench_topics import SAMPLE_BLOCK, bench_name
 from nmt_record.cdr_peek import peek_block
-from nmt_record.mcap_file import Channel, McapFile, check_magic
+from nmt_record.mcap_file import Channel, LostStretch, McapFile, check_magic
 from nmt_record.message_definitions import MessageDefinition, typestore_of
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
@@ -31,15 +36,54 @@ _ENCODINGS = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.ID
 RawMessage = tuple[str, int, int, bytes]
 
 
+@dataclass(frozen=True)
+class LostSpan:
+    """What a damaged part of a bag held, as far as the parts before and behind it tell.
+
+    Attributes:
+        file: name of the file.
+        offset: of the first damaged byte.
+        length: bytes.
+        reason: why it could not be read, a clause.
+        samples: topic -> first sample lost and sample after the last one; -1 = to the end of the recording.
+        messages: topic -> number of messages lost; empty if the index does not say.
+    """
+
+    file: str
+    offset: int
+    length: int
+    reason: str
+    samples: dict[str, tuple[int, int]]
+    messages: dict[str, int]
+
+    def touches(self, first_sample: int, stop_sample: int) -> bool:
+        """Whether samples from ``first_sample`` to before ``stop_sample`` are lost on any topic."""
+        return any(first < stop_sample and (stop < 0 or stop > first_sample) for first, stop in self.samples.values())
+
+    def __str__(self) -> str:
+        by_span: dict[tuple[int, int], list[str]] = {}
+        for topic, span in self.samples.items():
+            by_span.setdefault(span, []).append(topic)
+        parts = [
+            (f"samples {first} to {stop - 1}" if stop >= 0 else f"samples from {first} on")
+            + f" of {', '.join(sorted(topics))}"
+            for (first, stop), topics in sorted(by_span.items())
+        ]
+        others = [f"{count} of {topic}" for topic, count in self.messages.items() if topic not in self.samples]
+        parts += [f"messages: {', '.join(sorted(others))}"] if others else []
+        held = "; ".join(parts) or "no samples that the rest of the bag would miss"
+        return f"{self.length} bytes at byte {self.offset} of {self.file} ({self.reason}), with {held}"
+
+
 class Bag:
     """An opened bag. No file stays open between reads.
 
-    Topics are named without leading slash, and messages come in the order of reception.
+    Topics are named without leading slash, and messages come in the order of reception. Messages in damaged parts are
+    left out; ``lost_spans`` and ``loss`` say which, and read the whole bag once to find out.
 
     Attributes:
         path: what was opened.
         topics: message type and number of messages by topic.
-        loss: one sentence on what is missing at the end of a bag that was not closed; None if nothing is.
         run_start: the run's self-description from the start record; None if the bag has none.
         run_stop: the stop record; None if the bag has none.
         rig_yaml: the rig file as used; None if the bag has none.
@@ -66,13 +110,12 @@ class Bag:
         self.run_stop: dict[str, Any] | None = None
         self.rig_yaml: str | None = None
         self._read_records()
-        self.loss = self._describe_loss()
 
     @classmethod
     def open(cls, path: Path | str) -> Bag:
         """Open a rosbag2 folder (MCAP or SQLite), an ``.mcap`` or ``.db3`` file, or a run's output folder.
 
-        A cut-off MCAP file is read as far as its chunks are whole; ``loss`` then says what is missing.
+        A cut or damaged MCAP file is read as far as its chunks are whole; ``loss`` then says what is missing.
 
         Raises:
             BenchError: nothing there, empty, a ROS 1 bag, no bag at all, or nothing readable in it.
@@ -110,7 +153,7 @@ class Bag:
             Topic, time of reception (ns), publish time (ns; bench time on the bench's stamped topics), CDR.
 
         Raises:
-            BenchError: the bag is damaged.
+            BenchError: the bag cannot be read.
         """
         wanted = None if topics is None else {bench_name(name) for name in topics}
         return self._source.raw(wanted)
@@ -148,6 +191,7 @@ class Bag:
             raise BenchError(f"Topic '{topic}' of the bag {self.path} holds {self._types[topic]}, not samples.")
         self.require_topics(topic)
         cut = first_sample is not None or stop_sample is not None
+        read = BlockReader().read
         for _, _, _, raw in self.raw_messages([topic]):
             try:
                 if cut:
@@ -156,18 +200,98 @@ class Bag:
                         continue
                     if stop_sample is not None and extent.first_sample >= stop_sample:
                         continue
-                yield block_from_message(self.deserialise(topic, raw))
-            except (ValueError, AttributeError) as error:
+                yield read(raw)
+            except ValueError as error:
                 raise BenchError(
                     f"A block of topic '{topic}' in the bag {self.path} cannot be used: {error}."
                 ) from error
 
-    def lock_events(self) -> list[Any]:
-        """All lock events, in order; empty if the loop never locked."""
-        return [message for _, _, message in self.messages(["lock"])]
+    def lock_events(self) -> list[LockEvent]:
+        """All lock events, in order; empty if the loop never locked.
+
+        Raises:
+            BenchError: one is damaged, or of a kind of test that is not known.
+        """
+        return list(self.records("lock", LOCK_EVENT))
+
+    def records(self, topic: str, codec: MessageCodec[Record]) -> Iterator[Record]:
+        """All messages of one topic as the bench's own records, in order; none if the topic is missing.
+
+        Args:
+            topic: its name.
+            codec: of its message type, from :mod:`nmt_core.wire`.
+
+        Raises:
+            BenchError: a message is damaged, or the topic holds another type.
+        """
+        topic = bench_name(topic)
+        kind = f"nmt_msgs/msg/{codec.name}"
+        if self._types.get(topic, kind) != kind:
+            raise BenchError(f"Topic '{topic}' of the bag {self.path} holds {self._types[topic]}, not {kind}.")
+        for _, _, _, raw in self.raw_messages([topic]):
+            try:
+                yield codec.read(raw)
+            except ValueError as error:
+                raise BenchError(
+                    f"A message of topic '{topic}' in the bag {self.path} cannot be read: {error}."
+                ) from error
+
+    @cached_property
+    def lost_spans(self) -> tuple[LostSpan, ...]:
+        """What damage took out of the bag, in the order of the files; the end of a bag that was cut is not among it.
+
+        Raises:
+            BenchError: the bag cannot be read.
+        """
+        spans = [*self._repaired_spans()]
+        names = {name for name, (kind, _) in self.topics.items() if kind == SAMPLE_BLOCK}
+        ends: dict[str, int] = {}
+        open_spans: list[LostSpan] = []
+        for part in self._source.parts(names):
+            if isinstance(part, LostSpan):
+                # Where the recording of a topic stood; the next block of the topic says where it goes on.
+                part.samples.update({topic: (ends.get(topic, 0), -1) for topic in names})
+                open_spans.append(part)
+                spans.append(part)
+                continue
+            for topic, _, _, raw in part:
+                try:
+                    extent = peek_block(raw)
+                except ValueError:
+                    continue
+                for span in open_spans:
+                    first, stop = span.samples.get(topic, (0, 0))
+                    if stop < 0:
+                        span.samples[topic] = (first, extent.first_sample)
+                ends[topic] = max(ends.get(topic, 0), extent.end_sample)
+        for span in spans:
+            for topic, (first, stop) in list(span.samples.items()):
+                # The index says that no block of the topic was in it, or the blocks around it join.
+                if 0 <= stop <= first or (span.messages and topic not in span.messages):
+                    del span.samples[topic]
+        return tuple(spans)
+
+    @cached_property
+    def loss(self) -> str | None:
+        """One sentence on what is missing from the bag; None if nothing is.
+
+        Raises:
+            BenchError: the bag cannot be read.
+        """
+        clauses = []
+        if self._repair:
+            clauses.append(str(self._repair.get("sentence", "")).rstrip("."))
+        fresh = [span for span in self.lost_spans if span.file]
+        if fresh:
+            what = "1 part of it" if len(fresh) == 1 else f"{len(fresh)} parts of it"
+            clauses.append(f"The bag {self.path} is damaged, {what} could not be read: " + "; ".join(map(str, fresh)))
+        end = self._describe_end()
+        if end:
+            clauses.append(end)
+        return "; ".join(clauses) + "." if clauses else None
 
     def repair(self, destination: Path | str) -> Path:
-        """Write what can be read to a new, regularly closed bag.
+        """Write what can be read to a new, regularly closed bag, with a record of what was lost.
 
         Args:
             destination: folder to create.
@@ -176,7 +300,7 @@ class Bag:
             The folder.
 
         Raises:
-            BenchError: the folder exists, the disk is full, or this bag is damaged in its middle.
+            BenchError: the folder exists, the disk is full, or this bag cannot be read.
         """
         destination = Path(destination)
         writer = BagWriter(
@@ -184,6 +308,7 @@ class Bag:
             run_json=json.dumps(self.run_start) if self.run_start else "",
             rig_yaml=self.rig_yaml or "",
             records=False,
+            repair_json=json.dumps(self.repair_record()) if self.loss else "",
         )
         try:
             for channel, _ in self._source.channels():
@@ -203,6 +328,29 @@ class Bag:
             shutil.rmtree(destination, ignore_errors=True)
             raise
         return destination
+
+    def repair_record(self) -> dict[str, Any]:
+        """What a repaired copy says of itself: ``source``, ``sentence``, ``lost`` and ``kept`` (messages by topic)."""
+        kept: dict[str, int] = {}
+        for topic, _, _, _ in self.raw_messages():
+            kept[topic] = kept.get(topic, 0) + 1
+        return {
+            "source": str(self.path),
+            "sentence": self.loss or "",
+            "lost": [asdict(span) for span in self.lost_spans],
+            "kept": kept,
+        }
+
+    def _repaired_spans(self) -> Iterator[LostSpan]:
+        """What had been lost before a repair; without a file, since the damaged bytes are no longer there."""
+        lost = self._repair.get("lost")
+        for item in lost if isinstance(lost, list) else []:
+            try:
+                samples = {str(topic): (int(span[0]), int(span[1])) for topic, span in item["samples"].items()}
+                messages = {str(topic): int(count) for topic, count in item["messages"].items()}
+                yield LostSpan("", int(item["offset"]), int(item["length"]), str(item["reason"]), samples, messages)
+            except (KeyError, TypeError, ValueError, IndexError, AttributeError):
+                continue
 
     def deserialise(self, topic: str, raw: bytes) -> Any:
         """The message in the bytes that :meth:`raw_messages` gives for a topic.
@@ -225,35 +373,39 @@ class Bag:
         run_json, rig_yaml = self._custom.get(RUN_JSON_KEY), self._custom.get(RIG_YAML_KEY)
         if "run_record" in self.topics:
             for _, _, record in self.messages(["run_record"]):
-                if record.kind == START and self.run_start is None:
+                if record.kind == RecordKind.START and self.run_start is None:
                     self.run_start = self._parse(record.run_json)
                     rig_yaml = record.rig_yaml or rig_yaml
-                elif record.kind == STOP:
+                elif record.kind == RecordKind.STOP:
                     self.run_stop = self._parse(record.run_json)
         if self.run_start is None and run_json:
             self.run_start = self._parse(run_json)
         self.rig_yaml = rig_yaml or None
+        self._repair = self._parse(self._custom.get(REPAIR_KEY, ""))
 
     def _parse(self, text: str) -> dict[str, Any]:
         if not text:
             return {}
-        try:
-            record = json.loads(text)
-        except ValueError as error:
-            raise BenchError(f"The run record in the bag {self.path} is not JSON: {error}.") from error
+        record = json_value(text, f"The run record in the bag {self.path}")
         if not isinstance(record, dict):
             raise BenchError(f"The run record in the bag {self.path} is not a JSON object.")
         return record
 
-    def _describe_loss(self) -> str | None:
-        damage = self._source.damage
-        if damage is None and FAILURE_KEY in self._custom:
+    def _describe_end(self) -> str | None:
+        damage, lost = self._source.damage, ""
+        if damage is not None and not self._source.cut:
+            if self.run_stop is not None or self.run_start is None:
+                return f"The index of the bag {self.path} could not be used; its messages were found without it"
+        elif damage is None and FAILURE_KEY in self._custom:
             damage = "the recorder could not write on"
         if damage is None and self.run_start is not None and self.run_stop is None:
+            if any(span.file for span in self.lost_spans):
+                return "its stop record is not among what could be read"
             damage = "it has no stop record"
         if damage is None:
             return None
-        lost = f", {self._source.lost_bytes} bytes at its end are lost" if self._source.lost_bytes else ""
+        if self._source.lost_bytes:
+            lost = f", {self._source.lost_bytes} bytes at its end are lost"
         last = None
         names = [name for name, (kind, _) in self.topics.items() if kind == SAMPLE_BLOCK]
         for _, _, _, raw in self.raw_messages(names) if names else ():
@@ -268,16 +420,20 @@ class Bag:
         else:
             time = last.end_sample / last.sample_rate
             kept = f"the last sample in it is {last.end_sample - 1} ({time:.3f} s of bench time)"
-        return f"The bag {self.path} was not closed ({damage}){lost}; {kept}."
+        how = "is cut off: it was not closed" if self._source.cut else "was not closed"
+        return f"The bag {self.path} {how} ({damage}){lost}; {kept}"
 
 
 class _Source(Protocol):
     damage: str | None
+    cut: bool
     lost_bytes: int
 
     def channels(self) -> list[tuple[Channel, int]]: ...
 
     def raw(self, wanted: set[str] | None) -> Iterator[RawMessage]: ...
+
+    def parts(self, wanted: set[str]) -> Iterator[list[RawMessage] | LostSpan]: ...
 
 
 class _McapSource:
@@ -285,8 +441,11 @@ class _McapSource:
 
     def __init__(self, files: list[McapFile]) -> None:
         self._files = files
-        self.damage = next((file.damage for file in files if file.damage), None)
-        self.lost_bytes = sum(file.lost_bytes for file in files)
+        # Only the end of the last file is the end of the recording; what another one lacks is lost between two.
+        damaged = [file for file in files if file.damage and (file is files[-1] or not file.cut)]
+        self.damage = damaged[-1].damage if damaged else None
+        self.cut = files[-1].cut
+        self.lost_bytes = files[-1].lost_bytes
 
     def channels(self) -> list[tuple[Channel, int]]:
         return [(channel, file.counts.get(key, 0)) for file in self._files for key, channel in file.channels.items()]
@@ -298,11 +457,25 @@ class _McapSource:
             for key, received, published, raw in file.raw_messages(keys):
                 yield names[key], received, published, raw
 
+    def parts(self, wanted: set[str]) -> Iterator[list[RawMessage] | LostSpan]:
+        for file in self._files:
+            names = {key: bench_name(channel.topic) for key, channel in file.channels.items()}
+            for part in file.parts():
+                if isinstance(part, LostStretch):
+                    counts = {names[key]: count for key, count in part.counts.items()}
+                    yield LostSpan(part.path.name, part.offset, part.length, part.reason, {}, counts)
+                else:
+                    yield [(names[key], at, published, raw) for key, at, published, raw in part if names[key] in wanted]
+            if file.cut and file is not self._files[-1]:
+                size = file.path.stat().st_size
+                yield LostSpan(file.path.name, size - file.lost_bytes, file.lost_bytes, file.damage or "", {}, {})
+
 
 class _RosbagsSource:
     """Whatever else the ``rosbags`` reader opens: SQLite, compressed messages."""
 
     damage: str | None = None
+    cut = False
     lost_bytes = 0
 
     def __init__(self, path: Path) -> None:
@@ -329,6 +502,10 @@ class _RosbagsSource:
                 except Exception as error:
                     raise BenchError(f"The bag {self._path} is damaged: {error}.") from error
                 yield bench_name(connection.topic), received, received, bytes(raw)
+
+    def parts(self, wanted: set[str]) -> Iterator[list[RawMessage] | LostSpan]:
+        """Nothing: what these stores lose they do not survive."""
+        return iter(())
 
     def _reader(self) -> Any:
         try:
@@ -360,7 +537,8 @@ def _open_file(path: Path) -> tuple[_Source, dict[str, str]]:
     if head == _SQLITE_MAGIC:
         return _RosbagsSource(path), {}
     check_magic(path, head)
-    return _McapSource(_readable([McapFile.open(path)], path)), {}
+    files = _readable([McapFile.open(path)], path)
+    return _McapSource(files), _custom_of(_information(files[0].custom_data(), str(path)))
 
 
 def _open_folder(folder: Path) -> tuple[_Source, dict[str, str]]:
@@ -368,8 +546,7 @@ def _open_folder(folder: Path) -> tuple[_Source, dict[str, str]]:
     if not names:
         raise BenchError(f"The folder {folder} is empty; nothing was recorded into it.")
     metadata = _read_metadata(folder) if "metadata.yaml" in names else {}
-    custom = metadata.get("custom_data")
-    custom = {str(k): str(v) for k, v in custom.items()} if isinstance(custom, dict) else {}
+    custom = _custom_of(metadata)
     compressed = str(metadata.get("compression_mode") or "").lower() in ("file", "message")
     if compressed or metadata.get("storage_identifier") == "sqlite3":
         return _RosbagsSource(folder), custom
@@ -377,9 +554,12 @@ def _open_folder(folder: Path) -> tuple[_Source, dict[str, str]]:
     listed = metadata.get("relative_file_paths")
     paths = [folder / Path(str(name)).name for name in listed] if isinstance(listed, list) else []
     missing = [path.name for path in paths if not path.is_file()]
-    if missing:
+    found = sorted((folder / name for name in names if name.endswith(".mcap")), key=_natural)
+    if missing and len(found) >= len(paths):
+        paths = []  # all files are there, and metadata.yaml, damaged, calls them otherwise
+    elif missing:
         raise BenchError(f"The bag {folder} lacks its file {missing[0]}; copy the whole folder again.")
-    paths = paths or sorted((folder / name for name in names if name.endswith(".mcap")), key=_natural)
+    paths = paths or found
     if paths:
         return _McapSource(_readable([McapFile.open(path) for path in paths], folder)), custom
     if any(name.endswith(".db3") for name in names):
@@ -400,11 +580,23 @@ def _readable(files: list[McapFile], path: Path) -> list[McapFile]:
 def _read_metadata(folder: Path) -> dict[str, Any]:
     """Content of ``metadata.yaml``; empty if it is damaged, since the bag file explains itself."""
     try:
-        content = yaml.safe_load((folder / "metadata.yaml").read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError):
+        return _information(read_text(folder / "metadata.yaml", "description of the bag"), "metadata.yaml")
+    except BenchError:
         return {}
-    information = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
+
+
+def _information(text: str, name: str) -> dict[str, Any]:
+    try:
+        content = yaml_value(text, name)
+    except BenchError:
+        return {}
+    information = content.get("rosbag2_bagfile_information", content) if isinstance(content, dict) else None
     return information if isinstance(information, dict) else {}
+
+
+def _custom_of(information: dict[str, Any]) -> dict[str, str]:
+    custom = information.get("custom_data")
+    return {str(key): str(value) for key, value in custom.items()} if isinstance(custom, dict) else {}
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

@@ -12,6 +12,7 @@ import json
 import struct
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +20,17 @@ import yaml
 from mcap.writer import CompressionType, Writer
 
 from nmt_core.errors import BenchError
+from nmt_core.records import RunRecord
+from nmt_core.vocabulary import RecordKind
+from nmt_core.wire import RUN_RECORD as RUN_RECORD_CODEC
 from nmt_record.bench_topics import RUN_RECORD, Service, bench_name, qos_profile
 from nmt_record.message_definitions import MessageDefinition, local_definitions
 
 RUN_JSON_KEY = "run.json"
 RIG_YAML_KEY = "rig.yaml"
 FAILURE_KEY = "failure"
-START = 1
-STOP = 2
+REPAIR_KEY = "repair.json"
+COMPRESSIONS = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
 
 _METADATA_VERSION = 9
 _BYTES_PER_CHUNK = 4 * 2**20
@@ -47,12 +51,17 @@ class BagWriter:
     with their first message.
 
     Args:
-        path: folder to create; the file in it is ``<folder>_0.mcap``.
+        path: folder to create; the file in it is ``<folder>_0.mcap``, further ones count up.
         run_json: self-description of the run, a JSON object; empty = none.
         rig_yaml: the rig file as used.
         chunk_messages: messages after which a chunk is closed and flushed.
         flush_interval: s of wall time after which :meth:`write` and :meth:`flush_if_due` close a chunk.
         records: write start and stop record; off for copies, which have them already.
+        compression: of the chunks: ``none``, ``zstd`` or ``lz4``.
+        split_bytes: size of a file after which the next one begins; 0 = one file.
+        split_duration: s from the first to the newest time of reception in a file after which the next one begins;
+            0 = one file.
+        repair_json: what a repaired copy has lost, a JSON object; empty = it is no repaired copy.
         open_file: opens the MCAP file; must return an unbuffered file.
         clock: time of reception of messages that come without one, ns; None = the wall clock.
 
@@ -62,7 +71,8 @@ class BagWriter:
         counts: messages handed in by topic.
 
     Raises:
-        BenchError: the folder exists, cannot be created or written, or ``run_json`` is not a JSON object.
+        BenchError: the folder exists, cannot be created or written, ``run_json`` is not a JSON object, or there is no
+            such compression.
     """
 
     def __init__(
@@ -74,21 +84,30 @@ class BagWriter:
         chunk_messages: int = 500,
         flush_interval: float = 0.5,
         records: bool = True,
+        compression: str = "none",
+        split_bytes: int = 0,
+        split_duration: float = 0.0,
+        repair_json: str = "",
         open_file: Callable[[Path], Any] = open_unbuffered,
         clock: Callable[[], int] | None = None,
     ) -> None:
         self.path = Path(path)
-        self.file_path = self.path / f"{self.path.name}_0.mcap"
         self.state = "open"
         self.failure: str | None = None
         self.counts: dict[str, int] = {}
         self._run = _parse_run(run_json)
-        self._custom = {RUN_JSON_KEY: run_json, RIG_YAML_KEY: rig_yaml}
+        self._custom = {RUN_JSON_KEY: run_json, RIG_YAML_KEY: rig_yaml, REPAIR_KEY: repair_json}
         self._custom = {key: text for key, text in self._custom.items() if text}
         self._records = records
         self._clock = clock or (lambda: time.time_ns())
         self._chunk_messages = chunk_messages
         self._flush_interval = flush_interval
+        if compression not in COMPRESSIONS:
+            raise BenchError(f"'{compression}' is not a compression of bags; choose {', '.join(COMPRESSIONS)}.")
+        self._compression = COMPRESSIONS[compression]
+        self._split_bytes, self._split_ns = split_bytes, round(split_duration * 1e9)
+        self._open_file = open_file
+        self._files: list[_FileSpan] = []
         self._channels: dict[str, int] = {}
         self._topics: dict[str, dict[str, Any]] = {}
         self._schemas: dict[tuple[str, str], int] = {}
@@ -98,14 +117,14 @@ class BagWriter:
         self._chunk_opened = time.monotonic()
         self._newest = 0
         self._times: tuple[int, int] | None = None
-        self._safe: tuple[dict[str, int], tuple[int, int] | None] = ({}, None)
+        self._safe = _State()
         if not hasattr(Writer, "flush"):
             raise BenchError("The installed 'mcap' package cannot flush a chunk; install mcap 1.6.0 or newer.")
-        self._open(open_file)
+        self._open()
         if records:
             self.add_topic("run_record", RUN_RECORD, Service.STATE)
             try:
-                self._write_record(START, run_json, rig_yaml, 0)
+                self._write_record(RecordKind.START, run_json, rig_yaml, 0)
                 self.flush()
             except BenchError as error:
                 self._remove()
@@ -178,6 +197,7 @@ class BagWriter:
         first, last = self._times or (receive_time_ns, receive_time_ns)
         if receive_time_ns < first or receive_time_ns > last or self._times is None:
             self._times = (min(first, receive_time_ns), max(last, receive_time_ns))
+        self._files[-1] = self._files[-1].with_message(receive_time_ns)
         if not self._pending:
             self._chunk_opened = time.monotonic()
         self._pending += 1
@@ -218,7 +238,13 @@ class BagWriter:
         self._file.keep()
         self._pending = 0
         self._pending_bytes = 0
-        self._safe = (dict(self.counts), self._times)
+        self._safe = _State(dict(self.counts), self._times, self._files[-1])
+        if self._file_is_full():
+            try:
+                self._end_file()
+                self._begin_file()
+            except OSError as error:
+                raise self._fail(error) from error
 
     def close(self, exit_state: str = "done", reason: str = "", stamp_ns: int = 0, **extra: Any) -> None:
         """Write the stop record, the index and ``metadata.yaml``. A second call does nothing.
@@ -238,10 +264,7 @@ class BagWriter:
             self.add_stop(exit_state, reason, stamp_ns, **extra)
         self.flush()
         try:
-            self._mcap.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(self._metadata()).strip()})
-            self._mcap.finish()
-            self._file.keep()
-            self._file.close()
+            self._end_file()
             self._write_metadata()
         except OSError as error:
             raise self._fail(error) from error
@@ -261,7 +284,7 @@ class BagWriter:
             **extra,
             "counts": dict(self.counts),
         }
-        self._write_record(STOP, json.dumps(stop), "", stamp_ns)
+        self._write_record(RecordKind.STOP, json.dumps(stop), "", stamp_ns)
 
     def close_quietly(self) -> None:
         """Close whatever is still open without raising; for use while another error is on its way."""
@@ -269,19 +292,42 @@ class BagWriter:
             with contextlib.suppress(BenchError):
                 self.close("failed")
 
-    def _open(self, open_file: Callable[[Path], Any]) -> None:
+    @property
+    def file_path(self) -> Path:
+        """The file that is being written."""
+        return self.path / self._files[-1].name
+
+    def _open(self) -> None:
         if self.path.exists():
             raise BenchError(f"The bag folder {self.path} exists already; name another one or remove it.")
         try:
             self.path.mkdir(parents=True)
-            self._file = _ChunkFile(open_file(self.file_path))
-            # One chunk is as large as flush() lets it become. Uncompressed: samples of noise do not compress.
-            self._mcap = Writer(self._file, chunk_size=2**62, compression=CompressionType.NONE)
-            self._mcap.start(profile="ros2", library="nmt_record")
-            self._file.keep()
+            self._begin_file()
         except OSError as error:
             self._remove()
             raise BenchError(f"The bag {self.path} cannot be created: {error.strerror or error}.") from error
+
+    def _begin_file(self) -> None:
+        self._files.append(_FileSpan(f"{self.path.name}_{len(self._files)}.mcap"))
+        self._safe = _State(dict(self.counts), self._times, self._files[-1])
+        self._channels, self._schemas = {}, {}
+        self._file = _ChunkFile(self._open_file(self.file_path))
+        # One chunk is as large as flush() lets it become. Uncompressed by default: samples of noise hardly compress.
+        self._mcap = Writer(self._file, chunk_size=2**62, compression=self._compression)
+        self._mcap.start(profile="ros2", library="nmt_record")
+        self._file.keep()
+
+    def _end_file(self) -> None:
+        self._mcap.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(self._metadata()).strip()})
+        self._mcap.finish()
+        self._file.keep()
+        self._file.close()
+
+    def _file_is_full(self) -> bool:
+        span = self._files[-1]
+        too_large = 0 < self._split_bytes <= self._file.tell()
+        too_long = span.times is not None and 0 < self._split_ns <= span.times[1] - span.times[0]
+        return span.messages > 0 and (too_large or too_long)
 
     def _register(self, topic: str) -> int:
         if topic not in self._known:
@@ -305,19 +351,18 @@ class BagWriter:
             "offered_qos_profiles": profiles,
             "type_description_hash": definition.type_hash,
         }
-        self.counts[topic] = 0
+        self.counts.setdefault(topic, 0)
         return int(channel)
 
-    def _write_record(self, kind: int, run_json: str, rig_yaml: str, stamp_ns: int) -> None:
-        types = local_definitions().typestore.types
-        stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000)
-        record = types[RUN_RECORD](stamp=stamp, kind=kind, run_json=run_json, rig_yaml=rig_yaml)
-        self.write_message("run_record", record, publish_time_ns=stamp_ns)
+    def _write_record(self, kind: RecordKind, run_json: str, rig_yaml: str, stamp_ns: int) -> None:
+        self.write("run_record", RUN_RECORD_CODEC.write(RunRecord(kind, run_json, rig_yaml, stamp_ns)), None, stamp_ns)
 
     def _fail(self, error: OSError) -> BenchError:
         """Keep all whole chunks, give the file a regular end if there is room, and say what happened."""
         self.state = "failed"
-        self.counts, self._times = dict(self._safe[0]), self._safe[1]
+        self.counts, self._times = dict(self._safe.counts), self._safe.times
+        if self._safe.file is not None:
+            self._files[-1] = self._safe.file
         self.failure = (
             f"The bag {self.path} could not be written further ({error.strerror or error}); its first "
             f"{self.messages} messages are kept: make room on the disk and repeat the run."
@@ -338,14 +383,14 @@ class BagWriter:
         return {
             "version": _METADATA_VERSION,
             "storage_identifier": "mcap",
-            "relative_file_paths": [self.file_path.name],
+            "relative_file_paths": [file.name for file in self._files],
             **span,
             "topics_with_message_count": [
                 {"topic_metadata": self._topics[topic], "message_count": count} for topic, count in self.counts.items()
             ],
             "compression_format": "",
             "compression_mode": "",
-            "files": [{"path": self.file_path.name, **span}],
+            "files": [file.description() for file in self._files],
             "custom_data": self._custom or None,
             "ros_distro": "jazzy",
         }
@@ -366,11 +411,42 @@ class BagWriter:
         self.state = "failed"
         with contextlib.suppress(OSError, AttributeError):
             self._file.close()
-        for name in (self.file_path, self.path / "metadata.yaml"):
+        for name in (*(file.name for file in self._files), "metadata.yaml"):
             with contextlib.suppress(OSError):
-                name.unlink()
+                (self.path / name).unlink()
         with contextlib.suppress(OSError):
             self.path.rmdir()
+
+
+@dataclass(frozen=True, slots=True)
+class _FileSpan:
+    """One file of the bag: name, messages, first and last time of reception (ns)."""
+
+    name: str
+    messages: int = 0
+    times: tuple[int, int] | None = None
+
+    def with_message(self, time_ns: int) -> _FileSpan:
+        first, last = self.times or (time_ns, time_ns)
+        return _FileSpan(self.name, self.messages + 1, (min(first, time_ns), max(last, time_ns)))
+
+    def description(self) -> dict[str, Any]:
+        first, last = self.times or (0, 0)
+        return {
+            "path": self.name,
+            "starting_time": {"nanoseconds_since_epoch": first},
+            "duration": {"nanoseconds": last - first},
+            "message_count": self.messages,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """What is whole on the disk: counts by topic, times, and the newest file."""
+
+    counts: dict[str, int] = field(default_factory=dict)
+    times: tuple[int, int] | None = None
+    file: _FileSpan | None = None
 
 
 class _PlainDumper(yaml.SafeDumper):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ import yaml
 
 from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
+from nmt_core.linear_description import LinearDescription
+from nmt_core.vocabulary import LEVEL_UNITS, ControlKind, TestKind
 from nmt_core.whole_file import write_whole
 from nmt_core.wire import BlockReader, LoopStatus, read_status
 from nmt_record import uff
@@ -28,7 +30,6 @@ FORMATS = ("uff", "csv", "npz")
 LATERAL = 3
 """Direction of every channel with a point: +z."""
 
-_LEVEL_UNITS = {1: "V", 3: "N"}
 _SPECIFIC = {
     Quantity.FORCE: (uff.FORCE, "Force"),
     Quantity.DISPLACEMENT: (uff.DISPLACEMENT, "Displacement"),
@@ -107,7 +108,7 @@ def level_spans(bag: Bag, extent: Extent) -> list[LevelSpan]:
         stop = min([*later, extent.stop])
         own = tuple(pair for pair in windows if pair[0].level_index == int(message.index))
         stop = min(max([stop, *(segment.end_sample for segment, _ in own)]), extent.stop)
-        unit = own[0][0].level_unit if own else _LEVEL_UNITS.get(int(message.control), "")
+        unit = own[0][0].level_unit if own else _unit(int(message.control))
         spans.append(
             LevelSpan(
                 int(message.index),
@@ -136,6 +137,78 @@ def level_spans(bag: Bag, extent: Extent) -> list[LevelSpan]:
                 )
             )
     return sorted(spans, key=lambda span: span.first)
+
+
+def _unit(control: int) -> str:
+    """Unit of a level that opened no window: that of a controlled response is not known."""
+    return ControlKind(control).level_unit() if control in frozenset(ControlKind) else ""
+
+
+@dataclass(frozen=True)
+class ExportedRun:
+    """What an export wrote.
+
+    Attributes:
+        files: names relative to the folder.
+        loss: a sentence on what the recording lost; empty if nothing.
+    """
+
+    files: tuple[str, ...]
+    loss: str
+
+
+def export_run(
+    source: Path | str, folder: Path | str, form: str = "uff", *, ascii_uff: bool = False, only: Sequence[int] = ()
+) -> ExportedRun:
+    """Export a recording so that other tools read it and :func:`nmt_bench.import_data` reads it back without loss.
+
+    Args:
+        source: a bag, or a folder of results; its ``frf.csv`` is exported too (``uff`` only), and its ``linear.json``
+            where the bag holds no linear modes.
+        folder: exists.
+        form: ``uff``, ``csv`` or ``npz``.
+        ascii_uff: UFF in ASCII (13 digits) instead of 58b (all bits).
+        only: numbers of the segments (levels) to export, from 1, each into a folder ``segment-N``; none = the
+            whole recording.
+
+    Raises:
+        BenchError: no bag, nothing to export, no such segment, or the disk refuses.
+    """
+    if form not in FORMATS:
+        raise BenchError(f"A recording is exported as {', '.join(FORMATS)}, not as '{form}'.")
+    source, folder = Path(source), Path(folder)
+    responses = source / "frf.csv"
+    with_responses = form == "uff" and source.is_dir() and responses.is_file()
+    bag = Bag.open(source) if not with_responses or (source / "bag").exists() else None
+    linear = linear_text(bag) if bag is not None else ""
+    beside = source / "linear.json"
+    if not linear and source.is_dir() and beside.is_file():
+        linear = beside.read_text(encoding="utf-8")
+    files = [] if bag is None else _export_samples(bag, folder, form, ascii_uff, only, linear)
+    if with_responses:
+        drive_point = LinearDescription.from_json(linear).drive_point if linear else 0
+        export_frf(responses, folder / "frf.uff", drive_point, not ascii_uff)
+        files.append("frf.uff")
+    return ExportedRun(tuple(files), (bag.loss or "") if bag is not None else "")
+
+
+def _export_samples(bag: Bag, folder: Path, form: str, ascii_uff: bool, only: Sequence[int], linear: str) -> list[str]:
+    whole = recorded_extent(bag)
+    rig = bag.rig_yaml or ""
+    if not only:
+        return export_bag(bag, folder, form, whole, ascii_uff, rig, linear)
+    spans = level_spans(bag, whole)
+    files = []
+    for number in dict.fromkeys(only):
+        if not 1 <= number <= len(spans):
+            has = f"segments 1 to {len(spans)}" if spans else "no segments"
+            raise BenchError(f"The bag {bag.path} has {has}, so there is no segment {number} to export.")
+        span = spans[number - 1]
+        part = folder / f"segment-{number}"
+        part.mkdir()
+        names = export_bag(bag, part, form, Extent(span.first, span.stop), ascii_uff, rig, linear)
+        files += [f"{part.name}/{name}" for name in names]
+    return files
 
 
 def export_bag(
@@ -222,7 +295,7 @@ def _segment_entries(bag: Bag, extent: Extent, rate: float) -> list[dict[str, An
         head: dict[str, Any] = {"kind": span.test.label}
         if math.isfinite(span.level):
             head["level"] = span.level
-        if span.unit in ("V", "N", "m", "m/s", "m/s^2"):
+        if span.unit in LEVEL_UNITS:
             head["level_unit"] = span.unit
         head["index"] = span.index
         message = span.message

@@ -6,7 +6,6 @@ written by ``./nmt export``, so that an exported run can be imported and extract
 
 from __future__ import annotations
 
-import difflib
 import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,7 +15,8 @@ from pydantic_core import ErrorDetails
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.yaml_document import KeyPath, YamlDocument, read_document
+from nmt_core.validation_sentence import validation_sentence
+from nmt_core.yaml_document import YamlDocument, read_document
 
 Positive = Annotated[float, Field(gt=0)]
 Span = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -208,10 +208,11 @@ def read_sidecar(path: Path) -> tuple[Sidecar, YamlDocument]:
     try:
         sidecar = Sidecar.model_validate(values)
     except ValidationError as failure:
-        errors = [error for error in failure.errors(include_url=False) if _concerns(error, values)]
-        errors = sorted(errors or failure.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
-        more = f" ({len(errors) - 1} more like this)" if len(errors) > 1 else ""
-        raise BenchError(_sentence(errors[0], document, values) + more) from failure
+        every = failure.errors(include_url=False)
+        errors = [error for error in every if _concerns(error, values)] or every
+        remedies = {"unit": "for example unit: N; without it the numbers mean nothing"}
+        sentence = validation_sentence(errors, document, Sidecar, "the sidecar", values=values, remedies=remedies)
+        raise BenchError(sentence) from failure
     return sidecar, document
 
 
@@ -247,63 +248,6 @@ def _concerns(error: ErrorDetails, values: dict[str, Any]) -> bool:
     except (KeyError, TypeError, IndexError):
         return location[2] == "SignalSection"
     return location[2] == ("TableSection" if kind in TABLE_KINDS else "SignalSection")
-
-
-_PLAIN = {
-    "float_type": "must be a number",
-    "int_type": "must be a whole number",
-    "string_type": "must be a text",
-    "list_type": "must be a list",
-    "dict_type": "must be a mapping",
-    "model_type": "must be a mapping of keys to values",
-    "bool_type": "must be true or false",
-    "finite_number": "must be finite",
-    "too_short": "has too few entries",
-    "too_long": "has too many entries",
-}
-
-
-def _sentence(error: ErrorDetails, document: YamlDocument, values: dict[str, Any]) -> str:
-    path: KeyPath = tuple(part for part in error["loc"] if part not in ("SignalSection", "TableSection", "str", "int"))
-    place, name, given = document.place(path), ".".join(map(str, path)) or "the sidecar", error["input"]
-    context = error.get("ctx", {})
-    if error["type"] == "extra_forbidden":
-        known = _known_keys(path, values)
-        close = difflib.get_close_matches(str(path[-1]), known, n=1, cutoff=0.5)
-        hint = f"did you mean {close[0]}?" if close else f"known keys are {', '.join(known)}."
-        return f"{place}: unknown key {name}; {hint}"
-    if error["type"] == "missing":
-        hint = " (for example unit: N; without it the numbers mean nothing)" if path[-1:] == ("unit",) else ""
-        return f"{place}: {name} is missing; add it{hint}."
-    if error["type"] == "value_error":
-        return f"{place}: {name} {context.get('error', error['msg'])}."
-    shown = repr(given) if isinstance(given, str) else "null" if given is None else str(given)
-    shown = shown if len(shown) < 60 else shown[:57] + "..."
-    if error["type"] == "literal_error":
-        return f"{place}: {name} must be {context['expected']}, got {shown}."
-    if error["type"] == "greater_than":
-        return f"{place}: {name} must be greater than {context['gt']:g}, got {shown}."
-    if error["type"] == "greater_than_equal":
-        return f"{place}: {name} must be at least {context['ge']:g}, got {shown}."
-    what = _PLAIN.get(error["type"], error["msg"][:1].lower() + error["msg"][1:])
-    comma = (
-        isinstance(given, str)
-        and given.replace(",", ".", 1).replace(".", "", 1).strip("-+ ").isdigit()
-        and "," in given
-    )
-    return f"{place}: {name} {what}, got {shown}" + ("; write the decimal sign as a point." if comma else ".")
-
-
-def _known_keys(path: KeyPath, values: dict[str, Any]) -> list[str]:
-    if len(path) == 1:
-        return list(Sidecar.model_fields)
-    if path[0] == "channels":
-        return list(ChannelSection.model_fields)
-    try:
-        kind = values["segments"][path[1]]["kind"]
-    except (KeyError, TypeError, IndexError):
-        kind = ""
-    return list((TableSection if kind in TABLE_KINDS else SignalSection).model_fields)
 
 
 def check_sidecar(sidecar: Sidecar, document: YamlDocument) -> None:

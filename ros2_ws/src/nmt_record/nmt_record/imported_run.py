@@ -15,8 +15,9 @@ import numpy as np
 from nmt_core.blocks import UNKNOWN_PHASE, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_core.test_kind import TestKind
-from nmt_core.wire import BlockWriter, LoopStatus, write_status
+from nmt_core.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.vocabulary import ControlKind, LoopState, TestKind
+from nmt_core.wire import LEVEL, LOCK_EVENT, BlockWriter, write_status
 from nmt_core.yaml_document import YamlDocument
 from nmt_record.bag_writer import BagWriter
 from nmt_record.bench_topics import BENCH_TOPICS
@@ -29,9 +30,7 @@ from nmt_record.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, Observab
 from nmt_record.side_tables import BlockRow, read_block_table, read_loop_table
 from nmt_record.unit_table import factor_to_si
 
-FIXED, ACQUIRING, LOCKED, LOCK_LOST = 1, 2, 3, 4
 _BLOCK_SECONDS = 0.02
-_CONTROLS = {"V": 1, "m": 2, "m/s": 2, "m/s^2": 2, "N": 3}
 
 
 @dataclass(frozen=True)
@@ -246,12 +245,13 @@ def _made_states(run: ImportedRun) -> list[LoopStatus]:
     states = []
     for end in ends.tolist():
         segment = next((s for s in run.segments if s.first_sample <= end < s.stop_sample), None)
-        state, reason, index = FIXED, "", 0
+        state, reason, index = LoopState.FIXED, "", 0
         if segment is not None:
             index = segment.index
             over = end + size >= segment.stop_sample
-            state = LOCKED if segment.section.locked else LOCK_LOST if over else ACQUIRING
-            reason = (segment.section.reason or "the sidecar says so") if state == LOCK_LOST else ""
+            waiting = LoopState.LOCK_LOST if over else LoopState.ACQUIRING
+            state = LoopState.LOCKED if segment.section.locked else waiting
+            reason = (segment.section.reason or "the sidecar says so") if state == LoopState.LOCK_LOST else ""
         states.append(
             LoopStatus(end, index, index + 1, state, 0.0, math.nan, math.nan, math.nan, "", math.nan, 0, reason)
         )
@@ -336,7 +336,6 @@ class _Messages:
     def __init__(self, run: ImportedRun, writer: BagWriter, rig: str) -> None:
         self._run = run
         self._writer = writer
-        self._types = local_definitions().typestore.types
         self._groups = {
             quantity: [channel for channel in run.channels if channel.quantity is quantity]
             for quantity in Quantity
@@ -402,24 +401,24 @@ class _Messages:
         if section.level is None:
             return
         low, high = section.band_hz or (0.0, 0.0)
-        message = self._types["nmt_msgs/msg/Level"](
+        level = LevelCommand(
             sequence=segment.index + 1,
             index=segment.index,
-            control=_CONTROLS[section.level_unit],
+            control=ControlKind.of_unit(section.level_unit),
             amplitude=section.level,
             apply_at_sample=segment.first_sample,
             ramp=0.0,
             frequency_hz=section.frequency_hz or 0.0,
             window_periods=section.periods,
             timeout=0.0,
-            test=int(segment.test),
+            test=segment.test,
             band_low_hz=low,
             band_high_hz=high,
             rate_hz_s=section.rate_hz_s or 0.0,
             frequency_end_hz=section.frequency_end_hz or 0.0,
             duration=(segment.stop_sample - segment.first_sample) / self._run.sample_rate,
         )
-        self._writer.write_message("level", message, self._time(segment.first_sample))
+        self._writer.write("level", LEVEL.write(level), self._time(segment.first_sample))
 
     def _lock_sample(self, segment: ImportedSegment) -> int:
         assert segment.window is not None
@@ -431,8 +430,7 @@ class _Messages:
         section, window = segment.section, segment.window
         assert window is not None
         stamp = self._time(sample)
-        message = self._types["nmt_msgs/msg/LockEvent"](
-            stamp=self._types["builtin_interfaces/msg/Time"](stamp // 1_000_000_000, stamp % 1_000_000_000),
+        event = LockEvent(
             level_index=segment.index,
             level=math.nan if section.level is None else section.level,
             level_unit=section.level_unit,
@@ -442,9 +440,10 @@ class _Messages:
             window_first_sample=window[0],
             window_samples=window[1] - window[0],
             window_periods=section.periods,
-            test=int(segment.test),
+            test=segment.test,
+            time_ns=stamp,
         )
-        self._writer.write_message("lock", message, stamp, stamp)
+        self._writer.write("lock", LOCK_EVENT.write(event), stamp, stamp)
 
     @staticmethod
     def _frequency(section: SignalSection) -> float:

@@ -1,4 +1,7 @@
-"""Reads MCAP files by chunks, whole ones by their index and truncated ones as far as they go."""
+"""Reads MCAP files by chunks: whole ones by their index, cut or damaged ones as far as their chunks are good.
+
+A chunk that cannot be read is left out and named; the file is read on behind it.
+"""
 
 from __future__ import annotations
 
@@ -10,25 +13,32 @@ from pathlib import Path
 from typing import Any
 
 import lz4.frame  # type: ignore[import-untyped]
-import yaml
+import numpy as np
 import zstandard
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from nmt_core.errors import BenchError
+from nmt_core.hardened import yaml_value
 from nmt_record.message_definitions import MessageDefinition
 
 MAGIC = b"\x89MCAP0\r\n"
 
-_OP_FOOTER, _OP_SCHEMA, _OP_CHANNEL, _OP_MESSAGE, _OP_CHUNK, _OP_DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
+_OP_FOOTER, _OP_SCHEMA, _OP_CHANNEL, _OP_MESSAGE, _OP_CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
+_OP_MESSAGE_INDEX, _OP_DATA_END = 0x07, 0x0F
 _RECORD = struct.Struct("<BQ")
+_FOOTER = struct.Struct("<BQQQI")
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")
 _UINT16 = struct.Struct("<H")
 _UINT32 = struct.Struct("<I")
 _UINT64 = struct.Struct("<Q")
-# A record longer than this is a damaged length field; a bench chunk has a few megabytes.
-_LARGEST_CHUNK = 2**31
+# A record longer than this is a damaged length field, and a chunk that unpacks to more is a bomb; a bench chunk has a
+# few megabytes.
+_LARGEST_CHUNK = 2**28
+_CHUNK_HEAD = 40  # bytes in front of the records of an uncompressed chunk
+_COMPRESSIONS = {0: b"", 3: b"lz4", 4: b"zstd"}  # by length of the name
+_SEARCH_STEP = 2**22  # bytes looked at together for the next chunk
 
 # What a damaged record can raise while it is being taken apart.
 _DAMAGE = (
@@ -37,6 +47,7 @@ _DAMAGE = (
     IndexError,
     KeyError,
     RuntimeError,
+    OverflowError,
     MemoryError,
     zstandard.ZstdError,
     EOFError,
@@ -63,12 +74,35 @@ class Stretch:
         length: bytes.
         chunk: whether it is a chunk.
         channels: ids of the channels with messages in it.
+        packing: compression, size packed and size unpacked as the index has them; None = the chunk says so itself.
+        fault: why it cannot be read, as far as that was found out when the file was opened; empty if it can.
     """
 
     offset: int
     length: int
     chunk: bool
     channels: frozenset[int]
+    packing: tuple[str, int, int] | None = None
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LostStretch:
+    """Part of a file that could not be read.
+
+    Attributes:
+        path: of the file.
+        offset: of its first byte.
+        length: bytes.
+        reason: a clause.
+        counts: messages lost by channel id, as far as the index tells; empty if it does not.
+    """
+
+    path: Path
+    offset: int
+    length: int
+    reason: str
+    counts: dict[int, int]
 
 
 @dataclass(slots=True)
@@ -81,7 +115,8 @@ class McapFile:
         stretches: in the order of the file.
         counts: messages by channel id.
         lost_bytes: bytes at the end that could not be used.
-        damage: why they could not, a clause; None if the file is whole.
+        damage: why the end or the index could not be used, a clause; None if both could.
+        cut: whether the file ends before its regular end.
     """
 
     path: Path
@@ -90,10 +125,12 @@ class McapFile:
     counts: dict[int, int] = field(default_factory=dict)
     lost_bytes: int = 0
     damage: str | None = None
+    cut: bool = False
+    _end_is_whole: bool = False
 
     @classmethod
     def open(cls, path: Path) -> McapFile:
-        """Open a file, whole or truncated.
+        """Open a file, whole, cut or damaged.
 
         Raises:
             BenchError: it cannot be read, is empty, or is not MCAP.
@@ -109,7 +146,7 @@ class McapFile:
         return bag
 
     def raw_messages(self, wanted: set[int] | None = None) -> Iterator[tuple[int, int, int, bytes]]:
-        """Messages in the order of the file.
+        """Messages in the order of the file; those in stretches that cannot be read are left out.
 
         Args:
             wanted: ids of channels; None = all.
@@ -118,25 +155,70 @@ class McapFile:
             Channel id, log time (ns), publish time (ns), serialised message.
 
         Raises:
-            BenchError: a chunk is damaged or cannot be read.
+            BenchError: the file cannot be read.
         """
+        for part in self.parts(wanted):
+            if not isinstance(part, LostStretch):
+                yield from part
+
+    def parts(self, wanted: set[int] | None = None) -> Iterator[list[tuple[int, int, int, bytes]] | LostStretch]:
+        """Stretch by stretch, the messages as :meth:`raw_messages` gives them, or what was lost.
+
+        Raises:
+            BenchError: the file cannot be read.
+        """
+        wanted = set(self.channels) if wanted is None else wanted & set(self.channels)
         try:
             with self.path.open("rb") as file:
                 for stretch in self.stretches:
-                    if wanted is not None and wanted.isdisjoint(stretch.channels):
+                    if wanted.isdisjoint(stretch.channels) and not stretch.fault:
                         continue
                     try:
+                        if stretch.fault:
+                            raise ValueError(stretch.fault)
                         content = _read_exact(file, stretch.offset, stretch.length)
-                        data = _unpack_chunk(content) if stretch.chunk else content
+                        data = _unpack_chunk(content, stretch.packing) if stretch.chunk else content
                         messages = list(_messages(data, wanted))
                     except _DAMAGE as error:
-                        raise BenchError(
-                            f"The bag file {self.path} is damaged at byte {stretch.offset} ({error}); "
-                            "take it from its source again."
-                        ) from error
-                    yield from messages
+                        yield LostStretch(
+                            self.path, stretch.offset, stretch.length, str(error), self._indexed_counts(file, stretch)
+                        )
+                    else:
+                        yield messages
         except OSError as error:
             raise BenchError(f"The bag file {self.path} cannot be read: {error.strerror or error}.") from error
+
+    def custom_data(self) -> str:
+        """Content of ``metadata.yaml`` that rosbag2 keeps inside the file; empty if there is none to be read."""
+        if self.damage:
+            return ""
+        try:
+            with self.path.open("rb") as file:
+                for item in make_reader(file).iter_metadata():
+                    if item.name == "rosbag2":
+                        return str(item.metadata.get("serialized_metadata", ""))
+        except (OSError, McapError, *_DAMAGE):
+            return ""
+        return ""
+
+    def _indexed_counts(self, file: Any, stretch: Stretch) -> dict[int, int]:
+        """Messages by channel as the index records behind a chunk count them."""
+        counts: dict[int, int] = {}
+        if not stretch.chunk or stretch.packing is None:
+            return counts
+        position = stretch.offset + stretch.length
+        try:
+            while True:
+                opcode, length = _RECORD.unpack(_read_exact(file, position, _RECORD.size))
+                if opcode != _OP_MESSAGE_INDEX:
+                    return counts
+                channel, size = struct.unpack("<HI", _read_exact(file, position + _RECORD.size, 6))
+                if size + 6 != length or size % 16 or channel not in self.channels:
+                    return {}
+                counts[channel] = size // 16
+                position += _RECORD.size + length
+        except _DAMAGE:
+            return {}
 
     def _read_index(self, file: Any) -> bool:
         """Take channels and chunks from the summary; False if there is none to rely on."""
@@ -145,14 +227,19 @@ class McapFile:
         if size < len(MAGIC) + tail or _read_exact(file, size - 8, 8) != MAGIC:
             return False
         try:
-            opcode, length = _RECORD.unpack(_read_exact(file, size - tail, 9))
+            opcode, length, start, _, checksum = _FOOTER.unpack(_read_exact(file, size - tail, _FOOTER.size))
             if opcode != _OP_FOOTER or length != 20:
                 return False
+            if start:
+                summary_bytes = _read_exact(file, start, size - len(MAGIC) - 4 - start)
+                if checksum and zlib.crc32(summary_bytes) != checksum:
+                    return False
             file.seek(0)
             summary = make_reader(file).get_summary()
         except (McapError, *_DAMAGE):  # the scan decides how far the file is good
             return False
         statistics = summary and summary.statistics
+        self._end_is_whole = True
         if not summary or not statistics or (statistics.message_count and not summary.chunk_indexes):
             return False
         if len(summary.channels) != statistics.channel_count or len(summary.schemas) != statistics.schema_count:
@@ -171,21 +258,22 @@ class McapFile:
             return False
         for index in sorted(summary.chunk_indexes, key=lambda item: item.chunk_start_offset):
             seen = frozenset(index.message_index_offsets) or frozenset(self.channels)
+            packing = (index.compression, index.compressed_size, index.uncompressed_size)
             self.stretches.append(
-                Stretch(index.chunk_start_offset + _RECORD.size, index.chunk_length - _RECORD.size, True, seen)
+                Stretch(index.chunk_start_offset + _RECORD.size, index.chunk_length - _RECORD.size, True, seen, packing)
             )
         self.counts = {cid: int(statistics.channel_message_counts.get(cid, 0)) for cid in self.channels}
         return True
 
     def _scan(self, file: Any, size: int) -> None:
-        """Walk through the records up to the end of the data or the first broken record."""
+        """Walk through the records up to the end of the data; where one is broken, go on with the next whole chunk."""
         schemas: dict[int, tuple[str, str, str]] = {}
         position = len(MAGIC)
         while position < size:
             try:
                 opcode, length = _RECORD.unpack(_read_exact(file, position, _RECORD.size))
                 start, end = position + _RECORD.size, position + _RECORD.size + length
-                if opcode == _OP_DATA_END:
+                if opcode == _OP_DATA_END and length == 4:
                     self._check_end(file, size)
                     return
                 if not 0 < opcode <= _OP_DATA_END and opcode < 0x80:
@@ -201,15 +289,43 @@ class McapFile:
                     if seen:
                         self._add(Stretch(position, len(data), False, seen))
             except _DAMAGE as error:
-                self.damage = str(error)
-                self.lost_bytes = size - position
-                return
+                end = self._next_chunk(file, position + 1, size)
+                if end is None:
+                    self._lose_end(file, position, size, str(error))
+                    return
+                self.stretches.append(Stretch(position, end - position, False, frozenset(), fault=str(error)))
             position = end
-        self.damage = "the file ends without its index"
+        self.damage, self.cut = "the file ends without its index", True
+
+    def _next_chunk(self, file: Any, position: int, size: int) -> int | None:
+        """Where the next whole chunk begins, None if there is none."""
+        while position < size - _CHUNK_HEAD:
+            window = _read_exact(file, position, min(_SEARCH_STEP + _CHUNK_HEAD + _RECORD.size, size - position))
+            for candidate in _chunk_candidates(window):
+                place = position + candidate
+                try:
+                    _, length = _RECORD.unpack_from(window, candidate)
+                    if place + _RECORD.size + length <= size:
+                        _unpack_chunk(_read_exact(file, place + _RECORD.size, length))
+                        return place
+                except _DAMAGE:
+                    continue
+            position += _SEARCH_STEP
+        return None
+
+    def _lose_end(self, file: Any, position: int, size: int, reason: str) -> None:
+        """No whole chunk follows: either the last one is damaged, or the file is cut."""
+        if size - position > 37 and self._has_tail(file, size):
+            self.stretches.append(Stretch(position, size - position, False, frozenset(), fault=reason))
+            self.damage = "its index is damaged"
+            return
+        self.damage, self.cut = reason, True
+        self.lost_bytes = size - position
 
     def _add(self, stretch: Stretch) -> None:
         before = self.stretches[-1] if self.stretches else None
-        if before and not before.chunk and not stretch.chunk and before.offset + before.length == stretch.offset:
+        loose = before is not None and not before.chunk and not before.fault and not stretch.chunk
+        if before and loose and before.offset + before.length == stretch.offset and before.length < _SEARCH_STEP:
             self.stretches[-1] = Stretch(
                 before.offset, before.length + stretch.length, False, before.channels | stretch.channels
             )
@@ -217,8 +333,19 @@ class McapFile:
             self.stretches.append(stretch)
 
     def _check_end(self, file: Any, size: int) -> None:
-        if _read_exact(file, size - 8, 8) != MAGIC:
-            self.damage = "its index is incomplete"
+        if self._end_is_whole:  # there is just no index of chunks in it
+            return
+        self.cut = not self._has_tail(file, size)
+        self.damage = "its index is incomplete" if self.cut else "its index is damaged"
+
+    @staticmethod
+    def _has_tail(file: Any, size: int) -> bool:
+        """Whether the file ends as a closed one does; one of footer and magic may be damaged."""
+        try:
+            footer = _RECORD.unpack(_read_exact(file, size - 37, _RECORD.size))
+            return footer == (_OP_FOOTER, 20) or _read_exact(file, size - 8, 8) == MAGIC
+        except _DAMAGE:
+            return False
 
     def _take(self, data: bytes | memoryview, schemas: dict[int, tuple[str, str, str]]) -> set[int]:
         """Note schemas, channels and counts of some records, all or nothing; returns the channels seen."""
@@ -228,7 +355,7 @@ class McapFile:
             if opcode == _OP_MESSAGE:
                 (channel_id,) = _UINT16.unpack_from(data, start)
                 if channel_id not in self.channels and channel_id not in new_channels:
-                    raise ValueError("a message belongs to no channel")
+                    continue  # its channel was described in a chunk that is lost
                 counts[channel_id] = counts.get(channel_id, 0) + 1
             elif opcode == _OP_SCHEMA:
                 (schema_id,) = _UINT16.unpack_from(data, start)
@@ -266,7 +393,8 @@ def check_magic(path: Path, head: bytes) -> None:
         raise BenchError(
             f"The file {path} is a ROS 1 bag; convert it with 'rosbags-convert --src {path.name} --dst …'."
         )
-    if not MAGIC.startswith(head[: len(MAGIC)]):
+    # One damaged byte does not make it another kind of file.
+    if sum(a != b for a, b in zip(MAGIC, head, strict=False)) > 1:
         raise BenchError(f"The file {path} is not a bag; a rosbag2 folder or an .mcap file is needed.")
     if len(head) < len(MAGIC):
         raise BenchError(f"The bag file {path} ends after {len(head)} bytes; nothing was recorded into it.")
@@ -282,24 +410,56 @@ def _read_exact(file: Any, offset: int, length: int) -> bytes:
     return data
 
 
-def _unpack_chunk(content: bytes) -> bytes | memoryview:
-    """Records in a chunk, checked by size and checksum."""
+def _unpack_chunk(content: bytes, packing: tuple[str, int, int] | None = None) -> bytes | memoryview:
+    """Records in a chunk, checked by size and checksum.
+
+    Args:
+        content: of the chunk's record.
+        packing: what the index says of it, in place of what the chunk says; see :class:`Stretch`.
+    """
     _, _, size, checksum = _CHUNK.unpack_from(content)
-    compression, at = _string(content, _CHUNK.size, len(content))
-    (length,) = _UINT64.unpack_from(content, at)
-    at += 8
-    if length != len(content) - at or size > _LARGEST_CHUNK:
-        raise ValueError("a chunk claims another size than it has")
+    if packing is not None:
+        compression, length, size = packing
+        at = len(content) - length
+        if at < _CHUNK_HEAD:
+            raise ValueError("a chunk claims another size than it has")
+    else:
+        compression, at = _string(content, _CHUNK.size, len(content))
+        (length,) = _UINT64.unpack_from(content, at)
+        at += 8
+        if length != len(content) - at:
+            raise ValueError("a chunk claims another size than it has")
+    if size > _LARGEST_CHUNK:
+        raise ValueError(f"a chunk claims to unpack to {size} bytes")
     data: bytes | memoryview = memoryview(content)[at:]  # without a copy
     if compression == "zstd":
-        data = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+        # The size in the frame itself is not trusted: it would be allocated unseen.
+        with zstandard.ZstdDecompressor(max_window_size=2**27).stream_reader(data) as reader:
+            data = reader.read(size + 1)
     elif compression == "lz4":
-        data = lz4.frame.decompress(data)
+        data = lz4.frame.LZ4FrameDecompressor().decompress(bytes(data), max_length=size + 1)
     elif compression:
         raise ValueError(f"compression {compression!r} is not known")
     if len(data) != size or (checksum and zlib.crc32(data) != checksum):
         raise ValueError("the checksum of a chunk is wrong")
     return data
+
+
+def _chunk_candidates(window: bytes) -> list[int]:
+    """Where in some bytes the head of a chunk may begin, by those of its bytes that hardly vary."""
+    data = np.frombuffer(window, dtype=np.uint8)
+    count = data.size - _CHUNK_HEAD - _RECORD.size
+    if count <= 0:
+        return []
+    likely = data[:count] == _OP_CHUNK
+    likely &= (data[5 : 5 + count] | data[6 : 6 + count] | data[7 : 7 + count] | data[8 : 8 + count]) == 0
+    likely &= (data[38 : 38 + count] | data[39 : 39 + count] | data[40 : 40 + count]) == 0
+    found = []
+    for place in np.flatnonzero(likely).tolist():
+        name = _COMPRESSIONS.get(window[place + 37])
+        if name is not None and window[place + 41 : place + 41 + len(name)] == name:
+            found.append(place)
+    return found
 
 
 def _records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
@@ -314,7 +474,7 @@ def _records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
         yield opcode, start, position
 
 
-def _messages(data: bytes | memoryview, wanted: set[int] | None) -> Iterator[tuple[int, int, int, bytes]]:
+def _messages(data: bytes | memoryview, wanted: set[int]) -> Iterator[tuple[int, int, int, bytes]]:
     record, message, size = _RECORD.unpack_from, _MESSAGE.unpack_from, len(data)
     position = 0
     while position < size:
@@ -325,7 +485,7 @@ def _messages(data: bytes | memoryview, wanted: set[int] | None) -> Iterator[tup
             raise ValueError("a record reaches beyond its chunk")
         if opcode == _OP_MESSAGE:
             channel, _, log_time, publish_time = message(data, start)
-            if wanted is None or channel in wanted:
+            if channel in wanted:
                 # A copy of its own is aligned, so arrays in it are, too.
                 yield channel, log_time, publish_time, bytes(data[start + 22 : position])
 
@@ -341,8 +501,8 @@ def _string(data: bytes | memoryview, position: int, end: int) -> tuple[str, int
 def _channel(topic: str, serialization: str, metadata: dict[str, str], schema: tuple[str, str, str]) -> Channel:
     name, encoding, text = schema
     try:
-        profiles = yaml.safe_load(metadata.get("offered_qos_profiles", "")) or []
-    except yaml.YAMLError:
+        profiles = yaml_value(metadata.get("offered_qos_profiles", ""), "offered_qos_profiles") or []
+    except BenchError:
         profiles = []
     definition = MessageDefinition(text, metadata.get("topic_type_hash", ""), encoding)
     return Channel(topic, name, definition, serialization, profiles if isinstance(profiles, list) else [])

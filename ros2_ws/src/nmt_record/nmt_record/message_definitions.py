@@ -1,7 +1,7 @@
 """Texts and hashes of message definitions, which make a bag readable where the message packages are absent.
 
 The texts of the bench's own messages are those of the installed package ``nmt_msgs`` (found by
-``AMENT_PREFIX_PATH``) or, without ROS, those of the source tree; the common ones come with ``rosbags``.
+``AMENT_PREFIX_PATH``) or, without ROS, those of the source tree or the wheel; the common ones come with ``rosbags``.
 """
 
 from __future__ import annotations
@@ -124,7 +124,9 @@ def _find_definition(message_type: str) -> Path:
     package, _, name = message_type.partition("/msg/")
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     candidates = [prefix / "share" / package / "msg" / f"{name}.msg" for prefix in prefixes]
-    candidates.append(Path(__file__).resolve().parents[2] / package / "msg" / f"{name}.msg")
+    here = Path(__file__).resolve()
+    folders = (here.parents[2], here.with_name("definitions"))  # the source tree; a wheel
+    candidates += [folder / package / "msg" / f"{name}.msg" for folder in folders]
     for candidate in candidates:
         if candidate.is_file():
             return candidate

@@ -10,13 +10,11 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import LoopState, TestKind
 from nmt_core.wire import BlockReader, read_status
 from nmt_record.bag_reader import Bag
 from nmt_record.bench_topics import SAMPLE_BLOCK
 from nmt_record.cdr_peek import peek_block
-
-_LOCK_LOST = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,17 +100,16 @@ def segments(bag: Bag) -> list[Segment]:
     """
     found = []
     for event in bag.lock_events():
-        value = int(getattr(event, "test", 0))
         found.append(
             Segment(
-                kind=TestKind.of(value),
-                level_index=int(event.level_index),
-                level=float(event.level),
-                level_unit=str(event.level_unit),
-                first_sample=int(event.window_first_sample),
-                samples=int(event.window_samples),
-                periods=int(event.window_periods),
-                frequency_hz=float(event.frequency_hz),
+                kind=event.test,
+                level_index=event.level_index,
+                level=event.level,
+                level_unit=event.level_unit,
+                first_sample=event.window_first_sample,
+                samples=event.window_samples,
+                periods=event.window_periods,
+                frequency_hz=event.frequency_hz,
             )
         )
     if not found:
@@ -270,7 +267,7 @@ def _lost_locks(bag: Bag) -> list[tuple[int, int, str]]:
             status = read_status(raw)
         except ValueError:
             continue
-        if status.state == _LOCK_LOST and state != _LOCK_LOST:
+        if status.state == LoopState.LOCK_LOST and state != LoopState.LOCK_LOST:
             losses.append((status.level_index, status.last_sample, status.reason))
         state = status.state
     return losses

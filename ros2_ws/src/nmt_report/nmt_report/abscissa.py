@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from markupsafe import Markup
 
 from nmt_core.blocks import FloatArray
 
@@ -26,7 +27,7 @@ class Abscissa:
     """
 
     label: str
-    html: str
+    html: Markup
     accelerations: bool
 
     def of_points(self, points: Sequence[ModalPoint]) -> tuple[FloatArray, FloatArray]:
@@ -47,9 +48,11 @@ class Abscissa:
         return curve.modal_amplitude
 
 
-_AMPLITUDE = Abscissa(r"modal amplitude $q$ / (m$\sqrt{\mathrm{kg}}$)", "modal amplitude <i>q</i>", False)
+_AMPLITUDE = Abscissa(r"modal amplitude $q$ / (m$\sqrt{\mathrm{kg}}$)", Markup("modal amplitude <i>q</i>"), False)
 _ACCELERATION = Abscissa(
-    r"modal acceleration $\tilde\omega^2 q$ / ((m/s²)$\sqrt{\mathrm{kg}}$)", "modal acceleration ω̃²<i>q</i>", True
+    r"modal acceleration $\tilde\omega^2 q$ / ((m/s²)$\sqrt{\mathrm{kg}}$)",
+    Markup("modal acceleration ω̃²<i>q</i>"),
+    True,
 )
 
 

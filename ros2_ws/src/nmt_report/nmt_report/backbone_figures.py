@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter
 
@@ -54,8 +55,10 @@ def frequency_figure(data: RunReportData) -> ReportFigure:
         _deviation(residual, data, abscissa, points, omega, omega_std, 0)
     _finish(main, residual, abscissa, x)
     caption = (
-        f"Modal frequency ω̃ over {abscissa.html}, also as f̃ and relative to the linear mode. "
-        "Bars: standard uncertainty." + _reference_caption(data)
+        "Modal frequency ω̃ over "
+        + abscissa.html
+        + ", also as f̃ and relative to the linear mode. Bars: standard uncertainty."
+        + _reference_caption(data)
     )
     label = "Modal frequency over modal amplitude"
     return ReportFigure("backbone", "Backbone ω̃(q)", caption, svg_text(figure, "backbone", label, tips))
@@ -89,7 +92,7 @@ def damping_figure(data: RunReportData) -> ReportFigure:
     if data.reference is not None:
         _deviation(residual, data, abscissa, points, damping, damping_std, 1)
     _finish(main, residual, abscissa, x)
-    caption = f"Modal damping ratio δ̃ over {abscissa.html}. Bars: standard uncertainty." + _reference_caption(data)
+    caption = "Modal damping ratio δ̃ over " + abscissa.html + ". Bars: standard uncertainty." + _reference_caption(data)
     label = "Modal damping ratio over modal amplitude"
     return ReportFigure("damping", "Damping δ̃(q)", caption, svg_text(figure, "damping", label, tips))
 
@@ -122,7 +125,7 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
         _log_x(axes, x)
     for axes in panels[1]:
         axes.set_xlabel(abscissa.label)
-    caption = (
+    caption = Markup(
         "1 is a perfectly appropriated mode. PBMIF: active over apparent power; γ<sub>F</sub>, "
         "γ<sub>A</sub>: fundamental content of force and drive-point acceleration; MAC: correlation with "
         "the linear mode."
@@ -315,8 +318,9 @@ def _deviation(
     residual.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
 
 
-def _reference_caption(data: RunReportData) -> str:
-    return " Below: deviation from the reference at the same <i>q</i>." if data.reference is not None else ""
+def _reference_caption(data: RunReportData) -> Markup:
+    below = Markup(" Below: deviation from the reference at the same <i>q</i>.")
+    return below if data.reference is not None else Markup("")
 
 
 def _finish(main: Axes, residual: Axes | None, abscissa: Abscissa, x: Any) -> None:

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from markupsafe import Markup
+
 from nmt_extract.modal_point import ModalPoint, Status
 
 
@@ -15,7 +17,7 @@ class ModalColumn:
 
     Attributes:
         name: field of the modal point; its standard uncertainty is ``<name>_std``.
-        symbol: heading, HTML.
+        symbol: heading; markup where it has an index.
         plain_symbol: heading for terminals.
         unit: SI unit, empty if none.
         factor: what to multiply values with before printing (100 for percent).
@@ -38,12 +40,14 @@ MODAL_COLUMNS = (
     ModalColumn("frequency_hz", "f̃", "f̃", "Hz", decimals=4),
     ModalColumn("omega_rad_s", "ω̃", "ω̃", "rad/s", decimals=3),
     ModalColumn("damping_ratio", "δ̃", "δ̃", "%", factor=100.0, decimals=3),
-    ModalColumn("hysteresis_damping", "δ<sub>hyst</sub>", "δ_hyst", "%", factor=100.0, decimals=3, optional=True),
-    ModalColumn("modal_amplitude", "<i>q</i>", "q", "m√kg", scaled=True),
-    ModalColumn("force_n", "|<i>F</i><sub>1</sub>|", "|F₁|", "N", decimals=4),
+    ModalColumn(
+        "hysteresis_damping", Markup("δ<sub>hyst</sub>"), "δ_hyst", "%", factor=100.0, decimals=3, optional=True
+    ),
+    ModalColumn("modal_amplitude", Markup("<i>q</i>"), "q", "m√kg", scaled=True),
+    ModalColumn("force_n", Markup("|<i>F</i><sub>1</sub>|"), "|F₁|", "N", decimals=4),
     ModalColumn("pbmif", "PBMIF", "PBMIF", ""),
-    ModalColumn("gamma_force", "γ<sub><i>F</i></sub>", "γ_F", ""),
-    ModalColumn("gamma_acceleration", "γ<sub><i>A</i></sub>", "γ_A", ""),
+    ModalColumn("gamma_force", Markup("γ<sub><i>F</i></sub>"), "γ_F", ""),
+    ModalColumn("gamma_acceleration", Markup("γ<sub><i>A</i></sub>"), "γ_A", ""),
     ModalColumn("mac", "MAC", "MAC", "", decimals=5),
 )
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import matplotlib
 import numpy as np
+from markupsafe import Markup
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -93,18 +94,20 @@ def residual_figure(
         "Root-mean-square residual of each cell in standard deviations of the measurement: noise alone gives about 1. "
         + _legend()
         + " A cell of two values passes 1.7 by chance in one case of twenty."
-        + (" <i>n</i>: order of the harmonic." if harmonics else "")
+        + (Markup(" <i>n</i>: order of the harmonic.") if harmonics else "")
         + (" White: nothing measured there well enough." if len(mine) < len(lines) * len(levels) else "")
     )
     name = f"map-{number}"
     return ReportFigure(name, test, caption, svg_text(figure, name, f"Residual map of {test}"), wide=True)
 
 
-def _legend() -> str:
+def _legend() -> Markup:
     words = ["up to 1.5", "2", "3", "5", "10", "30", "more"]
     return (
-        " ".join(
-            f'<span style="white-space:nowrap"><span class="swatch" style="background:{colour}"></span>{word}</span>'
+        Markup(" ").join(
+            Markup(
+                '<span style="white-space:nowrap"><span class="swatch" style="background:{}"></span>{}</span>'
+            ).format(colour, word)
             for colour, word in zip(_COLOURS, words, strict=True)
         )
         + "."
@@ -155,7 +158,7 @@ def course_figure(name: str, title: str, caption: str, courses: Sequence[Course]
     Args:
         name: anchor.
         title: heading.
-        caption: HTML below it.
+        caption: below it.
         courses: one panel each.
         shown: models to draw.
     """

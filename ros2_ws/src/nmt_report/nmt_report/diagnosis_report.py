@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from html import escape
 from typing import Any
+
+from markupsafe import Markup
 
 from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest, RecordTest
 from nmt_diagnose.evidence.observables import Evidence, Part
@@ -31,8 +32,9 @@ from nmt_report.diagnosis_words import (
     value_text,
     verdict_text,
 )
+from nmt_report.html_page import Column, Row, Table, part
 from nmt_report.quantity_format import plain, significant
-from nmt_report.response_page import ResponsePage, html_figures, html_table
+from nmt_report.response_page import ResponsePage
 from nmt_report.svg import ReportFigure, figure_style
 from nmt_rig.rig import Rig
 
@@ -72,34 +74,40 @@ def diagnosis_page(report: DiagnosisReport) -> str:
             for number, name in enumerate(dict.fromkeys(group.test for group in d.residual_map))
         ]
         curves = _curves(report)
-    sections = [
-        ("explanations", "Which", _ranking(d)),
-        ("places", "Where", _places(d)),
-        ("gap", "How far", _gap(d)),
-        ("next", "Next test", _next(d)),
-        ("map", "Residual map", html_figures(maps)),
-        ("curves", "Curves", html_figures(curves)),
-        ("calibration", "The model’s own parameters", _calibration(d, report.rig)),
-        ("tests", "Is anything left?", _residual_tests(d)),
-        ("inputs", "Inputs", _inputs(d)),
-        ("fits", "All fitted explanations", _candidates(d)),
-    ]
-    heading = report.rig.name
-    return ResponsePage(
+    page = ResponsePage(
         kicker="Diagnosis of the gap between model and rig",
-        heading=heading,
+        heading=report.rig.name,
         subtitle=report.rig.description,
         verdict=_verdict(d),
         answers=_answers(d),
         cards=_cards(d),
-        facts=[],
         notices=d.notes,
-        sections=sections,
         footer="Residual: (measured − model) / standard deviation of the measurement, so noise alone gives a root mean "
         "square of 1. ± standard uncertainty. Model as given: the rig file; re-fitted: its own parameters adjusted to "
         "these tests within what is known of them beforehand; with the effect: re-fitted with the effect added. SI "
         "units.",
-    ).html()
+    )
+    claimed = d.verdict in (Verdict.EFFECT, Verdict.CALIBRATION)
+    return page.html(
+        "diagnosis_report.html",
+        ranking=_ranking(d),
+        place_table=_places(d),
+        placed_by_calibration=d.verdict is Verdict.CALIBRATION,
+        no_gap=d.verdict is Verdict.NONE,
+        closed=closed_text(d.gap) if claimed and math.isfinite(d.gap.closed) else "",
+        gap_table=_gap(d),
+        observable_table=_per_observable(d.gap, d.verdict),
+        next_table=_next(d),
+        could_do_better=d.verdict not in (Verdict.NONE, Verdict.CALIBRATION),
+        maps=maps,
+        curves=curves,
+        calibration_table=_calibration(d, report.rig),
+        unexplained=d.verdict is Verdict.UNKNOWN,
+        residual_tests=_residual_tests(d),
+        input_tables=_input_tables(d),
+        settings=_settings(d),
+        fit_table=_candidates(d),
+    )
 
 
 def _level_label(evidence: Evidence, test: str) -> str:
@@ -153,68 +161,43 @@ def _interval(gap: Gap) -> str:
 # -- which, where, how far --------------------------------------------------------------------------------------------
 
 
-def _bar(share: float, kind: str = "") -> str:
-    if not math.isfinite(share):
-        return ""
-    width = 100.0 * min(1.0, max(0.0, share))
-    return f'<span class="bar {kind}"><i style="width:{width:.1f}%"></i></span>'
+def _bar(share: float, kind: str = "") -> Markup:
+    return part("bar", _width(share), kind) if math.isfinite(share) else Markup("")
 
 
-def _probability_cell(p: float, kind: str = "") -> str:
-    return f'<td class="text">{_bar(p, kind)} {escape(probability_text(p))}</td>'
+def _width(share: float) -> float:
+    """Percent of a bar that a share fills."""
+    return 100.0 * min(1.0, max(0.0, share))
 
 
-def _row(cells: Sequence[str], wrapped: Sequence[int] = ()) -> str:
-    """A table row; cells that start with ``<td`` are taken as they are, ``wrapped`` ones are texts that may wrap."""
-    return (
-        "<tr>"
-        + "".join(
-            cell
-            if cell.startswith("<td")
-            else f'<td class="text wrap">{cell}</td>'
-            if k in wrapped
-            else f"<td>{cell}</td>"
-            for k, cell in enumerate(cells)
-        )
-        + "</tr>"
-    )
+def _with_bar(share: float, text: str, kind: str = "") -> Markup:
+    return part("share", _width(share) if math.isfinite(share) else None, text, kind)
 
 
-def _table(head: Sequence[tuple[str, str, bool]], rows: Sequence[str], note: str = "") -> str:
-    """A table of ready rows; the head has heading, unit, and whether it is a text column."""
-    cells = "".join(
-        f"<th{' class=text' if text else ''}>{name}{f'<span class=unit>{unit}</span>' if unit else ''}</th>"
-        for name, unit, text in head
-    )
-    return f'<div class="scroll"><table><thead><tr>{cells}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>' + (
-        f'<p class="note">{note}</p>' if note else ""
-    )
+def _probability_cell(p: float, kind: str = "") -> Markup:
+    return _with_bar(p, probability_text(p), kind)
 
 
-def _ranking(d: Diagnosis) -> str:
+def _ranking(d: Diagnosis) -> Table:
     rows = []
     for number, item in enumerate(d.ranking):
-        equation = equation_text(item.effect)
-        text = f"<b>{escape(class_text(item))}</b>"
+        remark = ""
         if item.equivalents:
-            text += '<br><span class="small">one class: these tests cannot tell them apart'
-            text += "; the test that would is below</span>" if d.next_test and number == 0 else "</span>"
-        if equation:
-            text += f'<br><span class="small">{escape(effect_text(item.effect))}: {escape(equation)}</span>'
+            remark = "one class: these tests cannot tell them apart"
+            remark += "; the test that would is below" if d.next_test and number == 0 else ""
+        text = part("explanation", class_text(item), remark, effect_text(item.effect), equation_text(item.effect))
         accepted = "on" if d.verdict is Verdict.EFFECT and number == 0 else ""
-        closed = percent(item.closed.value)
-        if math.isfinite(item.closed.low):
-            closed += f' <span class="std">{percent(item.closed.low)[:-2]} to {percent(item.closed.high)}</span>'
-        rows.append((
-            item.probability,
-            _row(
-                [
-                    _probability_cell(item.probability, accepted), text, escape(place_text(item.place, item.detail)),
-                    escape(parameters_text(item.parameters)), plain(item.sigmas, 1), closed,
-                ],
-                wrapped=(1, 2, 3),
-            ),
-        ))  # fmt: skip
+        closed = item.closed
+        limits = f"{percent(closed.low)[:-2]} to {percent(closed.high)}" if math.isfinite(closed.low) else ""
+        cells = (
+            _probability_cell(item.probability, accepted),
+            text,
+            place_text(item.place, item.detail),
+            parameters_text(item.parameters),
+            plain(item.sigmas, 1),
+            part("std", percent(closed.value), limits),
+        )
+        rows.append((item.probability, Row(cells)))
     rest, p_rest = rest_text(d)
     named = rest == effect_text(UNKNOWN)
     unnamed = "a source at one of the places that follows no named law"
@@ -222,49 +205,48 @@ def _ranking(d: Diagnosis) -> str:
         (NULL, effect_text(NULL), d.probabilities.get(NULL, 0.0), "the model as it is, its own parameters re-fitted"),
         (UNKNOWN, rest, p_rest, unnamed if named else "how often that was so where the tests showed as little"),
     ):
-        text = f'<b>{escape(title)}</b><br><span class="small">{what}</span>'
         accepted = "on" if (d.verdict, label) in _WINNERS else ""
-        rows.append((p, _row([_probability_cell(p, accepted), text, "", "", "", ""], wrapped=(1, 2, 3))))
+        text = part("explanation", title, what, "", "")
+        rows.append((p, Row((_probability_cell(p, accepted), text, "", "", "", ""))))
     rows.sort(key=lambda item: -item[0])
-    head = [
-        ("Probability", "", True), ("Explanation", "", True), ("Place", "", True),
-        ("Parameters", "± standard uncertainty", True),
-        ("Strength", "× its uncertainty", False), ("Gap closed", "%, held-out data", False),
-    ]  # fmt: skip
+    head = (
+        Column("Probability", kind="text"),
+        Column("Explanation", kind="text wrap"),
+        Column("Place", kind="text wrap"),
+        Column("Parameters", "± standard uncertainty", "text wrap"),
+        Column("Strength", "× its uncertainty"),
+        Column("Gap closed", "%, held-out data"),
+    )
     note = (
         "All explanations are fitted to the same data with the model’s own parameters free; the probability weighs how "
         "well each fits against how much freedom it has. Gap closed: share of the residual beyond the noise that goes, "
         "on data kept out of the fit, with the interval of 90 %; below zero the explanation predicts worse than the "
         "model without it. Only the most probable ones are tried on held-out data."
     )
-    return _table(head, [row for _, row in rows], note)
+    return Table(head, [row for _, row in rows], note)
 
 
-def _places(d: Diagnosis) -> str:
+def _places(d: Diagnosis) -> Table | None:
     if not d.where:
-        if d.verdict is Verdict.CALIBRATION:
-            return (
-                '<p>In <a href="#calibration">parameters that the model already has</a>; nothing is left to place.</p>'
-            )
-        return "<p>There is no gap to place.</p>" if d.verdict is Verdict.NONE else ""
+        return None
     rows = [
-        _row([
-            f'<td class="text">{escape(place_text(item.place))}</td>',
-            f'<td class="text">{escape(place_text(item.place, item.detail).partition(", ")[2] or "—")}</td>',
+        Row((
+            place_text(item.place),
+            place_text(item.place, item.detail).partition(", ")[2] or "—",
             _probability_cell(item.p, "on" if number == 0 else ""),
-            f'<td class="text">{_bar(item.share)} {escape(percent(item.share))}</td>',
-        ])
+            _with_bar(item.share, percent(item.share)),
+        ))
         for number, item in enumerate(d.where)
     ]  # fmt: skip
-    head = [("Place", "", True), ("Most probably", "", True), ("Probability", "", True), ("Share of the gap", "", True)]
+    head = [Column(name, kind="text") for name in ("Place", "Most probably", "Probability", "Share of the gap")]
     note = (
         "Probability: of all explanations at the place together, named and unnamed. Share: what a source at this place "
         "can account for, weighted with that probability."
     )
-    return _table(head, rows, note)
+    return Table(head, rows, note)
 
 
-def _gap(d: Diagnosis) -> str:
+def _gap(d: Diagnosis) -> Table:
     gap = d.gap
     steps = [("model as given", gap.as_given, ""), ("parameters re-fitted", gap.before, "")]
     if d.verdict is Verdict.CALIBRATION:
@@ -274,44 +256,38 @@ def _gap(d: Diagnosis) -> str:
     steps.append(("noise and repeatability", gap.floor, "quiet"))
     largest = max((value for _, value, _ in steps if math.isfinite(value)), default=1.0)
     rows = [
-        _row([
-            f'<td class="text">{escape(name)}</td>',
-            f'<td class="text">{_bar(value / largest, kind)} {significant(value, 3)}</td>',
-        ])
+        Row((name, _with_bar(value / largest, significant(value, 3), kind)))
         for name, value, kind in steps
         if math.isfinite(value)
-    ]  # fmt: skip
-    names = escape("; ".join(gap.held_out))
-    held = f"Held out from the fit: {names}." if names else "Nothing could be held out."
-    text = _table([("Residual, rms", "", True), ("standard deviations", "", True)], rows, held)
-    if d.verdict in (Verdict.EFFECT, Verdict.CALIBRATION) and math.isfinite(gap.closed):
-        text = f"<p>Closed: <b>{escape(closed_text(gap))}</b> of what can be closed.</p>" + text
-    return text + _per_observable(gap, d.verdict)
+    ]
+    held = f"Held out from the fit: {'; '.join(gap.held_out)}." if gap.held_out else "Nothing could be held out."
+    return Table((Column("Residual, rms", kind="text"), Column("standard deviations", kind="text")), rows, held)
 
 
-def _per_observable(gap: Gap, verdict: Verdict) -> str:
+def _per_observable(gap: Gap, verdict: Verdict) -> Table | None:
     if not gap.per_observable:
-        return ""
+        return None
     after = verdict in (Verdict.EFFECT, Verdict.CALIBRATION)
     rows = []
     for name, values in gap.per_observable.items():
         test, _, what = name.rpartition(": ")
-        unit = escape(str(values.get("unit", "")).replace("deg", "°"))
-        cells = [f'<td class="text">{escape(test)}</td>', f'<td class="text">{escape(_observable_text(what))}</td>']
+        unit = str(values.get("unit", "")).replace("deg", "°")
+        cells = [test, _observable_text(what)]
         for key in ("before", "after")[: 2 if after else 1]:
             size = _number(values, key)
             text = plain(size, 2 if size < 100 else 0)
-            cells.append(f"<b>{text}</b>" if size > _LARGE else text)
+            cells.append(Markup("<b>{}</b>").format(text) if size > _LARGE else text)
             cells.append(f"{significant(_number(values, f'{key}_unit'), 3)} {unit}")
-        rows.append(_row([*cells, str(values.get("rows", ""))]))
-    head = [("Test", "", True), ("Observable", "", True), ("Before", "noise = 1", False), ("Before", "rms", False)]
+        rows.append(Row([*cells, str(values.get("rows", ""))]))
+    head = [Column("Test", kind="text"), Column("Observable", kind="text"), Column("Before", "noise = 1")]
+    head.append(Column("Before", "rms"))
     if after:
-        head += [("After", "noise = 1", False), ("After", "rms", False)]
+        head += [Column("After", "noise = 1"), Column("After", "rms")]
     note = (
         f"Bold: more than {_LARGE:g} times the noise. Predicted without the level or the test that is judged, so that "
         "an uncertain parameter shows here too."
     )
-    return '<h3 class="after">By observable, on held-out data</h3>' + _table([*head, ("Values", "", False)], rows, note)
+    return Table([*head, Column("Values")], rows, note, "By observable, on held-out data")
 
 
 def _observable_text(text: str) -> str:
@@ -326,72 +302,68 @@ def _number(values: Mapping[str, Any], key: str) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
 
 
-def _next(d: Diagnosis) -> str:
+def _next(d: Diagnosis) -> Table | None:
     if not d.next_test:
-        if d.verdict in (Verdict.NONE, Verdict.CALIBRATION):
-            return ""
-        return "<p>No test that this rig allows promises to tell the explanations apart any better.</p>"
+        return None
     rows = [
-        _row(
-            [
-                escape(item.test[:1].upper() + item.test[1:]),
-                escape(", ".join(effect_text(name) for name in item.separates)),
-                sigma_text(item.expected_sigma),
-                f'<td class="text mono">{escape(item.command)}</td>',
-            ],
-            wrapped=(0, 1),
-        )
+        Row((
+            item.test[:1].upper() + item.test[1:],
+            ", ".join(effect_text(name) for name in item.separates),
+            sigma_text(item.expected_sigma),
+            item.command,
+        ))
         for item in d.next_test
     ]  # fmt: skip
-    head = [
-        ("Test", "", True), ("Tells apart", "", True), ("Expected", "standard deviations", False), ("Command", "", True)
-    ]  # fmt: skip
+    head = (
+        Column("Test", kind="text wrap"),
+        Column("Tells apart", kind="text wrap"),
+        Column("Expected", "standard deviations"),
+        Column("Command", kind="text mono"),
+    )
     note = (
         "Computed ahead with the fitted explanations: by how many standard deviations the least different two of them "
         "differ in the new test, after each has adapted what it still can. On hardware, run it with the real "
         "rig’s file."
     )
-    return _table(head, rows, note)
+    return Table(head, rows, note)
 
 
 # -- details ----------------------------------------------------------------------------------------------------------
 
 
-def _calibration(d: Diagnosis, rig: Rig) -> str:
+def _calibration(d: Diagnosis, rig: Rig) -> Table | None:
     if not d.calibration:
-        return ""
+        return None
     rows = []
     for item in sorted(d.calibration, key=lambda c: -abs(c.sigmas)):
         change = 100.0 * (item.to / item.start - 1.0) if item.start else math.nan
         learnt = item.std / (abs(item.to) * item.prior_std) if item.to and item.prior_std else math.nan
         rows.append(
-            _row([
-                f'<td class="text mono">{escape(key_text(item.name, rig))}</td>',
-                escape(value_text(item.start, math.nan, item.unit)),
-                escape(value_text(item.to, item.std, item.unit)),
+            Row((
+                key_text(item.name, rig),
+                value_text(item.start, math.nan, item.unit),
+                value_text(item.to, item.std, item.unit),
                 _signed(change, 2),
                 plain(100.0 * item.prior_std, 0),
-                f'<td class="text">{_bar(1.0 - learnt**2) if math.isfinite(learnt) else ""}</td>',
+                _bar(1.0 - learnt**2) if math.isfinite(learnt) else "",
                 _signed(item.sigmas, 1),
-            ])
+            ))
         )  # fmt: skip
-    head = [
-        ("Key of the rig file", "", True), ("From", "", False), ("To", "± standard uncertainty", False),
-        ("Change", "%", False), ("Known beforehand to", "%", False), ("Learnt from these tests", "", True),
-        ("Change", "× its uncertainty", False),
-    ]  # fmt: skip
+    head = (
+        Column("Key of the rig file", kind="text mono"),
+        Column("From"),
+        Column("To", "± standard uncertainty"),
+        Column("Change", "%"),
+        Column("Known beforehand to", "%"),
+        Column("Learnt from these tests", kind="text"),
+        Column("Change", "× its uncertainty"),
+    )
     which = "with the effect in the model" if d.verdict is Verdict.EFFECT else "without any effect"
-    warning = ""
-    if d.verdict is Verdict.UNKNOWN:
-        warning = (
-            "<p>These values follow a gap that they cannot explain, and are no better knowledge of the rig: model.yaml "
-            "keeps the ones given.</p>"
-        )
     note = (
         f"Re-fitted {which}. Learnt: how much of the variance known beforehand the tests took away; an empty bar means "
         "that they say nothing about the parameter, and its value is the one given."
     )
-    return warning + _table(head, rows, note)
+    return Table(head, rows, note)
 
 
 def _signed(value: float, decimals: int) -> str:
@@ -400,58 +372,72 @@ def _signed(value: float, decimals: int) -> str:
     return text.lstrip("+-") if not text.strip("+-0.") else text.replace("-", "−")
 
 
-def _residual_tests(d: Diagnosis) -> str:
+def _residual_tests(d: Diagnosis) -> Table | None:
     if not d.residual_tests:
-        return ""
+        return None
     rows = []
     for item in d.residual_tests:
         p, own = _number(item, "p_holm"), _number(item, "p")
         left = math.isfinite(p) and p < _LEFT_OVER
-        rows.append(
-            f"<tr{' class=failed' if left else ''}>"
-            f'<td class="text">{escape(str(item.get("name", "")))}</td>'
-            f'<td class="text">{escape(channel_text(str(item.get("where", ""))))}</td>'
-            f"<td>{significant(_number(item, 'statistic'), 4)}</td><td>{item.get('freedom') or '—'}</td>"
-            f"<td>{significant(own, 2)}</td><td>{significant(p, 2)}</td>"
-            f'<td class="text">{"something is left" if left else "noise"}</td></tr>'
+        cells = (
+            str(item.get("name", "")),
+            channel_text(str(item.get("where", ""))),
+            significant(_number(item, "statistic"), 4),
+            item.get("freedom") or "—",
+            significant(own, 2),
+            significant(p, 2),
+            "something is left" if left else "noise",
         )
-    head = [
-        ("Test of the residual", "", True), ("Of", "", True), ("Statistic", "", False), ("Freedom", "", False),
-        ("p", "alone", False), ("p", "all tests together", False), ("Reading", "", True),
-    ]  # fmt: skip
+        rows.append(Row(cells, failed=left))
+    head = (
+        Column("Test of the residual", kind="text"),
+        Column("Of", kind="text"),
+        Column("Statistic"),
+        Column("Freedom"),
+        Column("p", "alone"),
+        Column("p", "all tests together"),
+        Column("Reading", kind="text"),
+    )
     note = (
         "Each test looks for one trace that an effect outside the library would leave in the residual of the best "
         "explanation. p: chance of as large a statistic from noise alone; with so many tests the smallest is corrected "
         f"(Holm). Below {_LEFT_OVER:g} something is left."
     )
-    return _table(head, rows, note)
+    return Table(head, rows, note)
 
 
-def _inputs(d: Diagnosis) -> str:
+def _input_tables(d: Diagnosis) -> list[Table]:
     inputs = d.inputs
-    bags = [
-        _row([f'<td class="text">{escape(str(bag.get("path", "")))}</td>',
-              f'<td class="text mono">{escape(str(bag.get("sha256", "")))}</td>',
-              f'<td class="text">{escape(str(bag.get("role", "real side")))}</td>'])
+    files = [
+        (str(bag.get("path", "")), str(bag.get("sha256", "")), str(bag.get("role", "real side")))
         for bag in inputs.get("bags", ())
-    ]  # fmt: skip
+    ]
     model = inputs.get("model_file")
     if isinstance(model, Mapping):
-        bags.append(
-            _row([f'<td class="text">{escape(str(model.get("path", "")))}</td>',
-                  f'<td class="text mono">{escape(str(model.get("sha256", "")))}</td>', '<td class="text">model</td>'])
-        )  # fmt: skip
-    text = _table([("File", "", True), ("SHA-256", "", True), ("As", "", True)], bags) if bags else ""
+        files.append((str(model.get("path", "")), str(model.get("sha256", "")), "model"))
+    tables = []
+    if files:
+        head = (Column("File", kind="text"), Column("SHA-256", kind="text mono"), Column("As", kind="text"))
+        tables.append(Table(head, [Row(cells) for cells in files]))
     tests = [
-        [
-            escape(str(test.get("name", ""))), escape(_kind_text(str(test.get("kind", "")))),
-            f"point {test.get('drive_point', '—')}", str(test.get("levels", "")), str(test.get("observables", "")),
-        ]
+        (
+            str(test.get("name", "")),
+            _kind_text(str(test.get("kind", ""))),
+            f"point {test.get('drive_point', '—')}",
+            str(test.get("levels", "")),
+            str(test.get("observables", "")),
+        )
         for test in inputs.get("tests", ())
-    ]  # fmt: skip
+    ]
     if tests:
-        head = (("Test found", ""), ("Kind", ""), ("Driven at", ""), ("Levels or lines", ""), ("Observables", ""))
-        text += '<h3 class="after">Tests found in them</h3>' + html_table(head, tests)
+        names = ("Kind", "Driven at", "Levels or lines", "Observables")
+        columns = (Column("Test found", kind="text"), *(Column(name) for name in names))
+        tables.append(Table(columns, [Row(cells) for cells in tests], heading="Tests found in them"))
+    return tables
+
+
+def _settings(d: Diagnosis) -> list[tuple[str, str]]:
+    inputs = d.inputs
     facts = [
         ("Overrides of the model", ", ".join(inputs.get("overrides", ()))),
         ("Effects left out of the library", ", ".join(effect_text(name) for name in inputs.get("withheld", ()))),
@@ -460,8 +446,7 @@ def _inputs(d: Diagnosis) -> str:
         ("Calibration of confidence", str(inputs.get("confidence_sha256", ""))[:16]),
         ("Version", str(inputs.get("version", ""))),
     ]
-    rows = "".join(f"<div><dt>{escape(k)}</dt><dd>{escape(v)}</dd></div>" for k, v in facts if v)
-    return text + (f'<dl class="facts after">{rows}</dl>' if rows else "")
+    return [(name, value) for name, value in facts if value]
 
 
 _KINDS = {
@@ -477,28 +462,33 @@ def _kind_text(kind: str) -> str:
     return _KINDS.get(kind, kind)
 
 
-def _candidates(d: Diagnosis) -> str:
+def _candidates(d: Diagnosis) -> Table | None:
     if not d.candidates:
-        return ""
+        return None
     rows = [
-        [
-            f'<span class="mono">{escape(str(item.get("label", "")))}</span>',
-            escape(place_text(str(item.get("place", ""))) if item.get("place") else "—"),
+        Row((
+            Markup('<span class="mono">{}</span>').format(item.get("label", "")),
+            place_text(str(item.get("place", ""))) if item.get("place") else "—",
             plain(_number(item, "log_evidence"), 1),
             plain(_number(item, "chi_square"), 1),
             str(item.get("rows", "")),
             str(item.get("parameters", "")),
             plain(_number(item, "sigmas"), 1),
             "yes" if item.get("converged") else "no",
-        ]
+        ))
         for item in d.candidates
-    ]
+    ]  # fmt: skip
     head = (
-        ("Explanation", ""), ("Place", ""), ("ln evidence", "over no effect"), ("χ²", ""), ("Values", ""),
-        ("Parameters", "added"), ("Strength", "× its uncertainty"), ("Converged", ""),
-    )  # fmt: skip
-    table = html_table(head, rows)
-    return f"<details><summary>{len(rows)} fits, best evidence first</summary>{table}</details>"
+        Column("Explanation", kind="text"),
+        Column("Place"),
+        Column("ln evidence", "over no effect"),
+        Column("χ²"),
+        Column("Values"),
+        Column("Parameters", "added"),
+        Column("Strength", "× its uncertainty"),
+        Column("Converged"),
+    )
+    return Table(head, rows)
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------

@@ -8,12 +8,14 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from nmt_core.vocabulary import LoopState
 from nmt_report.columns import unit_text
 from nmt_report.quantity_format import significant
-from nmt_report.run_data import Excerpt, LevelStart, LoopState, RunReportData
+from nmt_report.run_data import Excerpt, LevelStart, RunReportData
 from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
 
 if TYPE_CHECKING:
@@ -147,8 +149,9 @@ def excerpt_figure(data: RunReportData) -> ReportFigure | None:
     some = f" {len(chosen)} of {len(data.excerpts)} levels are shown." if len(chosen) < len(data.excerpts) else ""
     symbol = chosen[0].response_symbol
     caption = (
-        f"Force (blue, left axis, N) and response {_html_symbol(symbol)} at the drive point (orange, right "
-        f"axis) at the start of each window.{some}"
+        "Force (blue, left axis, N) and response "
+        + _html_symbol(symbol)
+        + f" at the drive point (orange, right axis) at the start of each window.{some}"
     )
     label = "Force and drive-point response over a few periods at every level"
     return ReportFigure("signals", "Force and response in time", caption, svg_text(figure, "signals", label), wide=True)
@@ -296,7 +299,7 @@ def _steps(data: RunReportData) -> list[LevelStart]:
     return [step for step in data.levels if step.amplitude > 0.0]
 
 
-def _html_symbol(symbol: str) -> str:
+def _html_symbol(symbol: str) -> Markup:
     """HTML of an axis symbol such as ``$x_{2}$`` or ``$\\ddot x_{2}$``."""
     bare = symbol.replace("$", "").replace("\\ddot x", "ẍ")
-    return "<i>" + re.sub(r"_\{?(\w+)\}?", r"<sub>\1</sub>", bare) + "</i>"
+    return Markup("<i>{}</i>").format(Markup(re.sub(r"_\{?(\w+)\}?", r"<sub>\1</sub>", str(escape(bare)))))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
@@ -48,7 +49,7 @@ def hysteresis_figure(data: RunReportData) -> ReportFigure | None:
     right.set_xlabel(r"$x_\mathrm{rel}\,/\,\max|x_\mathrm{rel}|$")
     right.set_ylabel(r"$(f_\mathrm{t} - k\,x_\mathrm{rel})\,/\,(k\,\max|x_\mathrm{rel}|)$ / %")
     level_bar(figure, points, (0.945, 0.13, 0.011, 0.77))
-    caption = (
+    caption = Markup(
         "Hysteresis loops of the joint: force −<i>m</i><sub>3</sub><i>ẍ</i><sub>3</sub> over "
         "<i>x</i><sub>3</sub> − <i>x</i><sub>2</sub>, integrated in the frequency domain. Their area gives "
         "δ<sub>hyst</sub>. The data are in hysteresis.csv."

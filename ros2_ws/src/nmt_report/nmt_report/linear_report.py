@@ -4,25 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from nmt_core.blocks import FloatArray
 from nmt_extract.frf import ComplexArray
+from nmt_extract.linear_evaluation import LinearTestResult
 from nmt_extract.linear_file import synthesis_correlation
 from nmt_extract.linear_residuals import modal_receptance
 from nmt_extract.linear_test import LinearMode, LinearTest
 from nmt_extract.modal import estimated_mass
+from nmt_report.html_page import Table
 from nmt_report.quantity_format import duration, plain, significant, uncertain
-from nmt_report.response_page import ResponsePage, html_figures, html_table
+from nmt_report.response_page import ResponsePage, text_table
 from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, figure_style, svg_text
 
 if TYPE_CHECKING:
-    from nmt_bench.commands.linear_command import LinearOutcome
     from nmt_rig.rig import Rig
 
 _CURVE_POINTS = 700
@@ -76,20 +77,21 @@ def match(mode: LinearMode, exact: ExactModes, points: Sequence[int]) -> ModeErr
     )
 
 
-def linear_page(outcome: LinearOutcome, exact: ExactModes | None) -> str:
+def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactModes | None = None) -> str:
     """The whole page.
 
     Args:
-        outcome: what the command found.
+        result: of :func:`nmt_extract.evaluate_linear_test`.
+        rig: rig of the recording; None where it is not known.
         exact: modes of the rig's model to compare with; None where there is none.
     """
-    test = outcome.test
+    test = result.test
     with figure_style():
         responses = [_response_figure(test, row) for row in range(len(test.points))]
         details = [_target_figure(test), _coherence_figure(test), _diagram_figure(test), _shape_figure(test)]
     target = test.target_mode
-    name = outcome.rig.name if outcome.rig is not None else str(outcome.run.get("rig") or "Recording")
-    check = outcome.check
+    name = rig.name if rig is not None else str(result.run.get("rig") or "Recording")
+    check = result.check
     kind = "good" if check is None or check.is_linear else "partly"
     text = f"{len(test.modes)} modes fitted and scaled"
     if check is not None:
@@ -102,39 +104,43 @@ def linear_page(outcome: LinearOutcome, exact: ExactModes | None) -> str:
         plant = test.plant
         cards.append(("With exciter", f"{plain(plant.frequency_hz, 3)} Hz", f"{plain(100 * plant.damping_ratio, 3)} %"))
     facts = [
-        ("Run", str(outcome.run.get("run_id") or "")),
-        ("Started", str(outcome.run.get("started") or "").replace("T", " ")),
+        ("Run", str(result.run.get("run_id") or "")),
+        ("Started", str(result.run.get("started") or "").replace("T", " ")),
         ("Exciter", f"at point {test.settings.drive_point}"),
-        ("Level", "" if outcome.level is None else f"{significant(outcome.level)} V rms"),
+        ("Level", "" if result.level is None else f"{significant(result.level)} V rms"),
         ("Band", f"{test.settings.band_hz[0]:g} to {test.settings.band_hz[1]:g} Hz"),
         ("Record", duration(test.duration_s)),
         ("Averages", f"{test.force_frf.independent_averages:.1f} independent, Hann window"),
         ("Input of the fit", test.reference),
     ]
-    sections = [
-        ("modes", "Modes", _mode_table(test, exact) + _plant_table(test) + _linearity(outcome)),
-        ("responses", "Frequency responses", html_figures(responses)),
-        ("quality", "Target mode, coherence, stabilisation, shapes", html_figures(details) + _mac_table(test)),
-        ("residuals", "Residuals and mass", _residual_table(test) + _mass_table(test)),
-    ]
-    return ResponsePage(
-        "Linear modal test",
-        name,
-        outcome.rig.description if outcome.rig is not None else "",
-        (text, kind),
-        sections,
-        cards,
-        facts,
-        outcome.remarks,
-        "Receptance: displacement over force. Convention: x(t) = Re X e<sup>iωt</sup>. ± standard uncertainty. SI "
-        "units.",
-    ).html()
+    page = ResponsePage(
+        kicker="Linear modal test",
+        heading=name,
+        subtitle=rig.description if rig is not None else "",
+        verdict=(text, kind),
+        cards=cards,
+        facts=facts,
+        notices=result.remarks,
+        footer=Markup(
+            "Receptance: displacement over force. Convention: x(t) = Re X e<sup>iωt</sup>. ± standard uncertainty. SI "
+            "units."
+        ),
+    )
+    return page.html(
+        "linear_report.html",
+        mode_tables=_mode_tables(test, exact),
+        linearity=check.sentence if check is not None else "",
+        responses=responses,
+        details=details,
+        mac=_mac_table(test),
+        residual_tables=[_residual_table(test), _mass_table(test)],
+    )
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
 
 
-def _mode_table(test: LinearTest, exact: ExactModes | None) -> str:
+def _mode_tables(test: LinearTest, exact: ExactModes | None) -> list[Table]:
     head = [
         ("Mode", ""),
         ("Frequency", "Hz"),
@@ -177,11 +183,9 @@ def _mode_table(test: LinearTest, exact: ExactModes | None) -> str:
         "Explained: share of the response’s power around the mode that the fit explains. From averages: poles of the "
         "Hann-windowed averages (start of the fit), which the window widens. Complexity: ‖Im ψ‖/‖ψ‖."
     )
-    text = html_table(head, rows, note) + _shape_table(test)
-    if exact is None:
-        return text
-    return text + html_table(
-        [
+    tables = [text_table(head, rows, note), _shape_table(test)]
+    if exact is not None:
+        head = [
             ("Against the model", ""),
             ("Model: f", "Hz"),
             ("ζ", "%"),
@@ -189,25 +193,27 @@ def _mode_table(test: LinearTest, exact: ExactModes | None) -> str:
             ("Δζ", "%"),
             ("1 − MAC", ""),
             ("Δscale", "%"),
-        ],
-        errors_rows,
-        "Exact modes of the rig’s model with friction sticking, nearest in frequency; the test uses nothing of it.",
-    )
+        ]
+        note = (
+            "Exact modes of the rig’s model with friction sticking, nearest in frequency; the test uses nothing of it."
+        )
+        tables.append(text_table(head, errors_rows, note))
+    return tables + _plant_tables(test)
 
 
-def _shape_table(test: LinearTest) -> str:
+def _shape_table(test: LinearTest) -> Table:
     head = [("Mass-normalised shape at", ""), *((f"mode {index + 1}", "1/√kg") for index in range(len(test.modes)))]
     rows = [
         [f"point {point}", *(uncertain(float(m.shape[row]), float(m.shape_std[row])) for m in test.modes)]
         for row, point in enumerate(test.points)
     ]
-    return html_table(head, rows)
+    return text_table(head, rows)
 
 
-def _plant_table(test: LinearTest) -> str:
+def _plant_tables(test: LinearTest) -> list[Table]:
     plant = test.plant
     if plant is None:
-        return ""
+        return []
     rows = [
         ["Frequency with exciter", f"{uncertain(plant.frequency_hz, plant.frequency_std)} Hz"],
         ["Damping ratio with exciter", f"{uncertain(100 * plant.damping_ratio, 100 * plant.damping_std)} %"],
@@ -215,23 +221,19 @@ def _plant_table(test: LinearTest) -> str:
         ["Drive-point displacement there", f"{significant(plant.displacement_per_volt, 5)} m/V"],
         ["Moving mass of the exciter", f"{significant(plant.moving_mass_kg, 3)} kg"],
     ]
-    return html_table([("Plant: structure and exciter", ""), ("", "")], rows)
+    return [text_table([("Plant: structure and exciter", ""), ("", "")], rows)]
 
 
-def _linearity(outcome: LinearOutcome) -> str:
-    return "" if outcome.check is None else f'<p class="note">{escape(outcome.check.sentence)}</p>'
-
-
-def _mac_table(test: LinearTest) -> str:
+def _mac_table(test: LinearTest) -> Table:
     shapes = np.column_stack([mode.complex_shape for mode in test.modes])
     norms = np.sum(np.abs(shapes) ** 2, axis=0)
     mac = np.abs(shapes.conj().T @ shapes) ** 2 / np.outer(norms, norms)
     head = [("MAC", ""), *((f"mode {index + 1}", "") for index in range(len(test.modes)))]
     rows = [[f"mode {index + 1}", *(plain(float(value), 4) for value in row)] for index, row in enumerate(mac)]
-    return html_table(head, rows, "Between the fitted modes at the response points; not zero where these are few.")
+    return text_table(head, rows, "Between the fitted modes at the response points; not zero where these are few.")
 
 
-def _residual_table(test: LinearTest) -> str:
+def _residual_table(test: LinearTest) -> Table:
     head = [
         ("Response", ""),
         ("Lower", "1/kg"),
@@ -254,7 +256,7 @@ def _residual_table(test: LinearTest) -> str:
         f"x/F = modes + lower/(−ω²) + upper. All kept modes: {whole.band_hz[0]:.4g} to {whole.band_hz[1]:.4g} Hz; "
         f"target alone: {alone.band_hz[0]:.4g} to {alone.band_hz[1]:.4g} Hz."
     )
-    return html_table(head, rows, note)
+    return text_table(head, rows, note)
 
 
 def _complex(value: complex) -> str:
@@ -262,13 +264,13 @@ def _complex(value: complex) -> str:
     return f"{significant(value.real, 3)} {sign} {significant(abs(value.imag), 3)} i"
 
 
-def _mass_table(test: LinearTest) -> str:
+def _mass_table(test: LinearTest) -> Table:
     head = [("Estimated mass", "kg"), *((f"point {point}", "") for point in test.points)]
     rows = [
         [f"point {point}", *(significant(float(value), 4) for value in row)]
         for point, row in zip(test.points, estimated_mass(test.shapes), strict=True)
     ]
-    return html_table(head, rows, "(Φᵀ)⁺ Φ⁺ of the kept modes; of their number’s rank.")
+    return text_table(head, rows, "(Φᵀ)⁺ Φ⁺ of the kept modes; of their number’s rank.")
 
 
 # -- figures ----------------------------------------------------------------------------------------------------------

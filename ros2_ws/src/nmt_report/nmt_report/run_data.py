@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,16 +19,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-class LoopState(IntEnum):
-    """State of the phase-locked loop; the values are those of ``nmt_msgs/Frequency``."""
-
-    UNKNOWN = 0
-    FIXED = 1
-    ACQUIRING = 2
-    LOCKED = 3
-    LOCK_LOST = 4
-
-
 @dataclass(frozen=True)
 class LoopHistory:
     """State of the loop, one entry a block; all arrays have the shape ``(blocks,)``.
@@ -38,7 +27,7 @@ class LoopHistory:
         sample: last sample of the block.
         frequency_hz: commanded frequency, Hz; 0 = drive off.
         phase_error: rad; NaN = not valid.
-        state: see :class:`LoopState`.
+        state: see :class:`~nmt_core.vocabulary.LoopState`.
         drive_amplitude: V peak.
     """
 

@@ -49,7 +49,7 @@ def report_data_from_bag(
     Raises:
         BenchError: the path is not a readable bag.
     """
-    from nmt_extract.conversions import modal_point_from_message
+    from nmt_core.wire import MODAL_POINT
     from nmt_record.bag_reader import Bag
 
     bag = path if isinstance(path, Bag) else Bag.open(path)
@@ -58,8 +58,8 @@ def report_data_from_bag(
     loop: list[tuple[int, float, float, int, float]] = []
     levels: list[LevelStart] = []
     locks: list[LockMark] = []
-    recorded: list[ModalPoint] = []
-    for topic, _, message in bag.messages(["frequency", "level", "lock", "modal_point"]):
+    recorded: list[ModalPoint] = list(bag.records("modal_point", MODAL_POINT))
+    for topic, _, message in bag.messages(["frequency", "level", "lock"]):
         if topic == "frequency":
             loop.append(
                 (
@@ -72,10 +72,8 @@ def report_data_from_bag(
             )
         elif topic == "level":
             levels.append(LevelStart(int(message.index), float(message.amplitude), int(message.apply_at_sample)))
-        elif topic == "lock":
-            locks.append(_lock(message))
         else:
-            recorded.append(modal_point_from_message(message))
+            locks.append(_lock(message))
     envelopes, excerpts, sample_rate, end_sample = _signals(bag, linear, locks)
     excerpts = _with_frequency(excerpts, recorded if points is None else points)
     return RunReportData(

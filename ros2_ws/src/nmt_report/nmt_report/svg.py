@@ -6,11 +6,11 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from html import escape
 from io import StringIO
 from typing import Any
 
 import matplotlib
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 INK = "#22272e"
@@ -67,7 +67,7 @@ def figure_style() -> Iterator[None]:
         yield
 
 
-def svg_text(figure: Figure, name: str, label: str, tips: Mapping[str, str] | None = None) -> str:
+def svg_text(figure: Figure, name: str, label: str, tips: Mapping[str, str] | None = None) -> Markup:
     """Render a figure to an ``<svg>`` element for an HTML page.
 
     Args:
@@ -95,9 +95,9 @@ def svg_text(figure: Figure, name: str, label: str, tips: Mapping[str, str] | No
         opening = f'<g id="{name}-{gid}">'
         text = text.replace(opening, f"{opening}<title>{escape(tip)}</title>", 1)
     width, height = figure.get_size_inches() * 72.0
-    name = escape(label, quote=True)
-    head = f'<svg class="plot" role="img" aria-label="{name}" viewBox="0 0 {width:g} {height:g}"'
-    return re.sub(r"<svg\b[^>]*", head, text, count=1).strip()
+    words = label.striptags() if isinstance(label, Markup) else label
+    head = f'<svg class="plot" role="img" aria-label="{escape(words)}" viewBox="0 0 {width:g} {height:g}"'
+    return Markup(re.sub(r"<svg\b[^>]*", lambda _: head, text, count=1).strip())
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class ReportFigure:
     Attributes:
         name: anchor on the page.
         title: heading, plain text.
-        caption: one or two sentences of HTML below the figure.
+        caption: one or two sentences below the figure; markup where they have symbols.
         svg: the ``<svg>`` element.
         wide: whether it takes the width of the page instead of half of it.
     """
@@ -115,7 +115,7 @@ class ReportFigure:
     name: str
     title: str
     caption: str
-    svg: str
+    svg: Markup
     wide: bool = False
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import os
 import re
@@ -11,10 +10,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
-from pydantic_core import ErrorDetails
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.validation_sentence import validation_sentence
 from nmt_rig.rig_file import KeyPath, RigDocument, apply_overrides, read_document
 from nmt_rig.rig_section import Name, NotNegative, Point, Positive
 from nmt_rig.rig_section import Section as Section
@@ -350,14 +349,59 @@ class SensorSection(Section):
         return self
 
 
+class ChannelLimitSection(Section):
+    """Levels of one channel in its SI unit; abort levels take the drive to zero, warning levels are reported."""
+
+    channel: Name
+    abort_peak: Positive | None = None
+    abort_rms: Positive | None = None
+    warning_peak: Positive | None = None
+    warning_rms: Positive | None = None
+
+    @model_validator(mode="after")
+    def _levels_fit(self) -> ChannelLimitSection:
+        if not (self.abort_peak or self.abort_rms or self.warning_peak or self.warning_rms):
+            raise ValueError("has no level; give abort_peak, abort_rms, warning_peak or warning_rms")
+        for kind, warning, abort in (
+            ("peak", self.warning_peak, self.abort_peak),
+            ("rms", self.warning_rms, self.abort_rms),
+        ):
+            if warning is not None and abort is not None and warning > abort:
+                raise ValueError(f"warning_{kind} must not be larger than abort_{kind}")
+        return self
+
+
+class OpenLoopSection(Section):
+    """The drive is on and a channel does not respond: the drive goes to zero."""
+
+    channel: Name
+    least: Positive
+    drive_v: Positive
+    time_s: Positive = 0.5
+
+
 class LimitSection(Section):
     """Amplitudes beyond which the drive ramps to zero and stays there until reset; left out = no limit."""
 
     voltage_v: Positive | None = None
+    slew_v_s: Positive | None = None
+    rise_from_v: Positive | None = None
+    drive_maximum_v: Positive | None = None
     force_n: Positive | None = None
     acceleration_m_s2: Positive | None = None
+    velocity_m_s: Positive | None = None
     displacement_m: Positive | None = None
+    channels: list[ChannelLimitSection] = Field(default_factory=list)
+    open_loop: list[OpenLoopSection] = Field(default_factory=list)
+    warning_share: Annotated[float, Field(gt=0, le=1)] = 0.8
+    rms_time_s: Positive = 1.0
     ramp_s: NotNegative = 0.1
+
+    @model_validator(mode="after")
+    def _maximum_is_reached(self) -> LimitSection:
+        if self.voltage_v is not None and self.drive_maximum_v is not None and self.drive_maximum_v > self.voltage_v:
+            raise ValueError("drive_maximum_v must not be larger than voltage_v, which no drive passes")
+        return self
 
 
 class WatchdogSection(Section):
@@ -522,6 +566,18 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
             )
         if sensor.quantity == "current" and not isinstance(rig.exciter, ShakerSection):
             raise BenchError(f"{document.place(path)}: a current sensor needs an electrodynamic_shaker.")
+    limited = {
+        "channels": [entry.channel for entry in rig.limits.channels],
+        "open_loop": [entry.channel for entry in rig.limits.open_loop],
+    }
+    for key, names in limited.items():
+        for index, name in enumerate(names):
+            if name not in seen:
+                limit_path = ("limits", key, index, "channel")
+                raise BenchError(
+                    f"{document.place(limit_path)}: {_dotted(limit_path)} is {name}, but there is no such channel; the "
+                    f"channels are {', '.join(seen)}."
+                )
     if not any(sensor.quantity == "force" for sensor in rig.sensors):
         raise BenchError(f"{document.place(('sensors',))}: sensors needs a force sensor at the drive point.")
     responses = len(rig.response_points(Quantity[rig.extraction.quantity.upper()]))
@@ -624,110 +680,7 @@ def _dotted(path: Sequence[str | int]) -> str:
     return ".".join(str(part) for part in path)
 
 
-def _plain_path(location: Sequence[str | int], values: Any) -> KeyPath:
-    """pydantic's location without the tags of unions."""
-    path: list[str | int] = []
-    node = values
-    rest = list(location)
-    while rest:
-        part = rest.pop(0)
-        known = isinstance(node, dict) and part in node
-        if known or (isinstance(node, list) and isinstance(part, int) and part < len(node)):
-            node = node[part]
-        elif rest or not isinstance(node, dict | list):
-            continue
-        path.append(part)
-    return tuple(path)
-
-
-_SENTENCES = {
-    "greater_than": "must be positive",
-    "finite_number": "must be a finite number",
-    "float_type": "must be a number in the unit that its name says",
-    "float_parsing": "must be a number in the unit that its name says",
-    "int_type": "must be a whole number",
-    "int_from_float": "must be a whole number",
-    "string_type": "must be a text",
-    "list_type": "must be a list",
-    "dict_type": "must be a mapping of keys to values",
-    "model_type": "must be a mapping of keys to values",
-    "model_attributes_type": "must be a mapping of keys to values",
-}
-
-
-def _suggestion(key: str, known: Sequence[str]) -> str:
-    close = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-    return f"did you mean {close[0]}?" if close else f"known keys are {', '.join(known)}."
-
-
-def _known_keys(values: Any, path: KeyPath) -> list[str]:
-    """Keys of the section that contains the last part of `path`."""
-    section: Any = Rig
-    node = values
-    for part in path[:-1]:
-        node = node[part]
-        if isinstance(part, int):
-            section = _variant(section, node)
-            continue
-        annotation = section.model_fields[part].annotation
-        section = _variant(annotation, node)
-    return list(section.model_fields) if hasattr(section, "model_fields") else []
-
-
-def _variant(annotation: Any, node: Any) -> Any:
-    """The section class that `node` is an instance of, or the annotation of a list's entries."""
-    arguments = getattr(annotation, "__args__", ())
-    metadata = getattr(annotation, "__metadata__", None)
-    if metadata is not None:
-        return _variant(annotation.__origin__, node)
-    if isinstance(node, list):
-        return arguments[0] if arguments else annotation
-    for candidate in arguments:
-        field = candidate.model_fields.get("kind") if hasattr(candidate, "model_fields") else None
-        if field is not None and isinstance(node, dict) and node.get("kind") in field.annotation.__args__:
-            return candidate
-    return annotation
-
-
-def _sentence(error: ErrorDetails, document: RigDocument) -> str:
-    path = _plain_path(error["loc"], document.values)
-    kind = error["type"]
-    name = _dotted(path) or "the rig"
-    given = error["input"]
-    shown = "null" if given is None else repr(given) if isinstance(given, str) else f"{given}"
-    if len(shown) > 60:
-        shown = shown[:57] + "..."
-    context = error.get("ctx", {})
-    if kind == "extra_forbidden":
-        known = _known_keys(document.values, path)
-        return f"{document.place(path)}: unknown key {name}; {_suggestion(str(path[-1]), known)}"
-    if kind == "missing":
-        return f"{document.place(path)}: {name} is missing; add it."
-    if kind in ("union_tag_invalid", "union_tag_not_found"):
-        # The location of a discriminated union is the section; the key at fault is its `kind`.
-        expected = context.get("expected_tags") or "one of the known kinds"
-        tag = given.get("kind") if isinstance(given, dict) else None
-        end = f"got {tag!r}" if tag is not None else "it is missing"
-        return f"{document.place((*path, 'kind'))}: {name}.kind must be one of {expected}; {end}."
-    if kind == "value_error":
-        return f"{document.place(path)}: {name} {context.get('error', error['msg'])}."
-    if kind == "greater_than" and context.get("gt") not in (0, 0.0):
-        sentence = f"must be greater than {context['gt']}"
-    elif kind == "greater_than_equal":
-        bound = context["ge"]
-        sentence = "must not be negative" if bound == 0 else f"must be at least {bound:g}"
-    elif kind == "less_than_equal":
-        sentence = f"must be at most {context['le']:g}"
-    elif kind == "literal_error":
-        sentence = f"must be {context['expected']}"
-    elif kind == "string_pattern_mismatch":
-        sentence = f"does not have the form {context['pattern']}"
-    elif kind in ("too_short", "too_long"):
-        sentence = "has too few entries" if kind == "too_short" else "has too many entries"
-        shown = f"{context.get('actual_length')}"
-    else:
-        sentence = _SENTENCES.get(kind, error["msg"].replace("Input should", "should"))
-    return f"{document.place(path)}: {name} {sentence}, got {shown}."
+_IN_ITS_UNIT = dict.fromkeys(("float_type", "float_parsing"), "must be a number in the unit that its name says")
 
 
 def validate_rig(document: RigDocument, folder: Path | None = None) -> Rig:
@@ -744,11 +697,8 @@ def validate_rig(document: RigDocument, folder: Path | None = None) -> Rig:
     try:
         rig = Rig.model_validate(document.values)
     except ValidationError as failure:
-        # A misspelt key is also a missing one: name what is there and wrong first.
-        errors = sorted(failure.errors(include_url=False), key=lambda error: error["type"] != "extra_forbidden")
-        sentence = _sentence(errors[0], document)
-        more = len(errors) - 1
-        raise BenchError(sentence + (f" ({more} more like this)" if more else "")) from failure
+        errors = failure.errors(include_url=False)
+        raise BenchError(validation_sentence(errors, document, Rig, "the rig", words=_IN_ITS_UNIT)) from failure
     _check_references(rig, document)
     return rig
 

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import math
 import textwrap
 from collections.abc import Mapping
+from itertools import accumulate, zip_longest
 from typing import Any
 
-import yaml
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.error import CommentMark, YAMLError
+from ruamel.yaml.representer import RoundTripRepresenter
+from ruamel.yaml.scalarstring import FoldedScalarString, LiteralScalarString
+from ruamel.yaml.tokens import CommentToken
 
 from nmt_core.errors import BenchError
 from nmt_core.yaml_document import KeyPath, parse_document
@@ -15,6 +22,11 @@ from nmt_rig.rig import Rig, validate_rig
 
 _DIGITS = 10
 _LONG = 100
+_LINE = 114
+_ENDLESS = 10**6
+_OWN_LINES = (FoldedScalarString, LiteralScalarString)
+_EOL = {CommentedMap: 2, CommentedSeq: 0}
+"""Where an entry's comment stands among those that ruamel.yaml keeps of it."""
 
 
 def edited_rig_text(text: str, name: str, target: Rig) -> str:
@@ -36,14 +48,14 @@ def edited_rig_text(text: str, name: str, target: Rig) -> str:
     try:
         short = target.model_dump(mode="json", exclude_defaults=True)
         new = {path: _at(short, path, value) for path, (_, value) in _differences(before, after).items()}
-        result = _Edit(text).apply(new)
+        result = _edited(text, new)
         if _alike(validate_rig(parse_document(result, name)).model_dump(mode="json"), after):
             return result
-    except (BenchError, yaml.YAMLError, _CannotEditError):
+    except (BenchError, YAMLError, _CannotEditError):
         pass
     # Anchors, merge keys and the like: written out plainly, without the comments.
     values = _listed(target.model_dump(mode="json", exclude_defaults=True))
-    result = yaml.dump(values, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+    result = _dumped(_yaml(2, 2, 120), values)
     validate_rig(parse_document(result, name))
     return result
 
@@ -96,98 +108,144 @@ def _alike(one: Any, other: Any) -> bool:
     return bool(math.isclose(one, other, rel_tol=10.0 ** (1 - _DIGITS))) if numbers else bool(one == other)
 
 
-class _Edit:
-    """Replacements and insertions at places of a text, made all at once."""
-
-    def __init__(self, text: str) -> None:
-        self._text = text if text.endswith("\n") else text + "\n"
-        root = yaml.compose(self._text, Loader=yaml.SafeLoader)
-        if not isinstance(root, yaml.MappingNode):
-            raise _CannotEditError
-        self._root = root
-        self._changes: list[tuple[int, int, int, str]] = []
-
-    def apply(self, new: Mapping[KeyPath, Any]) -> str:
-        """The text with new values by path."""
-        missing: dict[KeyPath, Any] = {}
-        for path, value in new.items():
-            node, depth = self._deepest(path)
-            if depth == len(path):
-                self._replace(node, value)
-            else:
-                _put(missing.setdefault(path[: depth + 1], {}), path[depth + 1 :], value)
-        for path, value in missing.items():
-            node, _ = self._deepest(path[:-1])
-            value = value.get("", value) if isinstance(value, dict) else value
-            if isinstance(path[-1], int):
-                self._append(node, value)
-            else:
-                self._insert(node, path[-1], value)
-        result = self._text
-        # From the end on, so that places before a change stay where they are; insertions at one place keep their order.
-        for start, end, _, words in sorted(self._changes, key=lambda c: (c[0], c[2]), reverse=True):
-            result = result[:start] + words + result[end:]
-        return result
-
-    def _deepest(self, path: KeyPath) -> tuple[yaml.Node, int]:
-        """The node of the longest part of a path that the text has, and that part's length."""
-        node: yaml.Node = self._root
-        for depth, part in enumerate(path):
-            found = _child(node, part)
-            if found is None:
-                return node, depth
-            node = found
-        return node, len(path)
-
-    def _change(self, start: int, end: int, new: str) -> None:
-        self._changes.append((start, end, len(self._changes), new))
-
-    def _replace(self, node: yaml.Node, value: Any) -> None:
-        self._change(node.start_mark.index, self._end(node), _flow(value))
-
-    def _append(self, node: yaml.Node, value: Any) -> None:
-        if not isinstance(node, yaml.SequenceNode):
-            raise _CannotEditError
-        if node.flow_style or not node.value:
-            self._change(node.end_mark.index - 1, node.end_mark.index - 1, (", " if node.value else "") + _flow(value))
-        elif isinstance(value, str) and len(value) > _LONG:
-            indent = " " * (node.start_mark.column + 2)
-            lines = textwrap.wrap(value, 120 - len(indent), break_long_words=False, break_on_hyphens=False)
-            self._new_line(node, "- >-\n" + "\n".join(indent + line for line in lines))
+def _edited(text: str, new: Mapping[KeyPath, Any]) -> str:
+    """A text with new values by path."""
+    yaml = _layout(text)
+    root = yaml.load(text)
+    missing: dict[KeyPath, Any] = {}
+    for path, value in new.items():
+        depth = _depth(root, path)
+        if depth == len(path):
+            _replace(_at(root, path[:-1], None), path[-1], value)
         else:
-            self._new_line(node, f"- {_flow(value)}")
-
-    def _insert(self, node: yaml.Node, key: str | int, value: Any) -> None:
-        if not isinstance(node, yaml.MappingNode):
-            raise _CannotEditError
-        entry = f"{key}: {_flow(value)}"
-        if node.flow_style or not node.value:
-            self._change(node.end_mark.index - 1, node.end_mark.index - 1, (", " if node.value else "") + entry)
-        else:
-            self._new_line(node, entry)
-
-    def _new_line(self, node: yaml.Node, entry: str) -> None:
-        """A line of its own below the last one of a block, at the block's indentation."""
-        end = self._text.find("\n", self._end(node))
-        indent = " " * node.start_mark.column
-        self._change(end, end, f"\n{indent}{entry}")
-
-    def _end(self, node: yaml.Node) -> int:
-        """Where the content of a node ends; the marks of blocks reach to the next key, past comments."""
-        if isinstance(node, yaml.MappingNode) and not node.flow_style and node.value:
-            return self._end(node.value[-1][1])
-        if isinstance(node, yaml.SequenceNode) and not node.flow_style and node.value:
-            return self._end(node.value[-1])
-        start, end = node.start_mark.index, node.end_mark.index
-        return start + len(self._text[start:end].rstrip())
+            _put(missing.setdefault(path[: depth + 1], {}), path[depth + 1 :], value)
+    for path, value in missing.items():
+        _add(_at(root, path[:-1], None), path[-1], value.get("", value) if isinstance(value, dict) else value)
+    return _dumped(yaml, root)
 
 
-def _child(node: yaml.Node, part: str | int) -> yaml.Node | None:
-    if isinstance(node, yaml.MappingNode):
-        return next((value for key, value in node.value if key.value == part), None)
-    if isinstance(node, yaml.SequenceNode) and isinstance(part, int):
-        return node.value[part] if part < len(node.value) else None
-    return None
+def _layout(text: str) -> YAML:
+    """Reader and writer with the indentation of a text: the one that gives it back with the fewest changed lines."""
+
+    def changes(yaml: YAML) -> int:
+        old, again = text.splitlines(), _dumped(yaml, yaml.load(text)).splitlines()
+        return sum(a != b for a, b in zip_longest(old, again))
+
+    layouts = (_yaml(mapping, dash, width) for width in (_ENDLESS, 120) for mapping in (2, 4) for dash in (2, 0))
+    best, fewest = None, math.inf
+    for yaml in layouts:
+        count = changes(yaml)
+        if count < fewest:
+            best, fewest = yaml, count
+        if count == 0:
+            break
+    return best if best is not None else _yaml(2, 2, _ENDLESS)
+
+
+def _yaml(mapping: int, dash: int, width: int) -> YAML:
+    yaml = YAML(typ="rt")
+    yaml.Representer = _Representer
+    yaml.preserve_quotes = True
+    yaml.width = width
+    yaml.indent(mapping=mapping, sequence=dash + 2, offset=dash)
+    return yaml
+
+
+def _dumped(yaml: YAML, root: Any) -> str:
+    buffer = io.StringIO()
+    yaml.dump(root, buffer)
+    return buffer.getvalue()
+
+
+def _depth(root: Any, path: KeyPath) -> int:
+    """Length of the longest part of a path that there is."""
+    node = root
+    for depth, part in enumerate(path):
+        known = isinstance(node, CommentedMap) and part in node
+        known = known or (isinstance(node, CommentedSeq) and isinstance(part, int) and part < len(node))
+        if not known:
+            return depth
+        node = node[part]
+    return len(path)
+
+
+def _replace(parent: Any, key: str | int, value: Any) -> None:
+    tail = _cut_tail(parent, key)
+    parent[key] = _node(value)
+    _attach_tail(parent, key, tail)
+
+
+def _add(parent: Any, key: str | int, value: Any) -> None:
+    """A new entry at the end of a mapping or sequence, before the comments that lead over to what follows."""
+    if not isinstance(parent, CommentedMap | CommentedSeq) or isinstance(parent, CommentedSeq) != isinstance(key, int):
+        raise _CannotEditError
+    last = _last(parent)
+    tail = "" if last is None or parent.fa.flow_style() else _cut_tail(parent, last)
+    if isinstance(parent, CommentedSeq):
+        parent.append(_node(value, folded=not parent.fa.flow_style()))
+        key = len(parent) - 1
+    else:
+        parent[key] = _node(value)
+    _attach_tail(parent, key, tail)
+
+
+def _last(node: Any) -> Any:
+    """Key of the last entry; None where there is none."""
+    if isinstance(node, CommentedMap):
+        return next(reversed(node), None)
+    return len(node) - 1 if isinstance(node, CommentedSeq) and node else None
+
+
+def _cut_tail(parent: Any, key: Any) -> str:
+    """Take the lines away that follow an entry and its own comment: they belong to what comes after it."""
+    value = parent[key]
+    last = _last(value)
+    if last is not None and not value.fa.flow_style():
+        return _cut_tail(value, last)
+    tokens, place = parent.ca.items.get(key), _EOL[type(parent)]
+    if not tokens or tokens[place] is None:
+        return ""
+    token = tokens[place]
+    if isinstance(value, _OWN_LINES):
+        tokens[place] = None  # a text in lines of its own has no comment beside it
+        return str(token.value)
+    own, newline, tail = token.value.partition("\n")
+    if own.strip() or not tail:
+        token.value = own + newline
+    else:
+        tokens[place] = None
+    return str(tail)
+
+
+def _attach_tail(parent: Any, key: Any, tail: str) -> None:
+    if not tail:
+        return
+    value = parent[key]
+    tokens, place = parent.ca.items.setdefault(key, [None, None, None, None]), _EOL[type(parent)]
+    if tokens[place] is None:
+        lead = "" if isinstance(value, _OWN_LINES) else "\n"
+        tokens[place] = CommentToken(lead + tail, CommentMark(0), None)
+    else:
+        tokens[place].value = tokens[place].value.rstrip("\n") + "\n" + tail
+
+
+def _node(value: Any, folded: bool = False) -> Any:
+    """A value in one line; a long text folded over several where the place allows it."""
+    value = _listed(value)
+    if folded and isinstance(value, str) and len(value) > _LONG:
+        lines = textwrap.wrap(value, _LINE, break_long_words=False, break_on_hyphens=False)
+        text = FoldedScalarString(value)
+        text.fold_pos = [end - 1 for end in accumulate(len(line) + 1 for line in lines[:-1])]
+        return text
+    if isinstance(value, Mapping):
+        mapping = CommentedMap({key: _node(item) for key, item in value.items()})
+        mapping.fa.set_flow_style()
+        return mapping
+    if isinstance(value, list):
+        sequence = CommentedSeq([_node(item) for item in value])
+        sequence.fa.set_flow_style()
+        return sequence
+    return value
 
 
 def _put(target: dict[Any, Any], path: KeyPath, value: Any) -> None:
@@ -200,13 +258,6 @@ def _put(target: dict[Any, Any], path: KeyPath, value: Any) -> None:
     target[path[-1]] = value
 
 
-def _flow(value: Any) -> str:
-    """A value in one line."""
-    values = [_listed(value)]
-    text = yaml.dump(values, Dumper=_Dumper, default_flow_style=True, allow_unicode=True, width=10**9, sort_keys=False)
-    return text.strip()[1:-1]
-
-
 def _listed(value: Any) -> Any:
     """Mappings of list indices as lists; keys without a value left out."""
     if isinstance(value, Mapping):
@@ -215,17 +266,14 @@ def _listed(value: Any) -> Any:
     return [_listed(item) for item in value] if isinstance(value, list) else value
 
 
-class _Dumper(yaml.SafeDumper):
-    """Writes numbers with ten digits, in a form that YAML 1.1 and 1.2 both read as a number."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
+class _Representer(RoundTripRepresenter):
+    """Writes new numbers with ten digits, in a form that YAML 1.1 and 1.2 both read as a number."""
 
 
-def _number(dumper: yaml.SafeDumper, value: float) -> yaml.ScalarNode:
+def _number(representer: RoundTripRepresenter, value: float) -> Any:
     mantissa, _, exponent = f"{value:.{_DIGITS}g}".partition("e")
     mantissa = mantissa if "." in mantissa else f"{mantissa}.0"
-    return dumper.represent_scalar("tag:yaml.org,2002:float", f"{mantissa}e{exponent}" if exponent else mantissa)
+    return representer.represent_scalar("tag:yaml.org,2002:float", f"{mantissa}e{exponent}" if exponent else mantissa)
 
 
-_Dumper.add_representer(float, _number)
+_Representer.add_representer(float, _number)

@@ -10,45 +10,15 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from enum import IntEnum
-from typing import Protocol
 
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
+from nmt_core.records import LevelCommand, LoopStatus
+from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase
 from nmt_sequencer.level_plan import check_levels
 
 NO_HORIZON = 2**62
-
-
-class RunPhase(IntEnum):
-    """Phase of a run; values as in ``nmt_msgs/RunState``."""
-
-    UNKNOWN = 0
-    IDLE = 1
-    RUNNING = 2
-    PAUSED = 3
-    STOPPING = 4
-    DONE = 5
-
-
-class ResultCode(IntEnum):
-    """How a run ended; values as in ``nmt_msgs/RunLevels``."""
-
-    UNKNOWN = 0
-    SUCCEEDED = 1
-    CANCELED = 2
-    STOPPED = 3
-    LOCK_LOST = 4
-    LIMIT = 5
-    NODE_LOST = 6
-    REFUSED = 7
-    INTERNAL_ERROR = 8
-
-
-LOOP_LOCKED = 3
-LOOP_LOST = 4
-FLAG_LIMIT = 2
-FLAG_WATCHDOG = 4
+_TRIPPED = int(BlockFlag.LIMIT | BlockFlag.WATCHDOG)
 
 
 @dataclass(frozen=True)
@@ -58,7 +28,7 @@ class RunPlan:
     Attributes:
         run_id: name of the run.
         levels: target amplitudes in order.
-        control: 1 voltage (V), 2 response (m or m/s²), 3 force (N).
+        control: what the levels are, see :class:`~nmt_core.vocabulary.ControlKind`.
         ramp: half-cosine between levels, s.
         window_periods: whole periods to capture.
         timeout: bench time a level may take to lock, s; 0 = no limit.
@@ -69,7 +39,7 @@ class RunPlan:
 
     run_id: str
     levels: tuple[float, ...]
-    control: int = 1
+    control: int = ControlKind.VOLTAGE
     ramp: float = 0.5
     window_periods: int = 200
     timeout: float = 30.0
@@ -79,7 +49,7 @@ class RunPlan:
 
     def __post_init__(self) -> None:
         check_levels(self.levels, "Plan")
-        if self.control not in (1, 2, 3):
+        if self.control not in (ControlKind.VOLTAGE, ControlKind.RESPONSE, ControlKind.FORCE):
             raise BenchError(f"Control {self.control} is not known; use 1 (voltage), 2 (response) or 3 (force).")
         if not 0.0 <= self.ramp < 1e6:
             raise BenchError(f"The ramp must be finite and >= 0 s, got {self.ramp}.")
@@ -126,50 +96,6 @@ class Pacing:
         return blocks * self.block_samples
 
 
-class LoopReport(Protocol):
-    """What the machine reads of the loop's state after a block; :class:`nmt_core.wire.LoopStatus` has it."""
-
-    @property
-    def last_sample(self) -> int:
-        """Last sample it is based on."""
-
-    @property
-    def level_index(self) -> int:
-        """Level worked on."""
-
-    @property
-    def level_sequence(self) -> int:
-        """Newest level order received."""
-
-    @property
-    def state(self) -> int:
-        """Loop state."""
-
-    @property
-    def flags(self) -> int:
-        """Flags of the block."""
-
-    @property
-    def reason(self) -> str:
-        """Why the state changed, empty if it did not."""
-
-
-@dataclass(frozen=True, slots=True)
-class LevelOrder:
-    """A level to be published; fields as in ``nmt_msgs/Level``."""
-
-    sequence: int
-    index: int
-    control: int
-    amplitude: float
-    apply_at_sample: int
-    ramp: float
-    window_periods: int
-    timeout: float
-    frequency_hz: float = 0.0
-    excitation: Excitation = field(default_factory=Excitation)
-
-
 @dataclass
 class LevelRecord:
     """Outcome of one level."""
@@ -200,14 +126,14 @@ class RunMachine:
     horizon: int = 0
     newest: int = -1
     records: list[LevelRecord] = field(default_factory=list)
-    report: LoopReport | None = None
+    report: LoopStatus | None = None
     end_sample: int = 0
     stop_request: tuple[ResultCode, str] | None = None
-    _orders: list[LevelOrder] = field(default_factory=list)
+    _orders: list[LevelCommand] = field(default_factory=list)
     _sequence: int = 0
     _acknowledged: int = 0
-    _unacknowledged: deque[LevelOrder] = field(default_factory=deque)
-    _ticks: deque[LoopReport] = field(default_factory=deque)
+    _unacknowledged: deque[LevelCommand] = field(default_factory=deque)
+    _ticks: deque[LoopStatus] = field(default_factory=deque)
     _next_tick: int = 0
     _next_horizon: int = 0
     _quiet_at: int | None = None
@@ -292,18 +218,18 @@ class RunMachine:
         self.work()
         return True
 
-    def on_report(self, report: LoopReport) -> None:
+    def on_report(self, report: LoopStatus) -> None:
         """Take in the loop's state after a block."""
         if report.level_sequence > self._acknowledged:
             self._acknowledged = report.level_sequence
             while self._unacknowledged and self._unacknowledged[0].sequence <= report.level_sequence:
                 self._unacknowledged.popleft()
-        if report.state == LOOP_LOST and report.reason:
+        if report.state == LoopState.LOCK_LOST and report.reason:
             self._loss_reasons[report.level_index] = report.reason
         if report.last_sample > self.newest:
             self.newest = report.last_sample
             self.report = report
-            if self.phase == RunPhase.PAUSED and report.flags & (FLAG_LIMIT | FLAG_WATCHDOG):
+            if self.phase == RunPhase.PAUSED and report.flags & _TRIPPED:
                 self.phase = RunPhase.RUNNING
             if self.active and report.last_sample + 1 >= self._next_tick:
                 if self.phase == RunPhase.PAUSED and not self.pacing.lockstep:
@@ -325,7 +251,7 @@ class RunMachine:
         record.locked_at, record.window_end = sample, window_end
         self.work()
 
-    def take_orders(self) -> list[LevelOrder]:
+    def take_orders(self) -> list[LevelCommand]:
         """Levels to be published now, in order."""
         orders, self._orders = self._orders, []
         return orders
@@ -339,7 +265,7 @@ class RunMachine:
             if self.phase == RunPhase.PAUSED:
                 return
             report = self._ticks[0]
-            if report.state == LOOP_LOCKED and self._begun(report) and report.level_index not in self._lock_events:
+            if report.state == LoopState.LOCKED and self._begun(report) and report.level_index not in self._lock_events:
                 return  # the lock event is on its way; decide with it, not without
             self._ticks.popleft()
             end = report.last_sample + 1
@@ -349,7 +275,7 @@ class RunMachine:
         if self.active:
             self._advance_horizon()
 
-    def _begun(self, report: LoopReport) -> bool:
+    def _begun(self, report: LoopStatus) -> bool:
         """Whether the report is about the present level: the loop has its order and has reached its sample.
 
         The index alone does not tell: a level of the run before may have had the same.
@@ -370,7 +296,7 @@ class RunMachine:
         limit = self._unacknowledged[0].apply_at_sample if self._unacknowledged else NO_HORIZON
         self.horizon = max(self.horizon, min(self._next_horizon, limit))
 
-    def _decide(self, report: LoopReport, effective: int) -> None:
+    def _decide(self, report: LoopStatus, effective: int) -> None:
         plan = self.plan
         assert plan is not None
         if self.phase == RunPhase.STOPPING:
@@ -380,8 +306,8 @@ class RunMachine:
                 self.end_sample = self.horizon if self.pacing.lockstep else self.newest + 1
             return
         record = self.records[-1]
-        if report.flags & (FLAG_LIMIT | FLAG_WATCHDOG):
-            tripped = "a safety limit" if report.flags & FLAG_LIMIT else "the drive watchdog"
+        if report.flags & _TRIPPED:
+            tripped = "a safety limit" if report.flags & BlockFlag.LIMIT else "the drive watchdog"
             record.reason = record.reason or f"{tripped} has tripped"
             self._quiet(effective, ResultCode.LIMIT, f"Level {record.index + 1}: {record.reason}.")
             return
@@ -392,7 +318,7 @@ class RunMachine:
             return
         if not self._begun(report):
             return
-        if report.state == LOOP_LOST:
+        if report.state == LoopState.LOCK_LOST:
             record.reason = self._loss_reasons.get(record.index, "lock was lost")
             record.ended = report.last_sample
             if plan.stop_on_lost_lock:
@@ -430,17 +356,17 @@ class RunMachine:
         self._sequence += 1
         plan = self.plan
         frequency = plan.frequencies_hz[index] if plan.frequencies_hz and amplitude > 0.0 else 0.0
-        order = LevelOrder(
+        order = LevelCommand(
             self._sequence,
             index,
-            plan.control,
-            amplitude,
+            float(amplitude),
             effective,
-            ramp,
+            float(ramp),
+            plan.control,
+            float(frequency),
             window_periods,
-            timeout,
-            frequency,
-            plan.excitation,
+            float(timeout),
+            **plan.excitation.level_fields,
         )
         self._orders.append(order)
         if self.pacing.lockstep:

@@ -6,38 +6,18 @@ import time
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
-from nmt_core.conversions import set_stamp
 from nmt_core.errors import BenchError
-from nmt_core.excitation import Excitation
-from nmt_core.parameters import Parameter
-from nmt_core.wire import read_status
+from nmt_core.vocabulary import ResultCode, RunPhase
+from nmt_core.wire import LEVEL, LOCK_EVENT, MODAL_POINT, RUN_STATE, read_status
+from nmt_msgs import msg
 from nmt_msgs.action import RunLevels
-from nmt_msgs.msg import Frequency, Level, LockEvent, ModalPoint, RunState
-from nmt_sequencer.run_machine import Pacing, ResultCode, RunMachine, RunPhase, RunPlan
-
-PARAMETERS = (
-    Parameter("sample_rate", 10000.0, "Hz", "Sample rate of the rig.", low=1.0),
-    Parameter("block_samples", 200, "samples", "Samples a block.", low=2, high=100000),
-    Parameter(
-        "pacing",
-        "lockstep",
-        "",
-        "lockstep for simulated rigs, realtime for hardware.",
-        choices=("lockstep", "realtime"),
-    ),
-    Parameter("tick_blocks", 5, "blocks", "Blocks between two decisions.", low=1, high=1000),
-    Parameter("latency_blocks", 0, "blocks", "Buffering between command and excitation.", low=0, high=100),
-    Parameter("ramp", 0.5, "s", "Half-cosine between levels if the goal gives none.", low=0.0),
-    Parameter("quiet_ramp", 0.5, "s", "Half-cosine to zero at the end of a run.", low=0.0),
-    Parameter("window_periods", 200, "periods", "Whole periods a window if the goal gives none.", low=1, high=1000000),
-    Parameter("timeout", 60.0, "s", "Bench time a level may take to lock if the goal gives none.", low=0.0),
-    Parameter("ready_timeout", 30.0, "s", "Wall time to wait for all watched nodes before a run.", low=0.1),
-    Parameter("points_timeout", 30.0, "s", "Wall time to wait for missing modal points after a run.", low=0.0),
-)
+from nmt_sequencer.run_core import PARAMETERS, RunCore
+from nmt_sequencer.run_machine import RunPlan
 
 _GUARD_PERIOD = 0.1
 _FEEDBACK_PERIOD = 0.1
@@ -54,32 +34,21 @@ class SequencerNode(BenchNode):
 
     def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
         super().__init__("sequencer", PARAMETERS, values, **kwargs)
-        v = self.values
-        self.machine = RunMachine(
-            Pacing(
-                sample_rate=float(v["sample_rate"]),
-                block_samples=int(v["block_samples"]),
-                tick_blocks=int(v["tick_blocks"]),
-                lockstep=v["pacing"] == "lockstep",
-                quiet_ramp=float(v["quiet_ramp"]),
-                latency_blocks=int(v["latency_blocks"]),
-            )
-        )
+        self.core = RunCore(self.values)
+        self.machine = self.core.machine
         self._pending: tuple[Any, RunPlan, float] | None = None
         self._goal: Any = None
         self._finished: Future | None = None
-        self._points: dict[int, ModalPoint] = {}
         self._done_since: float | None = None
         self._stopping_since: float | None = None
         self._newest_wall = 0.0
         self._last_feedback = 0.0
-        self._published: tuple[Any, ...] = ()
 
-        self._level = self.bench_publisher(Level, "level", SAMPLES_QOS)
-        self._state = self.bench_publisher(RunState, "run_state", STATE_QOS)
-        self.bench_subscription(Frequency, "frequency", self._on_frequency, SAMPLES_QOS, raw=True)
-        self.bench_subscription(LockEvent, "lock", self._on_lock, SAMPLES_QOS)
-        self.bench_subscription(ModalPoint, "modal_point", self._on_point, SAMPLES_QOS)
+        self._level = self.bench_publisher(msg.Level, "level", SAMPLES_QOS)
+        self._state = self.bench_publisher(msg.RunState, "run_state", STATE_QOS)
+        self.bench_subscription(msg.Frequency, "frequency", self._on_frequency, SAMPLES_QOS, raw=True)
+        self.bench_subscription(msg.LockEvent, "lock", self._on_lock, SAMPLES_QOS, raw=True)
+        self.bench_subscription(msg.ModalPoint, "modal_point", self._on_point, SAMPLES_QOS, raw=True)
         self._server = ActionServer(
             self,
             RunLevels,
@@ -96,20 +65,7 @@ class SequencerNode(BenchNode):
     # -- goals ---------------------------------------------------------------------------------------------------
 
     def _plan(self, goal: Any) -> RunPlan:
-        v = self.values
-        plan = RunPlan(
-            run_id=goal.run_id or time.strftime("run-%Y%m%d-%H%M%S"),
-            levels=tuple(goal.levels),
-            control=goal.control or RunLevels.Goal.CONTROL_VOLTAGE,
-            ramp=goal.ramp or float(v["ramp"]),
-            window_periods=goal.window_periods or int(v["window_periods"]),
-            timeout=goal.timeout or float(v["timeout"]),
-            stop_on_lost_lock=goal.stop_on_lost_lock,
-            excitation=Excitation.from_goal(goal),
-            frequencies_hz=tuple(goal.frequencies_hz),
-        )
-        plan.check(float(v["sample_rate"]))
-        return plan
+        return self.core.plan({name: getattr(goal, name) for name in goal.get_fields_and_field_types()})
 
     def _on_goal(self, goal: Any) -> GoalResponse:
         try:
@@ -124,7 +80,7 @@ class SequencerNode(BenchNode):
 
     async def _execute(self, goal_handle: Any) -> Any:
         self._goal = goal_handle
-        self._points.clear()
+        self.core.points.clear()
         self._finished = Future()
         plan = self._plan(goal_handle.request)
         self._pending = (goal_handle, plan, time.monotonic())
@@ -142,7 +98,8 @@ class SequencerNode(BenchNode):
         result.message = machine.reason
         result.levels_locked = sum(record.complete for record in machine.records)
         result.levels_not_locked = len(machine.records) - result.levels_locked
-        result.points = [self._points[index] for index in sorted(self._points)]
+        points = [self.core.points[index] for index in sorted(self.core.points)]
+        result.points = [deserialize_message(MODAL_POINT.write(point), msg.ModalPoint) for point in points]
         if machine.code == ResultCode.SUCCEEDED:
             goal_handle.succeed()
         elif goal_handle.is_cancel_requested:
@@ -161,7 +118,7 @@ class SequencerNode(BenchNode):
             self._refuse(plan, ResultCode.CANCELED, "Cancelled before the first level.")
         elif not missing and not own:
             self._pending = None
-            self.machine.start(plan)
+            self.core.start(plan)
             self._publish_all()
         elif time.monotonic() - since > float(self.values["ready_timeout"]):
             what = [f"{name} ({state})" for name, state in missing.items()]
@@ -174,10 +131,7 @@ class SequencerNode(BenchNode):
 
     def _refuse(self, plan: RunPlan, code: ResultCode, reason: str) -> None:
         self._pending = None
-        self.machine.plan, self.machine.code, self.machine.reason = plan, code, reason
-        self.machine.records.clear()
-        self.machine.phase = RunPhase.DONE
-        self.machine.end_sample = self.machine.newest + 1
+        self.core.refuse(plan, code, reason)
         self._publish_state()
         self._finish()
 
@@ -195,15 +149,23 @@ class SequencerNode(BenchNode):
             return
         if status.last_sample > self.machine.newest:
             self._newest_wall = time.monotonic()
-        self.machine.on_report(status)
+        self.core.take_status(status)
         self._publish_all()
 
-    def _on_lock(self, message: LockEvent) -> None:
-        self.machine.on_lock(message.level_index, message.sample, message.window_first_sample + message.window_samples)
+    def _on_lock(self, raw: bytes) -> None:
+        try:
+            lock = LOCK_EVENT.read(raw)
+        except (BenchError, ValueError) as error:
+            self.get_logger().error(f"Lock event refused: {error}", throttle_duration_sec=1.0)
+            return
+        self.core.take_lock(lock)
         self._publish_all()
 
-    def _on_point(self, message: ModalPoint) -> None:
-        self._points[message.level_index] = message
+    def _on_point(self, raw: bytes) -> None:
+        try:
+            self.core.take_point(MODAL_POINT.read(raw))
+        except ValueError as error:
+            self.get_logger().error(f"Modal point refused: {error}", throttle_duration_sec=1.0)
 
     def _stop(self, _: Any, response: Any) -> Any:
         response.success = self.machine.active or self._pending is not None
@@ -229,45 +191,15 @@ class SequencerNode(BenchNode):
     # -- what goes out -------------------------------------------------------------------------------------------
 
     def _publish_all(self) -> None:
-        for order in self.machine.take_orders():
-            message = Level()
-            message.sequence = order.sequence
-            message.index = order.index
-            message.control = order.control
-            message.amplitude = float(order.amplitude)
-            message.apply_at_sample = order.apply_at_sample
-            message.ramp = float(order.ramp)
-            message.window_periods = order.window_periods
-            message.timeout = float(order.timeout)
-            message.frequency_hz = float(order.frequency_hz)
-            for name, value in order.excitation.values.items():
-                setattr(message, name, value)
-            self._level.publish(message)
+        for order in self.core.orders():
+            self._level.publish(LEVEL.write(order))
         self._publish_state()
         self._publish_feedback()
 
     def _publish_state(self) -> None:
-        machine = self.machine
-        key = (machine.phase, machine.horizon, machine.level_index, machine.code, machine.reason)
-        if key == self._published:
-            return
-        self._published = key
-        message = RunState()
-        newest = machine.end_sample - 1 if machine.phase == RunPhase.DONE else machine.newest
-        sample = max(newest, 0)
-        set_stamp(message.stamp, sample, machine.pacing.sample_rate)
-        plan = machine.plan
-        message.run_id = plan.run_id if plan else ""
-        message.phase = int(machine.phase)
-        message.level_index = machine.level_index
-        message.level_count = len(plan.levels) if plan else 0
-        message.level = machine.records[-1].amplitude if machine.records else 0.0
-        message.progress = float(machine.progress)
-        message.sample = sample
-        message.horizon_sample = machine.horizon
-        message.result_code = int(machine.code)
-        message.reason = machine.reason
-        self._state.publish(message)
+        state = self.core.state()
+        if state is not None:
+            self._state.publish(RUN_STATE.write(state))
 
     def _publish_feedback(self) -> None:
         now = time.monotonic()
@@ -313,10 +245,8 @@ class SequencerNode(BenchNode):
             self._publish_all()
         elif self._goal is not None and self._pending is None and machine.phase == RunPhase.DONE:
             self._done_since = self._done_since or now
-            waiting = {record.index for record in machine.records if record.complete} - set(self._points)
-            if machine.plan is not None and not machine.plan.excitation.test.gives_modal_points:
-                waiting.clear()
-            if not waiting or now - self._done_since > float(self.values["points_timeout"]):
+            overdue = now - self._done_since > float(self.values["points_timeout"])
+            if overdue or not self.core.missing_points:
                 self._finish()
 
     def update_counters(self) -> None:

@@ -17,7 +17,7 @@ from nmt_core.blocks import SAMPLE_TOPICS, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
 from nmt_core.linear_description import LinearDescription
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import ControlKind, TestKind
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_extract.settings import ExtractionSettings
 from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
@@ -27,9 +27,6 @@ from nmt_rig.rig import Rig
 from nmt_sequencer.level_plan import check_levels
 
 PACINGS = ("lockstep", "realtime")
-
-CONTROLS = {"voltage": 1, "response": 2, "force": 3}
-"""What levels are: constants of ``nmt_msgs/Level``."""
 
 STRATEGIES = ("stepped", "ramp")
 RAMP_WINDOW = 20
@@ -104,8 +101,7 @@ class TestPlan:
         check_levels(self.levels, "The test")
         if self.pacing not in PACINGS:
             raise BenchError(f"Pacing '{self.pacing}' is not known; use {' or '.join(PACINGS)}.")
-        if self.control not in CONTROLS:
-            raise BenchError(f"Control '{self.control}' is not known; use {', '.join(CONTROLS)}.")
+        control = ControlKind.named(self.control)
         if self.strategy not in STRATEGIES:
             raise BenchError(f"Strategy '{self.strategy}' is not known; use {' or '.join(STRATEGIES)}.")
         if self.latency_blocks < 0:
@@ -122,7 +118,7 @@ class TestPlan:
         if self.strategy == "ramp" and kind is not TestKind.PHASE_RESONANCE:
             raise BenchError("The strategy ramp is one of phase resonance tests; leave the strategy at stepped.")
         rate = float(self.rig.sample_rate_hz)
-        self.excitation.check(self.level_frequencies_hz, len(self.levels), CONTROLS[self.control], rate)
+        self.excitation.check(self.level_frequencies_hz, len(self.levels), control, rate)
         limit = self.rig.limits.voltage_v
         if kind is TestKind.RANDOM and limit is not None and PEAK_FACTOR * max(self.levels) > limit:
             raise BenchError(
@@ -164,9 +160,10 @@ class TestPlan:
     @property
     def level_unit(self) -> str:
         """Unit of the levels."""
-        if self.control == "response":
-            return Quantity[_response_topic(self.rig).upper()].unit
-        return "V" if self.control == "voltage" else "N"
+        control = ControlKind.named(self.control)
+        if control is not ControlKind.RESPONSE:
+            return control.level_unit()
+        return control.level_unit(Quantity[_response_topic(self.rig).upper()])
 
     @property
     def goal(self) -> dict[str, Any]:
@@ -179,7 +176,7 @@ class TestPlan:
             ramp = window / linear.frequency_hz if ramp is None else ramp
         return {
             "run_id": self.run_id,
-            "control": CONTROLS[self.control],
+            "control": int(ControlKind.named(self.control)),
             "levels": [float(level) for level in self.levels],
             "ramp": float(test.ramp_s if ramp is None else ramp),
             "window_periods": int(test.window_periods if window is None else window),

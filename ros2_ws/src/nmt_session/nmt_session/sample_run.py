@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.records import DriveCommand, LevelCommand
+from nmt_core.vocabulary import LoopState, Waveform
 
 if TYPE_CHECKING:
-    from nmt_pll.settings import LevelCommand
     from nmt_rig.rig import Rig
-
-_LOCK_LOST = 4
 
 
 @dataclass(frozen=True)
@@ -59,10 +58,9 @@ def record_sample_run(bag: Path, rig: Rig, levels: Sequence[float], window_perio
     Raises:
         BenchError: the rig or its levels are not acceptable, or the bag cannot be written.
     """
-    from nmt_plant.device import DriveCommand, Waveform
     from nmt_plant.simulated_rig import SimulatedRig
     from nmt_pll.loop import PhaseLockedLoop
-    from nmt_pll.settings import LevelCommand, settings_from
+    from nmt_pll.settings import settings_from
     from nmt_record.bag_writer import BagWriter
     from nmt_record.run_messages import RunMessages
     from nmt_rig.linear_description import linear_description
@@ -119,7 +117,7 @@ def record_sample_run(bag: Path, rig: Rig, levels: Sequence[float], window_perio
             begin = clock()
             for block in block_set.values():
                 messages.put_block(block)
-            messages.put_output(output, response.unit)
+            messages.put_output(output, response_quantity)
             spent["write"] += clock() - begin
             begin = clock()
             waveform = Waveform.SINE if output.frequency_hz > 0.0 else Waveform.OFF
@@ -133,7 +131,7 @@ def record_sample_run(bag: Path, rig: Rig, levels: Sequence[float], window_perio
                 window_end = output.lock.first_sample + output.lock.samples
                 locked += 1
             # As on the bench, the next level waits for the last sample of the window.
-            if (window_end is not None and sample >= window_end) or output.state == _LOCK_LOST:
+            if (window_end is not None and sample >= window_end) or output.state == LoopState.LOCK_LOST:
                 index, window_end = index + 1, None
                 if index < len(levels):
                     start(index, sample)

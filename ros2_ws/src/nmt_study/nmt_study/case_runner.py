@@ -34,7 +34,7 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
         BenchError: the nodes did not start or the run did not end as planned.
     """
     from nmt_bench.harness import Bench
-    from nmt_sequencer.run_machine import ResultCode
+    from nmt_core.vocabulary import ResultCode
     from nmt_study.case_reference import epmc_at, single_point_at
     from nmt_study.case_timing import level_timings
 

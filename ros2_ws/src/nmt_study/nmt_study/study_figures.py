@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
@@ -150,7 +151,7 @@ def error_figures(prefix: str, results: Sequence[Result], rows: Callable[[Result
     legend_columns = max(1, min(4, 90 // (max(map(len, labels), default=1) + 5)))
     figure.subplots_adjust(bottom=0.12 + 0.035 * math.ceil(len(labels) / legend_columns))
     figure.legend(handles, labels, loc="lower center", ncols=legend_columns)
-    caption = (
+    caption = Markup(
         "Relative errors at each level. Left: distance to the single-point reference at the same drive voltage, "
         "the error of the test (dashed: 0.1 % and 2 %). Right: distance to EPMC at the same <i>q</i>, the error of "
         "the method."

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import sys
 import time
-from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
@@ -17,7 +14,6 @@ from nmt_core.errors import BenchError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from nmt_diagnose.inference.diagnose import Outcome
     from nmt_diagnose.inference.diagnosis import Diagnosis
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -99,7 +95,8 @@ def run(arguments: argparse.Namespace) -> int:
     from nmt_bench.commands.terminal import make_console
     from nmt_diagnose.effects.library import effect_named
     from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
-    from nmt_rig.rig import find_rig, load_rig
+    from nmt_report.diagnosis_files import write_diagnosis
+    from nmt_rig.rig import load_rig
 
     withheld = tuple(dict.fromkeys(name.strip().replace("-", "_").replace(" ", "_") for name in arguments.without))
     for name in withheld:
@@ -114,14 +111,10 @@ def run(arguments: argparse.Namespace) -> int:
         held_out = tuple(dict.fromkeys(arguments.hold_out))
         settings = DiagnosisSettings(withheld=withheld, seed=arguments.seed, hold_out=held_out)
         outcome = diagnose_bags(rig, arguments.real, arguments.floor, settings, progress.update)
-        diagnosis = replace(
-            outcome.diagnosis,
-            inputs=complete_inputs(outcome.diagnosis.inputs, find_rig(arguments.model), arguments.set, arguments.floor),
-        )
         progress.update("writing the report")
         with OutputFolder(arguments.out, arguments.force) as folder:
-            remark = write_results(replace(outcome, diagnosis=diagnosis), folder, find_rig(arguments.model))
-    show(diagnosis, console)
+            remark = write_diagnosis(outcome, folder, arguments.model, arguments.set, arguments.floor)
+    show(outcome.diagnosis, console)
     if remark:
         console.print(remark, style="yellow", markup=False, soft_wrap=True)
     new = "" if remark else f" New rig file: {arguments.out / 'model.yaml'}"
@@ -129,56 +122,6 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(f"Report: {(arguments.out / 'report.html').resolve()}", markup=False, soft_wrap=True)
     sys.stdout.flush()
     return EXIT_DONE
-
-
-def complete_inputs(inputs: dict[str, Any], model: Path, overrides: list[str], floor: list[Path]) -> dict[str, Any]:
-    """What ``inputs`` of ``diagnosis.json`` says beyond what the diagnosis knows: files, overrides, versions."""
-    try:
-        code = version("nmt_bench")
-    except PackageNotFoundError:
-        code = ""
-    repeats = {str(path) for path in floor}
-    bags = [
-        {**bag, "role": "repeat, for the floor" if bag.get("path") in repeats else "real side"}
-        for bag in inputs.get("bags", ())
-    ]
-    return {
-        **inputs,
-        "bags": bags,
-        "model_file": {"path": str(model), "sha256": hashlib.sha256(model.read_bytes()).hexdigest()},
-        "overrides": list(overrides),
-        "version": f"nmt {code}".strip(),
-    }
-
-
-def write_results(outcome: Outcome, folder: Path, model: Path) -> str:
-    """Write diagnosis.json, report.html, model.yaml and observables.csv to a folder.
-
-    Args:
-        outcome: of the diagnosis.
-        folder: where to.
-        model: rig file that the given model was loaded from.
-
-    Returns:
-        A sentence where there is no model.yaml because no rig file may hold the fitted values; else empty.
-    """
-    from nmt_core.whole_file import write_whole
-    from nmt_report.diagnosis_curves import Models, observables_csv
-    from nmt_report.diagnosis_model import model_text
-    from nmt_report.diagnosis_report import DiagnosisReport, diagnosis_page
-
-    models = Models(outcome.as_given, outcome.refitted, outcome.final)
-    outcome.diagnosis.write(folder / "diagnosis.json")
-    remark, text = "", model.read_text(encoding="utf-8")
-    try:
-        text = model_text(text, model.name, outcome.given, outcome.model, outcome.diagnosis)
-        write_whole(folder / "model.yaml", text)
-    except BenchError as error:
-        remark = f"There is no model.yaml: the fitted values are no rig ({error})"
-    write_whole(folder / "observables.csv", observables_csv(outcome.evidence, models))
-    report = DiagnosisReport(outcome.diagnosis, outcome.evidence, models, outcome.given)
-    write_whole(folder / "report.html", diagnosis_page(report))
-    return remark
 
 
 class DiagnosisProgress:

@@ -11,8 +11,6 @@ from nmt_bench.commands.output_folder import OutputFolder, add_output_options, c
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
-    from nmt_record.bag_reader import Bag
-
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 FORMATS = ("uff", "csv", "npz")
@@ -63,58 +61,15 @@ def run(arguments: argparse.Namespace) -> int:
         raise BenchError(f"--ascii is a form of UFF; leave it out for --format {arguments.format}.")
 
     from nmt_bench.commands.terminal import make_console
-    from nmt_record.bag_reader import Bag
-    from nmt_record.exported_run import linear_text
+    from nmt_record.exported_run import export_run
 
-    responses = arguments.source / "frf.csv" if arguments.source.is_dir() else None
-    responses = responses if responses is not None and responses.is_file() and arguments.format == "uff" else None
-    bag = None
-    if responses is None or (arguments.source / "bag").exists():
-        bag = Bag.open(arguments.source)
-    linear = linear_text(bag) if bag is not None else ""
-    beside = arguments.source / "linear.json"
-    if not linear and arguments.source.is_dir() and beside.is_file():
-        linear = beside.read_text(encoding="utf-8")
     with OutputFolder(arguments.out, arguments.force) as folder:
-        files = [] if bag is None else _export_samples(bag, folder, arguments, linear)
-        if responses is not None:
-            files += _export_responses(responses, folder, linear, not arguments.ascii)
+        exported = export_run(
+            arguments.source, folder, arguments.format, ascii_uff=arguments.ascii, only=arguments.segment
+        )
     console = make_console()
-    if bag is not None and bag.loss:
-        console.print(bag.loss, style="yellow", markup=False)
-    console.print(f"Results in {arguments.out}: {', '.join(files)}", markup=False, soft_wrap=True)
+    if exported.loss:
+        console.print(exported.loss, style="yellow", markup=False)
+    console.print(f"Results in {arguments.out}: {', '.join(exported.files)}", markup=False, soft_wrap=True)
     sys.stdout.flush()
     return 0
-
-
-def _export_samples(bag: Bag, folder: Path, arguments: argparse.Namespace, linear: str) -> list[str]:
-    from nmt_record.exported_run import Extent, export_bag, level_spans, recorded_extent
-
-    whole = recorded_extent(bag)
-    rig = bag.rig_yaml or ""
-    if not arguments.segment:
-        return export_bag(bag, folder, arguments.format, whole, arguments.ascii, rig, linear)
-    spans = level_spans(bag, whole)
-    files = []
-    for number in dict.fromkeys(arguments.segment):
-        if not 1 <= number <= len(spans):
-            has = f"segments 1 to {len(spans)}" if spans else "no segments"
-            raise BenchError(f"The bag {arguments.source} has {has}, so there is no segment {number} to export.")
-        span = spans[number - 1]
-        part = folder / f"segment-{number}"
-        part.mkdir()
-        extent = Extent(span.first, span.stop)
-        names = export_bag(bag, part, arguments.format, extent, arguments.ascii, rig, linear)
-        files += [f"{part.name}/{name}" for name in names]
-    return files
-
-
-def _export_responses(table: Path, folder: Path, linear: str, binary: bool) -> list[str]:
-    from nmt_core.linear_description import LinearDescription
-    from nmt_record.exported_run import export_frf
-
-    drive_point = 0
-    if linear:
-        drive_point = LinearDescription.from_json(linear).drive_point
-    export_frf(table, folder / "frf.uff", drive_point, binary)
-    return ["frf.uff"]

@@ -104,9 +104,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def recorded_points(bag: Bag) -> list[ModalPoint]:
     """The modal points that the live node published, as recorded."""
-    from nmt_extract.conversions import modal_point_from_message
+    from nmt_core.wire import MODAL_POINT
 
-    return [modal_point_from_message(message) for _, _, message in bag.messages(["modal_point"])]
+    return list(bag.records("modal_point", MODAL_POINT))
 
 
 def _comparison(points: Sequence[ModalPoint], recorded: Sequence[ModalPoint]) -> str:

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
-from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from nmt_core.linear_description import LinearDescription
-    from nmt_record.import_sidecar import Sidecar
     from nmt_record.imported_run import ImportedRun
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -47,16 +43,11 @@ def run(arguments: argparse.Namespace) -> int:
     check_output(arguments.out, arguments.force)
 
     from nmt_bench.commands.terminal import make_console
-    from nmt_record.imported_run import read_import, write_import
-    from nmt_session.node_plan import versions
+    from nmt_bench.data_import import read_data, write_data
 
-    rig = _RigOfImport(arguments.sidecar)
-    imported = read_import(arguments.sidecar, rig.describe)
-    rig.resolve(imported.sidecar)
-    imported.notes += rig.notes
-    _check_extraction(imported.sidecar)
+    imported, rig = read_data(arguments.sidecar)
     with OutputFolder(arguments.out, arguments.force) as folder:
-        write_import(imported, folder / "bag", rig.name, rig.text, versions())
+        write_data(imported, rig, folder / "bag")
     console = make_console()
     if imported.channels:
         console.print(_channel_table(imported))
@@ -69,101 +60,6 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(f"Results in {arguments.out}: bag", markup=False)
     sys.stdout.flush()
     return 0
-
-
-class _RigOfImport:
-    """The rig that a sidecar names, if there is a file for it."""
-
-    def __init__(self, sidecar: Path) -> None:
-        self._folder = sidecar.parent
-        self._resolved = False
-        self._linear: LinearDescription | None = None
-        self.name = ""
-        self.text = ""
-        self.notes: list[str] = []
-
-    def describe(self, sidecar: Sidecar) -> LinearDescription | None:
-        """Linear modes of the rig's model at the points that were measured."""
-        self.resolve(sidecar)
-        return self._linear
-
-    def resolve(self, sidecar: Sidecar) -> None:
-        """Find and load the rig file.
-
-        Raises:
-            BenchError: a path that leads nowhere, or a rig file with a mistake.
-        """
-        if self._resolved or sidecar.rig is None:
-            return
-        self._resolved = True
-        path = self._find(sidecar.rig)
-        if path is None:
-            self.name = sidecar.rig
-            self.notes.append(f"There is no rig file '{sidecar.rig}'; the bag names the rig and holds no file of it.")
-            return
-        from nmt_rig.rig import load_rig
-        from nmt_rig.rig_snapshot import rig_text
-
-        rig = load_rig(path)
-        overrides = []
-        points = {channel.point for channel in sidecar.channels if channel.quantity == "force" and channel.point}
-        if len(points) == 1 and points != {rig.drive_point}:
-            overrides = [f"exciter.point={points.pop()}"]
-            rig = load_rig(path, overrides)
-            self.notes.append(f"The force was measured at point {rig.drive_point}; the rig's exciter was put there.")
-        self.name, self.text = rig.name, rig_text(rig, path, overrides)
-        if sidecar.linear is None and sidecar.channels:
-            from nmt_rig.linear_description import linear_description
-
-            self._linear = self._measured(linear_description(rig), sidecar)
-
-    def _find(self, name: str) -> Path | None:
-        from nmt_rig.rig import find_rig
-
-        beside = self._folder / name
-        if beside.is_file():
-            return beside
-        if "/" in name or name.endswith((".yaml", ".yml")):
-            raise BenchError(
-                f"The sidecar names the rig file {name}, which is not beside it ({beside}); correct 'rig'."
-            )
-        try:
-            return find_rig(name)
-        except BenchError:
-            return None
-
-    def _measured(self, linear: LinearDescription, sidecar: Sidecar) -> LinearDescription | None:
-        """The description restricted to the points that one kind of sensor covers."""
-        best: list[int] = []
-        for quantity in ("displacement", "velocity", "acceleration"):
-            points = {channel.point for channel in sidecar.channels if channel.quantity == quantity}
-            rows = [row for row, point in enumerate(linear.points) if point in points]
-            best = rows if len(rows) > len(best) else best
-        if len(best) == len(linear.points):
-            return linear
-        if not best or len(best) <= linear.target_mode:
-            self.notes.append("The rig's model has no modes at the measured points, so the bag holds no linear modes.")
-            return None
-        modes = min(len(best), len(linear.frequencies_rad_s))
-        kept = tuple(linear.points[row] for row in best)
-        self.notes.append(
-            f"The rig's linear modes were restricted to the measured points {', '.join(map(str, kept))} "
-            f"({modes} mode{'s' if modes > 1 else ''})."
-        )
-        return dataclasses.replace(
-            linear,
-            points=kept,
-            frequencies_rad_s=linear.frequencies_rad_s[:modes],
-            damping_ratios=linear.damping_ratios[:modes],
-            shapes=tuple(linear.shapes[row][:modes] for row in best),
-        )
-
-
-def _check_extraction(sidecar: Sidecar) -> None:
-    if sidecar.extraction is not None:
-        from nmt_extract.settings import ExtractionSettings
-
-        ExtractionSettings.from_mapping(sidecar.extraction)
 
 
 def _channel_table(imported: ImportedRun) -> Table:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,12 +14,10 @@ from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
 
 if TYPE_CHECKING:
-    from nmt_bench.harness import RunResult
-    from nmt_extract.linear_file import Linearity
-    from nmt_extract.linear_test import LinearTest, LinearTestSettings
+    from nmt_extract.linear_evaluation import LinearTestResult
     from nmt_record.bag_reader import Bag
-    from nmt_record.segments import Segment
     from nmt_rig.rig import Rig
+    from nmt_session.run_result import RunResult
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -103,10 +100,10 @@ def run(arguments: argparse.Namespace) -> int:
         from nmt_record.bag_reader import Bag
 
         bag = Bag.open(arguments.bag)
-        outcome = evaluate(bag, arguments, band)
+        evaluated = _evaluate(bag, arguments, band)
         with OutputFolder(arguments.out, arguments.force) as folder:
-            _write(outcome, folder, arguments)
-        _show(outcome, arguments, console)
+            _write(*evaluated, folder, arguments)
+        _show(*evaluated, arguments, console)
         return EXIT_DONE
     return _measure(arguments, band, console)
 
@@ -114,10 +111,10 @@ def run(arguments: argparse.Namespace) -> int:
 def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: Any) -> int:
     from nmt_bench.commands.run_command import measure, terminate_as_interrupt
     from nmt_bench.harness import Bench
+    from nmt_core.vocabulary import ResultCode
     from nmt_record.bag_reader import Bag
     from nmt_rig.rig import load_rig
     from nmt_sequencer.level_plan import parse_levels
-    from nmt_sequencer.run_machine import ResultCode
 
     rig = load_rig(arguments.rig, arguments.set)
     level = arguments.level if arguments.level is not None else min(parse_levels(rig.test.levels))
@@ -144,7 +141,7 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
             console.print(result.message, style="yellow", markup=False)
             return EXIT_FAILED
         try:
-            outcome = evaluate(Bag.open(result.bag), arguments, band)
+            evaluated = _evaluate(Bag.open(result.bag), arguments, band)
         except BenchError as error:
             if result.interrupted or result.code != ResultCode.SUCCEEDED:
                 console.print(result.message, style="yellow", markup=False)
@@ -152,8 +149,8 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
                 f"{str(error).rstrip('.')}. The recording is in {folder / 'bag'}; './nmt linear --bag' evaluates it "
                 "again."
             ) from error
-        _write(outcome, folder, arguments)
-    _show(outcome, arguments, console)
+        _write(*evaluated, folder, arguments)
+    _show(*evaluated, arguments, console)
     _say_how_it_ran(result, console)
     if result.interrupted:
         return EXIT_INTERRUPTED
@@ -161,8 +158,8 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
 
 
 def _say_how_it_ran(result: RunResult, console: Any) -> None:
+    from nmt_core.vocabulary import ResultCode
     from nmt_report.quantity_format import duration
-    from nmt_sequencer.run_machine import ResultCode
 
     if result.code != ResultCode.SUCCEEDED:
         console.print(result.message, style="yellow", markup=False)
@@ -186,68 +183,33 @@ def _band(text: str) -> tuple[float, float]:
 # -- evaluation -------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class LinearOutcome:
-    """What the command found.
+def _evaluate(
+    bag: Bag, arguments: argparse.Namespace, band: tuple[float, float]
+) -> tuple[LinearTestResult, Rig | None]:
+    """The recording's modes, and the rig it names; None where it names none."""
+    from nmt_core.blocks import Quantity
+    from nmt_extract.linear_evaluation import evaluate_linear_test
 
-    Attributes:
-        test: evaluation of the highest level.
-        level: its level, V rms; None if the recording does not say.
-        check: comparison with the lowest level; None if there is one level only.
-        rig: rig of the recording; None if it has none.
-        run: the recording's description of itself.
-        remarks: sentences.
-    """
-
-    test: LinearTest
-    level: float | None
-    check: Linearity | None
-    rig: Rig | None
-    run: dict[str, Any]
-    remarks: tuple[str, ...]
-
-
-def evaluate(bag: Bag, arguments: argparse.Namespace, band: tuple[float, float]) -> LinearOutcome:
-    """Evaluate the random windows of a recording.
-
-    Raises:
-        BenchError: it has none, or they cannot be evaluated.
-    """
-    from nmt_core.test_kind import TestKind
-    from nmt_extract.linear_file import linearity
-    from nmt_extract.linear_test import linear_test
-    from nmt_record.segments import read_signals, segments
-
-    windows = [segment for segment in segments(bag) if segment.kind is TestKind.RANDOM]
-    whole = [segment for segment in windows if not segment.fault]
-    if not whole:
-        fault = f" ({windows[0].fault})" if windows else ""
-        raise BenchError(
-            f"The bag {bag.path} has no whole window of random excitation{fault}; record one with './nmt linear'."
-        )
     rig = _rig_of(bag)
-    run = bag.run_start or {}
-    settings = _settings(bag, run, rig, arguments, band)
-    main = max(whole, key=lambda segment: segment.level)
-    test = linear_test(read_signals(bag, main.first_sample, main.samples), settings)
-    lowest = min(whole, key=lambda segment: segment.level)
-    check, remarks = None, list(test.remarks)
-    if lowest.level < main.level:
-        try:
-            lower = linear_test(read_signals(bag, lowest.first_sample, lowest.samples), settings)
-            check = linearity(test, lower, main.level, lowest.level)
-        except BenchError as error:
-            remarks.append(f"The lower level of {lowest.level:g} V rms could not be evaluated: {error}")
-    if test.reference == "force":
-        remarks.append(
-            "No voltage was recorded: noise of the force biases the fit where the force drops out, and the exciter's "
-            "share of the plant is not known."
-        )
-    return LinearOutcome(test, _level(main), check, rig, run, tuple(remarks))
-
-
-def _level(segment: Segment) -> float | None:
-    return segment.level if segment.level > 0.0 else None
+    drive, modes, rig_mode, quantity = arguments.exciter, arguments.modes, 1, None
+    if rig is not None:
+        drive = rig.drive_point if drive is None else drive
+        modes = rig.extraction.linear_modes if modes is None else modes
+        rig_mode = rig.test.mode
+        quantity = Quantity[rig.extraction.quantity.upper()]
+    result = evaluate_linear_test(
+        bag,
+        # The band as it is by default gives way to that of the recording.
+        band_hz=None if arguments.band == DEFAULT_BAND else band,
+        modes=2 if modes is None else modes,
+        mode=arguments.mode,
+        near_hz=arguments.near,
+        rig_mode=rig_mode,
+        drive_point=drive,
+        quantity=quantity,
+        segment_s=arguments.segment,
+    )
+    return result, rig
 
 
 def _rig_of(bag: Bag) -> Rig | None:
@@ -266,67 +228,28 @@ def _rig_of(bag: Bag) -> Rig | None:
             return None
 
 
-def _settings(
-    bag: Bag, run: dict[str, Any], rig: Rig | None, arguments: argparse.Namespace, band: tuple[float, float]
-) -> LinearTestSettings:
-    from nmt_core.blocks import Quantity
-    from nmt_extract.linear_test import LinearTestSettings
-
-    plan = run.get("plan") or {}
-    if arguments.band == DEFAULT_BAND and plan.get("band_low_hz") and plan.get("band_high_hz"):
-        band = float(plan["band_low_hz"]), float(plan["band_high_hz"])
-    drive, modes, rig_mode = run.get("exciter_point"), 2, 1
-    quantity = Quantity.ACCELERATION if "acceleration" in bag.topics else Quantity.DISPLACEMENT
-    if rig is not None:
-        drive, modes, rig_mode = rig.drive_point, rig.extraction.linear_modes, rig.test.mode
-        quantity = Quantity[rig.extraction.quantity.upper()]
-    if arguments.exciter is not None:
-        drive = arguments.exciter
-    if drive is None:
-        block = next(iter(bag.blocks("force")), None)
-        drive = block.points[0] if block is not None else 0
-    if arguments.modes is not None and arguments.modes < 1:
-        raise BenchError(f"--modes must be at least 1, got {arguments.modes}.")
-    for name in ("near", "segment"):
-        value = getattr(arguments, name)
-        if value is not None and not 0.0 < value < float("inf"):
-            raise BenchError(f"--{name} must be positive, got {value:g}.")
-    return LinearTestSettings(
-        drive_point=int(drive),
-        quantity=quantity,
-        band_hz=band,
-        modes=arguments.modes or modes,
-        mode=arguments.mode,
-        near_hz=arguments.near,
-        rig_mode=rig_mode,
-        segment_s=arguments.segment,
-    )
-
-
 # -- results ----------------------------------------------------------------------------------------------------------
 
 
-def _write(outcome: LinearOutcome, folder: Path, arguments: argparse.Namespace) -> None:
-    from nmt_extract.linear_file import frf_table, linear_mapping
+def _write(result: LinearTestResult, rig: Rig | None, folder: Path, arguments: argparse.Namespace) -> None:
+    from nmt_extract.linear_file import frf_table
     from nmt_report.linear_report import exact_modes, linear_page
 
-    values = linear_mapping(outcome.test, outcome.check, outcome.level)
-    values["quality"]["remarks"] = list(outcome.remarks)
-    write_whole(folder / "linear.json", json.dumps(values, indent=1) + "\n")
-    write_whole(folder / "frf.csv", frf_table(outcome.test))
-    exact = exact_modes(outcome.rig) if outcome.rig is not None and arguments.reference == "model" else None
-    write_whole(folder / "report.html", linear_page(outcome, exact))
+    write_whole(folder / "linear.json", json.dumps(result.to_mapping(), indent=1) + "\n")
+    write_whole(folder / "frf.csv", frf_table(result.test))
+    exact = exact_modes(rig) if rig is not None and arguments.reference == "model" else None
+    write_whole(folder / "report.html", linear_page(result, rig, exact))
 
 
-def _show(outcome: LinearOutcome, arguments: argparse.Namespace, console: Any) -> None:
+def _show(result: LinearTestResult, rig: Rig | None, arguments: argparse.Namespace, console: Any) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     from nmt_report.linear_report import exact_modes, match
     from nmt_report.quantity_format import plain, uncertain
 
-    test = outcome.test
-    exact = exact_modes(outcome.rig) if outcome.rig is not None and arguments.reference == "model" else None
+    test = result.test
+    exact = exact_modes(rig) if rig is not None and arguments.reference == "model" else None
     table = Table(
         title="Linear modes: value ± standard uncertainty", title_justify="left", title_style="bold", box=SIMPLE_HEAD
     )
@@ -364,10 +287,10 @@ def _show(outcome: LinearOutcome, arguments: argparse.Namespace, console: Any) -
             markup=False,
             soft_wrap=True,
         )
-    if outcome.check is not None:
-        style = None if outcome.check.is_linear else "yellow"
-        console.print(outcome.check.sentence, style=style, markup=False, soft_wrap=True)
-    for line in outcome.remarks:
+    if result.check is not None:
+        style = None if result.check.is_linear else "yellow"
+        console.print(result.check.sentence, style=style, markup=False, soft_wrap=True)
+    for line in result.remarks:
         console.print(line, style="yellow", markup=False, soft_wrap=True)
     console.print(f"Results in {arguments.out}: linear.json, frf.csv, report.html", markup=False, soft_wrap=True)
     sys.stdout.flush()

@@ -32,6 +32,7 @@ RESULT_NAMES = (
     "synthesis.csv",
     "study.csv",
     "diagnosis.json",
+    "repair.json",
 )
 """Names that commands write; ``--force`` replaces these and touches nothing else in the folder."""
 

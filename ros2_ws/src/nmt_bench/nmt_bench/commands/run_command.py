@@ -17,8 +17,9 @@ from nmt_core.errors import BenchError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from nmt_bench.harness import Bench, RunResult
+    from nmt_bench.harness import Bench
     from nmt_report.run_data import ReferenceCurve
+    from nmt_session.run_result import RunResult
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -235,7 +236,7 @@ def _summarise(
     unwritten: str,
 ) -> None:
     from nmt_bench.commands.terminal import print_modal_table
-    from nmt_sequencer.run_machine import ResultCode
+    from nmt_core.vocabulary import ResultCode
 
     if result.points:
         print_modal_table(result.points, reference, console)
@@ -257,8 +258,8 @@ def _summarise(
 
 
 def _exit_code(result: RunResult) -> int:
+    from nmt_core.vocabulary import ResultCode
     from nmt_extract.modal_point import Status
-    from nmt_sequencer.run_machine import ResultCode
 
     if result.interrupted:
         return EXIT_INTERRUPTED

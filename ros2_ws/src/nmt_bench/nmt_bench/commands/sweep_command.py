@@ -13,10 +13,11 @@ from nmt_bench.commands.output_folder import OutputFolder, add_output_options, c
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
-    from nmt_bench.harness import Bench, RunResult
+    from nmt_bench.harness import Bench
     from nmt_extract.swept_response import FrequencyResponseTable
     from nmt_extract.synthesis import ResonanceError
     from nmt_report.response_analysis import HeldForce, ModelResponse
+    from nmt_session.run_result import RunResult
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -165,11 +166,11 @@ def _finish(
     arguments: argparse.Namespace, bench: Bench, result: RunResult, levels: list[float], folder: Path, console: Any
 ) -> int:
     """Analyse the bag, write and print."""
+    from nmt_core.vocabulary import ResultCode
     from nmt_extract.response_table import write_response_csv
     from nmt_record.bag_reader import Bag
     from nmt_report.quantity_format import duration
     from nmt_report.response_analysis import held_force, responses_of_bag
-    from nmt_sequencer.run_machine import ResultCode
 
     tables: list[FrequencyResponseTable] = []
     remarks: list[str] = []
@@ -324,6 +325,8 @@ def _report(
     forces: Sequence[HeldForce],
     remarks: Sequence[str],
 ) -> str:
+    from markupsafe import Markup
+
     from nmt_report.quantity_format import duration, plain, significant
     from nmt_report.response_figures import Overlay, force_figure, response_figure
     from nmt_report.response_page import ResponsePage, html_figures, html_table
@@ -359,7 +362,7 @@ def _report(
             "start.",
         )
         if forces
-        else ""
+        else Markup("")
     )
     comparison_html = (
         html_table(
@@ -370,7 +373,7 @@ def _report(
             + " A sweep at r Hz/s finds the peak of a resonance of decay δ (rad/s) about r/δ Hz late.",
         )
         if comparisons
-        else ""
+        else Markup("")
     )
     stepped = arguments.stepped is not None
     start, stop = (t.frequency_hz[[0, -1]] for t in (tables[0], tables[0]))
@@ -398,7 +401,9 @@ def _report(
             ("responses", "Frequency responses", html_figures(figures)),
             ("comparison", "Near the resonance", comparison_html),
         ],
-        footer="Fundamentals A₁ of x(t) = Re Σ A<sub>n</sub> e<sup>inθ</sup> with the recorded phase θ of the "
-        "excitation. SI units.",
+        footer=Markup(
+            "Fundamentals A₁ of x(t) = Re Σ A<sub>n</sub> e<sup>inθ</sup> with the recorded phase θ of the "
+            "excitation. SI units."
+        ),
     )
     return page.html()

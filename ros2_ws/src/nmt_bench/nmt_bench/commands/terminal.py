@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn,
 from rich.table import Column, Table
 from rich.text import Text
 
+from nmt_core.vocabulary import LoopState
 from nmt_extract.modal_point import Status
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import (
@@ -26,7 +27,6 @@ from nmt_report.quantity_format import (
     significant,
     uncertain,
 )
-from nmt_report.run_data import LoopState
 
 if TYPE_CHECKING:
     from nmt_extract.modal_point import ModalPoint

@@ -57,12 +57,11 @@ class BenchDomain:
 def bench_environment(domain_id: int) -> dict[str, str]:
     """Environment variables for the nodes of a bench.
 
-    Discovery stays on this host, because a shaker must not obey a stranger on the network. The nodes share two or
+    The transport stays on this host, because a shaker must not obey a stranger on the network. The nodes share two or
     more cores: a numerical library that starts a thread a core would only slow them down.
     """
     return {
         "ROS_DOMAIN_ID": str(domain_id),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         **dds_environment(),
         "OPENBLAS_NUM_THREADS": "1",
         "OMP_NUM_THREADS": "1",

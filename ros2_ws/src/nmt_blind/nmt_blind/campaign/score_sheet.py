@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import io
 import json
 import math
@@ -10,9 +9,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup, escape
+
 from nmt_blind.campaign.score import MethodScore, Scores
 from nmt_blind.campaign.statistics import Proportion
 from nmt_core.whole_file import write_whole
+from nmt_report.html_page import render
 
 TARGETS: dict[str, tuple[str, str]] = {
     "detected": ("≥ 95 %", "87 % (LiU-ICE 2025)"),
@@ -192,59 +194,41 @@ def _method_row(m: MethodScore) -> tuple[str, ...]:
 
 # The page --------------------------------------------------------------------------------------------------------
 
-_STYLE = """
-body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#1c2430}
-table{border-collapse:collapse;margin:1rem 0;font-size:.92em}td,th{border-bottom:1px solid #d5dae1;padding:.3rem .7rem;
-text-align:left;vertical-align:top}svg{max-width:100%;height:auto}code{word-break:break-all}
-@media(prefers-color-scheme:dark){body{background:#14181d;color:#dde3ea}td,th{border-color:#38414c}
-svg{background:#fff;border-radius:6px}}
-"""
-
 
 def page(scores: Scores) -> str:
     """The sheet as one HTML file with its curves."""
-    body: list[str] = []
-    for block in markdown(scores).split("\n\n"):
-        lines = block.strip().split("\n")
-        if lines[0].startswith("# "):
-            body.append(f"<h1>{_inline(lines[0][2:])}</h1>")
-        elif lines[0].startswith("## "):
-            body.append(f"<h2>{_inline(lines[0][3:])}</h2>")
-            body += _figure(lines[0][3:], scores)
-        elif lines[0].startswith("|"):
-            body.append(_html_table(lines))
-        elif lines[0].startswith("* "):
-            body.append("<ul>" + "".join(f"<li>{_inline(line[2:])}</li>" for line in lines) + "</ul>")
-        elif lines[0]:
-            body.append(f"<p>{_inline(' '.join(lines))}</p>")
-    title = html.escape(f"Blind check: {scores.rig}")
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
-        f'content="width=device-width"><title>{title}</title><style>{_STYLE}</style></head><body>\n'
-        + "\n".join(body)
-        + "\n</body></html>\n"
-    )
+    blocks = [_block(block.strip().split("\n"), scores) for block in markdown(scores).split("\n\n") if block.strip()]
+    return render("score_sheet.html", title=f"Blind check: {scores.rig}", blocks=blocks)
 
 
-def _inline(text: str) -> str:
-    escaped = html.escape(text)
+def _block(lines: list[str], scores: Scores) -> dict[str, Any]:
+    """One paragraph of the Markdown page for the template."""
+    first = lines[0]
+    if first.startswith("# "):
+        return {"kind": "heading", "level": 1, "text": _inline(first[2:]), "figure": ""}
+    if first.startswith("## "):
+        return {"kind": "heading", "level": 2, "text": _inline(first[3:]), "figure": _figure(first[3:], scores)}
+    if first.startswith("|"):
+        head, _, *rows = ([_inline(cell.strip()) for cell in line.strip("|").split("|")] for line in lines)
+        return {"kind": "table", "head": head, "rows": rows}
+    if first.startswith("* "):
+        return {"kind": "list", "lines": [_inline(line[2:]) for line in lines]}
+    return {"kind": "text", "text": _inline(" ".join(lines))}
+
+
+def _inline(text: str) -> Markup:
+    marked = escape(text)
     for mark, tag in (("**", "b"), ("`", "code")):
-        pieces = escaped.split(mark)
-        escaped = "".join(p if i % 2 == 0 else f"<{tag}>{p}</{tag}>" for i, p in enumerate(pieces))
-    return escaped
+        pieces = marked.split(mark)
+        tagged = (p if i % 2 == 0 else Markup(f"<{tag}>{{}}</{tag}>").format(p) for i, p in enumerate(pieces))
+        marked = Markup("").join(tagged)
+    return marked
 
 
-def _html_table(lines: list[str]) -> str:
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    head = "".join(f"<th>{_inline(cell)}</th>" for cell in rows[0])
-    body = "".join("<tr>" + "".join(f"<td>{_inline(cell)}</td>" for cell in row) + "</tr>" for row in rows[2:])
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
-def _figure(heading: str, scores: Scores) -> list[str]:
+def _figure(heading: str, scores: Scores) -> Markup:
     drawn = {"By strength": _strength_figure, "Reliability": _reliability_figure, "Confusion": _confusion_figure,
              "Other methods on the same cases": _roc_figure}.get(heading)  # fmt: skip
-    return [drawn(scores)] if drawn is not None else []
+    return drawn(scores) if drawn is not None else Markup("")
 
 
 def _axes(width: float = 6.4, height: float = 3.8) -> tuple[Any, Any]:
@@ -259,14 +243,14 @@ def _axes(width: float = 6.4, height: float = 3.8) -> tuple[Any, Any]:
     return figure, axes
 
 
-def _svg(figure: Any) -> str:
+def _svg(figure: Any) -> Markup:
     target = io.StringIO()
     figure.savefig(target, format="svg", metadata={"Date": None})
     text = target.getvalue()
-    return text[text.index("<svg") :]
+    return Markup(text[text.index("<svg") :])
 
 
-def _strength_figure(scores: Scores) -> str:
+def _strength_figure(scores: Scores) -> Markup:
     figure, axes = _axes()
     for which, (name, colour) in enumerate((("detected", "#1b6ca8"), ("right effect first", "#c2571a"))):
         shares = {sigma: pair[which] for sigma, pair in scores.by_strength.items() if pair[which].of}
@@ -281,7 +265,7 @@ def _strength_figure(scores: Scores) -> str:
     return _svg(figure)
 
 
-def _reliability_figure(scores: Scores) -> str:
+def _reliability_figure(scores: Scores) -> Markup:
     figure, axes = _axes(4.4, 4.0)
     axes.plot((0, 1), (0, 1), color="#9aa4b0", linewidth=1)
     for name, found, marker in (("equal width", scores.width, "o"), ("equal count", scores.count, "s")):
@@ -291,7 +275,7 @@ def _reliability_figure(scores: Scores) -> str:
     return _svg(figure)
 
 
-def _roc_figure(scores: Scores) -> str:
+def _roc_figure(scores: Scores) -> Markup:
     figure, axes = _axes(4.8, 3.6)
     axes.step(*scores.roc, where="post", color="#1b6ca8", label="diagnosis, effects from 8 σ")
     alarms, found = scores.method.false_alarms, scores.method.detected
@@ -302,12 +286,12 @@ def _roc_figure(scores: Scores) -> str:
     return _svg(figure)
 
 
-def _confusion_figure(scores: Scores) -> str:
+def _confusion_figure(scores: Scores) -> Markup:
     rows = list(scores.confusion)
     columns = sorted({answer for found in scores.confusion.values() for answer in found},
                      key=lambda name: (name not in ("none", "unknown"), name))  # fmt: skip
     if not rows:
-        return ""
+        return Markup("")
     figure, axes = _axes(3.2 + 0.26 * len(columns), 1.6 + 0.24 * len(rows))
     grid = [[scores.confusion[row].get(column, 0) for column in columns] for row in rows]
     axes.imshow(grid, cmap="Blues", aspect="auto")

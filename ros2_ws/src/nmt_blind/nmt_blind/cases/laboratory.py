@@ -15,14 +15,14 @@ from typing import Any
 from nmt_blind.cases.rig_edits import rig_yaml
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
-from nmt_plant.device import DeviceFault, DriveCommand, Waveform
+from nmt_core.records import DriveCommand, LevelCommand
+from nmt_core.vocabulary import LoopState, TestKind, Waveform
+from nmt_plant.device import DeviceFault
 from nmt_plant.simulated_rig import SimulatedRig
-from nmt_pll.level_loop import WAVEFORM_RANDOM, LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import LoopState
+from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.random_drive import RandomDrive
-from nmt_pll.settings import LevelCommand, settings_from
+from nmt_pll.settings import settings_from
 from nmt_record.bag_writer import BagWriter
 from nmt_record.run_messages import RunMessages
 from nmt_rig.linear_description import linear_description
@@ -269,7 +269,7 @@ def _record(bag: Path, built: Rig, model: Rig, test: PlannedTest) -> Outcome:
         clock=lambda: time_ns[0],
     )
     messages = RunMessages(writer, model.name)
-    unit = Quantity[model.extraction.quantity.upper()].unit
+    response = Quantity[model.extraction.quantity.upper()]
     locked, sample, trouble = 0, 0, ""
     try:
         for step in play(built, model, test):
@@ -279,7 +279,7 @@ def _record(bag: Path, built: Rig, model: Rig, test: PlannedTest) -> Outcome:
             time_ns[0] = round(sample / model.sample_rate_hz * 1e9)
             for block in step.blocks.values():
                 messages.put_block(block)
-            messages.put_output(step.output, unit)
+            messages.put_output(step.output, response)
             locked += step.ended is not None
         writer.close("done", "every level was worked through", time_ns[0])
     except (DeviceFault, TrialError, BenchError) as error:
@@ -297,7 +297,7 @@ def _longest(command: LevelCommand, model: Rig) -> float:
 
 
 def _command(output: LoopOutput) -> DriveCommand:
-    if output.waveform == WAVEFORM_RANDOM and output.amplitude > 0.0:
+    if output.waveform == Waveform.RANDOM and output.amplitude > 0.0:
         return DriveCommand(
             Waveform.RANDOM,
             amplitude=output.amplitude,

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from nmt_diagnose.effects.effect import Effect, EffectParameter, Placement, Reported
+from nmt_diagnose.effects.effect import Effect, EffectParameter, Reported, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import with_element, with_value
 from nmt_diagnose.effects.structure_effects import spots
-from nmt_rig.rig import BeamSection, IwanSection, JenkinsSection, Rig
+from nmt_rig.rig import BeamSection, ElementSection, IwanSection, JenkinsSection, Rig
 
 # Slip displacement as multiples of the largest amplitude: above 1 the contact sticks and is a spring.
 SLIP_GRID = (0.03, 0.1, 0.3, 0.7)
@@ -20,7 +21,7 @@ FRICTION = (
 CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp_lateral_stiffness_n_m"}
 
 
-def _compliance_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+def _compliance_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     beam = rig.structure
     if not isinstance(beam, BeamSection) or "clamped" not in beam.boundary:
         return ()
@@ -28,27 +29,27 @@ def _compliance_placements(rig: Rig, operating: OperatingRange) -> tuple[Placeme
     # 1 % of the static compliance of the tip.
     scales = {"rotation": 0.01 * beam.length_m / bending, "lateral": 0.01 * beam.length_m**3 / (3.0 * bending)}
     return tuple(
-        Placement(option, {"compliance": scale}, option=option)
+        Site(Placement("boundary", detail=option), {"compliance": scale}, option=option)
         for option, scale in scales.items()
         if getattr(beam, CLAMP_KEYS[option]) is None
     )
 
 
-def _with_compliance(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
-    return with_value(rig, ("structure", CLAMP_KEYS[placement.option]), 1.0 / values["compliance"])
+def _with_compliance(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    return with_value(rig, ("structure", CLAMP_KEYS[site.option]), 1.0 / values["compliance"])
 
 
-def _clamp_friction_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+def _clamp_friction_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     if not isinstance(rig.structure, BeamSection) or "clamped" not in rig.structure.boundary:
         return ()
-    lateral = Placement(
-        "lateral",
+    lateral = Site(
+        Placement("boundary", detail="lateral"),
         {"kt": 0.05 * operating.effective_stiffness(1), "slip_displacement": operating.displacement[1]},
         1,
         option="lateral",
     )
-    rotation = Placement(
-        "rotation",
+    rotation = Site(
+        Placement("boundary", detail="rotation"),
         {
             "kt": 0.05 * operating.omega**2 * operating.effective_inertia[1],
             "slip_displacement": operating.rotation[1],
@@ -59,20 +60,22 @@ def _clamp_friction_placements(rig: Rig, operating: OperatingRange) -> tuple[Pla
     return lateral, rotation
 
 
-def _contact_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+def _contact_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     beam = isinstance(rig.structure, BeamSection) and "clamped" in rig.structure.boundary
     return tuple(
-        Placement(label, {"kt": 0.05 * stiffness, "slip_displacement": amplitude}, point, other)
-        for label, point, other, amplitude, stiffness in spots(rig, operating)
+        Site(
+            Placement.at("joint", point, other), {"kt": 0.05 * stiffness, "slip_displacement": amplitude}, point, other
+        )
+        for point, other, amplitude, stiffness in spots(rig, operating)
         if not (beam and point == 1)
     )
 
 
-def _with_friction(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
-    settings: dict[str, Any] = {"point": placement.point}
-    if placement.other_point:
-        settings["other_point"] = placement.other_point
-    if placement.option == "rotation":
+def _with_friction(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    settings: dict[str, Any] = {"point": site.point}
+    if site.other_point:
+        settings["other_point"] = site.other_point
+    if site.option == "rotation":
         settings["rotation"] = True
     element = JenkinsSection.model_construct(
         kind="jenkins",
@@ -87,23 +90,29 @@ def _friction_report(values: Mapping[str, float]) -> Reported:
     return {"kt": (values["kt"], "N/m"), "slip_force": (values["kt"] * values["slip_displacement"], "N")}
 
 
-def _microslip_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+def joint_placement(element: ElementSection, nameless: str) -> Placement:
+    """Where a local element with friction sits; ``nameless`` is told of one without a name."""
+    points = tuple(point for point in (element.point, element.other_point) if point)
+    return Placement("joint", points, detail=element.name or nameless)
+
+
+def _microslip_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return tuple(
-        Placement(element.name or str(element.point), {"spread": 0.3, "power": 1.0}, element.point, index=index)
+        Site(joint_placement(element, str(element.point)), {"spread": 0.3, "power": 1.0}, element.point, index=index)
         for index, element in enumerate(rig.local_elements)
         if isinstance(element, JenkinsSection)
     )
 
 
-def _with_microslip(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
-    jenkins = rig.local_elements[placement.index]
+def _with_microslip(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    jenkins = rig.local_elements[site.index]
     assert isinstance(jenkins, JenkinsSection)
     kept = {key: getattr(jenkins, key) for key in type(jenkins).model_fields if key != "kind"}
     # The share of the power law grows from 0 (one slider).
     joint = IwanSection.model_construct(
         kind="iwan", exponent=values["power"] - 1.0, stiffness_ratio=1.0 / values["spread"], sliders=12, **kept
     )
-    return with_value(rig, ("local_elements", placement.index), joint)
+    return with_value(rig, ("local_elements", site.index), joint)
 
 
 def _microslip_report(values: Mapping[str, float]) -> Reported:
@@ -122,7 +131,7 @@ BOUNDARY_EFFECTS: tuple[Effect, ...] = (
         reference="Ewins, Modal Testing (2000); Gorman, Free Vibration Analysis of Beams and Shafts (1975)",
         keys="structure.clamp_rotational_stiffness_nm_rad, structure.clamp_lateral_stiffness_n_m",
         parameters=(EffectParameter("compliance", "rad/(N m) or m/N"),),
-        placements=_compliance_placements,
+        sites=_compliance_sites,
         change=_with_compliance,
         report=lambda values: {"k": (1.0 / values["compliance"] if values["compliance"] else float("inf"),
                                      "N m/rad or N/m")},
@@ -135,7 +144,7 @@ BOUNDARY_EFFECTS: tuple[Effect, ...] = (
         reference="Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893",
         keys="local_elements: jenkins at point 1, with or without rotation",
         parameters=FRICTION,
-        placements=_clamp_friction_placements,
+        sites=_clamp_friction_sites,
         change=_with_friction,
         report=_friction_report,
     ),
@@ -152,7 +161,7 @@ JOINT_EFFECTS: tuple[Effect, ...] = (
             EffectParameter("spread", "1", grid=(0.3, 1.0, 3.0)),
             EffectParameter("power", "1", "shape", grid=(0.5, 1.0)),
         ),
-        placements=_microslip_placements,
+        sites=_microslip_sites,
         change=_with_microslip,
         report=_microslip_report,
     ),
@@ -163,7 +172,7 @@ JOINT_EFFECTS: tuple[Effect, ...] = (
         reference="Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893",
         keys="local_elements: jenkins",
         parameters=FRICTION,
-        placements=_contact_placements,
+        sites=_contact_sites,
         change=_with_friction,
         report=_friction_report,
     ),

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, log
+from math import exp
 
-from nmt_diagnose.effects.effect import Place
 from nmt_diagnose.effects.modal_calibration import MODEL_PRIORS, model_paths
+from nmt_diagnose.effects.placement import PlaceKind
 from nmt_diagnose.effects.rig_edit import Path, value_at, with_value
 from nmt_rig.rig import (
     BeamSection,
@@ -47,7 +47,7 @@ class CalibrationParameter:
     unit: str
     path: Path
     std: float
-    place: Place
+    place: PlaceKind
     value: float
     offset: float = 0.0
 
@@ -58,10 +58,6 @@ class CalibrationParameter:
     def at(self, theta: float) -> float:
         """Value at θ."""
         return (self.value + self.offset) * exp(self.std * theta) - self.offset
-
-    def theta_of(self, value: float) -> float:
-        """θ of a value on the same side of the end of the range."""
-        return log((value + self.offset) / (self.value + self.offset)) / self.std
 
 
 # Relative standard deviations and why: what a data sheet or a ruler leaves open.
@@ -142,7 +138,7 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
     """Parameters that the model of a rig has; keys that are zero or left out are no part of the model."""
     found: list[CalibrationParameter] = []
 
-    def add(path: Path, place: Place) -> None:
+    def add(path: Path, place: PlaceKind) -> None:
         value = value_at(rig, path)
         key = next(str(part) for part in reversed(path) if isinstance(part, str))
         if isinstance(value, int | float) and value != 0.0:
@@ -166,7 +162,7 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
             add(path, "structure")
     for index, element in enumerate(rig.local_elements):
         friction = isinstance(element, JenkinsSection | IwanSection | TanhFrictionSection)
-        place: Place = "exciter" if element.side == "exciter" else "joint" if friction else "structure"
+        place: PlaceKind = "exciter" if element.side == "exciter" else "joint" if friction else "structure"
         for key in _ELEMENT_KEYS.get(type(element), ()):
             add(("local_elements", index, key), place)
     if isinstance(rig.exciter, ShakerSection):

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.placement import Cause, PlaceKind, Placement
 from nmt_rig.rig import Rig
-
-Place = Literal["structure", "boundary", "joint", "exciter", "force_sensor", "response_sensor", "controller", "time"]
 
 
 @dataclass(frozen=True)
@@ -33,25 +32,25 @@ class EffectParameter:
 
 
 @dataclass(frozen=True)
-class Placement:
-    """Where an effect sits, and how large it typically is there.
+class Site:
+    """A place of a rig where an effect may sit: where, how large it typically is there, and what it needs to know.
 
     Attributes:
-        label: for example ``4``, ``a2``, ``rotation``; empty where there is only one place.
+        placement: where.
         scales: scale of each parameter, by name, in its unit.
-        point, other_point: points of the structure (0 = none, the ground).
+        point, other_point: points of the structure that it acts on (0 = none, the ground).
         index: index of the sensor or local element it concerns (−1 = none).
-        option: which of several forms.
-        channel: channel name of the sensor.
+        option: which of several forms: a direction, or a key of the rig file.
+        reference: size that a strength is counted from, in the unit of the channel; or the frequency of a line, Hz.
     """
 
-    label: str
+    placement: Placement
     scales: Mapping[str, float]
     point: int = 0
     other_point: int = 0
     index: int = -1
     option: str = ""
-    channel: str = ""
+    reference: float = 0.0
 
 
 Reported = Mapping[str, tuple[float, str]]
@@ -63,34 +62,34 @@ class Effect:
 
     Attributes:
         name: fixed name.
-        place: where it lies for the verdict.
+        place: where it lies for the verdict; that of a channel lies at the force sensor where the channel is the force.
         equation: term it adds.
         reference: where it is described.
         keys: keys of the rig file that it changes.
         parameters: of the effect.
-        placements: (rig, operating range) -> where it may sit; empty where it does not apply.
-        change: (rig, placement, values by name) -> rig with the effect; called only with some strength not 0.
+        sites: (rig, operating range) -> where it may sit; empty where it does not apply.
+        change: (rig, site, values by name) -> rig with the effect; called only with some strength not 0.
         report: values -> physical parameters as they are reported; the values themselves when None.
         equivalents: effects that look alike, and the test that tells them apart.
     """
 
     name: str
-    place: Place
+    place: PlaceKind
     equation: str
     reference: str
     keys: str
     parameters: tuple[EffectParameter, ...]
-    placements: Callable[[Rig, OperatingRange], tuple[Placement, ...]] = field(repr=False)
-    change: Callable[[Rig, Placement, Mapping[str, float]], Rig] = field(repr=False)
+    sites: Callable[[Rig, OperatingRange], tuple[Site, ...]] = field(repr=False)
+    change: Callable[[Rig, Site, Mapping[str, float]], Rig] = field(repr=False)
     report: Callable[[Mapping[str, float]], Reported] | None = field(default=None, repr=False)
     equivalents: Mapping[str, str] = field(default_factory=dict)
 
-    def apply(self, rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+    def apply(self, rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         """Rig with the effect; the same rig where all strengths are 0."""
         strengths = [values[p.name] for p in self.parameters if p.kind == "strength"]
         if all(value == 0.0 for value in strengths):
             return rig
-        return self.change(rig, placement, values)
+        return self.change(rig, site, values)
 
     def reported(self, values: Mapping[str, float]) -> Reported:
         """Physical parameters as they are reported, with units."""
@@ -104,9 +103,14 @@ class Candidate:
     """An effect at one place."""
 
     effect: Effect
-    placement: Placement
+    site: Site
+
+    @property
+    def cause(self) -> Cause:
+        """What it is in an explanation."""
+        return Cause(self.effect.name, self.site.placement)
 
     @property
     def label(self) -> str:
         """For example ``cubic_stiffness@4``."""
-        return f"{self.effect.name}@{self.placement.label}" if self.placement.label else self.effect.name
+        return self.cause.label

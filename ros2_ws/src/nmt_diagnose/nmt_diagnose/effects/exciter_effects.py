@@ -4,66 +4,74 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from nmt_diagnose.effects.effect import Effect, EffectParameter, Placement, Reported
+from nmt_diagnose.effects.effect import Effect, EffectParameter, Reported, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import value_at, with_element, with_value
 from nmt_rig.rig import BeamSection, CubicSpringSection, LinearSpringSection, Rig, ShakerSection
 
 LARGE_SIGNAL = "Klippel, J. Audio Eng. Soc. 54 (2006) 907 (large-signal parameters of electrodynamic transducers)"
 
 
-def _stinger_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+def _stinger_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     point = rig.drive_point
-    lateral = Placement("lateral", {"k": 0.02 * operating.effective_stiffness(point)}, point, option="lateral")
+    lateral = Site(
+        Placement("exciter", detail="lateral"),
+        {"k": 0.02 * operating.effective_stiffness(point)},
+        point,
+        option="lateral",
+    )
     if not isinstance(rig.structure, BeamSection):
         return (lateral,)
     inertia = operating.effective_inertia[point]
-    return lateral, Placement("rotation", {"k": 0.02 * operating.omega**2 * inertia}, point, option="rotation")
+    return lateral, Site(
+        Placement("exciter", detail="rotation"), {"k": 0.02 * operating.omega**2 * inertia}, point, option="rotation"
+    )
 
 
-def _with_stinger(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+def _with_stinger(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     spring = LinearSpringSection.model_construct(
         kind="linear_spring",
         point=rig.drive_point,
         side="exciter",
         stiffness_n_m=values["k"],
-        rotation=placement.option == "rotation",
+        rotation=site.option == "rotation",
     )
     return with_element(rig, spring)
 
 
-def _suspension_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+def _suspension_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     if not isinstance(rig.exciter, ShakerSection):
         return ()
     amplitude = operating.displacement[rig.drive_point]
     size = max(rig.exciter.table_stiffness_n_m, 0.1 * operating.effective_stiffness(rig.drive_point))
-    return (Placement("", {"k": 0.05 * size / amplitude**2}, rig.drive_point),)
+    return (Site(Placement("exciter"), {"k": 0.05 * size / amplitude**2}, rig.drive_point),)
 
 
-def _with_suspension(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+def _with_suspension(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     spring = CubicSpringSection.model_construct(
         kind="cubic_spring", point=rig.drive_point, side="exciter", stiffness_n_m3=values["k"]
     )
     return with_element(rig, spring)
 
 
-def _shaker(scale: Callable[[ShakerSection, OperatingRange], float], name: str) -> Callable[..., tuple[Placement, ...]]:
-    def placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+def _shaker(scale: Callable[[ShakerSection, OperatingRange], float], name: str) -> Callable[..., tuple[Site, ...]]:
+    def sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
         if not isinstance(rig.exciter, ShakerSection):
             return ()
-        return (Placement("", {name: scale(rig.exciter, operating)}),)
+        return (Site(Placement("exciter"), {name: scale(rig.exciter, operating)}),)
 
-    return placements
+    return sites
 
 
-def _added_to(name: str, key: str) -> Callable[[Rig, Placement, Mapping[str, float]], Rig]:
-    def change(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+def _added_to(name: str, key: str) -> Callable[[Rig, Site, Mapping[str, float]], Rig]:
+    def change(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         return with_value(rig, ("exciter", key), value_at(rig, ("exciter", key)) + values[name])
 
     return change
 
 
-def _with_saturation(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+def _with_saturation(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("exciter", "amplifier_saturation_v"), values["inverse_square"] ** -0.5)
 
 
@@ -80,7 +88,7 @@ EXCITER_EFFECTS: tuple[Effect, ...] = (
         reference="Ewins, Modal Testing (2000)",
         keys="local_elements: linear_spring, side exciter, with or without rotation",
         parameters=(EffectParameter("k", "N/m or N m/rad"),),
-        placements=_stinger_placements,
+        sites=_stinger_sites,
         change=_with_stinger,
         equivalents={"clamp_compliance": "a second drive point", "added_mass": "a second drive point"},
     ),
@@ -91,7 +99,7 @@ EXCITER_EFFECTS: tuple[Effect, ...] = (
         reference="static saturation; compare the memoryless amplifier model of Rapp (1991)",
         keys="exciter.amplifier_saturation_v",
         parameters=(EffectParameter("inverse_square", "1/V²"),),
-        placements=_shaker(lambda shaker, operating: 0.03 / operating.voltage**2, "inverse_square"),
+        sites=_shaker(lambda shaker, operating: 0.03 / operating.voltage**2, "inverse_square"),
         change=_with_saturation,
         report=_saturation_report,
     ),
@@ -102,7 +110,7 @@ EXCITER_EFFECTS: tuple[Effect, ...] = (
         reference="McConnell and Varoto, Vibration Testing (2008)",
         keys="exciter.source_resistance_ohm",
         parameters=(EffectParameter("R", "Ω"),),
-        placements=_shaker(lambda shaker, operating: 0.1 * shaker.resistance_ohm, "R"),
+        sites=_shaker(lambda shaker, operating: 0.1 * shaker.resistance_ohm, "R"),
         change=_added_to("R", "source_resistance_ohm"),
     ),
     Effect(
@@ -112,7 +120,7 @@ EXCITER_EFFECTS: tuple[Effect, ...] = (
         reference=LARGE_SIGNAL,
         keys="local_elements: cubic_spring, side exciter",
         parameters=(EffectParameter("k", "N/m³", signed=True),),
-        placements=_suspension_placements,
+        sites=_suspension_sites,
         change=_with_suspension,
         equivalents={"force_factor_symmetric": "a second drive point"},
     ),
@@ -123,7 +131,7 @@ EXCITER_EFFECTS: tuple[Effect, ...] = (
         reference=LARGE_SIGNAL,
         keys="exciter.force_factor_quadratic_per_m2",
         parameters=(EffectParameter("b2", "1/m²", signed=True),),
-        placements=_shaker(lambda shaker, operating: 0.05 / operating.coil_displacement**2, "b2"),
+        sites=_shaker(lambda shaker, operating: 0.05 / operating.coil_displacement**2, "b2"),
         change=_added_to("b2", "force_factor_quadratic_per_m2"),
         equivalents={"suspension_cubic": "a second drive point"},
     ),
@@ -134,7 +142,7 @@ EXCITER_EFFECTS: tuple[Effect, ...] = (
         reference=LARGE_SIGNAL,
         keys="exciter.force_factor_linear_per_m",
         parameters=(EffectParameter("b1", "1/m", signed=True),),
-        placements=_shaker(lambda shaker, operating: 0.05 / operating.coil_displacement, "b1"),
+        sites=_shaker(lambda shaker, operating: 0.05 / operating.coil_displacement, "b1"),
         change=_added_to("b1", "force_factor_linear_per_m"),
     ),
 )

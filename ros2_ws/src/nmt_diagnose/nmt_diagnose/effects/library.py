@@ -44,8 +44,8 @@ def effect_named(name: str) -> Effect:
 def candidates(rig: Rig, operating: OperatingRange, without: tuple[str, ...] = ()) -> tuple[Candidate, ...]:
     """All effects at all their places on a rig, except those named in ``without``."""
     return tuple(
-        Candidate(effect, placement)
+        Candidate(effect, site)
         for effect in library()
         if effect.name not in without
-        for placement in effect.placements(rig, operating)
+        for site in effect.sites(rig, operating)
     )

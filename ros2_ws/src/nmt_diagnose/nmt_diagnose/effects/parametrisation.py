@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import exp
@@ -11,7 +10,7 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.effects.calibration import CalibrationParameter
-from nmt_diagnose.effects.effect import Candidate, EffectParameter, Placement
+from nmt_diagnose.effects.effect import Candidate, EffectParameter, Reported, Site
 from nmt_rig.rig import Rig
 
 # Prior standard deviations of θ: a strength of three scales is still ordinary.
@@ -85,7 +84,7 @@ class Parametrisation:
         """Parameters of a candidate, in their units."""
         own = self.candidates[candidate]
         return {
-            p.name: _value(p, own.placement.scales[p.name], float(entry))
+            p.name: _value(p, own.site.scales[p.name], float(entry))
             for p, entry in zip(own.effect.parameters, theta[self.index_of(candidate)], strict=True)
         }
 
@@ -95,38 +94,25 @@ class Parametrisation:
         for parameter, entry in zip(self.calibration, theta[: len(self.calibration)], strict=True):
             rig = parameter.apply(rig, float(entry))
         for index, candidate in enumerate(self.candidates):
-            rig = candidate.effect.apply(rig, candidate.placement, self.values(theta, index))
+            rig = candidate.effect.apply(rig, candidate.site, self.values(theta, index))
         return rig
 
-    def physical(self, theta: FloatArray) -> dict[str, dict[str, tuple[float, str, float]]]:
-        """Values, units and scales: calibration parameters under ``calibration``, each candidate under its label.
-
-        The scale of a calibration parameter is its prior standard deviation; the parameters of a candidate are those it
-        is reported by, with the scale of a fitted one (NaN of a derived one).
-        """
-        fitted = zip(self.calibration, theta[: len(self.calibration)], strict=True)
-        result: dict[str, dict[str, tuple[float, str, float]]] = {
-            "calibration": {
-                p.name: (p.at(float(entry)), p.unit, abs(p.value + p.offset) * p.std) for p, entry in fitted
-            }
+    def reported(self, theta: FloatArray, candidate: int) -> Reported:
+        """Parameters that a candidate is reported by, with units."""
+        own = self.candidates[candidate]
+        return {
+            name: (value, _unit_at(unit, own.site))
+            for name, (value, unit) in own.effect.reported(self.values(theta, candidate)).items()
         }
-        for index, candidate in enumerate(self.candidates):
-            reported = candidate.effect.reported(self.values(theta, index))
-            scales: Mapping[str, float] = candidate.placement.scales
-            result[candidate.label] = {
-                name: (value, _unit_at(unit, candidate.placement), scales.get(name, float("nan")))
-                for name, (value, unit) in reported.items()
-            }
-        return result
 
 
-def _unit_at(unit: str, placement: Placement) -> str:
-    """Unit at a placement, out of alternatives for displacement and rotation, or for time and periods."""
+def _unit_at(unit: str, site: Site) -> str:
+    """Unit at a site, out of alternatives for displacement and rotation, or for time and periods."""
     found = unit.split(" or ")
     if len(found) == 1:
         return unit
-    wanted = {"rotation": "rad", "lateral": "m", "cycles": "period", "time": "s"}.get(placement.label, "")
-    exact = [u for u in found if ("rad" in u) == (wanted == "rad") and ("period" in u) == (wanted == "period")]
+    rotation, periods = site.option == "rotation", site.option == "slip_force_per_cycle"
+    exact = [u for u in found if ("rad" in u) == rotation and ("period" in u) == periods]
     return exact[0] if exact else found[0]
 
 

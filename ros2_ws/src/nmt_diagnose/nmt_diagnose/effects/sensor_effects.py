@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from math import exp, pi
 
-from nmt_diagnose.effects.effect import Effect, EffectParameter, Place, Placement, Reported
+from nmt_diagnose.effects.effect import Effect, EffectParameter, Reported, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.placement import EUROPEAN_MAINS_HZ, PlaceKind, Placement
 from nmt_diagnose.effects.rig_edit import value_at, with_value
 from nmt_rig.rig import Rig, SensorSection, TransverseSection
 
 RESPONSES = ("displacement", "velocity", "acceleration")
-MAINS_HZ = (50.0, 60.0)
+MAINS_HZ = (EUROPEAN_MAINS_HZ, 60.0)
 MEASUREMENT = "Ewins, Modal Testing (2000)"
-Change = Callable[[Rig, Placement, Mapping[str, float]], Rig]
+Change = Callable[[Rig, Site, Mapping[str, float]], Rig]
 
 
 def _sensors(rig: Rig, quantities: tuple[str, ...]) -> list[tuple[int, SensorSection, str]]:
@@ -24,109 +25,112 @@ def _sensors(rig: Rig, quantities: tuple[str, ...]) -> list[tuple[int, SensorSec
     ]
 
 
+def _placement(rig: Rig, sensor: SensorSection, picked_up: int = 0, mains_hz: float = MAINS_HZ[0]) -> Placement:
+    """The channel of a sensor: at the force sensor where that channel is the force."""
+    kind: PlaceKind = "force_sensor" if sensor.quantity == "force" else "response_sensor"
+    return Placement.on_channel(kind, rig.sensor_channel(sensor), rig.sensor_point(sensor), picked_up, mains_hz)
+
+
 def _per_channel(
     quantities: tuple[str, ...], name: str, scale: Callable[[OperatingRange, str], float]
-) -> Callable[[Rig, OperatingRange], tuple[Placement, ...]]:
-    def placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+) -> Callable[[Rig, OperatingRange], tuple[Site, ...]]:
+    def sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
         return tuple(
-            Placement(channel, {name: scale(operating, channel)}, rig.sensor_point(sensor), index=index,
-                      channel=channel)
+            Site(_placement(rig, sensor), {name: scale(operating, channel)}, rig.sensor_point(sensor), index=index)
             for index, sensor, channel in _sensors(rig, quantities)
-        )  # fmt: skip
+        )
 
-    return placements
+    return sites
 
 
 def _set(key: str, value: Callable[[SensorSection, Mapping[str, float]], float | None]) -> Change:
-    def change(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
-        sensor = rig.sensors[placement.index]
-        return with_value(rig, ("sensors", placement.index, key), value(sensor, values))
+    def change(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+        sensor = rig.sensors[site.index]
+        return with_value(rig, ("sensors", site.index, key), value(sensor, values))
 
     return change
 
 
-def _mass_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
-    found: dict[int, Placement] = {}
-    for index, sensor, channel in _sensors(rig, RESPONSES):
+def _mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    found: dict[int, Site] = {}
+    for index, sensor, _ in _sensors(rig, RESPONSES):
         point = rig.sensor_point(sensor)
         # Sensors at one point are one mass.
         if point not in found:
-            found[point] = Placement(channel, {"m": operating.typical_mass(point)}, point, index=index, channel=channel)
+            found[point] = Site(_placement(rig, sensor), {"m": operating.typical_mass(point)}, point, index=index)
     return tuple(found.values())
 
 
-def _force_mass_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+def _force_mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     size = operating.typical_mass(rig.drive_point)
     return tuple(
-        Placement("", {"m": size}, rig.drive_point, index=index, channel=channel)
-        for index, _, channel in _sensors(rig, ("force",))
+        Site(Placement("force_sensor"), {"m": size}, rig.drive_point, index=index)
+        for index, _, _ in _sensors(rig, ("force",))
     )
 
 
-def _transverse_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+def _transverse_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     points = sorted({rig.sensor_point(sensor) for _, sensor, _ in _sensors(rig, RESPONSES)})
     return tuple(
-        Placement(f"{channel}<{other}", {"s": 0.02}, rig.sensor_point(sensor), other, index, channel=channel)
-        for index, sensor, channel in _sensors(rig, RESPONSES)
+        Site(_placement(rig, sensor, other), {"s": 0.02}, rig.sensor_point(sensor), other, index)
+        for index, sensor, _ in _sensors(rig, RESPONSES)
         for other in points
         if other != rig.sensor_point(sensor)
     )
 
 
-def _with_transverse(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
-    section = TransverseSection.model_construct(point=placement.other_point, fraction=values["s"])
-    return with_value(rig, ("sensors", placement.index, "transverse"), section)
+def _with_transverse(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    section = TransverseSection.model_construct(point=site.other_point, fraction=values["s"])
+    return with_value(rig, ("sensors", site.index, "transverse"), section)
 
 
-def _limit_placements(low: bool) -> Callable[[Rig, OperatingRange], tuple[Placement, ...]]:
+def _limit_sites(low: bool) -> Callable[[Rig, OperatingRange], tuple[Site, ...]]:
     name = "lsb" if low else "depth"
 
-    def placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+    def sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
         amplitudes = operating.channels_low if low else operating.channels
         return tuple(
-            Placement(
-                channel,
+            Site(
+                _placement(rig, sensor),
                 {name: amplitudes[channel] * abs(sensor.gain) if low else 0.1},
                 rig.sensor_point(sensor),
                 index=index,
-                channel=channel,
-                option="" if low else repr(float(operating.channels[channel] * abs(sensor.gain))),
+                reference=0.0 if low else float(operating.channels[channel] * abs(sensor.gain)),
             )
             for index, sensor, channel in _sensors(rig, (*RESPONSES, "force"))
             if amplitudes.get(channel, 0.0) > 0.0
         )
 
-    return placements
+    return sites
 
 
-def _with_clip(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
-    return with_value(rig, ("sensors", placement.index, "clip"), float(placement.option) * exp(-values["depth"]))
+def _with_clip(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    return with_value(rig, ("sensors", site.index, "clip"), site.reference * exp(-values["depth"]))
 
 
-def _with_lsb(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
-    sensor = rig.sensors[placement.index]
+def _with_lsb(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    sensor = rig.sensors[site.index]
     bits = 20
     changed = sensor.model_copy(update={"bits": bits, "range": values["lsb"] * 2.0 ** (bits - 1)})
-    return with_value(rig, ("sensors", placement.index), changed)
+    return with_value(rig, ("sensors", site.index), changed)
 
 
-def _hum_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+def _hum_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     found = []
     for index, sensor, channel in _sensors(rig, (*RESPONSES, "force")):
         for hz in MAINS_HZ:
             # A sensor has one line.
             if sensor.hum_amplitude == 0.0 or sensor.hum_hz == hz:
-                label = channel if hz == MAINS_HZ[0] else f"{channel} at {hz:g} Hz"
                 scale = {"amplitude": 0.01 * operating.channels_low.get(channel, 1.0)}
-                point = rig.sensor_point(sensor)
-                found.append(Placement(label, scale, point, index=index, option=f"{hz:g}", channel=channel))
+                where = _placement(rig, sensor, mains_hz=hz)
+                found.append(Site(where, scale, rig.sensor_point(sensor), index=index, reference=hz))
     return tuple(found)
 
 
-def _with_hum(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
-    sensor = rig.sensors[placement.index]
-    changes = {"hum_amplitude": sensor.hum_amplitude + values["amplitude"], "hum_hz": float(placement.option)}
-    return with_value(rig, ("sensors", placement.index), sensor.model_copy(update=changes))
+def _with_hum(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    sensor = rig.sensors[site.index]
+    changes = {"hum_amplitude": sensor.hum_amplitude + values["amplitude"], "hum_hz": site.reference}
+    return with_value(rig, ("sensors", site.index), sensor.model_copy(update=changes))
 
 
 def _high_pass(sensor: SensorSection, values: Mapping[str, float]) -> float:
@@ -155,25 +159,18 @@ def _chain_effect(
         reference=MEASUREMENT,
         keys=f"sensors.{key}",
         parameters=(parameter,),
-        placements=_per_channel((*RESPONSES, "force"), parameter.name, scale),
+        sites=_per_channel((*RESPONSES, "force"), parameter.name, scale),
         change=_set(key, value),
         report=report,
         equivalents=equivalents or {},
     )
 
 
-def placed(effect: Effect, placement: Placement, rig: Rig) -> Place:
-    """Place of a candidate: an effect of a channel belongs to the force sensor where that channel is the force."""
-    if effect.place == "response_sensor" and placement.index >= 0:
-        return "force_sensor" if rig.sensors[placement.index].quantity == "force" else "response_sensor"
-    return effect.place
-
-
 SENSOR_EFFECTS: tuple[Effect, ...] = (
     Effect(
         name="force_gain", place="force_sensor", equation="F (1 + g)", reference=MEASUREMENT, keys="sensors.gain",
         parameters=(EffectParameter("g", "1", signed=True),),
-        placements=_per_channel(("force",), "g", lambda operating, channel: 0.02),
+        sites=_per_channel(("force",), "g", lambda operating, channel: 0.02),
         change=_set("gain", lambda sensor, values: sensor.gain * (1.0 + values["g"])),
         equivalents={"response_gain": "a random test with the voltage as reference"},
     ),
@@ -181,13 +178,13 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         name="force_cell_mass", place="force_sensor", equation="F + m a", keys="sensors.mass_kg",
         reference="Ewins, Modal Testing (2000), mass cancellation",
         parameters=(EffectParameter("m", "kg", signed=True),),
-        placements=_force_mass_placements,
+        sites=_force_mass_sites,
         change=_set("mass_kg", lambda sensor, values: sensor.mass_kg + values["m"]),
     ),
     Effect(
         name="response_gain", place="response_sensor", equation="y (1 + g)", reference=MEASUREMENT,
         keys="sensors.gain", parameters=(EffectParameter("g", "1", signed=True),),
-        placements=_per_channel(RESPONSES, "g", lambda operating, channel: 0.02),
+        sites=_per_channel(RESPONSES, "g", lambda operating, channel: 0.02),
         change=_set("gain", lambda sensor, values: sensor.gain * (1.0 + values["g"])),
         equivalents={"force_gain": "a random test with the voltage as reference"},
     ),
@@ -195,13 +192,13 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         name="transverse_sensitivity", place="response_sensor", equation="y + s y⊥ (y of another point)",
         reference="ISO 16063-31 (2009)", keys="sensors.transverse",
         parameters=(EffectParameter("s", "1", signed=True),),
-        placements=_transverse_placements, change=_with_transverse,
+        sites=_transverse_sites, change=_with_transverse,
         equivalents={"response_gain": "several modes in a random test"},
     ),
     Effect(
         name="sensor_mass", place="response_sensor", equation="m a at the sensor's point", keys="sensors.mass_kg",
         reference=MEASUREMENT, parameters=(EffectParameter("m", "kg", signed=True),),
-        placements=_mass_placements,
+        sites=_mass_sites,
         change=_set("mass_kg", lambda sensor, values: sensor.mass_kg + values["m"]),
         equivalents={"added_mass": "a test with the sensor taken off"},
     ),
@@ -223,25 +220,25 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         name="clipping", place="response_sensor", equation="clip(y, ±A e^{−depth}), A = largest amplitude of the model",
         reference=MEASUREMENT, keys="sensors.clip",
         parameters=(EffectParameter("depth", "1", grid=(0.5, 1.0, 2.0, 4.0)),),
-        placements=_limit_placements(low=False), change=_with_clip,
+        sites=_limit_sites(low=False), change=_with_clip,
     ),
     Effect(
         name="quantisation", place="response_sensor", equation="LSB · round(y/LSB)",
         reference="Widrow and Kollár, Quantization Noise (2008)", keys="sensors.bits, sensors.range",
         parameters=(EffectParameter("lsb", "channel", grid=(0.3, 1.0, 1.8)),),
-        placements=_limit_placements(low=True), change=_with_lsb,
+        sites=_limit_sites(low=True), change=_with_lsb,
     ),
     Effect(
         name="mains_hum", place="response_sensor", equation="y + A cos(2π 50 t), or 60", reference=MEASUREMENT,
         keys="sensors.hum_amplitude, sensors.hum_hz", parameters=(EffectParameter("amplitude", "channel"),),
-        placements=_hum_placements, change=_with_hum,
+        sites=_hum_sites, change=_with_hum,
     ),
     Effect(
         name="clock_error", place="response_sensor", equation="f (1 + e)", keys="clock_error",
         reference="IEEE Std 1057 (2017)",
         parameters=(EffectParameter("e", "1", signed=True),),
-        placements=lambda rig, operating: (Placement("", {"e": 1e-3}),),
-        change=lambda rig, placement, values: with_value(
+        sites=lambda rig, operating: (Site(Placement("response_sensor"), {"e": 1e-3}),),
+        change=lambda rig, site, values: with_value(
             rig, ("clock_error",), value_at(rig, ("clock_error",)) + values["e"]
         ),
         equivalents={"youngs_modulus": "a reference clock"},

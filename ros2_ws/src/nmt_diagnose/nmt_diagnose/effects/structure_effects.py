@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from nmt_diagnose.effects.effect import Effect, EffectParameter, Placement
+from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import with_element, with_value
 from nmt_rig.rig import (
     AddedMassSection,
@@ -28,8 +29,8 @@ GAP_GRID = (0.1, 0.3, 0.5, 0.7, 0.9)
 Sizes = Callable[[float, float, float], Mapping[str, float]]
 
 
-def spots(rig: Rig, operating: OperatingRange) -> Iterator[tuple[str, int, int, float, float]]:
-    """Label, point, other point (0 = ground), amplitude (m) and effective stiffness (N/m) where an element may sit.
+def spots(rig: Rig, operating: OperatingRange) -> Iterator[tuple[int, int, float, float]]:
+    """Point, other point (0 = ground), amplitude (m) and effective stiffness (N/m) where an element may sit.
 
     Every point to the ground; in a chain also neighbours to one another. Points that hardly move are left out.
     """
@@ -37,30 +38,30 @@ def spots(rig: Rig, operating: OperatingRange) -> Iterator[tuple[str, int, int, 
     for point in rig.structure.points:
         amplitude = operating.displacement[point]
         if amplitude > 1e-3 * largest:
-            yield str(point), point, 0, amplitude, operating.effective_stiffness(point)
+            yield point, 0, amplitude, operating.effective_stiffness(point)
     if isinstance(rig.structure, ChainSection):
         for point in list(rig.structure.points)[:-1]:
             pair = operating.pair(point, point + 1)
             if pair is not None and pair[0] > 1e-3 * largest:
-                yield f"{point}-{point + 1}", point, point + 1, pair[0], operating.omega**2 * pair[1]
+                yield point, point + 1, pair[0], operating.omega**2 * pair[1]
 
 
-def local_placements(rig: Rig, operating: OperatingRange, sizes: Sizes) -> tuple[Placement, ...]:
-    """A placement for each spot; ``sizes`` gives the scales from amplitude, effective stiffness and ω."""
+def local_sites(rig: Rig, operating: OperatingRange, sizes: Sizes) -> tuple[Site, ...]:
+    """A site for each spot; ``sizes`` gives the scales from amplitude, effective stiffness and ω."""
     return tuple(
-        Placement(label, sizes(amplitude, stiffness, operating.omega), point, other)
-        for label, point, other, amplitude, stiffness in spots(rig, operating)
+        Site(Placement.at("structure", point, other), sizes(amplitude, stiffness, operating.omega), point, other)
+        for point, other, amplitude, stiffness in spots(rig, operating)
     )
 
 
 def local_element(section: type[ElementSection], keys: Mapping[str, str]) -> Callable[..., Rig]:
     """Change that adds one local element; ``keys`` maps parameters to keys of its section."""
 
-    def change(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+    def change(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         settings: dict[str, Any] = {key: values[name] for name, key in keys.items()}
-        settings["point"] = placement.point
-        if placement.other_point:
-            settings["other_point"] = placement.other_point
+        settings["point"] = site.point
+        if site.other_point:
+            settings["other_point"] = site.other_point
         kind = section.model_fields["kind"].annotation.__args__[0]  # type: ignore[union-attr]
         return with_element(rig, section.model_construct(kind=kind, **settings))  # type: ignore[arg-type]
 
@@ -78,7 +79,7 @@ def _single(
         reference=reference,
         keys=f"local_elements: {section.model_fields['kind'].annotation.__args__[0]}",  # type: ignore[union-attr]
         parameters=(parameter,),
-        placements=partial(local_placements, sizes=size),
+        sites=partial(local_sites, sizes=size),
         change=local_element(section, {parameter.name: key}),
         equivalents=equivalents or {},
     )
@@ -92,25 +93,25 @@ def _stop(name: str, equation: str, section: type[ElementSection]) -> Effect:
         reference="Kerschen et al., Mech. Syst. Signal Process. 20 (2006) 505",
         keys=f"local_elements: {section.model_fields['kind'].annotation.__args__[0]}",  # type: ignore[union-attr]
         parameters=(EffectParameter("k", "N/m"), EffectParameter("gap", "m", "shape", grid=GAP_GRID)),
-        placements=partial(local_placements, sizes=lambda a, k, w: {"k": 0.1 * k, "gap": a}),
+        sites=partial(local_sites, sizes=lambda a, k, w: {"k": 0.1 * k, "gap": a}),
         change=local_element(section, {"k": "stiffness_n_m", "gap": "gap_m"}),
     )
 
 
-def _mass_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+def _mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return tuple(
-        Placement(str(point), {"m": operating.typical_mass(point)}, point)
+        Site(Placement.at("structure", point), {"m": operating.typical_mass(point)}, point)
         for point in rig.structure.points
         if operating.displacement[point] > 1e-3 * max(operating.displacement.values())
     )
 
 
-def _with_mass(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
-    added = AddedMassSection.model_construct(point=placement.point, mass_kg=values["m"])
+def _with_mass(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    added = AddedMassSection.model_construct(point=site.point, mass_kg=values["m"])
     return with_value(rig, ("structure", "added_masses"), [*rig.structure.added_masses, added])
 
 
-def _with_loss(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+def _with_loss(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("structure", "loss_factor"), rig.structure.loss_factor + values["eta"])
 
 
@@ -135,7 +136,7 @@ STRUCTURE_EFFECTS: tuple[Effect, ...] = (
         name="structural_damping", place="structure", equation="K (1 + iη)",
         reference="Crandall, J. Sound Vib. 11 (1970) 3; as modal viscous damping ζ_r = η/2, exact at each resonance",
         keys="structure.loss_factor", parameters=(EffectParameter("eta", "1"),),
-        placements=lambda rig, operating: (Placement("", {"eta": 0.005}),), change=_with_loss,
+        sites=lambda rig, operating: (Site(Placement("structure"), {"eta": 0.005}),), change=_with_loss,
         equivalents={"viscous_damping": "several modes in a random test"},
     ),
     _single(
@@ -146,7 +147,7 @@ STRUCTURE_EFFECTS: tuple[Effect, ...] = (
     Effect(
         name="added_mass", place="structure", equation="m a", reference="Ewins, Modal Testing (2000)",
         keys="structure.added_masses", parameters=(EffectParameter("m", "kg", signed=True),),
-        placements=_mass_placements, change=_with_mass,
+        sites=_mass_sites, change=_with_mass,
         equivalents={"sensor_mass": "a test with the sensor taken off", "stinger_stiffness": "a second drive point"},
     ),
     _stop("one_sided_stop", "k max(x − g, 0)", UnilateralStopSection),

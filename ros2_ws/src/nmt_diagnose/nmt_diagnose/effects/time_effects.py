@@ -4,32 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from nmt_diagnose.effects.effect import Effect, EffectParameter, Placement
+from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import value_at, with_value
 from nmt_rig.rig import IwanSection, JenkinsSection, Rig, TanhFrictionSection
 
 
-def _preload_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
+def _preload_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     if not any(isinstance(e, JenkinsSection | IwanSection | TanhFrictionSection) for e in rig.local_elements):
         return ()
     return (
-        Placement("time", {"rate": 0.05 / max(operating.duration_s, 1.0)}, option="slip_force_per_s"),
-        Placement("cycles", {"rate": 0.05 / max(operating.cycles, 1.0)}, option="slip_force_per_cycle"),
+        Site(
+            Placement("time", detail="time"), {"rate": 0.05 / max(operating.duration_s, 1.0)}, option="slip_force_per_s"
+        ),
+        Site(
+            Placement("time", detail="cycles"),
+            {"rate": 0.05 / max(operating.cycles, 1.0)},
+            option="slip_force_per_cycle",
+        ),
     )
 
 
-def _temperature_placements(rig: Rig, operating: OperatingRange) -> tuple[Placement, ...]:
-    return (Placement("", {"rate": 0.005 / max(operating.duration_s, 1.0)}, option="stiffness_per_s"),)
+def _temperature_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    return (Site(Placement("time"), {"rate": 0.005 / max(operating.duration_s, 1.0)}, option="stiffness_per_s"),)
 
 
-def _with_drift(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
-    path = ("drift", placement.option)
+def _with_drift(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    path = ("drift", site.option)
     return with_value(rig, path, value_at(rig, path) + values["rate"])
 
 
-def _with_setting(name: str, key: str) -> Callable[[Rig, Placement, Mapping[str, float]], Rig]:
-    def change(rig: Rig, placement: Placement, values: Mapping[str, float]) -> Rig:
+def _with_setting(name: str, key: str) -> Callable[[Rig, Site, Mapping[str, float]], Rig]:
+    def change(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         return with_value(rig, ("pll", key), float(value_at(rig, ("pll", key)) or 0.0) + values[name])
 
     return change
@@ -43,7 +50,7 @@ TIME_EFFECTS: tuple[Effect, ...] = (
         reference="Brake (ed.), The Mechanics of Jointed Structures (2018)",
         keys="drift.slip_force_per_s, drift.slip_force_per_cycle",
         parameters=(EffectParameter("rate", "1/s or 1/period", signed=True),),
-        placements=_preload_placements,
+        sites=_preload_sites,
         change=_with_drift,
     ),
     Effect(
@@ -53,7 +60,7 @@ TIME_EFFECTS: tuple[Effect, ...] = (
         reference="Xia et al., J. Civ. Struct. Health Monit. 2 (2012) 29",
         keys="drift.stiffness_per_s",
         parameters=(EffectParameter("rate", "1/s", signed=True),),
-        placements=_temperature_placements,
+        sites=_temperature_sites,
         change=_with_drift,
     ),
 )
@@ -66,7 +73,7 @@ CONTROLLER_EFFECTS: tuple[Effect, ...] = (
         reference="Peter and Leine, Mech. Syst. Signal Process. 96 (2017) 139",
         keys="pll.phase_offset_rad",
         parameters=(EffectParameter("phi0", "rad", signed=True),),
-        placements=lambda rig, operating: (Placement("", {"phi0": 0.02}),),
+        sites=lambda rig, operating: (Site(Placement("controller"), {"phi0": 0.02}),),
         change=_with_setting("phi0", "phase_offset_rad"),
         equivalents={"loop_latency": "a phase-locked test on another mode"},
     ),
@@ -77,7 +84,7 @@ CONTROLLER_EFFECTS: tuple[Effect, ...] = (
         reference="Peter and Leine, Mech. Syst. Signal Process. 96 (2017) 139",
         keys="pll.loop_latency_s",
         parameters=(EffectParameter("tau", "s", signed=True),),
-        placements=lambda rig, operating: (Placement("", {"tau": 0.02 / operating.omega}),),
+        sites=lambda rig, operating: (Site(Placement("controller"), {"tau": 0.02 / operating.omega}),),
         change=_with_setting("tau", "loop_latency_s"),
         equivalents={"phase_offset": "a phase-locked test on another mode"},
     ),

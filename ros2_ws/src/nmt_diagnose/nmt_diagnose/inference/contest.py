@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -16,6 +17,7 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate, EffectParameter
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.evidence.conditions import PhaseResonanceTest
 from nmt_diagnose.inference.fit import Fit, FitError, fit
 from nmt_diagnose.inference.problem import BoolArray, Problem
@@ -77,21 +79,21 @@ class Contender:
     fit: Fit
     score: Score | None = None
 
-    @property
-    def label(self) -> str:
-        """For example ``cubic_stiffness@4 + air_drag@7``; ``none`` without effects."""
-        return " + ".join(candidate.label for candidate in self.candidates) or "none"
+    @cached_property
+    def explanation(self) -> Explanation:
+        """Its effects at their places as values that compare."""
+        return Explanation(tuple(candidate.cause for candidate in self.candidates))
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of its effects, sorted."""
-        return tuple(sorted(candidate.effect.name for candidate in self.candidates))
+        return self.explanation.effects
 
     @property
     def sigmas(self) -> float:
         """Strength of its weakest effect over its standard uncertainty; 0 without effects."""
         parametrisation = self.fit.parametrisation
-        if not self.candidates or not isinstance(parametrisation, Parametrisation):
+        if not self.candidates:
             return 0.0
         found = []
         for index, candidate in enumerate(self.candidates):
@@ -198,8 +200,8 @@ class Contest:
         A weak effect bends the directions of the others so little that those of the model without effect serve again.
         """
         if base.candidates and self._plain_directions and base.sigmas < self.settings.weak:
-            taken = {candidate.label for candidate in base.candidates}
-            kept = [d for d in self._plain_directions if self.candidates[d.candidate].label not in taken]
+            taken = set(base.explanation.causes)
+            kept = [d for d in self._plain_directions if self.candidates[d.candidate].cause not in taken]
             return scores(base.fit, kept, len(self.calibration))
         found = self.directions(base)
         if not base.candidates:
@@ -208,8 +210,8 @@ class Contest:
 
     def directions(self, base: Contender) -> list[Direction]:
         """Directions of all candidates that the contender does not have yet."""
-        taken = {candidate.label for candidate in base.candidates}
-        numbers = [k for k, candidate in enumerate(self.candidates) if candidate.label not in taken]
+        taken = set(base.explanation.causes)
+        numbers = [k for k, candidate in enumerate(self.candidates) if candidate.cause not in taken]
         starts = {k: _starts(self.candidates[k]) for k in numbers}
         result: list[Direction] = []
         for turn in range(max((len(values) for values in starts.values()), default=0)):
@@ -347,7 +349,7 @@ class Contest:
         """Second effects on top of the best single ones, best evidence first."""
         settings = self.settings
         result: list[Contender] = []
-        tried: set[tuple[str, ...]] = set()
+        tried: set[Explanation] = set()
         best = singles[0].fit.log_evidence if singles else 0.0
         heads: set[str] = set()
         for rank, single in enumerate(_best_by_effect(singles)[: settings.first_of_pairs]):
@@ -363,13 +365,12 @@ class Contest:
                 second = self.candidates[score.direction.candidate]
                 if second.effect.name in heads:
                     continue  # tried already, the other way round
-                label = second.label
-                key = tuple(sorted((single.label, label)))
-                if key in tried:
+                pair = Explanation((*single.explanation.causes, second.cause))
+                if pair in tried:
                     continue
-                tried.add(key)
+                tried.add(pair)
                 count += 1
-                self._progress(f"fitting {single.label} with {label}")
+                self._progress(f"fitting {single.explanation.label} with {second.label}")
                 contender = self.add(single, score)
                 if contender is not None:
                     result.append(contender)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates as library_candidates
-from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.effects.placement import Explanation, joined
 from nmt_diagnose.evidence.conditions import RecordTest
 from nmt_diagnose.evidence.observables import Evidence
 from nmt_diagnose.evidence.read_evidence import read_evidence
@@ -36,15 +36,16 @@ from nmt_diagnose.inference.gap import Closed, rms
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.held_out_contest import HeldOut, Refits
-from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, place_of, with_share_left
+from nmt_diagnose.inference.hypotheses import NULL
+from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, with_share_left
 from nmt_diagnose.inference.lock_noise import lock_nuisances
 from nmt_diagnose.inference.next_test import next_tests
-from nmt_diagnose.inference.problem import ForwardLike, Problem
+from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.inference.sentences import sentences
 from nmt_diagnose.inference.sources import generic_sources, places
-from nmt_diagnose.twin.forward import Forward, Prediction
+from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig, load_rig
 
@@ -141,7 +142,7 @@ class _Diagnoser:
         self.forward = Forward(evidence.tests, evidence.rows)
         self.given = self.forward.predict(rig)
         nuisances = lock_nuisances(evidence, rig, self.given)
-        self.problem = Problem(evidence, cast(ForwardLike, self.forward), nuisances)
+        self.problem = Problem(evidence, self.forward, nuisances)
         self.candidates = library_candidates(rig, operating_range(rig, evidence.tests), settings.withheld)
         self.contest = Contest(
             self.problem,
@@ -172,19 +173,18 @@ class _Diagnoser:
         pairs = self.contest.pairs(singles)
         self.progress("weighing the explanations")
         rig = null.fit.parametrisation.rig(null.fit.theta)
-        found = places(self.forward, rig, cast(Prediction, null.fit.prediction), self.problem)
+        found = places(self.forward, rig, null.fit.prediction, self.problem)
         sources = generic_sources(null.fit, found)
         top = self._most_promising(null, singles, pairs)
         leftovers = generic_sources(top.fit, found, null.fit.theta.size) if top is not None else []
         left = (top or null).fit
         chance = min((test.p_holm for test in residual_tests(self.evidence, left.residual, left.used)), default=1.0)
-        judgement = judge(
-            null, singles, pairs, sources, leftovers, self.candidates, self.rig, self.confidence, top, chance
-        )
+        judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.confidence, top, chance)
         as_given = self.problem.residual(given)
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])
-        shares = {group.head.label: held.closed(group.head.label) for group in judgement.classes[:_JUDGED]}
-        best_share = shares[judgement.classes[0].head.label] if judgement.classes else None
+        heads = [group.head.explanation for group in judgement.classes[:_JUDGED]]
+        shares = {explanation: held.closed(explanation) for explanation in heads}
+        best_share = shares[heads[0]] if heads else None
         if best_share is not None and best_share.low > 0.9 and best_share.value >= self.confidence.explained:
             judgement = with_share_left(judgement, min(max(1.0 - best_share.value, 0.0), 1.0))
         accepted = self._accepted(judgement, shares)
@@ -201,7 +201,7 @@ class _Diagnoser:
         model = self.rig if verdict is Verdict.NONE else final.fit.parametrisation.rig(final.fit.theta)
         diagnosis = Diagnosis(
             verdict=verdict,
-            sentences=sentences(verdict, where, ranking, gap, ahead, calibration, self.evidence),
+            sentences=sentences(verdict, where, ranking, judgement.classes, gap, ahead, calibration),
             where=where,
             ranking=ranking,
             probabilities=judgement.by_label,
@@ -209,7 +209,7 @@ class _Diagnoser:
             next_test=ahead,
             calibration=calibration,
             inputs=self._inputs(),
-            notes=self.evidence.notes + tuple(getattr(given, "reasons", ())),
+            notes=self.evidence.notes + tuple(given.reasons),
             residual_map=residual_map(self.evidence, as_given, null.fit.residual, best.fit.residual),
             residual_tests=tuple(test.to_mapping() for test in tests),
             candidates=tuple(self._candidate(contender, null) for contender in [null, *singles, *pairs]),
@@ -241,21 +241,21 @@ class _Diagnoser:
         found: list[Refits] = []
         for split in self.splits:
             if self.settings.hold_out:
-                found.append((split, null, {head.label: head for head in heads}))
+                found.append((split, null, {head.explanation: head for head in heads}))
                 continue  # no fit has seen it
             base = self.contest.refit(null, split.fitted)
             if base is not None:
-                tops = {head.label: self.contest.refit(head, split.fitted) for head in heads}
+                tops = {head.explanation: self.contest.refit(head, split.fitted) for head in heads}
                 found.append((split, base, tops))
         return HeldOut(self.evidence, found, self.settings.seed)
 
-    def _accepted(self, judgement: Judgement, shares: dict[str, Closed]) -> ExplanationClass | None:
+    def _accepted(self, judgement: Judgement, shares: dict[Explanation, Closed]) -> ExplanationClass | None:
         """The most probable explanation that predicts held-out data no worse than the model without it.
 
         A little worse by chance is not worse: the blocks that are held out tell how much chance there is.
         """
         for group in judgement.classes[:_JUDGED]:
-            share = shares.get(group.head.label)
+            share = shares.get(group.head.explanation)
             if share is None or not math.isfinite(share.gain) or share.gain >= -_CHANCE:
                 return group
         return None
@@ -277,13 +277,13 @@ class _Diagnoser:
         """Whether re-fitting the model's own parameters closed a gap that was there, also on data that no fit saw."""
         used = null.fit.used & np.isfinite(as_given)
         fall = float(as_given[used] @ as_given[used]) - null.fit.chi_square - null.fit.penalty
-        unseen = held.closed(null.label, as_given).gain
+        unseen = held.closed(null.explanation, as_given).gain
         return fall > self.confidence.recalibration and not unseen < 0.0
 
     def _gap(self, verdict: Verdict, null: Contender, best: Contender, as_given: FloatArray, held: HeldOut) -> Gap:
         given = verdict is Verdict.CALIBRATION
-        whole = held.closed(best.label, as_given if given else None)
-        rows, start, after = held.pooled(best.label, null, best, as_given if given else None)
+        whole = held.closed(best.explanation, as_given if given else None)
+        rows, start, after = held.pooled(null, best, as_given if given else None)
         judged = held.splits != ()
         return Gap(
             whole.before if judged else rms(null.fit.residual[rows]),
@@ -299,19 +299,19 @@ class _Diagnoser:
 
     # -- telling -------------------------------------------------------------------------------------------------
 
-    def _ranking(self, judgement: Judgement, shares: dict[str, Closed]) -> tuple[Ranked, ...]:
+    def _ranking(self, judgement: Judgement, shares: dict[Explanation, Closed]) -> tuple[Ranked, ...]:
         result = []
         for group in judgement.classes[:_RANKED]:
             head = group.head
-            places = [place_of(candidate, self.rig) for candidate in head.candidates]
-            share = shares.get(head.label)
+            placements = head.explanation.placements
+            share = shares.get(head.explanation)
             result.append(
                 Ranked(
-                    effect=" + ".join(candidate.effect.name for candidate in head.candidates),
-                    place=" + ".join(dict.fromkeys(place for place, _ in places)),
-                    detail=" + ".join(detail for _, detail in places if detail),
+                    effect=joined(cause.effect for cause in head.explanation.causes),
+                    place=head.explanation.kinds,
+                    detail=joined(placement.detail for placement in placements if placement.detail),
                     probability=group.probability,
-                    equivalents=tuple(" + ".join(effects) for effects in group.effects[1:]),
+                    equivalents=tuple(joined(effects) for effects in group.effects[1:]),
                     parameters=_parameters(head),
                     closed=Share(share.value, share.low, share.high) if share else Share(*[math.nan] * 3),
                     sigmas=head.sigmas,
@@ -324,13 +324,15 @@ class _Diagnoser:
             return ()
         by_place: dict[str, float] = {}
         details: dict[str, dict[str, float]] = {}
-        for (place, what), p in judgement.places.items():
-            by_place[place] = by_place.get(place, 0.0) + p
-            details.setdefault(place, {})[what] = p
+        for placement, p in judgement.places.items():
+            kind, own = placement.kind, details.setdefault(placement.kind, {})
+            by_place[kind] = by_place.get(kind, 0.0) + p
+            own[placement.detail] = own.get(placement.detail, 0.0) + p
         explained: dict[str, float] = {}
         for source in sources:
             size = max(0.0, source.explained - source.freedom)
-            explained[source.place] = max(explained.get(source.place, 0.0), size)
+            kind = source.placement.kind
+            explained[kind] = max(explained.get(kind, 0.0), size)
         weights = {place: explained.get(place, 0.0) * p for place, p in by_place.items()}
         total = sum(weights.values())
         return tuple(
@@ -341,7 +343,6 @@ class _Diagnoser:
 
     def _calibration(self, best: Contender) -> tuple[Recalibrated, ...]:
         parametrisation = best.fit.parametrisation
-        assert isinstance(parametrisation, Parametrisation)
         result = []
         for k, parameter in enumerate(parametrisation.calibration):
             theta, std = float(best.fit.theta[k]), float(best.fit.std[k])
@@ -389,9 +390,9 @@ class _Diagnoser:
 
     def _candidate(self, contender: Contender, null: Contender) -> dict[str, Any]:
         return {
-            "label": contender.label,
-            "effect": " + ".join(contender.effects) or "none",
-            "place": " + ".join(dict.fromkeys(place_of(c, self.rig)[0] for c in contender.candidates)),
+            "label": contender.explanation.label,
+            "effect": joined(contender.effects) or NULL,
+            "place": contender.explanation.kinds,
             "chi_square": contender.fit.chi_square,
             "penalty": contender.fit.penalty,
             "rows": int(contender.fit.used.sum()),
@@ -433,11 +434,11 @@ class _Diagnoser:
             "chance": chance,
             **{f"sign:{name}": value for name, value in judgement.signs.items()},
         }
-        for name in {self.candidates[score.direction.candidate].effect.name for score in scan}:
+        for name in dict.fromkeys(self.candidates[score.direction.candidate].effect.name for score in scan):
             gains = [s.gain for s in scan if self.candidates[s.direction.candidate].effect.name == name]
             found[f"scan:{name}"] = max(gains)
         for source in sources:
-            key = f"source:{source.place}"
+            key = f"source:{source.placement.kind}"
             found[key] = max(found.get(key, -math.inf), source.gain)
         return found
 
@@ -458,25 +459,23 @@ def _affordable(settings: ContestSettings, evidence: Evidence) -> ContestSetting
 def _likeliest(details: dict[str, float]) -> str:
     """The likeliest detail of a place, or several where one is hardly less likely than the other."""
     best = max(details.values())
-    return " + ".join(sorted(what for what, p in details.items() if what and p > 0.6 * best))
+    return joined(sorted(what for what, p in details.items() if what and p > 0.6 * best))
 
 
 def _parameters(contender: Contender) -> dict[str, Value]:
     """Reported parameters of a contender with standard uncertainties, carried through by differences."""
     parametrisation = contender.fit.parametrisation
-    assert isinstance(parametrisation, Parametrisation)
     theta, std = contender.fit.theta, contender.fit.std
-    middle = parametrisation.physical(theta)
     result: dict[str, Value] = {}
     several = len(contender.candidates) > 1
     for index, candidate in enumerate(contender.candidates):
         own = parametrisation.index_of(index)
-        for name, (value, unit, _) in middle[candidate.label].items():
+        for name, (value, unit) in parametrisation.reported(theta, index).items():
             variance = 0.0
             for k in range(own.start, own.stop):
                 moved = theta.copy()
                 moved[k] += 0.1 * std[k]
-                change = parametrisation.physical(moved)[candidate.label][name][0] - value
+                change = parametrisation.reported(moved, index)[name][0] - value
                 variance += (10.0 * change) ** 2 if math.isfinite(change) else math.inf
             result[f"{candidate.label}.{name}" if several else name] = Value(value, math.sqrt(variance), unit)
     return result

@@ -8,7 +8,9 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
-from nmt_diagnose.inference.problem import BoolArray, ParametrisationLike, PredictionLike, Problem
+from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.inference.problem import BoolArray, Problem
+from nmt_diagnose.twin.forward import Prediction
 
 _STEPS = 25
 _TRIALS = 10
@@ -36,13 +38,13 @@ class Fit:
         converged: the last step changed nothing that matters.
     """
 
-    parametrisation: ParametrisationLike
+    parametrisation: Parametrisation
     theta: FloatArray
     covariance: FloatArray
     residual: FloatArray
     jacobian: FloatArray
     used: BoolArray
-    prediction: PredictionLike
+    prediction: Prediction
     chi_square: float
     penalty: float
     log_evidence: float
@@ -99,10 +101,10 @@ class FitError(ArithmeticError):
 
 def fit(
     problem: Problem,
-    parametrisation: ParametrisationLike,
+    parametrisation: Parametrisation,
     theta: FloatArray,
     used: BoolArray | None = None,
-    start: PredictionLike | None = None,
+    start: Prediction | None = None,
     jacobian: FloatArray | None = None,
     steps: int = _STEPS,
     exact: bool = True,
@@ -194,11 +196,11 @@ def fit(
 
 def _approached(
     problem: Problem,
-    parametrisation: ParametrisationLike,
+    parametrisation: Parametrisation,
     theta: FloatArray,
     rows: BoolArray,
-    prediction: PredictionLike,
-) -> tuple[FloatArray, PredictionLike]:
+    prediction: Prediction,
+) -> tuple[FloatArray, Prediction]:
     """Parameters near the optimum, from a start that may be thousands of σ away.
 
     As long as the residual is large the linearisation is wrong by more than the noise. Taken at face value it throws
@@ -241,10 +243,10 @@ def _approached(
 
 def _finished(
     problem: Problem,
-    parametrisation: ParametrisationLike,
+    parametrisation: Parametrisation,
     theta: FloatArray,
     rows: BoolArray,
-    prediction: PredictionLike,
+    prediction: Prediction,
     residual: FloatArray,
     jacobian: FloatArray,
     converged: bool,
@@ -264,8 +266,8 @@ def _finished(
 
 
 def _predicted(
-    problem: Problem, parametrisation: ParametrisationLike, theta: FloatArray, start: PredictionLike | None
-) -> PredictionLike | None:
+    problem: Problem, parametrisation: Parametrisation, theta: FloatArray, start: Prediction | None
+) -> Prediction | None:
     """The model's prediction; None where the parameters make no rig (a mass below zero, for example)."""
     try:
         return problem.forward.predict(parametrisation.rig(theta), start)
@@ -274,7 +276,7 @@ def _predicted(
 
 
 def _whitened_jacobian(
-    problem: Problem, parametrisation: ParametrisationLike, theta: FloatArray, prediction: PredictionLike
+    problem: Problem, parametrisation: Parametrisation, theta: FloatArray, prediction: Prediction
 ) -> FloatArray:
     if theta.size == 0:
         return np.zeros((problem.size, 0))

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.blocks import FloatArray
+from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.fit import Fit
 from nmt_diagnose.inference.scan import Projector
 
@@ -28,27 +29,25 @@ class SourceScore:
     """Evidence for a generic source.
 
     Attributes:
-        place: place of the source.
-        detail: point, channel or coordinate.
+        placement: where the source sits.
         gain: ln Z of the source over ln Z without it, mean over the sizes τ.
         explained: fall of χ² at the best size.
         freedom: effective number of columns used at the best size.
     """
 
-    place: str
-    detail: str
+    placement: Placement
     gain: float
     explained: float
     freedom: float
 
 
-def source_score(fit: Fit, columns: FloatArray, place: str, detail: str, calibrated: int | None = None) -> SourceScore:
+def source_score(fit: Fit, columns: FloatArray, placement: Placement, calibrated: int | None = None) -> SourceScore:
     """Evidence for a source with the given whitened columns, over the fit's own model.
 
     Args:
         fit: fit of the model that the source is added to.
         columns: whitened responses, shape (m, s); their scale does not matter.
-        place, detail: for the result.
+        placement: for the result.
         calibrated: parameters of the fit that the model has, see :func:`nmt_diagnose.inference.scan.scores`.
     """
     rows = fit.used
@@ -56,12 +55,12 @@ def source_score(fit: Fit, columns: FloatArray, place: str, detail: str, calibra
     prior = fit.open_prior(fit.theta.size if calibrated is None else calibrated)
     projector = Projector(fit.jacobian[rows], prior)
     if not np.any(chosen):
-        return SourceScore(place, detail, 0.0, 0.0, 0.0)
+        return SourceScore(placement, 0.0, 0.0, 0.0)
     matrix = projector.inner(chosen, chosen)
     # τ in units of what the strongest column does to the observables.
     size = float(np.sqrt(np.max(np.diag(matrix))))
     if not size > 0.0:
-        return SourceScore(place, detail, 0.0, 0.0, 0.0)
+        return SourceScore(placement, 0.0, 0.0, 0.0)
     matrix, chosen = matrix / size**2, chosen / size
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     values = np.maximum(values, 0.0)
@@ -74,4 +73,4 @@ def source_score(fit: Fit, columns: FloatArray, place: str, detail: str, calibra
     best = int(np.argmax(gains))
     top = float(gains[best])
     mean = top + float(np.log(np.mean(np.exp(gains - top))))
-    return SourceScore(place, detail, mean, float(explained[best]), float((values / shrunk[best]).sum()))
+    return SourceScore(placement, mean, float(explained[best]), float((values / shrunk[best]).sum()))

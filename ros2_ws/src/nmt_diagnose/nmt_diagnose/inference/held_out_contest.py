@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from nmt_core.blocks import FloatArray
+from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.evidence.observables import Evidence
 from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.gap import Closed, closed, noise_floor
@@ -16,7 +17,7 @@ from nmt_diagnose.inference.problem import BoolArray
 
 _TOLD = 2.0
 
-Refits = tuple[Split, Contender, Mapping[str, Contender | None]]
+Refits = tuple[Split, Contender, Mapping[Explanation, Contender | None]]
 
 
 class HeldOut:
@@ -27,7 +28,7 @@ class HeldOut:
 
     Args:
         evidence: the real side.
-        refits: of each split: the split, the model without effect, and the explanations by label.
+        refits: of each split: the split, the model without effect, and the explanations re-fitted.
         seed: of the bootstrap.
     """
 
@@ -41,17 +42,17 @@ class HeldOut:
         """What was held out, in words."""
         return tuple(split.name for split, _, _ in self._refits)
 
-    def closed(self, label: str, start: FloatArray | None = None) -> Closed:
-        """Gap before and after an explanation; ``none`` is the model with its parameters re-fitted.
+    def closed(self, explanation: Explanation, start: FloatArray | None = None) -> Closed:
+        """Gap before and after an explanation; one without causes is the model with its parameters re-fitted.
 
         Args:
-            label: of the explanation.
+            explanation: one of those that were re-fitted.
             start: residual to start from, shape (m,); None = of the model without effect, re-fitted to each split.
         """
         pairs: list[tuple[FloatArray, FloatArray, BoolArray]] = []
         undetermined: list[tuple[FloatArray, FloatArray, BoolArray]] = []
         for (split, base, tops), scale in zip(self._refits, self._scale, strict=True):
-            top = base if label == base.label else tops.get(label)
+            top = base if explanation == base.explanation else tops.get(explanation)
             if top is None:
                 continue
             before = base.fit.residual if start is None else start
@@ -65,7 +66,7 @@ class HeldOut:
         return closed(self._evidence, pairs, self._seed, self.floor)
 
     def pooled(
-        self, label: str, null: Contender, best: Contender, start: FloatArray | None
+        self, null: Contender, best: Contender, start: FloatArray | None
     ) -> tuple[BoolArray, FloatArray, FloatArray]:
         """Rows that some split held out, and their residuals before and after, from the first split that did.
 
@@ -74,7 +75,7 @@ class HeldOut:
         rows = np.zeros(len(self._evidence.rows), dtype=bool)
         before, after = null.fit.residual.copy(), best.fit.residual.copy()
         for (split, base, tops), scale in zip(self._refits, self._scale, strict=True):
-            top = base if label == base.label else tops.get(label)
+            top = base if best.explanation == base.explanation else tops.get(best.explanation)
             if top is None:
                 continue
             new = split.held_out & ~rows

@@ -4,34 +4,51 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
 from nmt_core.blocks import FloatArray
+from nmt_diagnose.effects.placement import Placement
+from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.fit import Fit
 
 NULL, UNKNOWN, OTHER = "none", "unknown", "other"
+"""Keys of ``diagnosis.json`` beside the labels of explanations: none, something unnamed, named ones not competing."""
+
+
+class Kind(Enum):
+    """What a hypothesis says."""
+
+    NONE = "none"
+    NAMED = "named"
+    UNNAMED = "unnamed"
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One explanation.
+    """One hypothesis.
 
     Attributes:
-        label: effect with placement (two joined by `` + ``), ``none`` or ``unknown``.
-        effects: names of its effects; empty for ``none`` and ``unknown``.
-        place: where it lies.
+        kind: nothing is missing, something with a name is, or something without one.
         log_evidence: ln Z, relative to the same rows for all.
         log_prior: ln of its prior probability.
-        fit: its fit; None for ``unknown``.
+        contender: the fitted explanation; None for something unnamed.
+        placement: where something unnamed lies; None if that is not told.
     """
 
-    label: str
-    effects: tuple[str, ...]
-    place: str
+    kind: Kind
     log_evidence: float
     log_prior: float
-    fit: Fit | None
+    contender: Contender | None = None
+    placement: Placement | None = None
+
+    @property
+    def placements(self) -> tuple[Placement, ...]:
+        """Where it lies; empty if that is not told, or nothing is missing."""
+        if self.contender is not None:
+            return self.contender.explanation.placements
+        return () if self.placement is None else (self.placement,)
 
 
 def probabilities(hypotheses: Sequence[Hypothesis]) -> FloatArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -11,12 +10,11 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.effects.effect import Candidate
-from nmt_diagnose.effects.sensor_effects import placed
+from nmt_diagnose.effects.placement import Explanation, Placement
 from nmt_diagnose.inference.confidence import Confidence
 from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.generic_source import SourceScore
-from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN, Hypothesis, equivalence_classes, probabilities
-from nmt_rig.rig import Rig
+from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN, Hypothesis, Kind, equivalence_classes, probabilities
 
 _UNLIKELY = math.log(1e5)
 
@@ -49,16 +47,18 @@ class Judgement:
         none: probability that the model, its parameters re-fitted, is enough.
         unknown: probability of something unnamed.
         classes: named explanations, most probable first.
-        places: probability by place and detail, given that there is a gap; sum 1.
-        by_label: probability by hypothesis; ``other`` for a named one that was not among those that competed.
+        places: probability by place, given that there is a gap; sum 1.
+        named: probability of each explanation that competed.
+        other: probability of a named one that was not among them.
         signs: what the probabilities follow from, see :data:`nmt_diagnose.inference.confidence.RANGES`.
     """
 
     none: float
     unknown: float
     classes: tuple[ExplanationClass, ...]
-    places: dict[tuple[str, str], float]
-    by_label: dict[str, float]
+    places: dict[Placement, float]
+    named: dict[Explanation, float]
+    other: float
     signs: dict[str, float]
 
     @property
@@ -70,13 +70,14 @@ class Judgement:
     def unknown_odds(self) -> float:
         """ln of something unnamed over the named explanations, as reliabilities have it."""
         unknown = min(max(self.unknown, 1e-12), 1.0)
-        named = sum(weight for label, weight in self.by_label.items() if label not in (NULL, UNKNOWN))
+        named = sum((*self.named.values(), self.other))
         return math.log(unknown / max(named, 1e-12))
 
-
-def place_of(candidate: Candidate, rig: Rig) -> tuple[str, str]:
-    """Place and detail of a candidate."""
-    return placed(candidate.effect, candidate.placement, rig), candidate.placement.label
+    @property
+    def by_label(self) -> dict[str, float]:
+        """Probability by hypothesis, as ``diagnosis.json`` has it."""
+        named = {explanation.label: p for explanation, p in self.named.items()}
+        return {NULL: self.none, UNKNOWN: self.unknown, **named, OTHER: self.other}
 
 
 def judge(
@@ -86,7 +87,6 @@ def judge(
     sources: Sequence[SourceScore],
     leftovers: Sequence[SourceScore],
     candidates: Sequence[Candidate],
-    rig: Rig,
     confidence: Confidence,
     best: Contender | None = None,
     chance: float = 1.0,
@@ -99,7 +99,6 @@ def judge(
         sources: generic sources on top of the model.
         leftovers: generic sources on top of ``best``.
         candidates: all that were scanned; a fit at one of many places pays for the choice.
-        rig: the model.
         confidence: priors and reliabilities.
         best: the explanation that the leftovers are left by; None without leftovers.
         chance: smallest probability, corrected for the number of tests, by which a focused test would find as much in
@@ -114,31 +113,25 @@ def judge(
     def chosen(contender: Contender) -> float:
         return -sum(math.log(placements[candidate.effect.name]) for candidate in contender.candidates)
 
-    by_label_gain = {c.label: max(0.0, c.fit.log_evidence - base) for c in singles}
+    single_gain = {c.explanation.causes[0]: max(0.0, c.fit.log_evidence - base) for c in singles}
 
     def inexact(contender: Contender) -> float:
         """Evidence that the inexact model of the strongest of its effects may feign."""
-        own = [by_label_gain.get(candidate.label, 0.0) for candidate in contender.candidates]
+        own = [single_gain.get(cause, 0.0) for cause in contender.explanation.causes]
         return confidence.inexactness * max(own, default=0.0)
 
-    hypotheses = [Hypothesis(NULL, (), "", 0.0, math.log(confidence.prior_none), null.fit)]
-    contenders: list[Contender | None] = [null]
+    hypotheses = [Hypothesis(Kind.NONE, 0.0, math.log(confidence.prior_none), null)]
     for contender in singles:
         prior = math.log(confidence.prior_effect / kinds) + chosen(contender)
-        place = place_of(contender.candidates[0], rig)[0]
-        gain = contender.fit.log_evidence - base
-        hypotheses.append(Hypothesis(contender.label, contender.effects, place, gain, prior, contender.fit))
-        contenders.append(contender)
+        hypotheses.append(Hypothesis(Kind.NAMED, contender.fit.log_evidence - base, prior, contender))
     for contender in pairs:
         prior = math.log(2.0 * confidence.prior_pair / kinds**2) + chosen(contender)
         gain = contender.fit.log_evidence - base - inexact(contender)
-        hypotheses.append(Hypothesis(contender.label, contender.effects, "", gain, prior, contender.fit))
-        contenders.append(contender)
+        hypotheses.append(Hypothesis(Kind.NAMED, gain, prior, contender))
     for source in sources:
         prior = math.log(confidence.prior_unknown / max(1, len(sources)))
-        gain = source.gain - confidence.inexactness * max(by_label_gain.values(), default=0.0)
-        hypotheses.append(Hypothesis(UNKNOWN, (), f"{source.place}|{source.detail}", gain, prior, None))
-        contenders.append(None)
+        gain = source.gain - confidence.inexactness * max(single_gain.values(), default=0.0)
+        hypotheses.append(Hypothesis(Kind.UNNAMED, gain, prior, placement=source.placement))
     # What a focused test finds and no source explains: noise of another kind, for example. Unlike evidence it has no
     # rival, so it counts from where chance would not get once in a hundred thousand diagnoses.
     found, behind = -math.log(max(chance, 1e-300)) - _UNLIKELY, math.log(confidence.prior_unknown)
@@ -149,21 +142,19 @@ def judge(
             behind += math.log(2.0 * confidence.prior_pair / kinds**2)
         behind += chosen(best)
         found += best.fit.log_evidence - base
-    hypotheses.append(Hypothesis(UNKNOWN, (), "", found, behind, None))
-    contenders.append(None)
+    hypotheses.append(Hypothesis(Kind.UNNAMED, found, behind))
     if best is not None:
         for source in leftovers:
             prior = behind - math.log(max(1, len(leftovers)))
             gain = best.fit.log_evidence - base + source.gain - inexact(best)
-            hypotheses.append(Hypothesis(UNKNOWN, (), f"{source.place}|{source.detail}", gain, prior, None))
-            contenders.append(None)
+            hypotheses.append(Hypothesis(Kind.UNNAMED, gain, prior, placement=source.placement))
     weights = probabilities(hypotheses)
-    classes = _classes(weights, contenders, confidence.equivalence)
+    classes = _classes(weights, hypotheses, confidence.equivalence)
     plain = np.array([h.log_prior + h.log_evidence for h in hypotheses])
-    named = np.array([value for value, h in zip(plain, hypotheses, strict=True) if h.label not in (NULL, UNKNOWN)])
-    unnamed = np.array([value for value, h in zip(plain, hypotheses, strict=True) if h.label == UNKNOWN])
+    named = np.array([value for value, h in zip(plain, hypotheses, strict=True) if h.kind is Kind.NAMED])
+    unnamed = np.array([value for value, h in zip(plain, hypotheses, strict=True) if h.kind is Kind.UNNAMED])
     signs = _signs(plain[0], named, unnamed, classes, max((s.gain for s in leftovers), default=0.0))
-    return _calibrated(weights, hypotheses, contenders, classes, signs, rig, confidence)
+    return _calibrated(weights, hypotheses, classes, signs, confidence)
 
 
 def _signs(
@@ -178,17 +169,11 @@ def _signs(
         "unknown_odds": _odds(unnamed, named),
         "leftover": leftover,
         "second": float(first is not None and len(first.head.candidates) > 1),
-        "together": float(first is not None and _together(first.head.candidates)),
+        "together": float(first is not None and first.head.explanation.together),
         "margin": math.log(max(first.probability, 1e-300) / max(others, 1e-300)) if first else -math.inf,
         "sigmas": math.log1p(first.head.sigmas) if first else 0.0,
         "rivals": float(len(first.members) - 1) if first else 0.0,
     }
-
-
-def _together(candidates: Sequence[Candidate]) -> bool:
-    """Whether two effects act at one point or channel: one that has no name is often imitated so."""
-    points = [re.findall(r"\d+", candidate.placement.label) for candidate in candidates]
-    return len(points) > 1 and bool(points[0]) and all(own == points[0] for own in points)
 
 
 def _odds(left: FloatArray, right: FloatArray) -> float:
@@ -200,10 +185,8 @@ def _odds(left: FloatArray, right: FloatArray) -> float:
 def _calibrated(
     weights: FloatArray,
     hypotheses: Sequence[Hypothesis],
-    contenders: Sequence[Contender | None],
     classes: tuple[ExplanationClass, ...],
     signs: dict[str, float],
-    rig: Rig,
     confidence: Confidence,
 ) -> Judgement:
     """Probabilities as often right as they say: shares within none, unnamed and named stay in proportion."""
@@ -218,25 +201,35 @@ def _calibrated(
         # None of the others may become more probable than the first by what is left for all.
         share = named * first if rank == 0 else min(left * group.probability / max(others, 1e-300), named * first)
         scaled.append(replace(group, probability=share))
-    by_label = {NULL: 1.0 - gap, UNKNOWN: gap * unnamed}
     factors = np.zeros(weights.size)
     for before, after in zip(classes, scaled, strict=True):
-        effects = {item for item, contender in enumerate(contenders) if contender is not None and contender.candidates
-                   and contender.effects in before.effects}  # fmt: skip
+        effects = {
+            item
+            for item, hypothesis in enumerate(hypotheses)
+            if hypothesis.kind is Kind.NAMED and _contender(hypothesis).effects in before.effects
+        }
         total = sum(float(weights[k]) for k in effects)
         for k in effects:
             factors[k] = after.probability * (float(weights[k]) / total if total > 0.0 else 1.0 / len(effects))
-    sources = np.array([h.label == UNKNOWN for h in hypotheses])
+    sources = np.array([h.kind is Kind.UNNAMED for h in hypotheses])
     mass = float(weights[sources].sum())
     if mass > 0.0:
         factors[sources] = gap * unnamed * weights[sources] / mass
     factors[0] = 1.0 - gap
+    by_explanation: dict[Explanation, float] = {}
     for factor, hypothesis in zip(factors, hypotheses, strict=True):
-        if hypothesis.label not in (NULL, UNKNOWN):
-            by_label[hypothesis.label] = by_label.get(hypothesis.label, 0.0) + float(factor)
-    by_label[OTHER] = max(0.0, 1.0 - sum(by_label.values()))
-    places = _places(factors[1:], hypotheses[1:], contenders[1:], rig)
-    return Judgement(1.0 - gap, gap * unnamed, tuple(scaled), places, by_label, signs)
+        if hypothesis.kind is Kind.NAMED:
+            explanation = _contender(hypothesis).explanation
+            by_explanation[explanation] = by_explanation.get(explanation, 0.0) + float(factor)
+    other = max(0.0, 1.0 - sum((1.0 - gap, gap * unnamed, *by_explanation.values())))
+    places = _places(factors[1:], hypotheses[1:])
+    return Judgement(1.0 - gap, gap * unnamed, tuple(scaled), places, by_explanation, other, signs)
+
+
+def _contender(hypothesis: Hypothesis) -> Contender:
+    """The fit of a named hypothesis."""
+    assert hypothesis.contender is not None
+    return hypothesis.contender
 
 
 def with_share_left(judgement: Judgement, left: float) -> Judgement:
@@ -252,18 +245,16 @@ def with_share_left(judgement: Judgement, left: float) -> Judgement:
     unknown = judgement.unknown * left
     named = 1.0 - judgement.none - judgement.unknown
     factor = (1.0 - judgement.none - unknown) / named if named > 0.0 else 1.0
-    by_label = {
-        label: value if label == NULL else unknown if label == UNKNOWN else value * factor
-        for label, value in judgement.by_label.items()
-    }
+    by_explanation = {explanation: value * factor for explanation, value in judgement.named.items()}
     classes = tuple(replace(group, probability=group.probability * factor) for group in judgement.classes)
-    return replace(judgement, unknown=unknown, classes=classes, by_label=by_label)
+    return replace(judgement, unknown=unknown, classes=classes, named=by_explanation, other=judgement.other * factor)
 
 
-def _classes(weights: np.ndarray, contenders: Sequence[Contender | None], limit: float) -> tuple[ExplanationClass, ...]:
+def _classes(weights: FloatArray, hypotheses: Sequence[Hypothesis], limit: float) -> tuple[ExplanationClass, ...]:
     by_effects: dict[tuple[str, ...], list[tuple[float, Contender]]] = {}
-    for weight, contender in zip(weights, contenders, strict=True):
-        if contender is not None and contender.candidates:
+    for weight, hypothesis in zip(weights, hypotheses, strict=True):
+        if hypothesis.kind is Kind.NAMED:
+            contender = _contender(hypothesis)
             by_effects.setdefault(contender.effects, []).append((float(weight), contender))
     groups = [
         (sum(weight for weight, _ in members), max(members, key=lambda item: item[0])[1])
@@ -279,22 +270,11 @@ def _classes(weights: np.ndarray, contenders: Sequence[Contender | None], limit:
     return tuple(sorted(result, key=lambda item: -item.probability))
 
 
-def _places(
-    weights: np.ndarray,
-    hypotheses: Sequence[Hypothesis],
-    contenders: Sequence[Contender | None],
-    rig: Rig,
-) -> dict[tuple[str, str], float]:
-    result: dict[tuple[str, str], float] = {}
-    for weight, hypothesis, contender in zip(weights, hypotheses, contenders, strict=True):
-        if contender is None:
-            if not hypothesis.place:
-                continue  # a test that does not tell the place
-            place, _, detail = hypothesis.place.partition("|")
-            keys = [(place, detail)]
-        else:
-            keys = [place_of(candidate, rig) for candidate in contender.candidates]
-        for key in keys:
-            result[key] = result.get(key, 0.0) + float(weight) / len(keys)
+def _places(weights: FloatArray, hypotheses: Sequence[Hypothesis]) -> dict[Placement, float]:
+    """Share of each place; a test that does not tell the place has none."""
+    result: dict[Placement, float] = {}
+    for weight, hypothesis in zip(weights, hypotheses, strict=True):
+        for placement in hypothesis.placements:
+            result[placement] = result.get(placement, 0.0) + float(weight) / len(hypothesis.placements)
     total = sum(result.values())
     return {key: value / total for key, value in sorted(result.items(), key=lambda item: -item[1])} if total else {}

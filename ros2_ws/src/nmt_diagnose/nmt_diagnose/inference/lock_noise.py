@@ -7,13 +7,12 @@ far is known only as well as the phase can be measured from the window; frequenc
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
 from nmt_diagnose.evidence.conditions import PhaseResonanceTest
 from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.inference.problem import Nuisance, PredictionLike
+from nmt_diagnose.inference.problem import Nuisance
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.rig import Rig
@@ -23,7 +22,7 @@ _LEAST = 0.1
 
 
 def lock_nuisances(
-    evidence: Evidence, rig: Rig, prediction: PredictionLike, settings: TwinSettings | None = None
+    evidence: Evidence, rig: Rig, prediction: Prediction, settings: TwinSettings | None = None
 ) -> tuple[Nuisance, ...]:
     """Shared errors of all locked windows.
 
@@ -40,7 +39,7 @@ def lock_nuisances(
         for test in evidence.tests
     )
     forward = Forward(moved, evidence.rows, settings)
-    changed = forward.predict(rig, cast(Prediction, prediction))
+    changed = forward.predict(rig, prediction)
     slopes = forward.difference(changed.values, prediction.values) / _STEP / evidence.sigma
     result = []
     for number, test in enumerate(evidence.tests):

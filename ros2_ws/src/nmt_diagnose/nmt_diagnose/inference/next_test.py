@@ -14,20 +14,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 from scipy.linalg import eigh
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
+from nmt_diagnose.effects.placement import joined
 from nmt_diagnose.evidence.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.row_table import Place, RowTable
 from nmt_diagnose.inference.contest import Contender, Contest
 from nmt_diagnose.inference.diagnosis import NextTest
+from nmt_diagnose.inference.hypotheses import NULL
 from nmt_diagnose.inference.judgement import ExplanationClass
-from nmt_diagnose.inference.problem import ForwardLike, Problem
+from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.scan import Projector
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig
@@ -91,7 +92,7 @@ def next_tests(
     for proposal in proposals(rig, evidence):
         sigma = _separation(proposal, rivals)
         if sigma >= _LEAST:
-            names = tuple(" + ".join(rival.effects) or "none" for rival in rivals)
+            names = tuple(joined(rival.effects) or NULL for rival in rivals)
             found.append(NextTest(proposal.text, proposal.command, names, min(sigma, _MOST)))
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
 
@@ -110,7 +111,7 @@ def _rivals(classes: Sequence[ExplanationClass], null: Contender, none: float) -
 
 def _separation(proposal: Proposal, rivals: Sequence[Contender]) -> float:
     """Least expected distance over all ordered pairs of rivals, standard deviations."""
-    problem = Problem(proposal.evidence, cast(ForwardLike, Forward(proposal.evidence.tests, proposal.evidence.rows)))
+    problem = Problem(proposal.evidence, Forward(proposal.evidence.tests, proposal.evidence.rows))
     predictions, jacobians = [], []
     try:
         for rival in rivals:

@@ -2,61 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.evidence.observables import Evidence, IntArray, Part
-from nmt_rig.rig import Rig
+from nmt_diagnose.twin.forward import Forward, Prediction
 
 BoolArray = NDArray[np.bool_]
-
-
-class PredictionLike(Protocol):
-    """What the inference reads of a prediction."""
-
-    @property
-    def values(self) -> FloatArray:
-        """Observables, shape (m,); NaN where the model has no solution."""
-
-
-class ForwardLike(Protocol):
-    """What the inference needs of the model; :class:`nmt_diagnose.twin.forward.Forward` has it."""
-
-    def predict(self, rig: Rig, start: PredictionLike | None = None) -> PredictionLike:
-        """Observables of a rig, starting from an earlier solution."""
-
-    def jacobian(
-        self,
-        parametrisation: ParametrisationLike,
-        theta: FloatArray,
-        prediction: PredictionLike,
-        which: Sequence[int] | None = None,
-    ) -> FloatArray:
-        """Derivatives of the observables with respect to θ or its entries ``which``, shape (m, n)."""
-
-
-class ParametrisationLike(Protocol):
-    """What the inference needs of a parametrisation."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-
-    @property
-    def prior_std(self) -> FloatArray:
-        """Standard deviation of the prior, whose mean is zero, shape (n,)."""
-
-    @property
-    def lower(self) -> FloatArray:
-        """Lower bounds, shape (n,), −inf where there is none."""
-
-    def rig(self, theta: FloatArray) -> Rig:
-        """The rig with these values."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +47,7 @@ class Problem:
     """
 
     evidence: Evidence
-    forward: ForwardLike
+    forward: Forward
     nuisances: tuple[Nuisance, ...] = ()
 
     @property
@@ -115,6 +70,6 @@ class Problem:
             nuisance.whiten(result)
         return result
 
-    def residual(self, prediction: PredictionLike) -> FloatArray:
+    def residual(self, prediction: Prediction) -> FloatArray:
         """Whitened residual Σ^(-½) (measured − predicted), shape (m,)."""
         return self.whitened(self.difference(prediction.values))

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from nmt_diagnose.evidence.observables import Evidence
+from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.inference.diagnosis import Gap, NextTest, PlaceShare, Ranked, Recalibrated, Verdict
+from nmt_diagnose.inference.hypotheses import NULL
+from nmt_diagnose.inference.judgement import ExplanationClass
 
 PLACES = {
     "structure": "the structure",
@@ -25,12 +27,15 @@ def sentences(
     verdict: Verdict,
     where: Sequence[PlaceShare],
     ranking: Sequence[Ranked],
+    classes: Sequence[ExplanationClass],
     gap: Gap,
     ahead: Sequence[NextTest],
     calibration: Sequence[Recalibrated],
-    evidence: Evidence,
 ) -> tuple[str, ...]:
-    """Where, which, how far; and what would settle the rest if something is left open."""
+    """Where, which, how far; and what would settle the rest if something is left open.
+
+    ``ranking`` is what ``diagnosis.json`` says of ``classes``, in their order.
+    """
     if verdict is Verdict.NONE:
         return (
             "There is no gap that the noise and the repeatability of these tests could not explain.",
@@ -47,7 +52,11 @@ def sentences(
         )
     place = _where(where)
     if verdict is Verdict.UNKNOWN:
-        best = f"; the nearest named effect is {_title(ranking[0].effect)}{_at(ranking[0])}" if ranking else ""
+        best = (
+            f"; the nearest named effect is {_title(ranking[0].effect)}{_at(classes[0].head.explanation)}"
+            if ranking
+            else ""
+        )
         return (
             place,
             f"Nothing in the library explains it{best}.",
@@ -57,7 +66,8 @@ def sentences(
     head = ranking[0]
     sure = "The cause is" if head.probability >= _LIKELY else "The most probable cause is"
     values = ", ".join(f"{k} = {_uncertain(v.value, v.std)} {v.unit}" for k, v in head.parameters.items())
-    which = f"{sure} {_title(head.effect)}{_at(head)} ({values}), probability {_sure(head.probability)}"
+    where_it_acts = _at(classes[0].head.explanation)
+    which = f"{sure} {_title(head.effect)}{where_it_acts} ({values}), probability {_sure(head.probability)}"
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
     return (place, which + ".", _how_far(gap, "Adding it"), *_ahead(ahead))
@@ -102,11 +112,11 @@ def _ahead(ahead: Sequence[NextTest]) -> tuple[str, ...]:
 
 
 def _title(effect: str) -> str:
-    return effect.replace("_", " ") if effect != "none" else "the model without any effect"
+    return effect.replace("_", " ") if effect != NULL else "the model without any effect"
 
 
-def _at(item: Ranked) -> str:
-    details = [_detail(part) for part in item.detail.split(" + ")]
+def _at(explanation: Explanation) -> str:
+    details = [_detail(placement.detail) for placement in explanation.placements]
     found = " and ".join(dict.fromkeys(part for part in details if part))
     return f" at {found}" if found else ""
 

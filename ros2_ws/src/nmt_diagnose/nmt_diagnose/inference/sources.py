@@ -7,22 +7,24 @@ everything. Each of these families competes on its own; a place's evidence is th
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_diagnose.effects.boundary_effects import joint_placement
+from nmt_diagnose.effects.placement import Placement
+from nmt_diagnose.evidence.conditions import MeasuredChannel
 from nmt_diagnose.evidence.observables import Evidence
 from nmt_diagnose.inference.fit import Fit
 from nmt_diagnose.inference.generic_source import SourceScore, source_score
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.residual_map import channels_of
 from nmt_diagnose.twin.forward import Forward, Prediction
+from nmt_diagnose.twin.influence import Source, SourceColumn
 from nmt_rig.rig import ElementSection, Rig
 
-_NAME = re.compile(r"(?P<kind>level|line) (?P<number>\d+)(?: order (?P<order>\d+))?(?: (?P<part>re|im))?(?P<rest>.*)$")
 # Range of ln(level) and ln(line) over which a source keeps its size.
 _LEVEL_LENGTH, _LINE_LENGTH = 1.5, 0.7
 _KEPT = 0.01
@@ -35,21 +37,19 @@ _FAMILIES: tuple[tuple[str, tuple[int, ...], bool], ...] = (
 
 
 @dataclass(frozen=True)
-class Place:
+class SourcePlace:
     """A place with the smooth responses to sources there.
 
     Attributes:
-        place: place of the verdict.
-        detail: point, channel or coordinate.
+        placement: where.
         families: name and whitened columns (m, s) of each family of sources.
     """
 
-    place: str
-    detail: str
+    placement: Placement
     families: tuple[tuple[str, FloatArray], ...]
 
 
-def places(forward: Forward, rig: Rig, prediction: Prediction, problem: Problem) -> list[Place]:
+def places(forward: Forward, rig: Rig, prediction: Prediction, problem: Problem) -> list[SourcePlace]:
     """Places where an unnamed source may sit, with what it could do.
 
     Args:
@@ -59,25 +59,34 @@ def places(forward: Forward, rig: Rig, prediction: Prediction, problem: Problem)
         problem: evidence and how it is whitened.
     """
     evidence = problem.evidence
-    channels = {c.name for test in evidence.tests for c in channels_of(test)}
-    forces = {c.name for test in evidence.tests for c in channels_of(test) if c.quantity.name == "FORCE"}
-    wanted = [("structure", str(point), f"structure:{point}") for point in rig.structure.points]
-    wanted += [("joint", element.name or f"element {k + 1}", f"joint:{k}") for k, element in _joints(rig)]
-    wanted += [("boundary", "clamp", "clamp"), ("exciter", "", "exciter"), ("force_sensor", "", "force_sensor")]
-    wanted += [("response_sensor", name, f"response_sensor:{name}") for name in sorted(channels - forces)]
-    wanted += [("controller", "", "controller"), ("time", "", "time")]
+    channels = {c.name: c for test in evidence.tests for c in channels_of(test)}
+    wanted: list[tuple[Placement, Source]] = [
+        (Placement.at("structure", point), Source("structure", point)) for point in rig.structure.points
+    ]
+    wanted += [(joint_placement(element, f"element {k + 1}"), Source("joint", k)) for k, element in _joints(rig)]
+    wanted += [(Placement("boundary", detail="clamp"), Source("clamp")), (Placement("exciter"), Source("exciter"))]
+    wanted += [(Placement("force_sensor"), Source("force_sensor"))]
+    responses = sorted((c for c in channels.values() if c.quantity is not Quantity.FORCE), key=lambda c: c.name)
+    wanted += [(_response(rig, channel), Source("response_sensor", channel=channel.name)) for channel in responses]
+    wanted += [(Placement("controller"), Source("controller")), (Placement("time"), Source("time"))]
     result = []
-    for place, detail, key in wanted:
-        columns, names = forward.influence(rig, prediction, key)
+    for placement, source in wanted:
+        columns, names = forward.influence(rig, prediction, source)
         whitened = np.nan_to_num(problem.whitened(columns), posinf=0.0, neginf=0.0)
-        families = _families(whitened, names, evidence) if place != "time" else (("drift", whitened),)
+        families = (("drift", whitened),) if source.kind == "time" else _families(whitened, names, evidence)
         families = tuple((name, block) for name, block in families if block.shape[1] and np.any(block))
         if families:
-            result.append(Place(place, detail, families))
+            result.append(SourcePlace(placement, families))
     return result
 
 
-def generic_sources(fit: Fit, found: Sequence[Place], calibrated: int | None = None) -> list[SourceScore]:
+def _response(rig: Rig, channel: MeasuredChannel) -> Placement:
+    """The sensor of a channel, at its point in the model where it is one of the model's."""
+    points = [rig.sensor_point(sensor) for sensor in rig.sensors if rig.sensor_channel(sensor) == channel.name]
+    return Placement.on_channel("response_sensor", channel.name, points[0] if points else channel.point)
+
+
+def generic_sources(fit: Fit, found: Sequence[SourcePlace], calibrated: int | None = None) -> list[SourceScore]:
     """Evidence for a source at each place, on top of a fitted model.
 
     Args:
@@ -87,11 +96,11 @@ def generic_sources(fit: Fit, found: Sequence[Place], calibrated: int | None = N
     """
     result = []
     for item in found:
-        scored = [source_score(fit, block, item.place, item.detail, calibrated) for _, block in item.families]
+        scored = [source_score(fit, block, item.placement, calibrated) for _, block in item.families]
         gains = np.array([score.gain for score in scored])
         mean = float(np.logaddexp.reduce(gains) - np.log(gains.size))
         best = scored[int(np.argmax(gains))]
-        result.append(SourceScore(item.place, item.detail, mean, best.explained, best.freedom))
+        result.append(SourceScore(item.placement, mean, best.explained, best.freedom))
     return result
 
 
@@ -101,20 +110,15 @@ def _joints(rig: Rig) -> list[tuple[int, ElementSection]]:
     return [(k, element) for k, element in enumerate(rig.local_elements) if element.kind in friction]
 
 
-def _families(columns: FloatArray, names: Sequence[str], evidence: Evidence) -> tuple[tuple[str, FloatArray], ...]:
+def _families(
+    columns: FloatArray, names: Sequence[SourceColumn], evidence: Evidence
+) -> tuple[tuple[str, FloatArray], ...]:
     """Columns of single levels and lines, combined to smooth courses."""
-    level_groups: dict[tuple[str, int], list[tuple[int, int]]] = {}
-    line_groups: dict[str, list[tuple[int, int]]] = {}
-    for position, name in enumerate(names):
-        match = _NAME.search(name)
-        if match is None:
-            continue
-        key = name[: match.start()] + str(match["part"]) + match["rest"]
-        if match["kind"] == "level":
-            order = int(match["order"] or 1)
-            level_groups.setdefault((key, order), []).append((int(match["number"]), position))
-        else:
-            line_groups.setdefault(key, []).append((int(match["number"]), position))
+    level_groups: dict[SourceColumn, list[tuple[int, int]]] = {}
+    line_groups: dict[SourceColumn, list[tuple[int, int]]] = {}
+    for position, column in enumerate(names):
+        groups = level_groups if column.per == "level" else line_groups
+        groups.setdefault(replace(column, number=-1), []).append((column.number, position))
     drive = {key: _logs(evidence, [n for n, _ in members], True) for key, members in level_groups.items()}
     smooth = {
         key: _smooth(columns[:, [p for _, p in members]], drive[key], _LEVEL_LENGTH)
@@ -127,7 +131,7 @@ def _families(columns: FloatArray, names: Sequence[str], evidence: Evidence) -> 
     ]
     result = []
     for name, orders, linear in _FAMILIES:
-        chosen = [block for (_, order), block in (shared if linear else smooth).items() if order in orders]
+        chosen = [block for key, block in (shared if linear else smooth).items() if key.order in orders]
         chosen += lines if linear else []
         if chosen:
             result.append((name, np.hstack(chosen)))

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
+from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.evidence.conditions import (
     BackboneTable,
     PhaseResonanceTest,
@@ -22,7 +22,7 @@ from nmt_diagnose.evidence.conditions import (
 )
 from nmt_diagnose.evidence.observables import Part, Rows
 from nmt_diagnose.twin.backbone_twin import BackboneTwin
-from nmt_diagnose.twin.influence import Source, random_influence, resonance_influence, source_of
+from nmt_diagnose.twin.influence import Source, SourceColumn, random_influence, resonance_influence
 from nmt_diagnose.twin.parts_cache import PartsCache, joint_setup
 from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
 from nmt_diagnose.twin.random_twin import RandomTwin
@@ -34,21 +34,6 @@ from nmt_rig.rig import Rig
 # Relative distance within which a line of the evidence is that of the mains.
 LINE_WIDTH = 0.01
 _OF_THE_CHANNEL = (Part.LINE, Part.STEP)
-
-
-class Parameters(Protocol):
-    """What ``Forward.jacobian`` needs of a parametrisation."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of each entry of θ."""
-
-    @property
-    def prior_std(self) -> FloatArray:
-        """Prior standard deviation of each entry."""
-
-    def rig(self, theta: FloatArray) -> Rig:
-        """Rig of parameters θ."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +152,7 @@ class Forward:
 
     def jacobian(
         self,
-        parametrisation: Parameters,
+        parametrisation: Parametrisation,
         theta: FloatArray,
         prediction: Prediction,
         which: Sequence[int] | None = None,
@@ -199,57 +184,50 @@ class Forward:
         return result
 
     def influence(
-        self, rig: Rig, prediction: Prediction, place: str, shared: bool = False
-    ) -> tuple[FloatArray, tuple[str, ...]]:
+        self, rig: Rig, prediction: Prediction, source: Source, shared: bool = False
+    ) -> tuple[FloatArray, tuple[SourceColumn, ...]]:
         """Response of all rows to unit sources at a place, linearised about a prediction.
 
         Args:
             rig: the rig of ``prediction``.
             prediction: solved levels.
-            place: ``structure:4`` (force at a point), ``joint:0`` (across a nonlinear coordinate), ``clamp``,
-                ``exciter`` (force from behind the force sensor), ``force_sensor``, ``response_sensor:a2`` (error of a
-                channel), ``controller`` (phase that the loop holds), ``time`` (drift of stiffness and of slip forces).
+            source: where they sit; the number of a channel in each test is looked up by its name.
             shared: one source for all levels of a test together (proportional to the level) instead of one for each.
 
         Returns:
-            (m, s) and the names of the s sources. A unit is 1 % of the fundamental force, or of the channel's
-            fundamental; 1 % of phase (rad); for ``time`` a change by 1 % per 100 s.
-
-        Raises:
-            BenchError: no such place.
+            (m, s) and what each of the s columns is the response to. A unit is 1 % of the fundamental force, or of the
+            channel's fundamental; 1 % of phase (rad); for a drift a change by 1 % per 100 s.
         """
         cache = PartsCache(self.settings)
         blocks: list[FloatArray] = []
-        names: list[str] = []
-        if place == "time":
+        names: list[SourceColumn] = []
+        if source.kind == "time":
             return self._time_influence(rig, prediction)
-        kind, _, name = place.partition(":")
         for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
             own: FloatArray = np.zeros((where.size, 0))
-            labels: list[str] = []
-            if kind == "controller":
+            labels: list[SourceColumn] = []
+            if source.kind == "controller":
                 if isinstance(twin, PhaseResonanceTwin):
                     held = twin.rows.part == Part.PHASE_ERROR
                     levels = range(len(twin.levels))
                     own = np.stack([0.01 * (held & (twin.rows.level == level)) for level in levels], axis=1)
-                    labels = [f"{twin.test.name} level {level}" for level in levels]
+                    labels = [SourceColumn(twin.test.name, "level", level) for level in levels]
             elif isinstance(twin, PhaseResonanceTwin | RandomTwin):
-                if kind == "response_sensor":
+                here = source
+                if source.kind == "response_sensor":
                     known = [channel.name for channel in twin.test.channels]
-                    if name not in known:
+                    if source.channel not in known:
                         continue
-                    source = Source(kind, known.index(name))
-                else:
-                    source = source_of(place)
+                    here = replace(source, index=known.index(source.channel))
                 if isinstance(twin, PhaseResonanceTwin):
                     states = prediction.states[index]
-                    own, labels = resonance_influence(twin, rig, cache, states, source, self.settings)
+                    own, labels = resonance_influence(twin, rig, cache, states, here, self.settings)
                     # Lines and steps follow no excitation: only an error of their own channel adds to them.
                     own[np.isin(twin.rows.part, _OF_THE_CHANNEL)] = 0.0
-                    direct, more = _channel_sources(twin, states, source)
+                    direct, more = _channel_sources(twin, states, here)
                     own, labels = np.hstack((own, direct)), labels + more
                 else:
-                    own, labels = random_influence(twin, rig, cache, source, self.settings)
+                    own, labels = random_influence(twin, rig, cache, here, self.settings)
             if shared and own.shape[1]:
                 own, labels = _shared(own, labels)
             full = np.zeros((len(self.rows), own.shape[1]))
@@ -258,15 +236,15 @@ class Forward:
             names += labels
         return (np.hstack(blocks) if blocks else np.zeros((len(self.rows), 0))), tuple(names)
 
-    def _time_influence(self, rig: Rig, prediction: Prediction) -> tuple[FloatArray, tuple[str, ...]]:
+    def _time_influence(self, rig: Rig, prediction: Prediction) -> tuple[FloatArray, tuple[SourceColumn, ...]]:
         known = PartsCache(self.settings)
         base = self._stepped(rig, prediction, known)
         columns, names = [], []
-        for key in ("stiffness_per_s", "slip_force_per_s", "slip_force_per_cycle"):
+        for number, key in enumerate(("stiffness_per_s", "slip_force_per_s", "slip_force_per_cycle")):
             drift = rig.drift.model_copy(update={key: getattr(rig.drift, key) + 1e-6})
             moved = self._stepped(rig.model_copy(update={"drift": drift}), prediction, PartsCache(self.settings))
             columns.append(self.difference(moved, base) / 1e-6 * 1e-4)
-            names.append(key)
+            names.append(SourceColumn("", "drift", number))
         return np.column_stack(columns), tuple(names)
 
     def difference(self, a: FloatArray, b: FloatArray) -> FloatArray:
@@ -277,9 +255,11 @@ class Forward:
         return result
 
 
-def _channel_sources(twin: PhaseResonanceTwin, states: Sequence[Any], source: Source) -> tuple[FloatArray, list[str]]:
+def _channel_sources(
+    twin: PhaseResonanceTwin, states: Sequence[Any], source: Source
+) -> tuple[FloatArray, list[SourceColumn]]:
     """Lines and steps of a channel, (rows of the test, sources): 1 % of its smallest fundamental, at each level."""
-    empty: tuple[FloatArray, list[str]] = np.zeros((len(twin.rows), 0)), []
+    empty: tuple[FloatArray, list[SourceColumn]] = np.zeros((len(twin.rows), 0)), []
     if source.kind not in ("force_sensor", "response_sensor"):
         return empty
     channel = twin.force_row if source.kind == "force_sensor" else twin.own_row(source.index)
@@ -290,13 +270,13 @@ def _channel_sources(twin: PhaseResonanceTwin, states: Sequence[Any], source: So
         mine = (twin.rows.part == part) & np.isin(twin.rows.channel, rows)
         for level in np.unique(twin.rows.level[mine]) if sizes else ():
             columns.append(0.01 * min(sizes) * (mine & (twin.rows.level == level)))
-            names.append(f"{twin.test.name} level {level} order 1 {part.name.lower()}")
+            names.append(SourceColumn(twin.test.name, "level", int(level), own=part))
     return (np.stack(columns, axis=1), names) if columns else empty
 
 
-def _shared(columns: FloatArray, labels: Sequence[str]) -> tuple[FloatArray, list[str]]:
+def _shared(columns: FloatArray, labels: Sequence[SourceColumn]) -> tuple[FloatArray, list[SourceColumn]]:
     """Columns of all levels (or lines) of one order and part added up."""
-    keys = [re.sub(r"(level|line) \d+ ?", "", label) for label in labels]
+    keys = [replace(label, number=-1) for label in labels]
     names = list(dict.fromkeys(keys))
     picks = [[i for i, key in enumerate(keys) if key == name] for name in names]
     return np.stack([columns[:, pick].sum(axis=1) for pick in picks], axis=1), names

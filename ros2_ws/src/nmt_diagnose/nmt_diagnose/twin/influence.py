@@ -7,12 +7,11 @@ not, acts as some combination of the sources there: what they cannot explain doe
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from nmt_core.blocks import FloatArray, Quantity
-from nmt_core.errors import BenchError
 from nmt_diagnose.evidence.observables import Part
 from nmt_diagnose.twin.linear_model import ComplexArray, LinearModel, OutputRows, linear_model
 from nmt_diagnose.twin.parts_cache import PartsCache
@@ -26,29 +25,46 @@ from nmt_rig.rig import BeamSection, Rig
 UNIT = 0.01
 
 
+SourceKind = Literal["structure", "joint", "clamp", "exciter", "force_sensor", "response_sensor", "controller", "time"]
+
+
 @dataclass(frozen=True)
 class Source:
     """A place with one or several source vectors.
 
     Attributes:
-        kind: structure, joint, clamp, exciter, force_sensor, response_sensor.
-        index: point, coordinate or channel.
+        kind: force at a point, across a nonlinear coordinate, of the clamp, from behind the force sensor, error of the
+            force channel or of another channel, phase that the loop holds, drift of stiffness and of slip forces.
+        index: point, coordinate, or number of the channel in a test.
+        channel: name of the channel.
     """
 
-    kind: str
+    kind: SourceKind
     index: int = 0
+    channel: str = ""
 
 
-def source_of(place: str) -> Source:
-    """Source of ``structure:4``, ``joint:0`` (nonlinear coordinate), ``clamp``, ``exciter``, ``force_sensor``.
+@dataclass(frozen=True)
+class SourceColumn:
+    """What one column of an influence is the response to.
 
-    Raises:
-        BenchError: no such place.
+    Attributes:
+        test: name of the test; empty for a drift.
+        per: each level, line of the spectrum or drift has sources of its own.
+        number: of the level, the line or the drift; −1 where one source serves all.
+        order: harmonic.
+        part: real or imaginary part; empty where there is only one.
+        vector: number of the source vector.
+        own: a line of the mains, or a converter's step, that follows no excitation.
     """
-    kind, _, index = place.partition(":")
-    if kind not in ("structure", "joint", "clamp", "exciter", "force_sensor", "response_sensor"):
-        raise BenchError(f"there is no place {place} with sources.")
-    return Source(kind, int(index) if index.isdigit() else 0)
+
+    test: str
+    per: Literal["level", "line", "drift"]
+    number: int
+    order: int = 1
+    part: Literal["re", "im", ""] = ""
+    vector: int = 0
+    own: Part | None = None
 
 
 def source_vectors(rig: Rig, parts: RigParts, source: Source) -> tuple[FloatArray, FloatArray]:
@@ -105,11 +121,11 @@ def resonance_influence(
     states: tuple[PeriodicState | None, ...],
     source: Source,
     settings: TwinSettings,
-) -> tuple[FloatArray, list[str]]:
+) -> tuple[FloatArray, list[SourceColumn]]:
     """Columns (rows of the test, sources): one for each level, order, and real and imaginary part."""
     base = twin.values(rig, cache, list(states))
     columns: list[FloatArray] = []
-    names: list[str] = []
+    names: list[SourceColumn] = []
     models: dict[int, LinearModel] = {}
     highest = twin.test.harmonics
     for position, (level, state) in enumerate(zip(twin.levels, states, strict=True)):
@@ -127,7 +143,7 @@ def resonance_influence(
                 models[id(parts)] = with_sources(parts, vectors, measured, settings)
         for order in range(highest + 1):
             for turn in (1.0, 1j) if order else (1.0,):
-                for residual, direct, label in _level_sources(
+                for residual, direct, vector in _level_sources(
                     twin, parts, models.get(id(parts)), vectors.shape[1], source, state, order, turn, force, channels
                 ):
                     step = -np.linalg.solve(jacobian, residual)
@@ -136,8 +152,8 @@ def resonance_influence(
                     alone: list[PeriodicState | None] = [None] * len(states)
                     alone[position] = moved
                     columns.append(np.where(own, twin.values(rig, cache, alone) - base, 0.0))
-                    part = "re" if turn == 1.0 else "im"
-                    names.append(f"{twin.test.name} level {position} order {order} {part}{label}")
+                    part: Literal["re", "im"] = "re" if turn == 1.0 else "im"
+                    names.append(SourceColumn(twin.test.name, "level", position, order, part, vector))
     if not columns:
         return np.zeros((base.size, 0)), []
     return np.column_stack(columns), names
@@ -146,10 +162,10 @@ def resonance_influence(
 def _level_sources(
     twin: PhaseResonanceTwin, parts: RigParts, model: LinearModel | None, count: int, source: Source,
     state: PeriodicState, order: int, turn: complex, force: float, channels: ComplexArray,
-) -> list[tuple[FloatArray, ComplexArray, str]]:  # fmt: skip
-    """Change of the residual, of the channels, and a label, for each source vector at one order."""
+) -> list[tuple[FloatArray, ComplexArray, int]]:  # fmt: skip
+    """Change of the residual, of the channels, and its number, for each source vector at one order."""
     nz, r, basis = state.z.size, parts.coordinates, parts.basis
-    result: list[tuple[FloatArray, ComplexArray, str]] = []
+    result: list[tuple[FloatArray, ComplexArray, int]] = []
     if model is None:
         row = twin.force_row if source.kind == "force_sensor" else twin.own_row(source.index)
         direct = np.zeros_like(channels)
@@ -157,7 +173,7 @@ def _level_sources(
         residual = np.zeros(nz)
         if order == 1:
             residual[-2] = twin.phase_change(row, UNIT * turn)
-        return [(residual, direct, "")]
+        return [(residual, direct, 0)]
     t, _ = model.at(1j * order * state.omega)
     for k in range(count):
         amount = UNIT * force * turn * np.exp(1j * np.angle(channels[twin.force_row, 1]))
@@ -178,13 +194,13 @@ def _level_sources(
                 - (direct[twin.response_row, 1] / channels[twin.response_row, 1]).imag
             )
         if size > 0.0:
-            result.append((residual, direct, f" {k}" if count > 1 else ""))
+            result.append((residual, direct, k))
     return result
 
 
 def random_influence(
     twin: RandomTwin, rig: Rig, cache: PartsCache, source: Source, settings: TwinSettings
-) -> tuple[FloatArray, list[str]]:
+) -> tuple[FloatArray, list[SourceColumn]]:
     """Columns (rows of the test, sources): one for each line and real and imaginary part."""
     parts = cache.parts(rig, twin.setup, twin.seconds)
     responses = twin.responses(rig, cache)
@@ -192,7 +208,7 @@ def random_influence(
     lines = twin.test.lines_hz
     own = twin.channel_rows
     columns: list[FloatArray] = []
-    names: list[str] = []
+    names: list[SourceColumn] = []
     model: LinearModel | None = None
     count = 1
     if source.kind not in ("force_sensor", "response_sensor"):
@@ -215,8 +231,8 @@ def random_influence(
                     np.where(rows.part[which] == Part.PHASE, relative[channel].imag, 0.0),
                 )  # fmt: skip
                 columns.append(column)
-                part = "re" if turn == 1.0 else "im"
-                names.append(f"{twin.test.name} line {line} {part}" + (f" {k}" if count > 1 else ""))
+                part: Literal["re", "im"] = "re" if turn == 1.0 else "im"
+                names.append(SourceColumn(twin.test.name, "line", line, part=part, vector=k))
     if not columns:
         return np.zeros((len(rows), 0)), []
     return np.column_stack(columns), names

@@ -102,11 +102,6 @@ class RigParts:
     rows: OutputRows
     keys: tuple[str, ...]
 
-    @property
-    def nonlinear_factor(self) -> bool:
-        """The force factor depends on the coil's position."""
-        return bool(self.force_factor[1] != 0.0 or self.force_factor[2] != 0.0)
-
 
 def with_exciter_at(rig: Rig, point: int) -> Rig:
     """The rig with its exciter, and what sits on the exciter's side, at another point.

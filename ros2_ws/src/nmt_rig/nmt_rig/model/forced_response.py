@@ -105,11 +105,6 @@ class ForcedProblem:
         compliance = float(np.max(np.abs(self.local.directions @ amplitudes)))
         self.compliance = compliance if compliance > 0.0 else 1.0
 
-    @property
-    def local_size(self) -> int:
-        """Number of local unknowns r · size."""
-        return self.local.coordinates * self.basis.size
-
     def linear_start(self, angular_frequency: float) -> FloatArray:
         """Scaled local unknowns of the system linearised at rest, at ω (rad/s)."""
         amplitudes, _ = self.system.response(angular_frequency)

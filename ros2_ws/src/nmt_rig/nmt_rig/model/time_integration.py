@@ -132,25 +132,6 @@ class TimeIntegrator:
         self._settle_branches()
         self.samples = 0
 
-    def set_state(self, displacement: Array, velocity: Array, current: float = 0.0) -> None:
-        """Start from displacements and velocities (m,) of the degrees of freedom with inertia.
-
-        Sliders start at zero and yield where they must.
-
-        Raises:
-            ValueError: wrong shapes.
-        """
-        m = self._space.mechanical_size
-        if displacement.shape != (m,) or velocity.shape != (m,):
-            raise ValueError(f"displacement and velocity must have shape ({m},)")
-        rest = np.zeros(self._space.size - 2 * m)
-        if self.system.current is not None:
-            rest[0] = current
-        physical = np.concatenate([displacement, velocity, rest])
-        self.reset()
-        self._state[:] = self._propagator.to_working @ physical
-        self._settle_branches()
-
     def _settle_branches(self) -> None:
         """Branches, forces and kinematics that fit the present state (sliders yield where they must)."""
         p = self._propagator
@@ -244,12 +225,6 @@ class TimeIntegrator:
         """Present state: displacements (m,), velocities (m,), current if any."""
         result: Array = self._propagator.from_working @ self._state
         return result
-
-    @property
-    def element_forces(self) -> Array:
-        """(ports,) present forces of the local elements, summed over those with one direction, N; then couplings."""
-        forces = self._memory[0]
-        return forces[: forces.size // 2].copy()
 
     @property
     def slider_dissipation(self) -> Array:

@@ -1,0 +1,137 @@
+"""The set-up: one step at a time; an interrupted one goes on where it stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from .kernels import KernelCompilation
+from .machine import choose_python, choose_source, machine_troubles
+from .places import (
+    BUILD,
+    INSTALL,
+    INSTALLED_LOCK,
+    ROOT,
+    STATE_FILE,
+    STATE_FOLDER,
+    VENV,
+    VENV_PYTHON,
+    WORKSPACE,
+    SetupError,
+)
+from .programs import StepRunner
+from .progress import Progress, clock
+from .requirements import install_requirements
+from .stamps import STEPS, expected_stamps, lock_file, pending_steps, read_state, write_state
+from .virtual_environment import make_environment
+from .workspace import build_workspace
+
+TITLES = {
+    "environment": "Python environment",
+    "requirements": "requirements",
+    "workspace": "ROS 2 workspace",
+    "kernels": "numerical kernels",
+}
+
+
+@contextlib.contextmanager
+def only_set_up() -> Iterator[int]:
+    """Hold the set-up's lock; wait for another set-up of this folder, or what a killed one left running."""
+    try:
+        os.makedirs(STATE_FOLDER, exist_ok=True)
+        guard = os.open(os.path.join(STATE_FOLDER, "lock"), os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError as error:
+        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+            raise SetupError(
+                f"The folder {ROOT} cannot be written: change its owner or clone it to a folder of yours."
+            ) from None
+        raise
+    try:
+        try:
+            fcntl.flock(guard, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            sys.stderr.write("Another set-up of this folder is at work; waiting for it.\n")
+            fcntl.flock(guard, fcntl.LOCK_EX)
+        yield guard
+    finally:
+        os.close(guard)
+
+
+def set_up(wanted: str | None) -> dict[str, Any]:
+    """Bring the set-up in step with the files of the project; returns its stamps.
+
+    Args:
+        wanted: "wheels" or "system" where the user chose, else None.
+
+    Raises:
+        SetupError: something the user must mend.
+    """
+    state = read_state()
+    source = choose_source(wanted, state)
+    if state.get("source") == source and not pending_steps(state):
+        return state
+    with only_set_up() as guard:
+        state = read_state()  # the other set-up may have done it all
+        renewed = state.get("source") != source or not os.path.exists(VENV_PYTHON)
+        renewed = renewed or state.get("environment") != expected_stamps(state)["environment"]
+        python = VENV_PYTHON
+        if renewed or os.environ.get("NMT_PYTHON"):
+            python, version = choose_python(source)
+            if renewed or version != state.get("python"):
+                state = {"source": source, "python": version}
+        if not os.path.isfile(lock_file(state)):
+            raise SetupError(f"{os.path.relpath(lock_file(state), ROOT)} is missing: is this a complete clone?")
+        pending = pending_steps(state)
+        troubles = machine_troubles(source)
+        if troubles:
+            raise SetupError("\nnmt: ".join(troubles))
+        if len(pending) == len(STEPS):
+            sys.stderr.write(
+                f"First use: setting up in {ROOT} (once, about two minutes; Ctrl-C and go on later at will).\n"
+            )
+        begun = time.monotonic()
+        with contextlib.ExitStack() as under_way:
+            kernels: KernelCompilation | None = None
+            for number, step in enumerate(pending, 1):
+                if step != "workspace":
+                    state.pop(step, None)
+                write_state(state)
+                if "kernels" in pending and step in ("workspace", "kernels") and kernels is None:
+                    kernels = KernelCompilation(state, guard)
+                    under_way.callback(kernels.end)
+                progress = Progress(number, len(pending), TITLES[step])
+                try:
+                    if step == "environment":
+                        make_environment(state, python, StepRunner(step, progress, guard))
+                    elif step == "requirements":
+                        install_requirements(state, StepRunner(step, progress, guard))
+                    elif step == "workspace":
+                        build_workspace(state, StepRunner(step, progress, guard))
+                    elif kernels:
+                        kernels.finish(progress)
+                except BaseException:
+                    progress.break_line()
+                    raise
+                if step != "workspace":
+                    state[step] = expected_stamps(state)[step]
+                write_state(state)
+                progress.done()
+        sys.stderr.write(f"Set up in {clock(time.monotonic() - begun)}.\n")
+    return state
+
+
+def discard_set_up() -> None:
+    """Throw away the venv, the built workspace and the stamps."""
+    with only_set_up():
+        for path in (STATE_FILE, INSTALLED_LOCK):
+            with contextlib.suppress(FileNotFoundError):
+                os.remove(path)
+        for folder in (BUILD, INSTALL, os.path.join(WORKSPACE, "log"), VENV):
+            shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,58 @@
+"""``./nmt repair``: what can be saved of a damaged or cut bag, as a regular one, and what was lost."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+
+if TYPE_CHECKING:
+    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "repair",
+        help="what can be saved of a damaged or cut bag, and what was lost",
+        description=(
+            "Writes every message that can be read to a regular rosbag2 folder, with a record of what was lost, and "
+            "prints it. A damaged chunk costs its own messages only."
+        ),
+    )
+    parser.add_argument(
+        "bag", metavar="BAG", type=Path, help="rosbag2 folder, .mcap file, or the results folder of a run"
+    )
+    add_output_options(parser, "bag/, repair.json")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Repair, print what was kept and what was lost.
+
+    Raises:
+        BenchError: nothing can be read, or the copy cannot be written.
+    """
+    check_output(arguments.out, arguments.force)
+
+    from nmt_bench.commands.terminal import make_console
+    from nmt_record.bag_reader import Bag
+
+    bag = Bag.open(arguments.bag)
+    record = bag.repair_record()
+    with OutputFolder(arguments.out, arguments.force) as folder:
+        bag.repair(folder / "bag")
+        (folder / "repair.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    console = make_console()
+    if bag.loss:
+        console.print(bag.loss, style="yellow", markup=False, soft_wrap=True)
+    else:
+        console.print(f"The bag {arguments.bag} is whole; the copy equals it.", markup=False, soft_wrap=True)
+    kept = ", ".join(f"{count} of {topic}" for topic, count in sorted(record["kept"].items()))
+    console.print(f"Kept messages: {kept}.", markup=False, soft_wrap=True)
+    console.print(f"Results in {arguments.out}: bag, repair.json", markup=False, soft_wrap=True)
+    sys.stdout.flush()
+    return 0

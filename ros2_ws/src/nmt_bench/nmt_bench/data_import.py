@@ -1,0 +1,139 @@
+"""Data measured elsewhere becomes a bag, with the rig file and the linear modes that its sidecar names."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+from nmt_extract.settings import ExtractionSettings
+from nmt_record.import_sidecar import Sidecar
+from nmt_record.imported_run import ImportedRun, read_import, write_import
+from nmt_rig.linear_description import linear_description
+from nmt_rig.rig import find_rig, load_rig
+from nmt_rig.rig_snapshot import rig_text
+from nmt_session.node_plan import versions
+
+
+def import_data(sidecar: Path | str, bag: Path | str) -> ImportedRun:
+    """Read and check data measured elsewhere, and write them as a bag.
+
+    Args:
+        sidecar: YAML file that says what the columns of the data are; the data lie beside it.
+        bag: folder of the bag; must not exist yet.
+
+    Returns:
+        What was read: channels in SI units, segments, tables, and in ``notes`` what was mended.
+
+    Raises:
+        BenchError: the sidecar, the rig it names or the data are wrong, or the bag cannot be written.
+    """
+    imported, rig = read_data(Path(sidecar))
+    write_data(imported, rig, Path(bag))
+    return imported
+
+
+def read_data(sidecar: Path) -> tuple[ImportedRun, RigOfImport]:
+    """Read and check what :func:`import_data` writes.
+
+    Raises:
+        BenchError: the sidecar, the rig it names or the data are wrong.
+    """
+    rig = RigOfImport(sidecar)
+    imported = read_import(sidecar, rig.describe)
+    rig.resolve(imported.sidecar)
+    imported.notes += rig.notes
+    if imported.sidecar.extraction is not None:
+        ExtractionSettings.from_mapping(imported.sidecar.extraction)
+    return imported, rig
+
+
+def write_data(imported: ImportedRun, rig: RigOfImport, bag: Path) -> None:
+    """Write the bag.
+
+    Raises:
+        BenchError: the folder exists or cannot be written.
+    """
+    write_import(imported, bag, rig.name, rig.text, versions())
+
+
+class RigOfImport:
+    """The rig that a sidecar names, if there is a file for it."""
+
+    def __init__(self, sidecar: Path) -> None:
+        self._folder = sidecar.parent
+        self._resolved = False
+        self._linear: LinearDescription | None = None
+        self.name = ""
+        self.text = ""
+        self.notes: list[str] = []
+
+    def describe(self, sidecar: Sidecar) -> LinearDescription | None:
+        """Linear modes of the rig's model at the points that were measured."""
+        self.resolve(sidecar)
+        return self._linear
+
+    def resolve(self, sidecar: Sidecar) -> None:
+        """Find and load the rig file.
+
+        Raises:
+            BenchError: a path that leads nowhere, or a rig file with a mistake.
+        """
+        if self._resolved or sidecar.rig is None:
+            return
+        self._resolved = True
+        path = self._find(sidecar.rig)
+        if path is None:
+            self.name = sidecar.rig
+            self.notes.append(f"There is no rig file '{sidecar.rig}'; the bag names the rig and holds no file of it.")
+            return
+        rig = load_rig(path)
+        overrides = []
+        points = {channel.point for channel in sidecar.channels if channel.quantity == "force" and channel.point}
+        if len(points) == 1 and points != {rig.drive_point}:
+            overrides = [f"exciter.point={points.pop()}"]
+            rig = load_rig(path, overrides)
+            self.notes.append(f"The force was measured at point {rig.drive_point}; the rig's exciter was put there.")
+        self.name, self.text = rig.name, rig_text(rig, path, overrides)
+        if sidecar.linear is None and sidecar.channels:
+            self._linear = self._measured(linear_description(rig), sidecar)
+
+    def _find(self, name: str) -> Path | None:
+        beside = self._folder / name
+        if beside.is_file():
+            return beside
+        if "/" in name or name.endswith((".yaml", ".yml")):
+            raise BenchError(
+                f"The sidecar names the rig file {name}, which is not beside it ({beside}); correct 'rig'."
+            )
+        try:
+            return find_rig(name)
+        except BenchError:
+            return None
+
+    def _measured(self, linear: LinearDescription, sidecar: Sidecar) -> LinearDescription | None:
+        """The description restricted to the points that one kind of sensor covers."""
+        best: list[int] = []
+        for quantity in ("displacement", "velocity", "acceleration"):
+            points = {channel.point for channel in sidecar.channels if channel.quantity == quantity}
+            rows = [row for row, point in enumerate(linear.points) if point in points]
+            best = rows if len(rows) > len(best) else best
+        if len(best) == len(linear.points):
+            return linear
+        if not best or len(best) <= linear.target_mode:
+            self.notes.append("The rig's model has no modes at the measured points, so the bag holds no linear modes.")
+            return None
+        modes = min(len(best), len(linear.frequencies_rad_s))
+        kept = tuple(linear.points[row] for row in best)
+        self.notes.append(
+            f"The rig's linear modes were restricted to the measured points {', '.join(map(str, kept))} "
+            f"({modes} mode{'s' if modes > 1 else ''})."
+        )
+        return dataclasses.replace(
+            linear,
+            points=kept,
+            frequencies_rad_s=linear.frequencies_rad_s[:modes],
+            damping_ratios=linear.damping_ratios[:modes],
+            shapes=tuple(linear.shapes[row][:modes] for row in best),
+        )

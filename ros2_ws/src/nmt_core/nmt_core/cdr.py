@@ -1,0 +1,187 @@
+"""Serialised messages by a table of their fields: XCDR version 1, little endian, as Fast DDS and every bag have it.
+
+Every primitive is aligned to its own size, counted from the end of the four-byte encapsulation header; texts and
+sequences begin with a count, texts end with a zero byte. What stands behind the last field means nothing: rclpy leaves
+some bytes there when a sequence of ``float64`` is empty.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+ENCAPSULATION = b"\x00\x01\x00\x00"
+BASE = len(ENCAPSULATION)
+COUNT = struct.Struct("<I")
+STAMP = struct.Struct("<iI")
+_MAX_SECONDS = 2**31 - 1
+_NUMBERS = {
+    "bool": struct.Struct("<?"),
+    "uint8": struct.Struct("<B"),
+    "uint32": struct.Struct("<I"),
+    "uint64": struct.Struct("<Q"),
+    "float64": struct.Struct("<d"),
+}
+_ITEMS: dict[str, np.dtype[Any]] = {"uint32[]": np.dtype("<u4"), "float64[]": np.dtype("<f8")}
+TIME = "builtin_interfaces/Time"
+
+Record = TypeVar("Record")
+
+
+def aligned(position: int, size: int) -> int:
+    """Next position with the alignment of ``size``, counted from the end of the encapsulation header."""
+    return BASE + -(-(position - BASE) // size) * size
+
+
+def bench_stamp(sample: int, sample_rate: float) -> tuple[int, int]:
+    """Bench time of a sample as seconds and nanoseconds, at most what a ROS time can hold."""
+    seconds = int(sample / sample_rate)
+    if seconds > _MAX_SECONDS:
+        return _MAX_SECONDS, 999_999_999
+    return seconds, min(999_999_999, round((sample - seconds * sample_rate) / sample_rate * 1e9))
+
+
+def bench_time_ns(sample: int, sample_rate: float) -> int:
+    """Bench time of a sample, ns, as messages have it; 0 without a sampling rate."""
+    if not sample_rate > 0.0:
+        return 0
+    seconds, nanoseconds = bench_stamp(sample, sample_rate)
+    return seconds * 1_000_000_000 + nanoseconds
+
+
+def string_bytes(text: str) -> bytes:
+    """A text with its count and its final zero."""
+    data = text.encode()
+    return COUNT.pack(len(data) + 1) + data + b"\x00"
+
+
+def read_string(raw: bytes, position: int) -> tuple[str, int]:
+    """The text at an aligned position, and the position after it; ValueError if it runs past the end."""
+    (length,) = COUNT.unpack_from(raw, position)
+    end = position + 4 + length
+    if end > len(raw):
+        raise ValueError("a text runs past the end of the message")
+    return raw[position + 4 : end - 1].decode(), end
+
+
+def check_encapsulation(raw: bytes) -> None:
+    """Refuse (ValueError) what is not little-endian XCDR1."""
+    if raw[:2] != ENCAPSULATION[:2]:
+        raise ValueError("the message is not little-endian XCDR1")
+
+
+@dataclass(frozen=True)
+class MessageCodec(Generic[Record]):
+    """Bytes of one type of message, to and from its record.
+
+    Attributes:
+        name: of the message, ``nmt_msgs/<name>``.
+        fields: name and type of each field in the order of the message file. A stamp is a time in ns.
+        to_values: field values of a record, by name.
+        to_record: record of field values.
+        later: first of the fields that older recordings lack; they are read as zero. Empty = there are none.
+    """
+
+    name: str
+    fields: tuple[tuple[str, str], ...]
+    to_values: Callable[[Record], Mapping[str, Any]]
+    to_record: Callable[[dict[str, Any]], Record]
+    later: str = ""
+
+    def write(self, record: Record) -> bytes:
+        """The serialised message.
+
+        Raises:
+            ValueError: a value that its field cannot hold.
+        """
+        values = self.to_values(record)
+        buffer = bytearray(ENCAPSULATION)
+        for name, kind in self.fields:
+            try:
+                _append(buffer, kind, values[name])
+            except (struct.error, OverflowError, TypeError) as error:
+                raise ValueError(f"{self.name}.{name} cannot be {values[name]!r}: {error}") from error
+        return bytes(buffer)
+
+    def read(self, raw: bytes) -> Record:
+        """The record of a serialised message.
+
+        Raises:
+            ValueError: the bytes are not a whole message, or a number stands for nothing known.
+            BenchError: no such kind of test.
+        """
+        return self.to_record(self.values(raw))
+
+    def values(self, raw: bytes) -> dict[str, Any]:
+        """Field values of a serialised message by name, as plain numbers, texts, tuples and arrays.
+
+        Raises:
+            ValueError: the bytes are not a whole message.
+        """
+        check_encapsulation(raw)
+        values: dict[str, Any] = {}
+        position = BASE
+        old = False
+        try:
+            for name, kind in self.fields:
+                old = old or (name == self.later and position >= len(raw))
+                if old:
+                    values[name] = _ZEROS[kind]
+                else:
+                    values[name], position = _take(raw, position, kind)
+        except (struct.error, UnicodeDecodeError, ValueError) as error:
+            raise ValueError(f"the message is not a whole {self.name}: {error}") from error
+        return values
+
+
+_ZEROS: dict[str, Any] = {TIME: 0, "string": "", **dict.fromkeys(_NUMBERS, 0), **dict.fromkeys(_ITEMS, ())}
+
+
+def _append(buffer: bytearray, kind: str, value: Any) -> None:
+    number = _NUMBERS.get(kind)
+    if number is not None:
+        _pad(buffer, number.size)
+        buffer.extend(number.pack(value))
+    elif kind == "string":
+        _pad(buffer, 4)
+        buffer.extend(string_bytes(value))
+    elif kind == TIME:
+        _pad(buffer, 4)
+        buffer.extend(STAMP.pack(*divmod(int(value), 1_000_000_000)))
+    else:
+        items = np.ascontiguousarray(value, dtype=_ITEMS[kind])
+        _pad(buffer, 4)
+        buffer.extend(COUNT.pack(items.size))
+        if items.size:
+            _pad(buffer, items.itemsize)
+            buffer.extend(items.tobytes())
+
+
+def _take(raw: bytes, position: int, kind: str) -> tuple[Any, int]:
+    number = _NUMBERS.get(kind)
+    if number is not None:
+        position = aligned(position, number.size)
+        return number.unpack_from(raw, position)[0], position + number.size
+    position = aligned(position, 4)
+    if kind == "string":
+        return read_string(raw, position)
+    if kind == TIME:
+        seconds, nanoseconds = STAMP.unpack_from(raw, position)
+        return seconds * 1_000_000_000 + nanoseconds, position + STAMP.size
+    (count,) = COUNT.unpack_from(raw, position)
+    position += COUNT.size
+    if not count:
+        return (() if kind == "uint32[]" else np.empty(0)), position
+    item = _ITEMS[kind]
+    position = aligned(position, item.itemsize)
+    items = np.frombuffer(raw, item, count, position)
+    end = position + items.nbytes
+    return (tuple(items.tolist()) if kind == "uint32[]" else items.astype(np.float64)), end
+
+
+def _pad(buffer: bytearray, size: int) -> None:
+    buffer.extend(bytes(aligned(len(buffer), size) - len(buffer)))

@@ -1,0 +1,248 @@
+"""The words of the bench: every state, flag, kind and unit that its messages know, once.
+
+The values are those of ``nmt_msgs``; a test compares every member with the constants of the message files.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+
+from nmt_core.errors import BenchError
+
+
+class Quantity(IntEnum):
+    """What a channel measures; the values are those of ``nmt_msgs/SampleBlock``."""
+
+    UNKNOWN = 0
+    FORCE = 1
+    DISPLACEMENT = 2
+    VELOCITY = 3
+    ACCELERATION = 4
+    VOLTAGE = 5
+    CURRENT = 6
+
+    @property
+    def unit(self) -> str:
+        """SI unit of the quantity, empty for ``UNKNOWN``."""
+        return _UNITS[self]
+
+    @property
+    def topic(self) -> str:
+        """Name of the topic that carries the quantity."""
+        return self.name.lower()
+
+
+_UNITS = {
+    Quantity.UNKNOWN: "",
+    Quantity.FORCE: "N",
+    Quantity.DISPLACEMENT: "m",
+    Quantity.VELOCITY: "m/s",
+    Quantity.ACCELERATION: "m/s^2",
+    Quantity.VOLTAGE: "V",
+    Quantity.CURRENT: "A",
+}
+
+SAMPLE_TOPICS = tuple(quantity.topic for quantity in Quantity if quantity is not Quantity.UNKNOWN)
+
+
+class BlockFlag(IntFlag):
+    """Flags of a block; the values are those of ``nmt_msgs/SampleBlock``."""
+
+    NONE = 0
+    OVERLOAD = 1
+    LIMIT = 2
+    WATCHDOG = 4
+
+
+class Waveform(IntEnum):
+    """Drive waveform; the values are those of ``nmt_msgs/Drive``."""
+
+    UNKNOWN = 0
+    OFF = 1
+    SINE = 2
+    RANDOM = 3
+    SWEEP = 4
+
+
+class LoopState(IntEnum):
+    """State of the loop; the values are those of ``nmt_msgs/Frequency``."""
+
+    UNKNOWN = 0
+    FIXED = 1
+    ACQUIRING = 2
+    LOCKED = 3
+    LOCK_LOST = 4
+
+
+class ControlKind(IntEnum):
+    """What the amplitude of a level is; the values are those of ``nmt_msgs/Level``.
+
+    Attributes:
+        UNKNOWN: as recorded before there were others; read as VOLTAGE.
+        VOLTAGE: drive voltage, V (RANDOM: V rms).
+        RESPONSE: drive-point response, in the unit of its quantity.
+        FORCE: fundamental of the force, N.
+    """
+
+    UNKNOWN = 0
+    VOLTAGE = 1
+    RESPONSE = 2
+    FORCE = 3
+
+    @classmethod
+    def named(cls, name: str) -> ControlKind:
+        """Kind by its name in small letters, such as ``response``.
+
+        Raises:
+            BenchError: no such kind.
+        """
+        kinds = {kind.label: kind for kind in cls if kind is not cls.UNKNOWN}
+        if name not in kinds:
+            raise BenchError(f"Control '{name}' is not known; use {', '.join(kinds)}.")
+        return kinds[name]
+
+    @classmethod
+    def of_unit(cls, unit: str) -> ControlKind:
+        """Kind of a level whose unit is one of ``LEVEL_UNITS``.
+
+        Raises:
+            BenchError: no level has this unit.
+        """
+        if unit not in LEVEL_UNITS:
+            raise BenchError(f"A level cannot be in '{unit}'; use {', '.join(LEVEL_UNITS)}.")
+        return {Quantity.VOLTAGE.unit: cls.VOLTAGE, Quantity.FORCE.unit: cls.FORCE}.get(unit, cls.RESPONSE)
+
+    @property
+    def label(self) -> str:
+        """Name in small letters."""
+        return self.name.lower()
+
+    def level_unit(self, response: Quantity = Quantity.UNKNOWN) -> str:
+        """Unit of a level.
+
+        Args:
+            response: quantity of the drive-point response; UNKNOWN: the unit of a controlled response is not known and
+                stays empty.
+        """
+        if self is ControlKind.RESPONSE:
+            return response.unit
+        return Quantity.FORCE.unit if self is ControlKind.FORCE else Quantity.VOLTAGE.unit
+
+
+LEVEL_UNITS = tuple(
+    quantity.unit
+    for quantity in (
+        Quantity.VOLTAGE,
+        Quantity.FORCE,
+        Quantity.DISPLACEMENT,
+        Quantity.VELOCITY,
+        Quantity.ACCELERATION,
+    )
+)
+"""Units that a level can have."""
+
+
+class TestKind(IntEnum):
+    """Kind of test; values as in ``nmt_msgs/Level`` and ``nmt_msgs/LockEvent``.
+
+    Attributes:
+        UNKNOWN: as recorded by benches that knew one kind only; read as PHASE_RESONANCE.
+        PHASE_RESONANCE: phase-locked excitation, one window of whole periods at each level.
+        RANDOM: band-limited random excitation, one window of a given duration.
+        SWEEP: frequency moves at a given rate with an amplitude held; the window is the whole sweep.
+        STEPPED_SINE: fixed frequency with an amplitude held; one window of whole periods.
+        RING_DOWN: phase-locked excitation that is switched off at the lock; the window is the free decay.
+        RECORD: any excitation, in imported data only; the bench does no such test.
+    """
+
+    UNKNOWN = 0
+    PHASE_RESONANCE = 1
+    RANDOM = 2
+    SWEEP = 3
+    STEPPED_SINE = 4
+    RING_DOWN = 5
+    RECORD = 6
+
+    @classmethod
+    def of(cls, value: int) -> TestKind:
+        """Kind of a message's number: UNKNOWN is PHASE_RESONANCE.
+
+        Raises:
+            BenchError: no such kind.
+        """
+        try:
+            return cls(value or cls.PHASE_RESONANCE)
+        except ValueError:
+            raise BenchError(f"Test kind {value} is not known; known are 1 to {max(cls)}.") from None
+
+    @classmethod
+    def named(cls, name: str) -> TestKind:
+        """Kind by its name in small letters, such as ``ring_down``.
+
+        Raises:
+            BenchError: no such kind.
+        """
+        kinds = {kind.label: kind for kind in cls if kind not in (cls.UNKNOWN, cls.RECORD)}
+        if name not in kinds:
+            raise BenchError(f"Test '{name}' is not known; use {', '.join(kinds)}.")
+        return kinds[name]
+
+    @property
+    def label(self) -> str:
+        """Name in small letters."""
+        return self.name.lower()
+
+    @property
+    def closes_phase_loop(self) -> bool:
+        """Whether the frequency is controlled by the phase, which needs a linear description."""
+        return self in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE, TestKind.RING_DOWN)
+
+    @property
+    def gives_modal_points(self) -> bool:
+        """Whether its windows are extracted while the test runs."""
+        return self in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE)
+
+
+TestKind.__test__ = False  # type: ignore[attr-defined]  # not a collection of tests
+
+
+class PointStatus(IntEnum):
+    """What became of a level; the values are those of ``nmt_msgs/ModalPoint``."""
+
+    UNKNOWN = 0
+    OK = 1
+    REJECTED = 2
+    NOT_LOCKED = 3
+
+
+class RecordKind(IntEnum):
+    """Kind of a run record; the values are those of ``nmt_msgs/RunRecord``."""
+
+    UNKNOWN = 0
+    START = 1
+    STOP = 2
+
+
+class RunPhase(IntEnum):
+    """Phase of a run; the values are those of ``nmt_msgs/RunState``."""
+
+    UNKNOWN = 0
+    IDLE = 1
+    RUNNING = 2
+    PAUSED = 3
+    STOPPING = 4
+    DONE = 5
+
+
+class ResultCode(IntEnum):
+    """How a run ended; the values are those of ``nmt_msgs/RunLevels``."""
+
+    UNKNOWN = 0
+    SUCCEEDED = 1
+    CANCELED = 2
+    STOPPED = 3
+    LOCK_LOST = 4
+    LIMIT = 5
+    NODE_LOST = 6
+    REFUSED = 7
+    INTERNAL_ERROR = 8

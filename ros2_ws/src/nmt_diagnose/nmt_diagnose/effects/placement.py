@@ -1,0 +1,119 @@
+"""Where something sits and what an explanation consists of: values that compare and hash.
+
+Words for people and keys of ``diagnosis.json`` are made from them here and nowhere read back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+PlaceKind = Literal[
+    "structure", "boundary", "joint", "exciter", "force_sensor", "response_sensor", "controller", "time"
+]
+EUROPEAN_MAINS_HZ = 50.0
+
+
+def joined(words: Iterable[str]) -> str:
+    """Several names as one, as reports and ``diagnosis.json`` write them."""
+    return " + ".join(words)
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where an effect or a source sits.
+
+    Attributes:
+        kind: place of the verdict.
+        points: points of the structure that tell it from others of its kind; empty where there is only one.
+        channel: channel it belongs to; empty if it is of no sensor.
+        detail: what a reader sees beside the kind; empty where there is only one.
+    """
+
+    kind: PlaceKind
+    points: tuple[int, ...] = ()
+    channel: str = ""
+    detail: str = ""
+
+    @classmethod
+    def at(cls, kind: PlaceKind, point: int, other_point: int = 0) -> Placement:
+        """At a point, or between two; ``other_point`` 0 is the ground."""
+        points = (point, other_point) if other_point else (point,)
+        return cls(kind, points, detail="-".join(str(item) for item in points))
+
+    @classmethod
+    def on_channel(
+        cls, kind: PlaceKind, channel: str, point: int, picked_up: int = 0, mains_hz: float = EUROPEAN_MAINS_HZ
+    ) -> Placement:
+        """At the channel of a sensor at ``point``; ``picked_up`` is another point that it picks up."""
+        detail = f"{channel}<{picked_up}" if picked_up else channel
+        if mains_hz != EUROPEAN_MAINS_HZ:
+            detail += f" at {mains_hz:g} Hz"
+        return cls(kind, (point, picked_up) if picked_up else (point,), channel, detail)
+
+    def meets(self, other: Placement) -> bool:
+        """Whether both act at the same point (between the same points) or in the same channel."""
+        same_channel = bool(self.channel) and self.channel == other.channel
+        return same_channel or (bool(self.points) and frozenset(self.points) == frozenset(other.points))
+
+
+@dataclass(frozen=True)
+class Cause:
+    """An effect at a place.
+
+    Attributes:
+        effect: name of the effect.
+        placement: where it acts.
+    """
+
+    effect: str
+    placement: Placement
+
+    @property
+    def label(self) -> str:
+        """For example ``cubic_stiffness@4``."""
+        return f"{self.effect}@{self.placement.detail}" if self.placement.detail else self.effect
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What a gap is explained by; two are equal if they have the same causes, in any order.
+
+    Attributes:
+        causes: in the order in which they were found; empty for the model itself.
+    """
+
+    causes: tuple[Cause, ...] = ()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Explanation) and frozenset(self.causes) == frozenset(other.causes)
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self.causes))
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects, sorted."""
+        return tuple(sorted(cause.effect for cause in self.causes))
+
+    @property
+    def placements(self) -> tuple[Placement, ...]:
+        """Where they act, in the order of the causes."""
+        return tuple(cause.placement for cause in self.causes)
+
+    @property
+    def label(self) -> str:
+        """For example ``cubic_stiffness@4 + air_drag@7``; ``none`` for the model itself."""
+        return joined(cause.label for cause in self.causes) or "none"
+
+    @property
+    def kinds(self) -> str:
+        """Kinds of its places, each once."""
+        return joined(dict.fromkeys(placement.kind for placement in self.placements))
+
+    @property
+    def together(self) -> bool:
+        """Whether all of several causes act at one point or in one channel."""
+        first, *others = self.placements or (None,)
+        return first is not None and bool(others) and all(other.meets(first) for other in others)

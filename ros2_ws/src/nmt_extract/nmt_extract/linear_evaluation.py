@@ -1,0 +1,145 @@
+"""Evaluation of a recorded linear modal test: the windows of random excitation in a bag to modes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
+from nmt_core.test_kind import TestKind
+from nmt_extract.linear_file import Linearity, linear_mapping, linearity
+from nmt_extract.linear_test import LinearTest, LinearTestSettings, linear_test
+from nmt_record.bag_reader import Bag
+from nmt_record.segments import Segment, read_signals, segments
+
+DEFAULT_BAND_HZ = (10.0, 2000.0)
+"""Band to look for modes in where neither the caller nor the recording says one, Hz."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearTestResult:
+    """What a recording of random excitation gives.
+
+    Attributes:
+        test: evaluation of the highest level.
+        level: its level, V rms; None if the recording does not say.
+        check: comparison with the lowest level; None if there is one level only.
+        run: the recording's description of itself; empty if it has none.
+        remarks: sentences on what was left out or noticed.
+    """
+
+    test: LinearTest
+    level: float | None
+    check: Linearity | None
+    run: Mapping[str, Any]
+    remarks: tuple[str, ...]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Content of ``linear.json``."""
+        values = linear_mapping(self.test, self.check, self.level)
+        values["quality"]["remarks"] = list(self.remarks)
+        return values
+
+
+def evaluate_linear_test(
+    bag: Bag,
+    *,
+    band_hz: tuple[float, float] | None = None,
+    modes: int = 2,
+    mode: int | None = None,
+    near_hz: float | None = None,
+    rig_mode: int = 1,
+    drive_point: int | None = None,
+    quantity: Quantity | None = None,
+    segment_s: float | None = None,
+) -> LinearTestResult:
+    """Evaluate the random windows of a recording: the highest level, and the lowest against it.
+
+    No model enters: everything comes from the recorded force, responses and voltage.
+
+    Args:
+        bag: the recording.
+        band_hz: lower and upper edge of the band to look for modes in, Hz; None = the recording's band of excitation,
+            else :data:`DEFAULT_BAND_HZ`.
+        modes: most modes to keep (never more than response points).
+        mode: the target's number among the fitted modes, from 1; None = see ``rig_mode``.
+        near_hz: the target is the fitted mode nearest to this frequency, Hz; goes before ``mode``.
+        rig_mode: the target's number among all modes of the rig, one of the suspension below the band included.
+        drive_point: point of the exciter; None = what the recording says, else the point of its first force channel.
+        quantity: responses that give the shapes; None = acceleration where it is recorded, else displacement.
+        segment_s: length of an averaged segment, s; None = a tenth of the record.
+
+    Returns:
+        Modes with their standard uncertainties (Hz, 1, 1/√kg), residuals, and the plant with its exciter.
+
+    Raises:
+        BenchError: a setting out of its range, no whole window of random excitation, or a record that cannot be
+            evaluated.
+    """
+    if modes < 1:
+        raise BenchError(f"The number of modes to keep must be at least 1, got {modes}.")
+    for name, value in (("frequency near the target", near_hz), ("length of a segment", segment_s)):
+        if value is not None and not 0.0 < value < math.inf:
+            raise BenchError(f"The {name} must be positive, got {value:g}.")
+    if band_hz is not None and not 0.0 < band_hz[0] < band_hz[1] < math.inf:
+        raise BenchError(f"The band must be two rising frequencies in Hz, got {band_hz[0]:g} and {band_hz[1]:g}.")
+    windows = [segment for segment in segments(bag) if segment.kind is TestKind.RANDOM]
+    whole = [segment for segment in windows if not segment.fault]
+    if not whole:
+        fault = f" ({windows[0].fault})" if windows else ""
+        raise BenchError(
+            f"The bag {bag.path} has no whole window of random excitation{fault}; record one with './nmt linear'."
+        )
+    run = bag.run_start or {}
+    main = max(whole, key=lambda segment: segment.level)
+    settings = LinearTestSettings(
+        drive_point=_drive_point(bag, run) if drive_point is None else drive_point,
+        quantity=_quantity(bag) if quantity is None else quantity,
+        band_hz=_band(bag, run, main) if band_hz is None else band_hz,
+        modes=modes,
+        mode=mode,
+        near_hz=near_hz,
+        rig_mode=rig_mode,
+        segment_s=segment_s,
+    )
+    test = linear_test(read_signals(bag, main.first_sample, main.samples), settings)
+    lowest = min(whole, key=lambda segment: segment.level)
+    check, remarks = None, list(test.remarks)
+    if lowest.level < main.level:
+        try:
+            lower = linear_test(read_signals(bag, lowest.first_sample, lowest.samples), settings)
+            check = linearity(test, lower, main.level, lowest.level)
+        except BenchError as error:
+            remarks.append(f"The lower level of {lowest.level:g} V rms could not be evaluated: {error}")
+    if test.reference == "force":
+        remarks.append(
+            "No voltage was recorded: noise of the force biases the fit where the force drops out, and the exciter's "
+            "share of the plant is not known."
+        )
+    return LinearTestResult(test, main.level if main.level > 0.0 else None, check, run, tuple(remarks))
+
+
+def _band(bag: Bag, run: Mapping[str, Any], main: Segment) -> tuple[float, float]:
+    plan = run.get("plan") or {}
+    if plan.get("band_low_hz") and plan.get("band_high_hz"):
+        return float(plan["band_low_hz"]), float(plan["band_high_hz"])
+    if "level" in bag.topics:
+        for _, _, level in bag.messages(["level"]):
+            if level.index == main.level_index and 0.0 < level.band_low_hz < level.band_high_hz:
+                return float(level.band_low_hz), float(level.band_high_hz)
+    return DEFAULT_BAND_HZ
+
+
+def _drive_point(bag: Bag, run: Mapping[str, Any]) -> int:
+    known = run.get("exciter_point")
+    if known is not None:
+        return int(known)
+    block = next(iter(bag.blocks("force")), None)
+    return block.points[0] if block is not None else 0
+
+
+def _quantity(bag: Bag) -> Quantity:
+    return Quantity.ACCELERATION if "acceleration" in bag.topics else Quantity.DISPLACEMENT

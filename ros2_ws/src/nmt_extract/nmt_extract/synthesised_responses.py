@@ -1,0 +1,232 @@
+"""Frequency responses that a measured backbone predicts, beside measured sweeps."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
+from nmt_core.linear_description import LinearDescription
+from nmt_extract.harmonics import ComplexArray
+from nmt_extract.modal_table import read_json
+from nmt_extract.response_table import read_response_csv
+from nmt_extract.swept_response import FrequencyResponseTable
+from nmt_extract.synthesis import Backbone, OtherModes, ResonanceError, Synthesis, resonance_error
+
+POINTS = 801
+"""Frequencies of ``synthesis.csv`` where nothing else is asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class SynthesisResult:
+    """What a backbone predicts.
+
+    Attributes:
+        backbone: the measured one.
+        others: what the other linear modes add.
+        inputs: the run's description of itself.
+        synthesised: the synthesis by force, N.
+        low_hz, high_hz: frequencies that were asked for, Hz.
+        channels: responses shown: those measured at points of the backbone, else the acceleration of every point.
+        tables: measured sweeps.
+        comparisons: how far the synthesis of each channel lies from its sweep around the resonance.
+        remarks: sentences on stretches for which the backbone says nothing.
+    """
+
+    backbone: Backbone
+    others: OtherModes
+    inputs: Mapping[str, Any]
+    synthesised: Mapping[float, Synthesis]
+    low_hz: float
+    high_hz: float
+    channels: tuple[str, ...]
+    tables: tuple[FrequencyResponseTable, ...]
+    comparisons: tuple[tuple[FrequencyResponseTable, ResonanceError], ...]
+    remarks: tuple[str, ...]
+
+    def curves(self, force: float) -> list[tuple[FloatArray, ComplexArray]]:
+        """Frequency (Hz), shape ``(k,)``, and responses (SI units), ``(channels, k)``, of every curve at a force."""
+        return _curves(self.synthesised[force], self.channels, self.low_hz, self.high_hz)
+
+    def csv(self, points: int = POINTS) -> str:
+        """Text of ``synthesis.csv``: one row a solution at evenly spaced frequencies, largest amplitude first.
+
+        Raises:
+            BenchError: fewer than 2 or more than 100,000 frequencies.
+        """
+        if not 2 <= points <= 100_000:
+            raise BenchError(f"The number of frequencies (--points) must be 2 to 100000, got {points}.")
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(
+            ["force_n", "frequency_hz", "solution", "modal_amplitude"]
+            + [f"a{point}_{part}" for point in self.backbone.points for part in ("real", "imag")]
+        )
+        for force, s in self.synthesised.items():
+            for hertz in np.linspace(self.low_hz, self.high_hz, points):
+                omega = 2.0 * math.pi * float(hertz)
+                for number, (q, displacement) in enumerate(s.solutions(omega)):
+                    values = -(omega**2) * displacement
+                    parts = [repr(float(x)) for value in values for x in (value.real, value.imag)]
+                    writer.writerow([repr(float(force)), repr(float(hertz)), number, repr(float(q)), *parts])
+        return text.getvalue()
+
+
+def synthesise(
+    backbone: Path | str,
+    *,
+    sweeps: Sequence[Path | str] = (),
+    linear: Path | str | None = None,
+    forces: Sequence[float] | None = None,
+    low_hz: float | None = None,
+    high_hz: float | None = None,
+) -> SynthesisResult:
+    """Frequency responses at held forces by single-nonlinear-mode theory, from a measured backbone.
+
+    Args:
+        backbone: ``modal.json`` of a run or an extraction, or its folder.
+        sweeps: ``frf.csv`` of sweeps at held force to compare with, or their folders.
+        linear: ``linear.json`` for the other modes, or its folder; None = the linear modes that the run names.
+        forces: N; None = those of the sweeps.
+        low_hz, high_hz: frequencies, Hz; None = those of the sweeps.
+
+    Raises:
+        BenchError: files that are missing or do not go together, no force or no frequencies.
+    """
+    points, inputs = read_json(_file(Path(backbone), "modal.json"))
+    description, others = _others(None if linear is None else Path(linear), inputs, _points(points))
+    measured = Backbone.from_points(points, others)
+    tables = [table for path in sweeps for table in read_response_csv(_file(Path(path), "frf.csv"))]
+    for table in tables:
+        if table.level_unit != "N":
+            raise BenchError(
+                f"The sweep at {table.level:g} {table.level_unit} held no force, so it cannot be compared; sweep with "
+                "'--control force'."
+            )
+    held = list(dict.fromkeys(table.level for table in tables)) if forces is None else list(forces)
+    if not held:
+        raise BenchError(
+            "Nothing says at which force to synthesise; give a sweep (--sweep SWEEP_OUT) or forces (--levels F)."
+        )
+    low, high = _frequencies(low_hz, high_hz, tables)
+    synthesised = {force: Synthesis(measured, description.drive_point, others, force) for force in held}
+    remarks = [line for s in synthesised.values() for line in s.gaps(2 * math.pi * low, 2 * math.pi * high)]
+    channels = _channels(tables, measured.points)
+    return SynthesisResult(
+        measured,
+        others,
+        inputs,
+        synthesised,
+        low,
+        high,
+        tuple(channels),
+        tuple(tables),
+        tuple(_compare(tables, synthesised, channels)),
+        tuple(remarks),
+    )
+
+
+def _frequencies(
+    low: float | None, high: float | None, tables: Sequence[FrequencyResponseTable]
+) -> tuple[float, float]:
+    measured = [float(f) for table in tables for f in (table.frequency_hz.min(), table.frequency_hz.max())]
+    low = low if low is not None else min(measured, default=math.nan)
+    high = high if high is not None else max(measured, default=math.nan)
+    if math.isnan(low) or math.isnan(high):
+        raise BenchError("Without a sweep (--sweep) the frequencies must be given: --from f1 --to f2 in Hz.")
+    if not 0 < low < high < math.inf:
+        raise BenchError(
+            f"The lower frequency (--from) must be below the upper one (--to) and both positive, got {low:g} and "
+            f"{high:g} Hz."
+        )
+    return low, high
+
+
+def _file(path: Path, name: str) -> Path:
+    return path / name if path.is_dir() else path
+
+
+def _points(points: Sequence[Any]) -> tuple[int, ...]:
+    for point in points:
+        if point.points:
+            return tuple(point.points)
+    raise BenchError("This run has no locked level, so there is no backbone to synthesise from.")
+
+
+def _others(path: Path | None, inputs: dict[str, Any], points: Sequence[int]) -> tuple[LinearDescription, OtherModes]:
+    """Linear description and what the other modes add."""
+    if path is None:
+        known = inputs.get("linear")
+        if not isinstance(known, dict):
+            raise BenchError("The run does not say which linear modes it used; give --linear FILE.")
+        linear = LinearDescription.from_mapping(known)
+        return linear, OtherModes.from_modes(linear, points)
+    try:
+        values = json.loads(_file(path, "linear.json").read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "it is not text"
+        raise BenchError(f"{path} cannot be read: {why}.") from error
+    except json.JSONDecodeError as error:
+        raise BenchError(f"{path} is not valid JSON: {error}.") from error
+    if not isinstance(values, dict):
+        raise BenchError(f"{path} must be a JSON object as './nmt linear' writes it.")
+    return LinearDescription.from_mapping(values), OtherModes.from_file(values, points)
+
+
+def _channels(tables: Sequence[FrequencyResponseTable], points: Sequence[int]) -> list[str]:
+    """Response channels to show: those measured at points of the backbone, else acceleration everywhere."""
+    measured = [name for table in tables[:1] for name in table.channels if int(name[1:]) in points]
+    return measured or [f"a{point}" for point in points]
+
+
+def _factor(channel: str, omega: Any) -> Any:
+    return {"a": -(omega**2), "v": 1j * omega, "x": 1.0 + 0.0 * omega}[channel[0]]
+
+
+def _curves(s: Synthesis, channels: Sequence[str], low: float, high: float) -> list[tuple[FloatArray, ComplexArray]]:
+    """Frequency (Hz) and responses (channels, k) of every curve within the frequencies."""
+    found = []
+    for curve in s.curves:
+        hertz = curve.omega_rad_s / (2.0 * math.pi)
+        inside = (hertz >= low) & (hertz <= high)
+        rows = [
+            _factor(name, curve.omega_rad_s) * curve.displacement[:, s.backbone.points.index(int(name[1:]))]
+            for name in channels
+        ]
+        if np.any(inside):
+            found.append((hertz[inside], np.stack(rows)[:, inside]))
+    return found
+
+
+def _compare(
+    tables: Sequence[FrequencyResponseTable], synthesised: dict[float, Synthesis], channels: Sequence[str]
+) -> list[tuple[FrequencyResponseTable, ResonanceError]]:
+    found = []
+    for table in tables:
+        s = synthesised.get(table.level)
+        if s is None or not s.curves:
+            continue
+        omega = 2.0 * math.pi * table.frequency_hz
+        values = s.response(omega, "sweep")
+        low, high = float(table.frequency_hz.min()), float(table.frequency_hz.max())
+        curves = _curves(s, channels, low, high)
+        for row, channel in enumerate(channels):
+            if channel not in table.channels:
+                continue
+            column = s.backbone.points.index(int(channel[1:]))
+            measured = table.frf[table.channels.index(channel)] * table.force_n
+            hertz = np.concatenate([curve[0] for curve in curves])
+            modulus = np.abs(np.concatenate([curve[1][row] for curve in curves]))
+            computed = _factor(channel, omega) * values[:, column]
+            error = resonance_error(channel, table.frequency_hz, measured, computed, (hertz, modulus))
+            found.append((table, error))
+    return found

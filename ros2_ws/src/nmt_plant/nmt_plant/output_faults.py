@@ -1,0 +1,221 @@
+"""How long an output that a process of its own owns takes to zero when the process that feeds it fails.
+
+    python -m nmt_plant.output_faults --repeats 5
+
+Each time a process with a loopback device feeds a sine to an output, and then hangs in its read, is stopped, holds its
+interpreter in one call, or is killed. The owner's log says when the last sample that is not zero was put out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import ctypes
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nmt_plant.device import DriveCommand, Waveform
+from nmt_plant.loopback_device import LoopbackDevice
+from nmt_plant.output_owner import read_log
+
+FAULTS = ("hung read", "SIGSTOP", "blocked interpreter", "SIGKILL")
+"""What the process that feeds suffers: a call that never returns, a stop, a call that locks the interpreter, a kill."""
+
+_RATE = 10_000.0
+_BLOCK = 200
+_RAMP = 0.1
+DEADLINE_BLOCKS = 3.0
+LEAD_BLOCKS = 2
+
+# From the fault to zero: the deadline counts from the last block, and a chunk passes before it is looked at.
+STATED_TIME = DEADLINE_BLOCKS * _BLOCK / _RATE + _RAMP + 0.02
+
+
+@dataclass(frozen=True)
+class FaultOutcome:
+    """One fault.
+
+    Attributes:
+        fault: which of `FAULTS`.
+        seconds: from the fault to the first of the zeros that follow for good.
+        largest_step: V, largest change between two samples after the fault.
+        amplitude: V, largest magnitude before the fault.
+        left: processes that were left behind, and files in shared memory that the owner used.
+    """
+
+    fault: str
+    seconds: float
+    largest_step: float
+    amplitude: float
+    left: tuple[str, ...]
+
+
+def feed(fault: str, log: str, lead_blocks: int, deadline_blocks: float) -> None:
+    """Feed a sine, say when the output follows it, and fail on a line from the parent."""
+    device = LoopbackDevice(
+        _RATE,
+        _BLOCK,
+        watchdog_blocks=0,
+        quiet_ramp=_RAMP,
+        owned=True,
+        lead_blocks=lead_blocks,
+        deadline_blocks=deadline_blocks,
+        arguments={"sample_rate": _RATE, "log": log},
+    )
+    device.configure()
+    device.start()
+    device.write(DriveCommand(Waveform.SINE, 50.0, 1.0, 0.1))
+    hang, settled = threading.Event(), threading.Semaphore(0)
+
+    def read() -> None:
+        while not hang.is_set():
+            device.read()
+            settled.release()
+        os.read(os.pipe()[0], 1)  # as in a driver that never returns
+
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    for _ in range(lead_blocks + 30):
+        settled.acquire()
+    sys.stdout.write(f"{device.output_pid} {device.tripped}\n")
+    sys.stdout.flush()
+    sys.stdin.readline()
+    sys.stdout.write(f"{time.monotonic()}\n")
+    sys.stdout.flush()
+    if fault == "hung read":
+        hang.set()
+    elif fault == "blocked interpreter":
+        ctypes.PyDLL(None).sleep(3600)  # PyDLL keeps the interpreter locked
+    time.sleep(3600)
+
+
+@contextmanager
+def _feeder(fault: str, log: Path, lead_blocks: int, deadline_blocks: float) -> Iterator[subprocess.Popen[str]]:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
+    command = [sys.executable, "-m", "nmt_plant.output_faults", "--feed", fault, "--log", str(log)]
+    command += ["--lead", str(lead_blocks), "--deadline", str(deadline_blocks)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        for stream in (process.stdin, process.stdout):
+            if stream is not None:
+                stream.close()
+
+
+def _line(process: subprocess.Popen[str]) -> str:
+    """The next line of the feeding process.
+
+    Raises:
+        RuntimeError: it says nothing for a minute, or has ended.
+    """
+    stream = process.stdout
+    line = stream.readline() if stream is not None and select.select([stream], [], [], 60.0)[0] else ""
+    if not line:
+        raise RuntimeError("the feeding process did not come up")
+    return line.strip()
+
+
+def measure(
+    fault: str, seconds: float = 1.0, lead_blocks: int = LEAD_BLOCKS, deadline_blocks: float = DEADLINE_BLOCKS
+) -> FaultOutcome:
+    """Cause one fault and read the owner's log.
+
+    Args:
+        fault: one of `FAULTS`.
+        lead_blocks, deadline_blocks: as of `guarded_device.owned_output`; blocks of 20 ms.
+        seconds: how long the output is watched after it.
+
+    Raises:
+        RuntimeError: the feeding process did not come up, or was late before the fault.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "output"
+        with _feeder(fault, log, lead_blocks, deadline_blocks) as process:
+            owner, _, tripped = _line(process).partition(" ")
+            if tripped:
+                raise RuntimeError(f"the output was stopped before the fault ({tripped}); is this machine too busy?")
+            if process.stdin is not None:
+                process.stdin.write("now\n")
+                process.stdin.flush()
+            at = float(_line(process))
+            shared = _shared_files(int(owner))
+            if fault in ("SIGSTOP", "SIGKILL"):
+                at = time.monotonic()
+                process.send_signal(signal.SIGSTOP if fault == "SIGSTOP" else signal.SIGKILL)
+            time.sleep(seconds)
+        left = _left(int(owner)) + shared
+        calls = read_log(log)
+    times = np.concatenate([end - (values.size - 1 - np.arange(values.size)) / _RATE for end, values in calls])
+    values = np.concatenate([values for _, values in calls])
+    after = times > at
+    last = int(np.flatnonzero(values)[-1])
+    watched = times[-1] if last == values.size - 1 else times[last + 1]
+    return FaultOutcome(
+        fault,
+        float(watched - at) if last < values.size - 1 else float("inf"),
+        float(np.abs(np.diff(values[after], prepend=values[~after][-1])).max()),
+        float(np.abs(values[~after]).max()),
+        left,
+    )
+
+
+def _shared_files(process: int) -> tuple[str, ...]:
+    """Files in shared memory that a process has mapped or open."""
+    names = Path(f"/proc/{process}/maps").read_text(encoding="utf-8").split()
+    with contextlib.suppress(OSError):
+        names += [os.readlink(link) for link in Path(f"/proc/{process}/fd").iterdir()]
+    return tuple(sorted({name for name in names if name.startswith("/dev/shm/")}))
+
+
+def _left(owner: int) -> tuple[str, ...]:
+    """The owner's process if it is still there some time after the feeding process has gone."""
+    end = time.monotonic() + 5.0
+    while Path(f"/proc/{owner}").exists() and time.monotonic() < end:
+        time.sleep(0.01)
+    return (f"process {owner}",) if Path(f"/proc/{owner}").exists() else ()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the times to zero of every fault; 1 if one is beyond the stated time or something was left behind."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=5, metavar="N", help="times each fault is caused (default: 5)")
+    parser.add_argument("--feed", choices=FAULTS, help=argparse.SUPPRESS)
+    parser.add_argument("--log", help=argparse.SUPPRESS)
+    parser.add_argument("--lead", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--deadline", type=float, help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.feed:
+        feed(options.feed, options.log, options.lead, options.deadline)
+        return 0
+    missed = False
+    sys.stdout.write(f"time to zero, ms; stated: {1e3 * STATED_TIME:.0f}\n")
+    for fault in FAULTS:
+        outcomes = [measure(fault) for _ in range(options.repeats)]
+        times = 1e3 * np.array([outcome.seconds for outcome in outcomes])
+        step = max(outcome.largest_step for outcome in outcomes)
+        left = sorted({name for outcome in outcomes for name in outcome.left})
+        missed = missed or bool(times.max() > 1e3 * STATED_TIME) or bool(left)
+        sys.stdout.write(
+            f"{fault:20s} median {np.median(times):6.1f}  worst {times.max():6.1f}  largest step {step:.4f} V  "
+            f"left behind: {', '.join(left) or 'nothing'}\n"
+        )
+    return int(missed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,122 @@
+"""What the plant node does with messages, free of ROS and wall time: drive commands and run states in, blocks out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from nmt_core.blocks import SampleBlock
+from nmt_core.records import DriveCommand, RunState
+from nmt_core.vocabulary import Quantity, RunPhase
+from nmt_plant.device import Device, DeviceState, check_drive
+from nmt_plant.lockstep import LockstepGate
+
+_ACTIVE = (RunPhase.RUNNING, RunPhase.PAUSED, RunPhase.STOPPING, RunPhase.DONE)
+_LONGEST_RAMP = 60.0  # s of bench time
+_LONGEST_END = 10.0  # s of bench time
+
+
+class PlantCore:
+    """A device and, in lockstep, the gate that says when its next block is due.
+
+    Args:
+        device: the device; it is configured and started here.
+        latency_blocks: blocks the plant may run ahead of its commands.
+        lockstep: blocks wait for the commands computed from those before.
+
+    Attributes:
+        phase: phase of the run, as last heard of.
+        running: whether a run has begun.
+        quantities: what the device measures, in the order of its blocks.
+
+    Raises:
+        BenchError: the device refuses its configuration.
+    """
+
+    def __init__(self, device: Device, latency_blocks: int = 0, lockstep: bool = True) -> None:
+        self.device = device
+        self.lockstep = lockstep
+        self.phase = RunPhase.UNKNOWN
+        self.running = False
+        self._gate = LockstepGate(device.block_samples, latency_blocks)
+        device.configure()
+        device.start()
+        # One block for the list of quantities; the device starts again from sample 0.
+        self.quantities: tuple[Quantity, ...] = tuple(block.quantity for block in device.read())
+        device.stop()
+        device.configure()
+        device.start()
+
+    def take_state(self, state: RunState) -> bool:
+        """Take the state of the run; True if the run begins with it."""
+        self.phase = state.phase
+        if self.lockstep and state.phase in _ACTIVE:
+            self._gate.horizon = max(self._gate.horizon, state.horizon_sample)
+        if self.running or state.phase != RunPhase.RUNNING:
+            return False
+        self.running = True
+        return True
+
+    def take_drive(self, command: DriveCommand) -> None:
+        """Hand a command to the device; the block that waits for it may then be due.
+
+        Raises:
+            BenchError: the command is out of its range, or beyond what the device can do.
+        """
+        check_drive(command)
+        self._gate.answered = max(self._gate.answered, command.based_on_sample)
+        self.device.write(command)
+
+    @property
+    def due(self) -> bool:
+        """Whether the next block is due in lockstep: one for every answer, up to the horizon."""
+        return self.lockstep and self.running and self._gate.may_produce(self.device.next_sample)
+
+    @property
+    def starved(self) -> bool:
+        """Whether a command or the horizon holds the next block back."""
+        return self._gate.starved(self.device.next_sample)
+
+    def produce(self) -> list[SampleBlock]:
+        """The next block of every quantity.
+
+        Raises:
+            DeviceFault: the device failed.
+        """
+        return self.device.read()
+
+    def quiet_down(self, reason: str) -> Iterator[list[SampleBlock]]:
+        """Emergency ramp to zero: the blocks of the ramp, since in lockstep nobody else moves bench time on.
+
+        The last block shows the drive at zero. In real time the blocks come by themselves and none is given.
+
+        Raises:
+            DeviceFault: the device failed.
+        """
+        if self.device.is_quiet or self.device.state is not DeviceState.RUNNING:
+            return
+        if not self.device.tripped:
+            self.device.quiet(reason)
+        if not self.lockstep:
+            return
+        yield from self._ramp_blocks()
+        yield self.produce()
+
+    def _ramp_blocks(self) -> Iterator[list[SampleBlock]]:
+        period = self.device.block_samples / self.device.sample_rate
+        blocks = 0
+        while not self.device.is_quiet and blocks * period < _LONGEST_RAMP:
+            yield self.produce()
+            blocks += 1
+
+    def shut_down(self, reason: str) -> None:
+        """Take the drive to zero along its ramp, whatever its blocks were, and release the device."""
+        device = self.device
+        try:
+            if device.state is DeviceState.RUNNING and not device.is_quiet:
+                device.quiet(reason)
+                blocks = int(_LONGEST_END * device.sample_rate / device.block_samples)
+                while blocks > 0 and not device.is_quiet:
+                    device.read()
+                    blocks -= 1
+        finally:
+            device.close()

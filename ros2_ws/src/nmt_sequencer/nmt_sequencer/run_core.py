@@ -1,0 +1,153 @@
+"""What the sequencer node does with messages, free of ROS: loop states and locks in, levels and run states out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from nmt_core.cdr import bench_time_ns
+from nmt_core.excitation import Excitation
+from nmt_core.modal_point import ModalPoint
+from nmt_core.parameters import Parameter
+from nmt_core.records import LevelCommand, LockEvent, LoopStatus, RunState
+from nmt_core.vocabulary import ControlKind, ResultCode, RunPhase
+from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
+
+PARAMETERS = (
+    Parameter("sample_rate", 10000.0, "Hz", "Sample rate of the rig.", low=1.0),
+    Parameter("block_samples", 200, "samples", "Samples a block.", low=2, high=100000),
+    Parameter(
+        "pacing",
+        "lockstep",
+        "",
+        "lockstep for simulated rigs, realtime for hardware.",
+        choices=("lockstep", "realtime"),
+    ),
+    Parameter("tick_blocks", 5, "blocks", "Blocks between two decisions.", low=1, high=1000),
+    Parameter("latency_blocks", 0, "blocks", "Buffering between command and excitation.", low=0, high=100),
+    Parameter("ramp", 0.5, "s", "Half-cosine between levels if the goal gives none.", low=0.0),
+    Parameter("quiet_ramp", 0.5, "s", "Half-cosine to zero at the end of a run.", low=0.0),
+    Parameter("window_periods", 200, "periods", "Whole periods a window if the goal gives none.", low=1, high=1000000),
+    Parameter("timeout", 60.0, "s", "Bench time a level may take to lock if the goal gives none.", low=0.0),
+    Parameter("ready_timeout", 30.0, "s", "Wall time to wait for all watched nodes before a run.", low=0.1),
+    Parameter("points_timeout", 30.0, "s", "Wall time to wait for missing modal points after a run.", low=0.0),
+)
+
+
+class RunCore:
+    """The run machine with its parameters, and its orders and states as records.
+
+    After every call publish what :meth:`orders` and then what :meth:`state` returns.
+
+    Args:
+        values: parameters of the node, complete; see ``PARAMETERS``.
+
+    Attributes:
+        machine: the state machine of the run.
+        points: modal points of the run, by level.
+    """
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self.values = values
+        self.machine = RunMachine(
+            Pacing(
+                sample_rate=float(values["sample_rate"]),
+                block_samples=int(values["block_samples"]),
+                tick_blocks=int(values["tick_blocks"]),
+                lockstep=values["pacing"] == "lockstep",
+                quiet_ramp=float(values["quiet_ramp"]),
+                latency_blocks=int(values["latency_blocks"]),
+            )
+        )
+        self.points: dict[int, ModalPoint] = {}
+        self._published: tuple[Any, ...] = ()
+
+    def plan(self, goal: Mapping[str, Any]) -> RunPlan:
+        """The plan that a goal asks for; what the goal leaves at zero is taken from the parameters.
+
+        Args:
+            goal: fields of the goal of ``nmt_msgs/RunLevels``.
+
+        Raises:
+            BenchError: the goal is not acceptable.
+        """
+        v = self.values
+        plan = RunPlan(
+            run_id=goal["run_id"] or time.strftime("run-%Y%m%d-%H%M%S"),
+            levels=tuple(goal["levels"]),
+            control=goal["control"] or ControlKind.VOLTAGE,
+            ramp=goal["ramp"] or float(v["ramp"]),
+            window_periods=goal["window_periods"] or int(v["window_periods"]),
+            timeout=goal["timeout"] or float(v["timeout"]),
+            stop_on_lost_lock=goal["stop_on_lost_lock"],
+            excitation=Excitation.from_goal(goal),
+            frequencies_hz=tuple(goal["frequencies_hz"]),
+        )
+        plan.check(float(v["sample_rate"]))
+        return plan
+
+    def start(self, plan: RunPlan) -> None:
+        """Begin a plan.
+
+        Raises:
+            BenchError: a run is active.
+        """
+        self.points.clear()
+        self.machine.start(plan)
+
+    def refuse(self, plan: RunPlan, code: ResultCode, reason: str) -> None:
+        """End a run before its first level."""
+        machine = self.machine
+        machine.plan, machine.code, machine.reason = plan, code, reason
+        machine.records.clear()
+        machine.phase = RunPhase.DONE
+        machine.end_sample = machine.newest + 1
+
+    def take_status(self, status: LoopStatus) -> None:
+        """Take the state of the loop after a block."""
+        self.machine.on_report(status)
+
+    def take_lock(self, lock: LockEvent) -> None:
+        """Take a lock event."""
+        self.machine.on_lock(lock.level_index, lock.sample, lock.window_end)
+
+    def take_point(self, point: ModalPoint) -> None:
+        """Take a modal point."""
+        self.points[point.level_index] = point
+
+    @property
+    def missing_points(self) -> set[int]:
+        """Levels whose modal point has not come yet."""
+        machine = self.machine
+        if machine.plan is not None and not machine.plan.excitation.test.gives_modal_points:
+            return set()
+        return {record.index for record in machine.records if record.complete} - set(self.points)
+
+    def orders(self) -> list[LevelCommand]:
+        """Levels to be published now, in order."""
+        return self.machine.take_orders()
+
+    def state(self) -> RunState | None:
+        """The state of the run, None if it is the one returned last."""
+        machine = self.machine
+        key = (machine.phase, machine.horizon, machine.level_index, machine.code, machine.reason)
+        if key == self._published:
+            return None
+        self._published = key
+        newest = machine.end_sample - 1 if machine.phase == RunPhase.DONE else machine.newest
+        sample = max(newest, 0)
+        plan = machine.plan
+        return RunState(
+            run_id=plan.run_id if plan else "",
+            phase=machine.phase,
+            level_index=machine.level_index,
+            level_count=len(plan.levels) if plan else 0,
+            level=machine.records[-1].amplitude if machine.records else 0.0,
+            progress=float(machine.progress),
+            sample=sample,
+            horizon_sample=machine.horizon,
+            result_code=machine.code,
+            reason=machine.reason,
+            time_ns=bench_time_ns(sample, machine.pacing.sample_rate),
+        )

@@ -1,0 +1,57 @@
+"""What a run reports while it goes on and when it has ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from nmt_core.modal_point import ModalPoint
+from nmt_core.vocabulary import ResultCode
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run stands; fields as in the feedback of ``nmt_msgs/RunLevels``."""
+
+    level_index: int
+    level_count: int
+    level: float
+    state: int
+    frequency_hz: float
+    phase_error: float
+    fraction_done: float
+    sample: int
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """How a run ended.
+
+    Attributes:
+        code: result code.
+        message: one sentence.
+        points: modal points in the order of the levels.
+        bag: folder of the bag, None if nothing was recorded.
+        bag_state: ``closed``, ``failed``, ``open`` (the recorder did not answer) or ``lost`` (it died).
+        wall_time: s from the start of the first level to the end of the run.
+        bench_time: s of bench time.
+        lost_node: name of the node that died, empty if none did.
+        interrupted: True after Ctrl-C.
+        remarks: sentences on gaps, late blocks and real-time margin.
+    """
+
+    code: ResultCode
+    message: str
+    points: tuple[ModalPoint, ...]
+    bag: Path | None
+    bag_state: str
+    wall_time: float
+    bench_time: float
+    lost_node: str = ""
+    interrupted: bool = False
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def real_time_factor(self) -> float:
+        """Bench time over wall time."""
+        return self.bench_time / self.wall_time if self.wall_time > 0 else 0.0

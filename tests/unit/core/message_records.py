@@ -1,0 +1,131 @@
+"""Random records of every message of the bench, and the field values that their messages have."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+from nmt_core.blocks import OscillatorPhase, SampleBlock
+from nmt_core.cdr import bench_time_ns
+from nmt_core.modal_point import COMPLEX, MEASURED, ModalPoint
+from nmt_core.records import DriveCommand, LevelCommand, LockEvent, LoopStatus, RunRecord, RunState
+from nmt_core.vocabulary import (
+    ControlKind,
+    LoopState,
+    PointStatus,
+    Quantity,
+    RecordKind,
+    ResultCode,
+    RunPhase,
+    TestKind,
+    Waveform,
+)
+
+RATE = 10_000.0
+uint8, uint32, uint64 = (st.integers(0, 2**bits - 1) for bits in (8, 32, 64))
+times = st.integers(0, (2**31 - 1) * 10**9)
+floats = st.floats(allow_nan=True, width=64)
+texts = st.text(st.characters(exclude_characters="\x00", exclude_categories=["Cs"]), max_size=30)
+long_texts = st.one_of(texts, st.integers(1, 3000).map(lambda count: "é{" * count))
+
+
+def complex_arrays(shape: tuple[int, ...]) -> st.SearchStrategy[Any]:
+    """Complex arrays of random bits."""
+
+    def make(seed: int) -> Any:
+        values = np.random.default_rng(seed).standard_normal((2, *shape))
+        return values[0] + 1j * values[1]
+
+    return st.integers(0, 2**32 - 1).map(make)
+
+
+@st.composite
+def modal_points(draw: st.DrawFn) -> ModalPoint:
+    harmonics, channels, modes = draw(st.integers(0, 30)), draw(st.integers(0, 7)), draw(st.integers(0, 5))
+    empty = draw(st.booleans())
+    measured = {name + suffix: draw(floats) for name in MEASURED for suffix in ("", "_std")}
+    arrays = {} if empty else {
+        "force_harmonics": draw(complex_arrays((harmonics + 1,))),
+        "shape_harmonics": draw(complex_arrays((harmonics + 1, channels) if channels else (0, 0))),
+        "normalised_shape": draw(complex_arrays((channels,))),
+        "participation": draw(complex_arrays((modes,))),
+    }  # fmt: skip
+    return ModalPoint(
+        level_index=draw(uint32), status=draw(st.sampled_from(PointStatus)), reason=draw(long_texts),
+        level=draw(floats),
+        level_unit=draw(st.sampled_from(["V", "N", "m", "m/s^2", ""])), time_ns=draw(times),
+        window_first_sample=draw(uint64), window_samples=draw(uint64), window_periods=draw(uint32), harmonics=harmonics,
+        points=tuple(draw(st.lists(uint32, min_size=channels, max_size=channels))), **measured, **arrays,
+    )  # fmt: skip
+
+
+levels = st.builds(
+    LevelCommand, uint32, uint32, floats, uint64, floats, st.sampled_from(ControlKind), floats, uint32, floats,
+    st.sampled_from([kind for kind in TestKind if kind]), floats, floats, floats, floats, floats,
+)  # fmt: skip
+lock_events = st.builds(
+    LockEvent, uint32, floats, texts, uint64, floats, floats, uint64, uint64, uint32,
+    st.sampled_from([kind for kind in TestKind if kind]), times,
+)  # fmt: skip
+run_states = st.builds(
+    RunState, long_texts, st.sampled_from(RunPhase), uint32, uint32, floats, floats, uint64, uint64,
+    st.sampled_from(ResultCode), long_texts, times,
+)  # fmt: skip
+run_records = st.builds(RunRecord, st.sampled_from(RecordKind), long_texts, long_texts, times)
+drives = st.builds(
+    DriveCommand, st.sampled_from([w for w in Waveform if w]), floats, floats, floats, st.integers(0, 2**40),
+    st.integers(0, 2**40),
+    st.lists(st.tuples(uint32, st.complex_numbers(allow_nan=False)), max_size=5).map(tuple),
+    floats, floats, floats, floats,
+)  # fmt: skip
+statuses = st.builds(
+    LoopStatus, st.integers(0, 2**40), uint32, uint32, st.sampled_from(LoopState), floats, floats, floats, floats,
+    texts, floats, uint8, long_texts,
+)  # fmt: skip
+
+
+@st.composite
+def blocks(draw: st.DrawFn) -> SampleBlock:
+    channels = draw(st.lists(texts, min_size=1, max_size=5))
+    samples = draw(st.integers(0, 40))
+    data = np.random.default_rng(draw(uint32)).standard_normal((len(channels), samples))
+    return SampleBlock(
+        draw(st.integers(0, 2**40)), draw(st.sampled_from([1.0, 1e4, 51_200.0])), draw(st.sampled_from(Quantity)),
+        draw(texts), tuple(channels), tuple(draw(st.lists(uint32, max_size=6))), data,
+        OscillatorPhase(draw(floats), draw(floats), draw(floats)), draw(uint8),
+    )  # fmt: skip
+
+
+def values_of(record: Any) -> dict[str, Any]:
+    """Values of the fields of a record's message by name; a stamp is a time in ns."""
+    if isinstance(record, DriveCommand):
+        values = record._asdict()
+        harmonics = values.pop("harmonics")
+        values["harmonics"] = [order for order, _ in harmonics]
+        values["harmonics_real"] = [value.real for _, value in harmonics]
+        values["harmonics_imag"] = [value.imag for _, value in harmonics]
+        return {**values, "stamp": bench_time_ns(record.based_on_sample, RATE)}
+    if isinstance(record, LoopStatus):
+        return {**record._asdict(), "stamp": bench_time_ns(record.last_sample, RATE)}
+    values = {item.name: getattr(record, item.name) for item in fields(record)}
+    if isinstance(record, ModalPoint):
+        for name in COMPLEX:
+            array = values.pop(name).ravel()
+            values[f"{name}_real"], values[f"{name}_imag"] = array.real, array.imag
+    return {**values, "stamp": values.get("time_ns")}
+
+
+def same(a: Any, b: Any) -> bool:
+    """Equal, NaN being equal to NaN."""
+    if isinstance(a, ModalPoint):
+        return a.identical(b)
+    if is_dataclass(a):
+        a, b = ([getattr(item, field.name) for field in fields(item)] for item in (a, b))
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    return bool(a == b or (a != a and b != b))

@@ -1,0 +1,175 @@
+"""What packages say of themselves agrees with what they import, with each other and with the lock files."""
+
+from __future__ import annotations
+
+import ast
+import fnmatch
+import importlib.util
+import re
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from packaging.requirements import Requirement
+
+from .conftest import ROOT
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+SOURCE = ROOT / "ros2_ws" / "src"
+PACKAGES = sorted(path.parent.name for path in SOURCE.glob("*/setup.py"))
+LOCKS = sorted((ROOT / "requirements" / "lock").glob("*.txt"))
+
+
+@pytest.fixture(scope="module")
+def tables() -> ModuleType:
+    """requirements/packages.py as a module."""
+    specification = importlib.util.spec_from_file_location("nmt_packages", ROOT / "requirements" / "packages.py")
+    assert specification
+    assert specification.loader
+    module = sys.modules["nmt_packages"] = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def manifest(package: str) -> ElementTree.Element:
+    return ElementTree.parse(SOURCE / package / "package.xml").getroot()
+
+
+def setup_arguments(package: str) -> dict[str, object]:
+    """Arguments of ``setup`` in a setup.py that are written out."""
+    tree = ast.parse((SOURCE / package / "setup.py").read_text())
+    call = next(node for node in ast.walk(tree) if isinstance(node, ast.Call) and ast.unparse(node.func) == "setup")
+    literal = {}
+    for keyword in call.keywords:
+        if keyword.arg != "packages":
+            literal[str(keyword.arg)] = ast.literal_eval(keyword.value)
+    return literal
+
+
+def test_every_list_of_dependencies_follows_from_the_imports(tables: ModuleType) -> None:
+    outdated = [str(path.relative_to(ROOT)) for path in tables.outdated()]
+    assert not outdated, "type: python requirements/packages.py"
+
+
+def test_imports_count_wherever_they_run_and_not_for_type_checkers(tables: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "module.py").write_text(
+        "from __future__ import annotations\n"
+        "import os.path, numpy.linalg as la\n"
+        "from typing import TYPE_CHECKING\n"
+        "from . import sibling\n"
+        "from .other import thing\n"
+        "if TYPE_CHECKING:\n"
+        "    import pandas\n"
+        "else:\n"
+        "    pass\n"
+        "def late():\n"
+        "    from scipy.linalg import eigh\n"
+        "    try:\n"
+        "        import yaml\n"
+        "    except ImportError:\n"
+        "        pass\n"
+    )
+    assert tables.imports_of(tmp_path) == {"numpy", "scipy", "yaml"}
+
+
+def test_an_import_that_no_table_names_is_refused(
+    tables: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "nmt_new" / "nmt_new").mkdir(parents=True)
+    (tmp_path / "nmt_new" / "nmt_new" / "module.py").write_text("import pandas\n")
+    monkeypatch.setattr(tables, "SOURCE", tmp_path)
+    with pytest.raises(SystemExit, match="nmt_new imports pandas"):
+        tables.needs("nmt_new")
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_keys_of_the_manifest_exist(tables: ModuleType, package: str) -> None:
+    """Python's keys were looked up in rosdep's database; ROS 2's are names of its packages, which are locked."""
+    locked = set(re.findall(r"^ros-(?:jazzy-)?([\w-]+)==", LOCKS[-1].read_text(), re.M))
+    for tag in ("exec_depend", "test_depend"):
+        for element in manifest(package).iter(tag):
+            key = str(element.text)
+            assert key in tables.KNOWN_KEYS or key in (*PACKAGES, "nmt_msgs") or key.replace("_", "-") in locked, key
+
+
+def test_no_circle_of_packages() -> None:
+    """colcon cannot put packages into an order that need each other."""
+    left = {p: {str(e.text) for e in manifest(p).iter("exec_depend")} & set(PACKAGES) for p in PACKAGES}
+    while left:
+        free = [package for package, needed in left.items() if not needed & set(left)]
+        assert free, f"a circle among {sorted(left)}"
+        for package in free:
+            del left[package]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_manifest_and_setup_say_the_same(package: str) -> None:
+    root, arguments = manifest(package), setup_arguments(package)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert root.findtext("name") == arguments["name"] == package
+    assert root.findtext("version") == arguments["version"] == project["version"]
+    assert root.findtext("description") == arguments["description"]
+    assert root.findtext("license") == arguments["license"] == "Apache-2.0"
+    changelog = (SOURCE / package / "CHANGELOG.rst").read_text()
+    assert f"Changelog for package {package}\n" in changelog
+    configuration = (SOURCE / package / "setup.cfg").read_text()
+    assert configuration.count(f"$base/lib/{package}\n") == 2
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_data_files_are_installed(package: str) -> None:
+    patterns = setup_arguments(package)["package_data"]
+    assert isinstance(patterns, dict)
+    folder = SOURCE / package / package
+    for path in folder.rglob("*"):
+        if path.is_dir() or path.suffix == ".py" or "__pycache__" in path.parts:
+            continue
+        covered = [
+            fnmatch.fnmatch(str(path.relative_to(folder)) if owner else path.name, pattern)
+            or fnmatch.fnmatch(str(path.relative_to(folder)), pattern)
+            for owner, owned in patterns.items()
+            for pattern in owned
+        ]
+        assert any(covered), path
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_colcon_test_imports_every_module(package: str) -> None:
+    assert setup_arguments(package)["extras_require"] == {"test": ["pytest"]}  # what makes colcon run pytest
+    first = (SOURCE / PACKAGES[0] / "test" / "test_imports.py").read_text()
+    assert (SOURCE / package / "test" / "test_imports.py").read_text() == first
+
+
+def test_wheel_holds_every_package() -> None:
+    wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert sorted(wheel["packages"]) == sorted(f"ros2_ws/src/{name}/{name}" for name in PACKAGES)
+    assert set(wheel["force-include"]) == {"ros2_ws/src/nmt_msgs/msg"}
+
+
+@pytest.mark.parametrize("lock", LOCKS, ids=lambda p: p.stem)
+def test_locked_versions_satisfy_the_wheel(lock: Path) -> None:
+    pins = dict(re.findall(r"^([\w.-]+)==(\S+)", lock.read_text(), re.M))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    asked = list(project["dependencies"])
+    for extra in project["optional-dependencies"].values():
+        asked += extra
+    assert len(asked) > 10
+    for requirement in map(Requirement, asked):
+        name = re.sub(r"[-_.]+", "-", requirement.name).lower()
+        assert requirement.specifier.contains(pins[name]), requirement
+
+
+def test_every_library_is_asked_for_in_the_requirements(tables: ModuleType) -> None:
+    text = (ROOT / "requirements" / "bench.in").read_text()
+    asked = {re.split("[<=>]", line)[0].lower() for line in text.splitlines() if line and not line.startswith("#")}
+    assert {library.name.lower() for library in tables.libraries(*PACKAGES)} <= asked
+    run_time = text[: text.index("# build of the workspace")]
+    named = {re.split("[<=>]", line)[0].lower() for line in run_time.splitlines() if line and line[0] != "#"}
+    assert named - {"uv"} <= {library.name.lower() for library in tables.LIBRARIES.values()}

@@ -74,6 +74,18 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "slip_force_per_cycle": "the same per period of the drive",
         "stiffness_per_s": "relative change of the structure's stiffness per second, in steps of 4e-6",
     },
+    "ShakingTableSection": {
+        "kind": "table that moves all supports of the structure together; a volt asks for an acceleration",
+        "point": "where the loop takes its response, and where the force channel refers to",
+        "acceleration_per_volt_m_s2": "acceleration per drive voltage, m/s² per V",
+        "effective_mass_kg": "m of the force channel, −m times the table's acceleration; left out = the mass with "
+        "which that force does the table's power on the target mode, φᵀMr / φ(point)",
+        "bandwidth_hz": "corner of the low-pass between command and acceleration; left out = none",
+        "suspension_hz": "natural frequency of the table on its suspension, below which it does not follow; left out = "
+        "none, and the table's position is not modelled",
+        "suspension_damping_ratio": "ζ of the suspension",
+        "responses": "motion that the sensors see: relative to the table, or absolute",
+    },
     "TransverseSection": {
         "point": "point whose motion is recorded as well",
         "fraction": "share of it",
@@ -129,17 +141,72 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "friction_ns_m": "viscous friction that carries the mass between strokes",
     },
     "BeamSection": {
-        "kind": "Euler–Bernoulli cantilever, clamped at the left end",
+        "kind": "uniform Euler–Bernoulli beam",
+        "boundary": "left and right end",
         "length_m": "length",
         "width_m": "width of the cross-section, across the motion",
         "height_m": "height of the cross-section, along the motion",
         "youngs_modulus_pa": "Young's modulus",
         "density_kg_m3": "density",
-        "elements": "finite elements of equal length; point i is the outer end of element i",
+        "elements": "finite elements of equal length; points are their ends that move, numbered from the left: point i "
+        "is the right end of element i, in a free-free beam its left end",
         "stiffness_damping_s": "β of the damping matrix β K of the beam alone",
         "mesh_refinement": "finite elements between two points; the points stay as they are",
-        "clamp_rotational_stiffness_nm_rad": "rotational spring that the clamp is; left out = rigid",
-        "clamp_lateral_stiffness_n_m": "lateral spring that the clamp is; left out = rigid",
+        "clamp_rotational_stiffness_nm_rad": "rotational spring that each clamp is; left out = rigid",
+        "clamp_lateral_stiffness_n_m": "lateral spring that each clamp is; left out = rigid",
+        "suspension_stiffness_n_m": "soft spring that carries each end of a free-free beam; 0 = it floats, and its "
+        "first two modes are rigid-body modes at 0 Hz",
+        "suspension_damping_ns_m": "damper beside each of these springs",
+    },
+    "ModalSection": {
+        "kind": "modes: frequencies, damping ratios, shapes at points",
+        "points": "point numbers, in the order of the shapes",
+        "modes": "the modes; a rigid-body mode has 0 Hz",
+        "residual": "what modes above the given ones contribute",
+        "base_motion": "displacement of each point by that of a shaking table; left out = 1",
+        "file": "modes from a `.csv` table or data sets 55 of a universal file (`.uff`, `.unv`), relative to the rig "
+        "file; read when the rig is loaded",
+        "direction": "direction of the nodes of a universal file",
+        "source": "where the modes were read from; written by the bench",
+    },
+    "ModeSection": {
+        "frequency_hz": "natural frequency",
+        "damping_ratio": "ζ",
+        "modal_mass_kg": "φᵀMφ in the scale of the shape; 1 = mass-normalised",
+        "shape": "displacement at the points; may be left out where there is one point (1)",
+        "participation": "Γ = φᵀMr / φᵀMφ in the scale of the shape, r = motion of the structure with its base; a "
+        "shaking table needs it",
+    },
+    "ResidualSection": {
+        "flexibility_m_n": "static displacement at each point by a force at each, beyond the modes: a symmetric matrix",
+        "frequency_hz": "where it is kept as modes; well above the band",
+        "damping_ratio": "ζ of these modes",
+    },
+    "MatricesSection": {
+        "kind": "mass, stiffness and damping matrix, for example of a finite-element code",
+        "points_at": "points and the rows of the matrices that move there",
+        "mass_kg": "mass matrix, by rows",
+        "stiffness_n_m": "stiffness matrix, by rows",
+        "damping_ns_m": "damping matrix, by rows; left out = none, or by `damping_ratios`",
+        "damping_ratios": "ζ of the modes, the last one of all higher ones",
+        "base_vector": "displacement of each row by that of a shaking table",
+        "base_load_kg": "load of each row by the acceleration of the table; left out = mass matrix times `base_vector`",
+        "file": "`.npz` or `.mat` (up to -v7) with M, K and, where there are, C, r (`base_vector`), p "
+        "(`base_load_kg`), relative to the rig file; read when the rig is loaded",
+        "mass_file": "mass matrix alone: Matrix Market (`.mtx`), `.npy`, or scipy's sparse `.npz`",
+        "stiffness_file": "stiffness matrix alone",
+        "damping_file": "damping matrix alone",
+        "modes": "reduce to the points and this number of modes with the points held (Craig–Bampton); needed beyond 60 "
+        "rows",
+        "mass_factor": "factor on the mass matrix",
+        "stiffness_factor": "factor on the stiffness matrix",
+        "damping_factor": "factor on the damping matrix",
+        "source": "where the matrices were read from; written by the bench",
+    },
+    "MatrixPointSection": {
+        "point": "point number",
+        "row": "row of the matrices of its lateral motion, counted from 0",
+        "rotation_row": "row of its rotation; left out = it does not rotate",
     },
     "ChainSection": {
         "kind": "masses in a row",
@@ -299,7 +366,7 @@ _UNITS = {
     "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_m2": "N/m²", "_ns2_m2": "N s²/m²", "_ns_m": "N s/m", "_n_m": "N/m",
     "_kg_m3": "kg/m³", "_m_s2": "m/s²", "_m_s": "m/s", "_n_a": "N/A", "_kg": "kg", "_pa": "Pa", "_hz": "Hz",
     "_nm_rad": "N m/rad", "_ns_m2": "N s/m²", "_n_sa_m": "N sᵅ/m", "_per_s": "1/s", "_per_m": "1/m", "_per_m2": "1/m²",
-    "_ohm": "Ω", "_h": "H", "_n": "N", "_m": "m", "_s": "s", "_v": "V", "_v_s": "V/s", "_volt": "N/V",
+    "_ohm": "Ω", "_m_n": "m/N", "_h": "H", "_n": "N", "_m": "m", "_s": "s", "_v": "V", "_v_s": "V/s", "_volt": "N/V",
 }  # fmt: skip
 
 
@@ -507,7 +574,8 @@ def _describe(annotation: Any, kinds: list[str], bounds: list[str]) -> None:
     elif origin is list:
         inside: list[str] = []
         _describe(typing.get_args(annotation)[0], inside, bounds)
-        kinds.append("list of " + ("sections" if inside == ["section"] else f"{inside[0]}s"))
+        plural = "lists" + inside[0].removeprefix("list") if inside[0].startswith("list") else f"{inside[0]}s"
+        kinds.append(f"list of {plural}")
     elif origin is dict:
         kinds.append("mapping")
     else:

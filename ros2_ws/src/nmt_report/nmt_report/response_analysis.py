@@ -200,6 +200,6 @@ def model_responses(
         rows = []
         for name in channels:
             factor = {"a": -(omega**2), "v": 1j * omega, "x": np.ones_like(omega)}[name[0]]
-            rows.append(curve.amplitudes(system.points[int(name[1:])]) * turn * factor)
+            rows.append(curve.at_point(int(name[1:])) * turn * factor)
         curves.append(ModelResponse(force, omega / (2.0 * math.pi), tuple(channels), np.stack(rows)))
     return curves

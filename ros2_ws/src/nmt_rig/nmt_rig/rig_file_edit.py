@@ -44,11 +44,9 @@ def edited_rig_text(text: str, name: str, target: Rig) -> str:
     Raises:
         BenchError: ``text`` is no rig file, or ``target`` is beyond what a rig file may hold.
     """
-    document = parse_document(text, name)
-    after = target.model_dump(mode="json")
-    if getattr(target.structure, "source", ""):
-        return _plain_text(target, name)  # the files that the structure was read from may not be there
-    before = validate_rig(document).model_dump(mode="json")
+    # The files that a structure was read from may not be there: then the rig is written out.
+    base = target if getattr(target.structure, "source", "") else validate_rig(parse_document(text, name))
+    before, after = base.model_dump(mode="json"), target.model_dump(mode="json")
     try:
         short = target.model_dump(mode="json", exclude_defaults=True)
         new = {path: _at(short, path, value) for path, (_, value) in _differences(before, after).items()}
@@ -57,11 +55,7 @@ def edited_rig_text(text: str, name: str, target: Rig) -> str:
                 return result
     except (BenchError, YAMLError, _CannotEditError):
         pass
-    return _plain_text(target, name)  # anchors, merge keys and the like
-
-
-def _plain_text(target: Rig, name: str) -> str:
-    """The rig written out plainly, without comments."""
+    # Anchors, merge keys and the like: written out plainly, without the comments.
     values = _listed(target.model_dump(mode="json", exclude_defaults=True))
     result = _dumped(_yaml(2, 2, 120), values)
     validate_rig(parse_document(result, name))

@@ -145,8 +145,8 @@ def epmc_at(case: StudyCase, amplitudes: Sequence[float]) -> dict[str, Any]:
     rows = [modes.points.index(point) for point in points]
     backbone = reference.backbone
     fundamental = int(np.flatnonzero(backbone.orders == 1)[0])
-    dofs = [structure.points[point] for point in points]
-    shapes = backbone.normalised_shape[:, fundamental][:, dofs]
+    full = backbone.normalised_shape[:, fundamental].T
+    shapes = np.stack([structure.motion(point, full) for point in points], axis=1)
     participation = shapes @ np.linalg.pinv(modes.shapes[rows]).T
     participation = participation * np.exp(-1j * np.angle(participation[:, :1]))
     return {

@@ -23,7 +23,7 @@ CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp
 
 def _compliance_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     beam = rig.structure
-    if not isinstance(beam, BeamSection):
+    if not isinstance(beam, BeamSection) or "clamped" not in beam.boundary:
         return ()
     bending = beam.youngs_modulus_pa * beam.width_m * beam.height_m**3 / 12.0
     # 1 % of the static compliance of the tip.
@@ -40,7 +40,7 @@ def _with_compliance(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
 
 
 def _clamp_friction_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    if not isinstance(rig.structure, BeamSection):
+    if not isinstance(rig.structure, BeamSection) or "clamped" not in rig.structure.boundary:
         return ()
     lateral = Site(
         Placement("boundary", detail="lateral"),
@@ -61,7 +61,7 @@ def _clamp_friction_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ..
 
 
 def _contact_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    beam = isinstance(rig.structure, BeamSection)
+    beam = isinstance(rig.structure, BeamSection) and "clamped" in rig.structure.boundary
     return tuple(
         Site(
             Placement.at("joint", point, other), {"kt": 0.05 * stiffness, "slip_displacement": amplitude}, point, other

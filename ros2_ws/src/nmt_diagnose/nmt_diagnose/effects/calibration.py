@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import exp
 
+from nmt_diagnose.effects.modal_calibration import MODEL_PRIORS, model_paths
 from nmt_diagnose.effects.placement import PlaceKind
 from nmt_diagnose.effects.rig_edit import Path, value_at, with_value
 from nmt_rig.rig import (
@@ -93,11 +94,14 @@ PRIORS: dict[str, tuple[float, str]] = {
     "resistance_ohm": (0.03, "copper changes by 0.4 % per kelvin"),
     "inductance_h": (0.1, "changes with frequency"),
     "newton_per_volt": (0.03, "gain of amplifier and exciter as a data sheet gives it"),
+    "acceleration_per_volt_m_s2": (0.03, "gain of amplifier and table as a data sheet gives it"),
+    **MODEL_PRIORS,
 }
 # Coil suspension: so stiff that no test of the bench sees it.
 _UNITS = {"_pa": "Pa", "_kg_m3": "kg/m³", "_kg": "kg", "_ns_m": "N s/m", "_ns2_m2": "N s²/m²", "_nm_rad": "N m/rad",
           "_n_m": "N/m", "_n_m2": "N/m²", "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_a": "N/A", "_ohm": "Ω", "_n": "N",
-          "_m_s": "m/s", "_m": "m", "_h": "H", "_s": "s", "newton_per_volt": "N/V"}  # fmt: skip
+          "_m_s": "m/s", "_m": "m", "_h": "H", "_s": "s", "newton_per_volt": "N/V",
+          "_hz": "Hz", "_m_s2": "m/s²"}  # fmt: skip
 _ELEMENT_KEYS: dict[type[ElementSection], tuple[str, ...]] = {
     JenkinsSection: ("tangential_stiffness_n_m", "slip_force_n"),
     IwanSection: (
@@ -153,6 +157,9 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
         for key in ("masses_kg", "springs_n_m", "dampers_ns_m", "ground_springs_n_m", "ground_dampers_ns_m"):
             for index in range(len(getattr(structure, key) or ())):
                 add(("structure", key, index), "boundary" if key.startswith("ground") else "structure")
+    else:
+        for path in model_paths(structure):
+            add(path, "structure")
     for index, element in enumerate(rig.local_elements):
         friction = isinstance(element, JenkinsSection | IwanSection | TanhFrictionSection)
         place: PlaceKind = "exciter" if element.side == "exciter" else "joint" if friction else "structure"
@@ -163,4 +170,6 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
             add(("exciter", key), "exciter")
     elif isinstance(rig.exciter, ForceSection):
         add(("exciter", "newton_per_volt"), "exciter")
+    else:
+        add(("exciter", "acceleration_per_volt_m_s2"), "exciter")
     return tuple(found)

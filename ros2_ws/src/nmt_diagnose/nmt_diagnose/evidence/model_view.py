@@ -77,8 +77,8 @@ class ModelView:
                 values[index] = scale * force
             elif channel.quantity is Quantity.CURRENT and system.current is not None:
                 values[index] = scale * motion[system.current]
-            elif channel.quantity in ORDER and channel.point in system.points:
-                values[index] = scale * motion[system.points[channel.point]] * s ** ORDER[channel.quantity]
+            elif channel.quantity in ORDER and channel.point in system.point_numbers:
+                values[index] = scale * system.motion(channel.point, motion) * s ** ORDER[channel.quantity]
         return values
 
 

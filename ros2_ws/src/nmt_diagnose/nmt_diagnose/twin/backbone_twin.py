@@ -89,8 +89,8 @@ class BackboneTwin:
         n = system.structure_size
         mass = system.mass[:n, :n].copy()
         if isinstance(rig.exciter, ShakerSection):
-            drive = system.points[system.drive_point]
-            mass[drive, drive] -= rig.exciter.table_mass_kg
-        velocity = 1j * state.omega * shape[system.points[system.drive_point]]
+            drive = system.selector(system.drive_point)[:n]
+            mass -= rig.exciter.table_mass_kg * np.outer(drive, drive)
+        velocity = 1j * state.omega * system.motion(system.drive_point, shape)
         power = 0.5 * float((velocity * np.conj(force)).real)
         return power / (state.omega**3 * float((np.conj(shape[:n]) @ mass @ shape[:n]).real))

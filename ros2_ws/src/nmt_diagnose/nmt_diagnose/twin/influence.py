@@ -86,7 +86,7 @@ def source_vectors(rig: Rig, parts: RigParts, source: Source) -> tuple[FloatArra
 def _clamp_vectors(rig: Rig, size: int) -> list[FloatArray]:
     """Forces of a rotation and of a displacement of the clamp, by the stiffness of the first element."""
     beam = rig.structure
-    if not isinstance(beam, BeamSection):
+    if not isinstance(beam, BeamSection) or "clamped" not in beam.boundary:
         return []
     a = beam.length_m / (beam.elements * beam.mesh_refinement)
     rotation, lateral = np.zeros(size), np.zeros(size)

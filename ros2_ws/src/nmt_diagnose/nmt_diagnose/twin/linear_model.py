@@ -186,9 +186,7 @@ def _reduction(
     squares, vectors = eigh(system.stiffness[:n, :n], system.mass[:n, :n])
     places = np.column_stack((inputs[:n], rows.displacement[:, :n].T, rows.acceleration[:, :n].T))
     if system.coil is not None:
-        drive = np.zeros((n, 1))
-        drive[system.points[system.drive_point]] = 1.0
-        places = np.column_stack((places, drive))
+        places = np.column_stack((places, system.selector(system.drive_point)[:n]))
     sizes = np.linalg.norm(places, axis=0)
     places = places[:, sizes > 0.0] / sizes[sizes > 0.0]
     # Independent places only: sensors sit where forces act.

@@ -153,7 +153,7 @@ def _unknowns(
         (i for i, channel in enumerate(channels) if channel.name.startswith("probe ")),
         key=lambda i: abs(amplitudes[i]),
     )
-    return np.asarray(q * abs(amplitudes[probe]) / abs(q[system.points[channels[probe].point]]))
+    return np.asarray(q * abs(amplitudes[probe]) / abs(system.motion(channels[probe].point, q)))
 
 
 def _noise(
@@ -198,7 +198,9 @@ def _total_mass(rig: Rig) -> float:
     structure = rig.structure
     if isinstance(structure, BeamSection):
         return structure.density_kg_m3 * structure.length_m * structure.width_m * structure.height_m
-    return float(sum(structure.masses_kg))
+    if isinstance(structure, ChainSection):
+        return float(sum(structure.masses_kg))
+    return np.inf  # modes and matrices do not tell the mass along one direction
 
 
 def _effective_masses(
@@ -212,19 +214,19 @@ def _effective_masses(
     nearest = int(np.argmin(np.abs(np.sqrt(np.maximum(squares, 0.0)) - omega)))
     shape = shapes[:, nearest]
     # A point at a node has no mass of its own: limited to a thousand times that of the largest.
-    floor = 1e-3 * float(np.max(np.abs(shape[list(system.points.values())]))) ** 2
+    motion = {point: float(system.selector(point)[:n] @ shape) for point in system.point_numbers}
+    floor = 1e-3 * max(abs(value) for value in motion.values()) ** 2
 
     def seen(value: float, least: float) -> float:
         return float(1.0 / max(value**2, least))
 
-    mass = {point: seen(shape[index], floor) for point, index in system.points.items()}
+    mass = {point: seen(value, floor) for point, value in motion.items()}
     inertia: dict[int, float] = {}
     if isinstance(rig.structure, BeamSection):
         least = 1e-3 * max(shape[index + 1] ** 2 for index in system.points.values())
         inertia = {point: seen(shape[index + 1], least) for point, index in system.points.items()}
     pairs: dict[tuple[int, int], float] = {}
     if isinstance(rig.structure, ChainSection):
-        points = sorted(system.points)
-        for a, b in pairwise(points):
-            pairs[(a, b)] = seen(shape[system.points[b]] - shape[system.points[a]], floor)
+        for a, b in pairwise(system.point_numbers):
+            pairs[(a, b)] = seen(motion[b] - motion[a], floor)
     return mass, inertia, pairs

@@ -11,16 +11,39 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
+from nmt_diagnose.effects.modal_calibration import with_stiffness
 from nmt_diagnose.evidence.conditions import MeasuredChannel
 from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.twin.local_tables import local_tables
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.model.aft import LocalTables
-from nmt_rig.model.assembly import ElectromechanicalSystem
+from nmt_rig.model.assembly import (
+    ElectromechanicalSystem,
+    acceleration_output,
+    displacement_output,
+    velocity_output,
+)
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements import LinearDamper, LinearSpring, LocalElement
-from nmt_rig.rig import BeamSection, ForceSection, Rig, SensorSection, ShakerSection
-from nmt_rig.rig_model import build_elements, build_exciter_elements, build_structure, build_system
+from nmt_rig.model.shaking_table import driven_by_force
+from nmt_rig.rig import (
+    AnyExciter,
+    BeamSection,
+    ChainSection,
+    ForceSection,
+    Rig,
+    SensorSection,
+    ShakerSection,
+    ShakingTableSection,
+)
+from nmt_rig.rig_model import (
+    build_elements,
+    build_exciter_elements,
+    build_structure,
+    build_system,
+    build_table,
+    input_per_volt,
+)
 
 COVERED = frozenset(
     {
@@ -28,6 +51,11 @@ COVERED = frozenset(
         "quadratic_drag", "linear_spring", "linear_damper", "tanh_friction",
     }
 )  # fmt: skip
+_OUTPUTS = {
+    Quantity.DISPLACEMENT: displacement_output,
+    Quantity.VELOCITY: velocity_output,
+    Quantity.ACCELERATION: acceleration_output,
+}
 # Channel table, one row per channel: see ``channel_table``.
 GAIN, DELAY, LOW_PASS, HIGH_PASS = range(4)
 
@@ -117,9 +145,12 @@ def rig_parts(
     Raises:
         BenchError: the rig has something the twin does not cover.
     """
-    rig = _prepared(rig, settings, seconds, ideal_force)
+    rig = _prepared(rig, settings, seconds, ideal_force, channels)
     bare = rig.model_copy(update={"local_elements": []})
     system = build_system(bare)
+    forced = ideal_force and isinstance(rig.exciter, ShakingTableSection)
+    if forced:
+        system = driven_by_force(system)
     size = system.size
     slip = (1.0 + rig.drift.slip_force_per_s * seconds) * (1.0 + rig.drift.slip_force_per_cycle * cycles)
     slip = max(slip, 1e-6)
@@ -191,7 +222,7 @@ def rig_parts(
     outputs: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = [
         (direction, zero, zero, np.zeros(r + 1)) for direction in directions
     ]
-    volts = 1.0 if isinstance(exciter, ShakerSection) else float(exciter.newton_per_volt)
+    volts = 1.0 if forced else input_per_volt(rig)
     for channel, sensor in zip(channels, sections, strict=True):
         outputs.append(
             _channel_rows(
@@ -218,7 +249,9 @@ def rig_parts(
     )
 
 
-def _prepared(rig: Rig, settings: TwinSettings, seconds: float, ideal_force: bool) -> Rig:
+def _prepared(
+    rig: Rig, settings: TwinSettings, seconds: float, ideal_force: bool, channels: Sequence[MeasuredChannel]
+) -> Rig:
     """Mesh as fine as wanted, stiffness as it is now, ideal force if asked for."""
     update: dict[str, object] = {}
     structure = rig.structure
@@ -232,6 +265,19 @@ def _prepared(rig: Rig, settings: TwinSettings, seconds: float, ideal_force: boo
         update["structure"] = structure.model_copy(update=change)
     if ideal_force and isinstance(rig.exciter, ShakerSection):
         update["exciter"] = ForceSection(kind="force", point=rig.drive_point)
+    if isinstance(rig.exciter, ShakingTableSection):
+        table = build_table(rig, build_structure(rig))
+        assert table is not None
+        dynamic = rig.exciter.bandwidth_hz is not None or rig.exciter.suspension_hz is not None
+        by_voltage = any(channel.quantity == Quantity.VOLTAGE for channel in channels)
+        if dynamic and by_voltage and not ideal_force:
+            raise BenchError(
+                "the diagnosis' model takes the shaking table as ideal: leave bandwidth_hz and suspension_hz out of "
+                "the model, or the voltage out of the recording."
+            )
+        # The effective mass is that of the whole rig: the joints are taken out of it later.
+        ideal = {"bandwidth_hz": None, "suspension_hz": None, "effective_mass_kg": table.effective_mass}
+        update["exciter"] = rig.exciter.model_copy(update=ideal)
     return rig.model_copy(update=update) if update else rig
 
 
@@ -248,13 +294,15 @@ def _scaled_stiffness(rig: Rig, factor: float) -> dict[str, object]:
             if value is not None:
                 change[key] = value * factor
         return change
+    if not isinstance(structure, ChainSection):
+        return with_stiffness(structure, factor)
     change = {"springs_n_m": [value * factor for value in structure.springs_n_m]}
     if structure.ground_springs_n_m is not None:
         change["ground_springs_n_m"] = [value * factor for value in structure.ground_springs_n_m]
     return change
 
 
-def _saturation(exciter: ShakerSection | ForceSection) -> float:
+def _saturation(exciter: AnyExciter) -> float:
     value = exciter.amplifier_saturation_v if isinstance(exciter, ShakerSection) else None
     return math.inf if value is None else float(value)
 
@@ -352,17 +400,19 @@ def _channel_rows(
         row = zero.copy()
         row[system.current] = 1.0
         return row, zero, zero, feed
-    if channel.point not in system.points:
+    if channel.point not in system.point_numbers:
         raise BenchError(
             f"channel {channel.name} sits at point {channel.point}, but the model's structure has points 1 to "
-            f"{max(system.points)}; give the model of this rig."
+            f"{max(system.point_numbers)}; give the model of this rig."
         )
-    row = system.selector(channel.point)
-    if sensor is not None and sensor.transverse is not None:
-        row = row + sensor.transverse.fraction * system.selector(sensor.transverse.point)
-    place = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}.get(quantity)
-    if place is None:
+    output = _OUTPUTS.get(quantity)
+    if output is None:
         raise BenchError(f"channel {channel.name} is of a quantity that no sensor measures.")
-    rows = [zero, zero, zero]
-    rows[place] = row
-    return rows[0], rows[1], rows[2], feed
+    try:
+        motion = output(system, channel.point)
+        if sensor is not None and sensor.transverse is not None:
+            motion = motion.plus(output(system, sensor.transverse.point), sensor.transverse.fraction)
+    except ValueError as error:
+        raise BenchError(f"the diagnosis' model does not cover channel {channel.name}: {error}.") from error
+    feed[-1] += motion.feedthrough
+    return motion.displacement, motion.velocity, motion.acceleration, feed

@@ -343,6 +343,17 @@ class FrequencyResponse:
         position = int(np.flatnonzero(self.responses[0].orders == order)[0])
         return np.array([response.unknowns[position, index] for response in self.responses])
 
+    def at_point(self, point: int, order: int = 1) -> ComplexArray:
+        """(k,) complex amplitudes of the displacement of a point in one harmonic order, m.
+
+        Raises:
+            KeyError: there is no such point.
+        """
+        position = int(np.flatnonzero(self.responses[0].orders == order)[0])
+        unknowns = np.array([response.unknowns[position] for response in self.responses])
+        result: ComplexArray = self.system.problem.system.motion(point, unknowns.T)
+        return result
+
     def force_amplitudes(self, order: int = 1) -> ComplexArray:
         """(k,) complex amplitudes of the drive-point force in one harmonic order, N."""
         position = int(np.flatnonzero(self.responses[0].orders == order)[0])

@@ -172,3 +172,21 @@ def on_table(structure: Structure, system: ElectromechanicalSystem, table: Shaki
         first_order=int(filtered is not None),
         base=BaseMotion(acceleration, position, weights if table.absolute else {}),
     )
+
+
+def driven_by_force(system: ElectromechanicalSystem) -> ElectromechanicalSystem:
+    """A system on an ideal table with the force that stands for the base acceleration as its input, N.
+
+    Raises:
+        ValueError: the system is on no table, or the table has dynamics of its own.
+    """
+    if system.base is None or system.force.feedthrough == 0.0:
+        raise ValueError("only a system on an ideal shaking table can be driven by its equivalent force")
+    per_force = 1.0 / system.force.feedthrough
+    acceleration = system.base.acceleration
+    return replace(
+        system,
+        input_vector=system.input_vector * per_force,
+        force=replace(system.force, feedthrough=1.0),
+        base=replace(system.base, acceleration=replace(acceleration, feedthrough=acceleration.feedthrough * per_force)),
+    )

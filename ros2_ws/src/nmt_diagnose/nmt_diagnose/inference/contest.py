@@ -6,7 +6,7 @@ Everything is judged on the same rows. The model without effect, its own paramet
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -16,7 +16,7 @@ from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate, EffectParameter
-from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.effects.parametrisation import SPREADS, Parametrisation
 from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.evidence.conditions import PhaseResonanceTest
 from nmt_diagnose.inference.fit import Fit, FitError, fit
@@ -30,6 +30,8 @@ _SHAPE_STARTS = (0.5, 1.0, 2.0)
 _INCREDIBLE = 2.0
 # Sensitivities of a first fit of a candidate; those that come near the best are fitted to the end.
 _REFRESHES = 3
+# Prior standard deviations of a strength from which a wider part of its prior is tried.
+_WIDER = 2.5
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
 
 
@@ -257,7 +259,8 @@ class Contest:
     def add(self, base: Contender, score: Score, used: BoolArray | None = None) -> Contender | None:
         """Fit a candidate on top of a contender; None where the model cannot be solved with it."""
         candidate = self.candidates[score.direction.candidate]
-        parametrisation = Parametrisation(self.rig, self.calibration, (*base.candidates, candidate))
+        spreads = tuple(base.fit.parametrisation.spread(index) for index in range(len(base.candidates)))
+        parametrisation = Parametrisation(self.rig, self.calibration, (*base.candidates, candidate), spreads)
         start = np.array(score.direction.start, dtype=np.float64)
         position = _strength(candidate)
         if start[position] == 0.0:
@@ -276,11 +279,34 @@ class Contest:
             result = fit(
                 self.problem, parametrisation, theta, rows, prediction, jacobian, exact=False, refreshes=_REFRESHES
             )
+            result = self._widened(result, rows)
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
             return None  # no rig, or no solution, at the start
         if used is None and np.any(base.fit.used & ~result.used):
             return None  # with rows left out that the others have to explain no evidence compares
         return Contender((*base.candidates, candidate), result, score)
+
+    def _widened(self, found: Fit, rows: BoolArray | None) -> Fit:
+        """The fit with the part of its strengths' prior that makes it most probable.
+
+        Where the prior holds a strength back, the next wider part is tried, which is less probable beforehand.
+        """
+        while True:
+            own = found.parametrisation
+            spreads = tuple(
+                _wider(own.spread(index)) if _held_back(found, index) else own.spread(index)
+                for index in range(len(own.candidates))
+            )
+            if spreads == tuple(own.spread(index) for index in range(len(own.candidates))):
+                return found
+            wider = replace(own, spreads=spreads)
+            trial = fit(
+                self.problem, wider, found.theta, rows, found.prediction, found.jacobian,
+                exact=False, refreshes=_REFRESHES,
+            )  # fmt: skip
+            if trial.log_evidence <= found.log_evidence:
+                return found
+            found = trial
 
     def polished(self, contender: Contender) -> Contender:
         """The same fit with sensitivities at its estimate, for uncertainties that are reported."""
@@ -377,6 +403,18 @@ class Contest:
                     best = max(best, contender.fit.log_evidence)
             heads.update(single.effects)
         return self._settled(result)
+
+
+def _held_back(found: Fit, candidate: int) -> bool:
+    """Whether the prior holds a strength of a candidate back."""
+    own = found.parametrisation.index_of(candidate)
+    share = np.abs(found.theta[own]) / found.parametrisation.prior_std[own]
+    strengths = [p.kind == "strength" for p in found.parametrisation.candidates[candidate].effect.parameters]
+    return bool(np.any(share[strengths] > _WIDER))
+
+
+def _wider(spread: float) -> float:
+    return next((value for value in SPREADS if value > spread), spread)
 
 
 def _incredible(found: Fit) -> bool:

@@ -143,7 +143,9 @@ class _Diagnoser:
         self.given = self.forward.predict(rig)
         nuisances = lock_nuisances(evidence, rig, self.given)
         self.problem = Problem(evidence, self.forward, nuisances)
-        self.candidates = library_candidates(rig, operating_range(rig, evidence.tests), settings.withheld)
+        self.candidates = library_candidates(
+            rig, operating_range(rig, evidence.tests, rows=evidence.rows), settings.withheld
+        )
         self.contest = Contest(
             self.problem,
             rig,

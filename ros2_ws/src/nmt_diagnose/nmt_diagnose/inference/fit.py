@@ -258,6 +258,7 @@ def _finished(
     penalty = float(np.sum((theta / std) ** 2))
     _, log_determinant = np.linalg.slogdet(normal)
     log_evidence = -0.5 * (chi_square + penalty) - 0.5 * float(log_determinant) - float(np.sum(np.log(std)))
+    log_evidence += parametrisation.log_prior
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return Fit(
         parametrisation, theta, covariance, residual, jacobian, rows, prediction, chi_square, penalty, log_evidence,

@@ -17,6 +17,7 @@ from nmt_diagnose.evidence.conditions import BackboneTable, MeasuredChannel, Ran
 from nmt_diagnose.evidence.observables import Evidence, Part, Rows
 from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_evidence
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
@@ -153,3 +154,15 @@ def test_without_any_motion_the_scale_is_a_millimetre_at_the_mode_under_test() -
     found = operating_range(oscillator(), [test])
     assert found.displacement[1] == pytest.approx(1e-3)
     assert found.omega == pytest.approx(OMEGA, rel=1e-9)
+
+
+def test_a_backbone_whose_resonance_doubles_has_a_prediction_at_every_amplitude() -> None:
+    """The linear model stays at its resonance, and the model with the spring follows: no level goes without."""
+    evidence = backbone(1.0)
+    forward = Forward(evidence.tests, evidence.rows)
+    assert np.exp(evidence.values[-1] - evidence.values[0]) > 1.9
+    assert forward.predict(oscillator()).values == pytest.approx(np.full(10, np.log(OMEGA)), abs=1e-4)
+    spring = {"kind": "cubic_spring", "point": 1, "stiffness_n_m3": SHARE * OMEGA**2 / TOP**2}
+    values = {**oscillator().model_dump(), "local_elements": [spring]}
+    truth = validate_rig(RigDocument("test", values, {}))
+    assert forward.predict(truth).values == pytest.approx(evidence.values, abs=4.0 * SCATTER)

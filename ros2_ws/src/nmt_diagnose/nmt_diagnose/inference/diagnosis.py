@@ -71,6 +71,7 @@ class Ranked:
         parameters: fitted parameters.
         closed: share of the held-out gap it closes.
         sigmas: its strength over its standard uncertainty.
+        converged: whether its fit reached the optimum.
     """
 
     effect: str
@@ -81,6 +82,7 @@ class Ranked:
     parameters: dict[str, Value]
     closed: Share
     sigmas: float
+    converged: bool = True
 
 
 @dataclass(frozen=True)
@@ -171,6 +173,7 @@ class Diagnosis:
     residual_tests: tuple[dict[str, Any], ...] = ()
     candidates: tuple[dict[str, Any], ...] = ()
     features: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""

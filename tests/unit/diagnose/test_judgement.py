@@ -236,3 +236,13 @@ def test_the_held_out_score_takes_part_in_the_ranking() -> None:
     named = sum(group.probability for group in plain.classes)
     assert sum(group.probability for group in found.classes) == pytest.approx(named)
     assert sum(found.by_label.values()) == pytest.approx(1.0)
+
+
+def test_what_was_not_compared_on_held_out_data_gains_nothing_by_it() -> None:
+    plain = judged(2.0 * A + 0.6 * B + NOISE)
+    first, *others = [group.head.explanation for group in plain.classes]
+    assert others
+    found = with_held_out(plain, {first: 30.0})
+    before = {group.head.explanation: group.probability for group in plain.classes}
+    after = {group.head.explanation: group.probability for group in found.classes}
+    assert {e: after[e] for e in others} == {e: before[e] for e in others}

@@ -345,18 +345,15 @@ class Contest:
         A strong effect bends the model's own parameters before it is named, often into a valley that no step leads out
         of. From the parameters as given the effect is approached again, with all levels at once and level by level.
         """
-        own = best.parametrisation
+        own, rows = best.parametrisation, best.used
         start = np.where(np.arange(best.theta.size) < len(own.calibration), 0.0, best.theta)
-        attempts = (
-            lambda: fit(self.problem, own, start, best.used),
-            lambda: self._climbed(own, best.used, start),
-        )
-        for attempt in attempts:
+        for climbs in (False, True):
             try:
-                found = self._finished(attempt())
+                near = self._climbed(own, rows, start) if climbs else fit(self.problem, own, start, rows)
+                found = self._finished(near)
             except FitError:
                 continue
-            if np.any(best.used & ~found.used):
+            if np.any(rows & ~found.used):
                 continue  # with rows left out no evidence compares
             if found.log_evidence > best.log_evidence:
                 best = found

@@ -66,7 +66,8 @@ class Fit:
         Standard uncertainties that are reported are multiplied by it (Birge, Phys. Rev. 40 (1932) 207): what a model
         leaves beyond the noise makes its parameters uncertain too.
         """
-        ratio = self.chi_square / max(1, int(self.used.sum()) - self.theta.size)
+        told = float(np.sum(1.0 - (self.std / self.parametrisation.prior_std) ** 2))
+        ratio = self.chi_square / max(1.0, int(self.used.sum()) - told)
         return math.sqrt(ratio) if ratio > _SCATTERED else 1.0
 
     def settled_residual(self, prior_std: FloatArray | None = None) -> FloatArray:

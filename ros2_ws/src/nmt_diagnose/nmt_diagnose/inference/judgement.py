@@ -268,19 +268,27 @@ def with_held_out(judgement: Judgement, worse: Mapping[Explanation, float]) -> J
     """The judgement where explanations are less probable by how much worse they predict data that no fit has seen.
 
     The evidence compares how well models fit; one that is wrong by more than the noise may fit best where it bends most
-    freely, and predicts badly. What is lost goes to the other named explanations.
+    freely, and predicts badly. What is lost goes to the others that were compared.
 
     Args:
         judgement: by evidence and priors.
-        worse: standard deviations by which each predicts worse than the best of them; up to two are chance.
+        worse: standard deviations by which each explanation that was compared predicts worse than the best of them; up
+            to two are chance.
     """
-    penalties = [math.exp(-0.5 * max(worse.get(c.head.explanation, 0.0) - _CHANCE_OF_WORSE, 0.0) ** 2)
-                 for c in judgement.classes]  # fmt: skip
-    before = sum(group.probability for group in judgement.classes)
-    after = sum(group.probability * p for group, p in zip(judgement.classes, penalties, strict=True))
-    if min(penalties, default=1.0) == 1.0 or not after > 0.0:
+    penalties = {
+        group.head.explanation: math.exp(-0.5 * max(worse[group.head.explanation] - _CHANCE_OF_WORSE, 0.0) ** 2)
+        for group in judgement.classes
+        if group.head.explanation in worse
+    }
+    told = [group for group in judgement.classes if group.head.explanation in penalties]
+    before = sum(group.probability for group in told)
+    after = sum(group.probability * penalties[group.head.explanation] for group in told)
+    if min(penalties.values(), default=1.0) == 1.0 or not after > 0.0:
         return judgement
-    factors = [p * before / after for p in penalties]
+    factors = [
+        penalties[g.head.explanation] * before / after if any(g is own for own in told) else 1.0
+        for g in judgement.classes
+    ]
     classes = [replace(c, probability=c.probability * f) for c, f in zip(judgement.classes, factors, strict=True)]
     by_effects = {effects: f for c, f in zip(judgement.classes, factors, strict=True) for effects in c.effects}
     named = {explanation: p * by_effects.get(explanation.effects, 1.0) for explanation, p in judgement.named.items()}

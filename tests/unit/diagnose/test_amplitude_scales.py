@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from unit.diagnose.twin_evidence import evidence_of_twin
 from unit.diagnose.twin_tests import chain
 
 from nmt_core.blocks import Quantity
@@ -120,12 +121,11 @@ def test_amplitudes_in_other_units_change_nothing(plain: Diagnosis, scale: float
 def test_the_scale_of_a_table_and_of_a_decay_is_their_own_amplitude(quantity: Quantity, derivatives: int) -> None:
     channel = MeasuredChannel("y1", quantity, 1)
     amplitudes = np.array([2e-4, 3e-3]) * OMEGA**derivatives
-    rows = backbone(1.0).rows
     for test in (
         BackboneTable("table", 1, channel, amplitudes),
         RingDownTest("decay", 1, channel, amplitudes[::-1], HZ),
     ):
-        found = operating_range(oscillator(), [test], rows=rows)
+        found = operating_range(oscillator(), [test], evidence=backbone(1.0))
         assert found.displacement[1] == pytest.approx(3e-3, rel=1e-9)
         assert found.omega == pytest.approx(OMEGA, rel=1e-9)
         assert found.channels["x1"] == pytest.approx(3e-3, rel=1e-9)
@@ -141,8 +141,10 @@ def test_the_mode_of_a_table_is_the_one_at_its_frequency() -> None:
     channel = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1)
     for frequency in (low, high):
         test = BackboneTable("table", 1, channel, np.array([1e-3]))
-        rows = replace(backbone(1.0).rows.take(np.arange(1)), frequency_hz=np.array([frequency]))
-        found = operating_range(rig, [test], rows=rows)
+        one = backbone(1.0).take(np.arange(1))
+        found = operating_range(
+            rig, [test], evidence=replace(one, rows=replace(one.rows, frequency_hz=np.array([frequency])))
+        )
         assert found.omega == pytest.approx(2.0 * pi * frequency, rel=0.02)
         assert found.displacement[1] == pytest.approx(1e-3, rel=1e-9)
     # Without frequencies: the mode that the rig file says is tested.
@@ -166,3 +168,29 @@ def test_a_backbone_whose_resonance_doubles_has_a_prediction_at_every_amplitude(
     values = {**oscillator().model_dump(), "local_elements": [spring]}
     truth = validate_rig(RigDocument("test", values, {}))
     assert forward.predict(truth).values == pytest.approx(evidence.values, abs=4.0 * SCATTER)
+
+
+def test_motions_that_the_model_is_far_from_are_taken_as_measured() -> None:
+    model = chain()
+    evidence = evidence_of_twin(model, noise=0.0, drives=(0.1, 0.4, 1.6))
+    plain = operating_range(model, evidence.tests)
+    assert operating_range(model, evidence.tests, evidence=evidence) == plain
+    motion = (evidence.rows.part == Part.LOG_MAGNITUDE) & (evidence.rows.channel > 0) & (evidence.rows.test == 0)
+    motion &= evidence.rows.harmonic == 1
+    run = evidence.take(evidence.rows.test == 0)
+    far = replace(run, tests=run.tests[:1], values=run.values + np.log(30.0) * motion[evidence.rows.test == 0])
+    alone = operating_range(model, far.tests)
+    found = operating_range(model, far.tests, evidence=far)
+    assert found.displacement[2] == pytest.approx(30.0 * alone.displacement[2], rel=1e-3)
+    assert found.channels["a2"] == pytest.approx(30.0 * alone.channels["a2"], rel=1e-3)
+    assert found.channels_low["a2"] == pytest.approx(30.0 * alone.channels_low["a2"], rel=1e-3)
+    assert (found.omega, found.voltage) == (alone.omega, alone.voltage)
+    lines = evidence.take(evidence.rows.test == 1)
+    lines = replace(
+        lines, tests=lines.tests[1:], rows=replace(lines.rows, test=np.zeros(len(lines.rows), dtype=np.int64))
+    )
+    alone = operating_range(model, lines.tests)
+    assert operating_range(model, lines.tests, evidence=lines) == alone
+    louder = replace(lines, values=lines.values + np.log(5.0) * (lines.rows.part == Part.LOG_MAGNITUDE))
+    found = operating_range(model, lines.tests, evidence=louder)
+    assert found.displacement[1] == pytest.approx(5.0 * alone.displacement[1], rel=0.02)

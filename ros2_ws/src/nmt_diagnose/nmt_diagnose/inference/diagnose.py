@@ -154,7 +154,7 @@ class _Diagnoser:
         nuisances = lock_nuisances(evidence, rig, self.given)
         self.problem = Problem(evidence, self.forward, nuisances)
         self.candidates = library_candidates(
-            rig, operating_range(rig, evidence.tests, rows=evidence.rows), settings.withheld
+            rig, operating_range(rig, evidence.tests, evidence=evidence), settings.withheld
         )
         self.contest = Contest(
             self.problem,

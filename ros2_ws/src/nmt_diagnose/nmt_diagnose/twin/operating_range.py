@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -19,7 +20,7 @@ from nmt_diagnose.evidence.conditions import (
     RingDownTest,
     Test,
 )
-from nmt_diagnose.evidence.observables import Rows
+from nmt_diagnose.evidence.observables import Evidence, Part, Rows
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin, resting_tangent
 from nmt_diagnose.twin.rig_parts import RigParts
@@ -28,21 +29,25 @@ from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import BeamSection, ChainSection, Rig
 from nmt_rig.rig_model import build_system
 
+# Measured over modelled motion beyond which the model is no measure of it.
+_FAR_OFF = 2.0
+
 
 def operating_range(
-    rig: Rig, tests: Sequence[Test], settings: TwinSettings | None = None, rows: Rows | None = None
+    rig: Rig, tests: Sequence[Test], settings: TwinSettings | None = None, evidence: Evidence | None = None
 ) -> OperatingRange:
     """Largest motion over the tests, by the model as it is.
 
     Phase-resonant tests by their highest and lowest level; a random test or a record by its rms through the system
     linearised at rest; backbones and decays by the amplitudes that they are given over, with the shape of the resting
-    mode. Without any test whose motion is known, 1 mm at the mode under test.
+    mode. Where the evidence shows motions less than half or more than twice as large, they are taken. Without any test
+    whose motion is known, 1 mm at the mode under test.
 
     Args:
         rig: the model.
         tests: the tests.
         settings: of the twin; None = a coarse mesh.
-        rows: observables of the tests; they tell the frequencies of a backbone (None = the mode under test).
+        evidence: what was measured in the tests; it tells the frequencies of a backbone, too. None = the model alone.
 
     Raises:
         BenchError: the rig does not fit the tests.
@@ -63,7 +68,8 @@ def operating_range(
     for number, test in enumerate(tests):
         motions = _motions(rig, test, (*channels, *probes), settings)
         if isinstance(test, BackboneTable | RingDownTest) and test.amplitudes.size:
-            motions = _given(rig, test, (*channels, *probes), settings, _frequency(rig, test, number, rows))
+            motions = _given(rig, test, (*channels, *probes), settings, _frequency(rig, test, number, evidence))
+        motions = _as_measured(motions, (*channels, *probes), test, number, evidence)
         for parts, frequency, drive, amplitudes, unknowns in motions:
             values = {c.name: abs(a) for c, a in zip((*channels, *probes), amplitudes, strict=True)}
             for channel, (gain, *_rest) in zip(channels, parts.channels, strict=False):
@@ -241,13 +247,69 @@ def _resting_response(parts: RigParts, omega: float) -> tuple[np.ndarray, np.nda
     return q, y * parts.channels[:, 0]
 
 
-def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, rows: Rows | None) -> float:
+def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, evidence: Evidence | None) -> float:
     """Frequency of a test's smallest amplitude, Hz."""
     if isinstance(test, RingDownTest):
         return test.start_frequency_hz
-    lowest = int(np.argmin(test.amplitudes))
-    mine = None if rows is None else rows.frequency_hz[(rows.test == number) & (rows.level == lowest)]
-    return float(mine[0]) if mine is not None and mine.size and mine[0] > 0.0 else _mode_under_test(rig)
+    if evidence is not None:
+        rows = evidence.rows
+        mine = rows.frequency_hz[(rows.test == number) & (rows.level == int(np.argmin(test.amplitudes)))]
+        if mine.size and mine[0] > 0.0:
+            return float(mine[0])
+    return _mode_under_test(rig)
+
+
+def _as_measured(
+    motions: list[Found],
+    channels: tuple[MeasuredChannel, ...],
+    test: Test,
+    number: int,
+    evidence: Evidence | None,
+) -> list[Found]:
+    """Motions of a test, scaled to what its own motion channels show where the model is off by more than a factor."""
+    if evidence is None or not motions or isinstance(test, BackboneTable | RingDownTest):
+        return motions
+    names = [channel.name for channel in channels]
+    result: list[Found] = []
+    for parts, omega, drive, amplitudes, unknowns in motions:
+        ratios = [
+            size / abs(amplitudes[names.index(name)])
+            for name, size in _measured_sizes(evidence, test, number, drive).items()
+            if name in names and abs(amplitudes[names.index(name)]) > 0.0
+        ]
+        ratio = float(np.median(ratios)) if ratios else 1.0
+        factor = ratio if ratio > 0.0 and not 1.0 / _FAR_OFF <= ratio <= _FAR_OFF else 1.0
+        result.append((parts, omega, drive, amplitudes * factor, unknowns * factor))
+    return result
+
+
+def _measured_sizes(evidence: Evidence, test: Test, number: int, drive: float) -> dict[str, float]:
+    """Amplitude, or rms, of each motion channel of a test: of a phase-resonant one at the level next to a drive."""
+    rows, values = evidence.rows, evidence.values
+    if isinstance(test, BackboneTable | RingDownTest):
+        return {}
+    sizes: dict[str, float] = {}
+    for index, channel in enumerate(test.channels):
+        if channel.quantity not in (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION):
+            continue
+        mine = (rows.test == number) & (rows.channel == index)
+        if isinstance(test, RecordTest):
+            mine &= rows.part == Part.SAMPLE
+            if mine.any():
+                sizes[channel.name] = float(np.std(values[mine]))
+            continue
+        mine &= (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1)
+        if not mine.any():
+            continue
+        if isinstance(test, PhaseResonanceTest):
+            own = np.flatnonzero(mine)
+            sizes[channel.name] = math.exp(float(values[own[np.argmin(np.abs(rows.amplitude[own] - drive))]]))
+        elif int(mine.sum()) == test.lines_hz.size > 1:
+            magnitude = np.empty(test.lines_hz.size)
+            magnitude[rows.level[mine]] = np.exp(values[mine])
+            weights = np.gradient(test.lines_hz)
+            sizes[channel.name] = test.drive_rms * math.sqrt(float(weights @ magnitude**2 / weights.sum()))
+    return sizes
 
 
 def _resting_frequencies(rig: Rig) -> FloatArray:

@@ -13,7 +13,8 @@ from unit.diagnose.twin_evidence import evidence_of_twin
 from unit.diagnose.twin_tests import chain
 
 from nmt_core.blocks import Quantity
-from nmt_diagnose.effects.library import library
+from nmt_diagnose.effects.library import candidates, library
+from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.evidence.conditions import BackboneTable, MeasuredChannel, RandomTest, RingDownTest
 from nmt_diagnose.evidence.observables import Evidence, Part, Rows
 from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_evidence
@@ -194,3 +195,13 @@ def test_motions_that_the_model_is_far_from_are_taken_as_measured() -> None:
     louder = replace(lines, values=lines.values + np.log(5.0) * (lines.rows.part == Part.LOG_MAGNITUDE))
     found = operating_range(model, lines.tests, evidence=louder)
     assert found.displacement[1] == pytest.approx(5.0 * alone.displacement[1], rel=0.02)
+
+
+def test_wider_parts_of_the_prior_are_as_much_less_probable() -> None:
+    rig = oscillator()
+    found = candidates(rig, operating_range(rig, backbone(1.0).tests))
+    pair = tuple(next(c for c in found if c.effect.name == name) for name in ("cubic_stiffness", "two_sided_gap"))
+    plain, wide = Parametrisation(rig, (), pair), Parametrisation(rig, (), pair, (10.0, 100.0))
+    # Strengths only: the gap is a shape.
+    assert wide.prior_std / plain.prior_std == pytest.approx([10.0, 100.0, 1.0])
+    assert plain.log_prior - wide.log_prior == pytest.approx(np.log(1000.0))

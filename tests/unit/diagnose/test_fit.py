@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -134,3 +136,11 @@ def test_what_is_left_beyond_the_noise_makes_parameters_uncertain():
     assert stated == pytest.approx(spread, rel=0.15)
     # Within chance the stated uncertainties stay as they are.
     assert slope(1.0).scatter == 1.0
+
+
+def test_a_less_probable_part_of_the_prior_costs_its_weight():
+    x = np.linspace(0.0, 1.0, 20)
+    problem = Problem(evidence_of(3.0 * x, 1.0), FunctionModel(lambda t: x * t[0]))
+    plain = Plain.of(1, 2.0)
+    usual, rare = (fit(problem, replace(plain, log_prior=value), np.zeros(1)) for value in (0.0, -2.5))
+    assert usual.log_evidence - rare.log_evidence == pytest.approx(2.5)

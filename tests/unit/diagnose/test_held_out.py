@@ -107,9 +107,9 @@ def test_no_more_than_all_of_a_gap_is_closed_and_the_floor_is_at_most_what_is_le
     assert left.value < 0.7
 
 
-def explained(theta, std, prior):
+def explained(theta, std, prior, name="two_sided_gap"):
     """A gap with a stop that a fit knows so well: stiffness and distance."""
-    effect = effect_named("two_sided_gap")
+    effect = effect_named(name)
     gap = Candidate(effect, Site(Placement.at("structure", 1), {"k": 1.0, "gap": 1.0}, 1))
     known = SimpleNamespace(prior_std=np.array(prior), index_of=lambda _: slice(0, 2))
     fitted = SimpleNamespace(theta=np.array(theta), std=np.array(std), parametrisation=known)
@@ -139,3 +139,39 @@ def test_repeats_are_what_noise_leaves():
     refits = [(Split("all", ~everything, everything), base, {})]
     assert HeldOut(evidence, refits, 0).floor == pytest.approx(3.0, rel=0.1)
     assert HeldOut(evidence, refits, 0, repeated=True).floor == 1.0
+
+
+def test_only_splits_that_tell_the_explanation_count():
+    evidence = evidence_of(np.zeros(400), 1.0, np.repeat(np.arange(20), 20))
+    generator = np.random.default_rng(10)
+    noise, everything = generator.standard_normal(400), np.ones(400, dtype=bool)
+    ones = np.ones(400)
+    base = Contender((), SimpleNamespace(residual=noise + 5.0, predictive_std=ones))
+
+    def split(contender, left):
+        contender.fit.residual, contender.fit.predictive_std = noise + left, ones
+        return Split("some", ~everything, everything), base, {contender.explanation: contender}
+
+    told = explained([10.0, 0.1], [1.0, 0.1], [3.0, 1.0])
+    blind = explained([10.0, 0.1], [1.0, 0.9], [3.0, 1.0])
+    whole = HeldOut(evidence, [split(told, 0.0)], 0).closed(told.explanation)
+    assert whole.value > 0.97
+    both = HeldOut(evidence, [split(told, 0.0), split(blind, 5.0)], 0).closed(told.explanation)
+    assert both.value == pytest.approx(whole.value)
+    assert np.isnan(HeldOut(evidence, [split(blind, 5.0)], 0).closed(blind.explanation).value)
+
+
+def test_explanations_are_compared_by_what_they_predict():
+    evidence = evidence_of(np.zeros(400), 1.0, np.repeat(np.arange(20), 20))
+    noise, everything = np.random.default_rng(11).standard_normal(400), np.ones(400, dtype=bool)
+    ones = np.ones(400)
+    base = Contender((), SimpleNamespace(residual=noise + 5.0, predictive_std=ones))
+    good = explained([10.0, 0.1], [1.0, 0.1], [3.0, 1.0])
+    bad = explained([10.0, 0.1], [1.0, 0.1], [3.0, 1.0], "one_sided_stop")
+    good.fit.residual, bad.fit.residual = noise, noise + 1.0
+    good.fit.predictive_std = bad.fit.predictive_std = ones
+    tops = {good.explanation: good, bad.explanation: bad}
+    found = HeldOut(evidence, [(Split("all", ~everything, everything), base, tops)], 0).worse(list(tops))
+    assert found[good.explanation] == 0.0
+    # Twenty blocks of twenty rows, each worse by 1 ± 2/√20 squared standard deviations a row.
+    assert found[bad.explanation] == pytest.approx(np.sqrt(20.0) * 1.0 / (2.0 / np.sqrt(20.0)), rel=0.4)

@@ -299,7 +299,8 @@ class _Diagnoser:
         given = verdict is Verdict.CALIBRATION
         whole = held.closed(best.explanation, as_given if given else None)
         rows, start, after = held.pooled(null, best, as_given if given else None)
-        judged = held.splits != ()
+        # Without a split that tells the explanation, by the fits themselves.
+        judged = math.isfinite(whole.before)
         return Gap(
             whole.before if judged else rms(null.fit.residual[rows]),
             whole.after if judged else rms(best.fit.residual[rows]),

@@ -90,7 +90,8 @@ class Gap:
     """The gap on held-out data in noise units, and per observable in engineering units too.
 
     Attributes:
-        before: root-mean-square whitened residual of the model with its own parameters re-fitted.
+        before: root-mean-square whitened residual of the model with its own parameters re-fitted; that of the fits
+            themselves where no held-out data tell the explanation, and ``closed`` is NaN.
         after: with the accepted explanation.
         floor: what no model can beat.
         as_given: of the model as it was given.

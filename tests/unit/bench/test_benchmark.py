@@ -12,16 +12,17 @@ from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import load_rig
-from nmt_session.sample_run import record_sample_run
+from nmt_session import Session, plan_test
 
 
-def test_sample_run_measures_what_harmonic_balance_predicts(tmp_path: Path) -> None:
+def test_a_session_measures_what_harmonic_balance_predicts(tmp_path: Path) -> None:
     """Time integration, loop, bag and extraction in a row against the harmonic balance of the same drive."""
     rig = load_rig("beam")
     levels = [0.2, 1.0]
-    sample = record_sample_run(tmp_path / "bag", rig, levels, 30)
-    assert sample.locked == 2
-    points = extract_bag(sample.bag).points
+    with Session(plan_test(rig, levels, window_periods=30), tmp_path) as session:
+        result = session.run()
+    points = extract_bag(tmp_path / "bag").points
+    assert all(a.identical(b) for a, b in zip(points, result.points, strict=True))
     assert [point.status for point in points] == [Status.OK, Status.OK]
     expected = single_point_reference(rig, None, levels).mode
     np.testing.assert_allclose([p.omega_rad_s for p in points], expected.omega_rad_s, rtol=5e-4)

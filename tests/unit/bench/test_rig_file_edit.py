@@ -166,6 +166,33 @@ def test_comments_stay_where_they_lead_and_numbers_as_they_are_spelt(tmp_path: P
     assert result.splitlines() == lines
 
 
+WRAPPED = "exciter: {kind: force,   # by hand\n          point: 1}"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# Before the document.\n---\n" + HAND_WRITTEN,
+        "%YAML 1.2\n---\n" + HAND_WRITTEN + "...\n",
+        HAND_WRITTEN.replace("exciter: {kind: force, point: 1}", WRAPPED),
+        HAND_WRITTEN.replace("name: a", "description: |\n      two\n      lines\n\n# And so on.\nname: a"),
+        HAND_WRITTEN.replace("[+1.0, 1.e0]", "\n      - 1.50   # first\n      - .5\n      # after"),
+    ],
+    ids=["marker", "directive", "wrapped braces", "literal text", "list of lines"],
+)
+def test_lines_that_nothing_changes_stay_to_the_letter(text: str, tmp_path: Path) -> None:
+    rig = load_text(text, tmp_path)
+    target = rig.model_copy(
+        update={
+            "structure": rig.structure.model_copy(update={"loss_factor": 0.25}),
+            "assumptions": [*rig.assumptions, "one more"],
+        }
+    )
+    expected = text.replace("loss_factor: 1e-3", "loss_factor: 0.25")
+    expected = expected.replace("as weighed'\n", "as weighed'\n- one more\n")
+    assert edited_rig_text(text, "a.yaml", target) == expected
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [

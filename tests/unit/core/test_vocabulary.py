@@ -169,6 +169,9 @@ def second_definitions(tree: ast.AST) -> list[str]:
             for one, other in ((keys, values), (values, keys)):
                 if len(one) > 1 and all(type(item) is int for item in one) and other and set(other) <= UNITS:
                     found.append(f"line {node.lineno}: a table of units by number")
+                same_length = len(one) == len(other) > 1
+                if same_length and all((str(b).upper(), a) in WORDS for a, b in zip(one, other, strict=True)):
+                    found.append(f"line {node.lineno}: a table of words by number")
     return found
 
 
@@ -183,6 +186,8 @@ def test_a_second_definition_is_found():
         "from enum import IntEnum\nclass S(IntEnum):\n    LOCKED = 3\n    FIXED = 1",
         'UNITS = {1: "V", 3: "N"}',
         '_CONTROLS = {"V": 1, "m": 2, "N": 3}',
+        'CONTROLS = {1: "voltage", 2: "response", 3: "force"}',
+        'CODES = {"force": 1, "displacement": 2}',
     ):
         assert second_definitions(ast.parse(text)), text
     for text in ("ACCELERATION = 12", "LIMIT_KERNEL = 2", "limit = 2", 'NAMES = {1: "a", 2: "b"}'):
@@ -198,3 +203,17 @@ def test_nobody_else_defines_a_state_flag_kind_or_unit():
         if path.name != "vocabulary.py" and (again := second_definitions(ast.parse(path.read_text(encoding="utf-8"))))
     }
     assert found == {}
+
+
+def test_drive_commands_are_made_from_a_loops_output_in_one_place():
+    """In the product a drive command is made by the codec, by the loop's answer, and by the plant's own benchmark."""
+    makers = set()
+    for path in SOURCES.glob("nmt_*/nmt_*/**/*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("DriveCommand"):
+                makers.add(str(path.relative_to(SOURCES)))
+    assert makers == {
+        "nmt_core/nmt_core/wire.py",
+        "nmt_plant/nmt_plant/benchmark.py",
+        "nmt_pll/nmt_pll/loop_core.py",
+    }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,16 +12,16 @@ import numpy as np
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.records import LevelCommand
 from nmt_core.test_kind import TestKind
-from nmt_core.wire import BlockReader, BlockWriter
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.vocabulary import LoopState
+from nmt_core.wire import LOCK_EVENT, BlockReader, BlockWriter
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.loop import PhaseLockedLoop
+from nmt_pll.loop_core import drive_command, lock_event
 from nmt_pll.random_drive import RandomDrive
 from nmt_pll.settings import settings_from
 from nmt_record.bag_reader import Bag
 from nmt_record.bag_writer import BagWriter
 from nmt_record.bench_topics import SAMPLE_BLOCK, parse_topic
-from nmt_record.message_definitions import local_definitions
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import Rig, load_rig
 
@@ -76,6 +75,7 @@ def record(
     writer = _writer(path, json.dumps(description), rig.model_dump_json())
     codecs: dict[str, BlockWriter] = {}
     device.start()
+    loop_response = Quantity[rig.extraction.quantity.upper()]
     index, end, closed = -1, None, True
     while True:
         blocks = {block.quantity: block for block in device.read()}
@@ -87,18 +87,12 @@ def record(
             if index == len(levels):
                 break
             loop.set_level(_level(kind, index, levels[index], force.end_sample, rig, periods, duration, band_hz))
-        output = loop.process(force, blocks[Quantity[rig.extraction.quantity.upper()]])
-        drive = {}
-        if output.waveform == Waveform.RANDOM:
-            drive = {"band_low_hz": output.band_low_hz, "band_high_hz": output.band_high_hz}
-        if output.amplitude > 0.0 or output.frequency_hz > 0.0:
-            waveform = Waveform.RANDOM if drive else Waveform.SINE
-            frequency = 0.0 if drive else output.frequency_hz
-            device.write(DriveCommand(waveform, frequency, output.amplitude, output.ramp, **drive))
+        output = loop.process(force, blocks[loop_response])
+        device.write(drive_command(output))
         if output.lock is not None:
-            put_lock(writer, kind, output.lock)
+            writer.write("lock", LOCK_EVENT.write(lock_event(output.lock, loop_response, device.sample_rate)))
             end = output.lock.first_sample + output.lock.samples
-        closed = (end is not None and force.end_sample >= end) or output.state == 4
+        closed = (end is not None and force.end_sample >= end) or output.state == LoopState.LOCK_LOST
         assert force.end_sample < 100 * (len(levels) + 1) * device.sample_rate
     writer.close()
     device.close()
@@ -139,27 +133,6 @@ def _writer(path: Path, run_json: str, rig_yaml: str) -> BagWriter:
     return writer
 
 
-def put_lock(writer: BagWriter, kind: TestKind, lock: Any) -> None:
-    """Write the event of a window."""
-    types = local_definitions().typestore.types
-    writer.write_message(
-        "lock",
-        types["nmt_msgs/msg/LockEvent"](
-            stamp=types["builtin_interfaces/msg/Time"](0, 0),
-            level_index=lock.level.index,
-            level=lock.level.amplitude,
-            level_unit="V",
-            sample=lock.sample,
-            frequency_hz=lock.frequency_hz,
-            phase_error=lock.phase_error if math.isfinite(lock.phase_error) else math.nan,
-            window_first_sample=lock.first_sample,
-            window_samples=lock.samples,
-            window_periods=lock.periods,
-            test=int(kind),
-        ),
-    )
-
-
 Change = Callable[[SampleBlock], Iterator[SampleBlock]]
 
 
@@ -182,10 +155,10 @@ def altered(
             for new in [block] if change is None else change(block):
                 writer.write(topic, codec.write(new))
         elif topic == "lock":
-            message = bag.deserialise(topic, raw)
-            kept = message if events is None else events(message)
+            event = LOCK_EVENT.read(raw)
+            kept = event if events is None else events(event)
             if kept is not None:
-                writer.write_message(topic, kept)
+                writer.write(topic, LOCK_EVENT.write(kept))
     writer.close()
     return path
 

@@ -200,7 +200,7 @@ def test_time_going_backwards(clean: Path, tmp_path: Path) -> None:
             yield dataclasses.replace(block, first_sample=block.first_sample - 400)
 
     evidence = read_evidence([altered(clean, tmp_path / "back", change)], RIG)
-    said(evidence, "Level 1", "backwards")
+    said(evidence, "level 1", "repeats samples")
     kept = evidence.tests[0]
     assert isinstance(kept, PhaseResonanceTest)
     assert [level.index for level in kept.levels] == [0, 2, 3]
@@ -216,7 +216,7 @@ def test_a_clock_that_is_set_back_spoils_all_that_follows(clean: Path, tmp_path:
         yield dataclasses.replace(block, first_sample=block.first_sample - 3000) if late else block
 
     evidence = read_evidence([altered(clean, tmp_path / "back", change)], RIG)
-    said(evidence, "Level 2", "backwards")
+    said(evidence, "level 2", "clock", "was set back")
     kept = evidence.tests[0]
     assert isinstance(kept, PhaseResonanceTest)
     assert [level.index for level in kept.levels] == [0, 1]
@@ -235,7 +235,7 @@ def test_a_gap_spoils_its_window_only(clean: Path, tmp_path: Path) -> None:
     kept = evidence.tests[0]
     assert isinstance(kept, PhaseResonanceTest)
     assert [level.index for level in kept.levels] == [0, 1, 2]
-    said(evidence, "Level 3", "missing")
+    said(evidence, "level 3", "missing")
 
 
 def test_a_jump_of_the_phase_spoils_its_window(clean: Path, tmp_path: Path) -> None:
@@ -250,24 +250,43 @@ def test_a_jump_of_the_phase_spoils_its_window(clean: Path, tmp_path: Path) -> N
             block = dataclasses.replace(block, oscillator=moved)
         yield block
 
-    said(read_evidence([altered(clean, tmp_path / "jump", change)], RIG), "Level 0", "phase", "jumps")
+    said(read_evidence([altered(clean, tmp_path / "jump", change)], RIG), "level 0", "phase jumps")
 
 
-def test_a_saturated_converter_is_evidence(clean: Path, tmp_path: Path) -> None:
+def clipped(block: SampleBlock) -> SampleBlock:
+    """Accelerations cut off at ±1 m/s²."""
+    return with_data(block, np.clip(block.data, -1.0, 1.0)) if block.quantity is Quantity.ACCELERATION else block
+
+
+def test_clipping_that_nobody_noticed_is_evidence(clean: Path, tmp_path: Path) -> None:
     whole = read_evidence([clean], RIG)
 
     def change(block: SampleBlock) -> Iterator[SampleBlock]:
-        if block.quantity is Quantity.ACCELERATION:
-            full = 1.0
-            flags = block.flags | (BlockFlag.OVERLOAD if np.abs(block.data).max() >= full else 0)
-            block = dataclasses.replace(block, data=np.clip(block.data, -full, full), flags=flags)
-        yield block
+        yield clipped(block)
 
     evidence = read_evidence([altered(clean, tmp_path / "clip", change)], RIG)
     assert "kept" in said(evidence, "a2", "clipped")
     assert len(evidence.rows) == len(whole.rows)
     thirds = rows_of(evidence, "a2") & (evidence.rows.harmonic == 3) & (evidence.rows.level == len(LEVELS) - 1)
     assert np.hypot(*evidence.values[thirds]) > 3.0 * np.hypot(*whole.values[thirds])
+
+
+def test_a_converter_that_says_so_costs_its_channels(clean: Path, tmp_path: Path) -> None:
+    """The run was extracted from force and displacement, so the window stays; what the acceleration shows does not."""
+    test = read_evidence([clean], RIG).tests[0]
+    assert isinstance(test, PhaseResonanceTest)
+    hit = int(test.levels[2].start_s * RIG.sample_rate_hz) + 1000
+
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        if block.quantity is Quantity.ACCELERATION and block.first_sample <= hit < block.end_sample:
+            block = dataclasses.replace(block, flags=block.flags | BlockFlag.OVERLOAD)
+        yield block
+
+    evidence = read_evidence([altered(clean, tmp_path / "over", change)], RIG)
+    said(evidence, "channel a2 is left out at level 2", "a converter was overloaded")
+    lost = rows_of(evidence, "a2")
+    assert np.unique(evidence.rows.level[lost]).tolist() == [0, 1, 3]
+    assert np.unique(evidence.rows.level).tolist() == [0, 1, 2, 3]
 
 
 def test_three_periods_are_too_few(clean: Path, tmp_path: Path) -> None:
@@ -334,7 +353,7 @@ def test_a_random_test_with_a_gap_uses_the_longer_part(tmp_path: Path) -> None:
             yield block
 
     evidence = read_evidence([altered(whole, tmp_path / "gap", change)], RIG)
-    said(evidence, "longest stretch without gaps")
+    said(evidence, "level 0", "used in part", "of 40000 samples", "Samples 35000 to 35199 of 'force' are missing")
     assert (evidence.rows.part == Part.LOG_MAGNITUDE).any()
 
 

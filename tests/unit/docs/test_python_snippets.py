@@ -19,6 +19,8 @@ from unit.diagnose.evidence_bags import record, rig_with_noise
 from unit.record import foreign_data
 
 from nmt_bench import import_data
+from nmt_bench.cli import main
+from nmt_extract import synthesise
 from nmt_extract.modal_table import read_csv
 from nmt_rig.rig import find_rig
 
@@ -93,6 +95,12 @@ def test_extract_and_synthesise(run: Callable[[str], str]) -> None:
     assert Path("out/extracted/report.html").read_text(encoding="utf-8").endswith("</html>\n")
     printed = run("Synthesis")
     assert "force_n,frequency_hz,solution,modal_amplitude" in printed
+    # The command writes what the function gives.
+    words = ["--backbone", "out/extracted", "--levels", "0.3", "--from", "20", "--to", "24", "--points", "201"]
+    assert main(["synthesis", *words, "--out", "out/synthesis"]) == 0
+    expected = synthesise("out/extracted", forces=[0.3], low_hz=20.0, high_hz=24.0).csv(201)
+    assert Path("out/synthesis/synthesis.csv").read_text(encoding="utf-8") == expected
+    assert "Synthesis from the backbone" in Path("out/synthesis/report.html").read_text(encoding="utf-8")
 
 
 def test_evaluate_a_linear_test(run: Callable[[str], str]) -> None:
@@ -105,6 +113,11 @@ def test_evaluate_a_linear_test(run: Callable[[str], str]) -> None:
     rows = list(csv.DictReader(Path("out/linear/frf.csv").read_text(encoding="utf-8").splitlines()))
     assert float(rows[-1]["frequency_hz"]) > 300.0
     assert "2 modes fitted and scaled" in Path("out/linear/report.html").read_text(encoding="utf-8")
+    # The command writes what the function gives.
+    assert main(["linear", "--bag", "out/linear/bag", "--out", "out/again"]) == 0
+    assert json.loads(Path("out/again/linear.json").read_text(encoding="utf-8")) == values
+    for name in ("frf.csv", "report.html"):
+        assert Path("out/again", name).read_bytes() == Path("out/linear", name).read_bytes()
 
 
 def test_import_and_export(run: Callable[[str], str]) -> None:

@@ -174,6 +174,17 @@ def test_quiet_is_an_emergency_ramp(running):
     assert running.is_quiet
 
 
+def test_quiet_does_not_wait_for_a_slow_ramp(running):
+    running.write(SINE)
+    running.read()
+    running.write(DriveCommand(Waveform.OFF, ramp=3600.0))
+    running.read()
+    running.quiet("operator", 0.04)
+    blocks = [running.read() for _ in range(3)]
+    assert np.all(voltage(blocks[-1]) == 0.0)
+    assert running.is_quiet
+
+
 def test_restart_begins_at_sample_zero_with_the_drive_off(running):
     running.write(SINE)
     running.read()

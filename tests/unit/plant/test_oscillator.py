@@ -60,6 +60,21 @@ def test_off_ramps_down_and_becomes_quiet():
     assert np.all(oscillator.block(200).voltage == 0.0)
 
 
+def test_no_slow_ramp_to_zero_keeps_a_fast_one_waiting():
+    oscillator = Oscillator(RATE)
+    oscillator.apply(sine(25.0, 1.0, harmonics=((3, 0.2 + 0.1j),)))
+    oscillator.block(200)
+    oscillator.apply(DriveCommand(Waveform.OFF, ramp=3600.0))
+    oscillator.block(200)
+    oscillator.ramp_to_zero(0.04)
+    assert not oscillator.is_quiet
+    oscillator.block(200)
+    assert oscillator.amplitude == pytest.approx(0.5, abs=1e-6)
+    oscillator.ramp_to_zero(0.04)  # the same again, as a tripped device asks for it every block
+    oscillator.block(200)
+    assert oscillator.is_quiet
+
+
 def test_harmonics_are_relative_to_the_phase():
     oscillator = Oscillator(RATE)
     oscillator.apply(sine(50.0, 1.0, harmonics=((3, 0.5j),)))

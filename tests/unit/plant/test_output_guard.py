@@ -67,6 +67,19 @@ def test_a_ramp_shorter_than_the_slew_limit_allows_is_lengthened() -> None:
     assert out[-1] == 0.0
 
 
+def test_the_shorter_of_two_ramps_to_zero_counts() -> None:
+    guard = OutputGuard(RATE, 5.0, ramp=0.01)
+    guard.block(np.full(9, 4.0))
+    guard.to_zero(3600.0)
+    assert guard.block(np.zeros(100)).min() > 3.99
+    guard.to_zero()
+    present = guard.last
+    out = guard.block(np.zeros(60))
+    np.testing.assert_allclose(out, 0.5 * present * (1.0 + np.cos(np.pi * np.arange(1, 61) / 100.0)), atol=1e-12)
+    guard.to_zero()
+    assert guard.block(np.zeros(50))[39] == pytest.approx(0.0, abs=1e-12), "the same again does not begin anew"
+
+
 def test_the_preview_is_limited_but_decides_nothing() -> None:
     guard = OutputGuard(RATE, 5.0, ramp=0.01)
     wanted = np.full(11, 3.0)

@@ -34,10 +34,11 @@ class Bench:
         self.stop = self.closed = False
         self.channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._theirs = theirs
-        self.owner = OutputOwner(settings, theirs, self, stop_input, clock=lambda: self.now)
+        self.owner = OutputOwner(settings, theirs, self, stop_input, clock=lambda: self.now, parent=os.getppid())
         self.sequence = 0
 
     def write(self, values: FloatArray) -> None:
+        assert len(self.out) < 20_000, "it does not end"
         self.out.append(values.copy())
         self.now += values.size / RATE
 
@@ -155,6 +156,16 @@ def test_the_end_of_the_feeding_process_ends_the_owner_at_zero(bench: Bench) -> 
     assert bench.owner.reason == "the process that fed the output has ended"
     np.testing.assert_allclose(bench.output[5 * BLOCK :][:200], ramp_from(fed[5 * BLOCK - 1], 200), atol=1e-12)
     assert not bench.output[5 * BLOCK + 200 :].any()
+
+
+def test_the_end_of_the_feeding_process_is_seen_although_its_socket_lives_on(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.wave(6)
+    monkeypatch.setattr(os, "getppid", lambda: 1_000_000)
+    bench.owner.run()
+    assert bench.owner.reason == "the process that fed the output has ended"
+    assert bench.output[-1] == 0.0
 
 
 @pytest.mark.parametrize(

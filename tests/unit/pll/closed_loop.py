@@ -6,13 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from unit.pll.stepped_loop import SteppedLoop
 
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.linear_description import LinearDescription
 from nmt_core.records import LevelCommand
 from nmt_core.vocabulary import LoopState
-from nmt_plant.device import DriveCommand, Waveform
-from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.lock import Transition
 from nmt_pll.loop import LockWindow, LoopOutput, PhaseLockedLoop
 from nmt_pll.settings import LoopSettings
@@ -44,7 +43,7 @@ class LevelOutcome:
         return self.transitions[-1].reason
 
 
-class ClosedLoop:
+class ClosedLoop(SteppedLoop):
     """Rig and loop; blocks pass from one to the other as in lockstep.
 
     Args:
@@ -65,44 +64,10 @@ class ClosedLoop:
     ) -> None:
         rig = load_rig("beam", [f"exciter.point={point}", *overrides])
         self.linear: LinearDescription = linear_description(rig)
-        self.device = SimulatedRig(rig)
-        self.device.configure()
-        self.device.start()
         settings = settings or LoopSettings()
-        self.loop = PhaseLockedLoop(self.linear, settings, self.device.sample_rate, self.device.block_samples)
-        self.response = response
-        self.spoil = spoil
-        self._delay = settings.latency_blocks * self.device.block_samples
+        loop = PhaseLockedLoop(self.linear, settings, rig.sample_rate_hz, rig.block_samples)
+        super().__init__(rig, loop, response, settings.latency_blocks, spoil)
         self.sequence = 0
-        self.commands: list[tuple[int, DriveCommand]] = []
-
-    @property
-    def next_sample(self) -> int:
-        return self.device.next_sample
-
-    def step(self) -> LoopOutput | None:
-        """One block through rig and loop."""
-        blocks = {block.quantity: block for block in self.device.read()}
-        pair = blocks[Quantity.FORCE], blocks[self.response]
-        if self.spoil is not None:
-            spoiled = self.spoil(*pair)
-            if spoiled is None:
-                return None
-            pair = spoiled
-        output = self.loop.process(*pair)
-        self.device.write(self.command(output))
-        return output
-
-    def command(self, output: LoopOutput) -> DriveCommand:
-        running = output.amplitude > 0
-        return DriveCommand(
-            Waveform.SINE if running else Waveform.OFF,
-            output.frequency_hz,
-            output.amplitude,
-            output.ramp,
-            output.last_sample + 1 + self._delay,
-            output.last_sample,
-        )
 
     def order(self, amplitude: float, **fields: object) -> LevelCommand:
         """A level for the next block."""

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from unit.pll.stepped_loop import SteppedLoop
 
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.records import LevelCommand
 from nmt_core.test_kind import TestKind
 from nmt_core.vocabulary import ControlKind, LoopState
-from nmt_plant.device import DriveCommand, Waveform
-from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.settings import LoopSettings
 from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
 from nmt_rig.rig import load_rig
@@ -33,21 +32,18 @@ class Outcome:
         return np.array([getattr(o, name) for o in inside])
 
 
-class SweptRig:
+class SweptRig(SteppedLoop):
     """Joint resonator and a loop; blocks pass from one to the other as in lockstep."""
 
     def __init__(
         self, kind: TestKind = TestKind.SWEEP, overrides: Sequence[str] = (), latency_blocks: int = 0, **settings: float
     ) -> None:
         rig = load_rig("joint_resonator", overrides)
-        self.device = SimulatedRig(rig)
-        self.device.configure()
-        self.device.start()
-        loop = SweepLoop if kind is TestKind.SWEEP else SteppedSineLoop
         values = LoopSettings(latency_blocks=latency_blocks, **settings)
-        self.loop = loop(rig.drive_point, values, self.device.sample_rate, self.device.block_samples)
+        kinds = {TestKind.SWEEP: SweepLoop, TestKind.STEPPED_SINE: SteppedSineLoop}
+        loop = kinds[kind](rig.drive_point, values, rig.sample_rate_hz, rig.block_samples)
+        super().__init__(rig, loop, Quantity.ACCELERATION, latency_blocks)
         self.kind = kind
-        self.delay = latency_blocks * self.device.block_samples
         self.sequence = 0
 
     def order(self, amplitude: float, frequency_hz: float, **fields: object) -> LevelCommand:
@@ -71,23 +67,10 @@ class SweptRig:
         outcome = Outcome()
         end = self.device.next_sample + round(seconds * self.device.sample_rate)
         while self.device.next_sample < end:
-            blocks = {block.quantity: block for block in self.device.read()}
-            output = self.loop.process(blocks[Quantity.FORCE], blocks[Quantity.ACCELERATION])
-            running = output.amplitude > 0.0
-            self.device.write(
-                DriveCommand(
-                    Waveform(output.waveform) if running else Waveform.OFF,
-                    output.frequency_hz,
-                    output.amplitude,
-                    output.ramp,
-                    output.last_sample + 1 + self.delay,
-                    output.last_sample,
-                    rate_hz_s=output.rate_hz_s if running else 0.0,
-                    frequency_end_hz=output.frequency_end_hz if running else 0.0,
-                )
-            )
+            output = self.step()
+            assert output is not None
             outcome.outputs.append(output)
-            outcome.blocks.append(blocks)
+            outcome.blocks.append(self.blocks)
             if output.transition is not None:
                 outcome.reasons.append(output.transition.reason)
             outcome.lock = output.lock or outcome.lock

@@ -23,10 +23,8 @@ def measured_lead(loop: ClosedLoop, blocks: int = 100) -> tuple[float, float]:
     """arg F - arg v from the samples of the next blocks (least squares), and the mean ω."""
     force, response, cycles, omegas = [], [], [], []
     for _ in range(blocks):
-        items = {block.quantity: block for block in loop.device.read()}
-        f, x = items[Quantity.FORCE], items[Quantity.DISPLACEMENT]
-        output = loop.loop.process(f, x)
-        loop.device.write(loop.command(output))
+        loop.step()
+        f, x = loop.blocks[Quantity.FORCE], loop.blocks[Quantity.DISPLACEMENT]
         force.append(f.data[0])
         response.append(x.data[0])
         cycles.append(f.oscillator.cycles + f.oscillator.frequency_hz * np.arange(f.samples) / f.sample_rate)

@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from unit.pll.stepped_loop import SteppedLoop
 
 from nmt_core.blocks import Quantity
 from nmt_core.records import LevelCommand
-from nmt_plant.device import DriveCommand, Waveform
-from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings
 from nmt_rig.linear_description import linear_description
@@ -26,17 +25,15 @@ class History:
     reasons: list[str]
 
 
-class LoopOnRig:
+class LoopOnRig(SteppedLoop):
     """A paper loop on the virtual beam."""
 
     def __init__(self, overrides=(), **settings):
         rig = load_rig("beam", overrides)
         self.rate = rig.sample_rate_hz
         self.linear = linear_description(rig)
-        self.loop = PaperLoop(self.linear, PaperSettings(**settings), rig.sample_rate_hz, rig.block_samples)
-        self.device = SimulatedRig(rig)
-        self.device.configure()
-        self.device.start()
+        loop = PaperLoop(self.linear, PaperSettings(**settings), rig.sample_rate_hz, rig.block_samples)
+        super().__init__(rig, loop, Quantity.DISPLACEMENT)
         self.index = -1
         self.last_blocks: list[dict[Quantity, np.ndarray]] = []
 
@@ -48,24 +45,14 @@ class LoopOnRig:
         )
         rows, locked_at, reasons = [], None, []
         while self.device.next_sample < start + seconds * self.rate:
-            blocks = {block.quantity: block for block in self.device.read()}
-            output = self.loop.process(blocks[Quantity.FORCE], blocks[Quantity.DISPLACEMENT])
-            self.device.write(
-                DriveCommand(
-                    waveform=Waveform.SINE if output.amplitude > 0 else Waveform.OFF,
-                    frequency_hz=output.frequency_hz,
-                    amplitude=output.amplitude,
-                    ramp=output.ramp,
-                    apply_at_sample=output.last_sample + 1,
-                )
-            )
+            output = self.step()
             time = (output.last_sample + 1 - start) / self.rate
             rows.append((time, 2 * math.pi * output.frequency_hz, output.phase_error))
             if output.lock is not None:
                 locked_at = time
             if output.transition is not None:
                 reasons.append(output.transition.reason)
-            self.last_blocks = [*self.last_blocks[-39:], blocks]
+            self.last_blocks = [*self.last_blocks[-39:], self.blocks]
         return History(*np.array(rows).T, locked_at, reasons)
 
     def measured_phase(self):

@@ -3,7 +3,6 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nmt_record.cdr_peek import BlockExtent
 from nmt_record.gap_counter import GapCounter
 
 
@@ -14,7 +13,7 @@ def test_missing_samples_are_those_of_the_dropped_blocks(kept, start):
     for index, keep in enumerate(kept):
         first = start + 20 * index
         if keep:
-            counter.add("force", BlockExtent(first, 20, 1000.0))
+            counter.add("force", first, 20, 1000.0)
             carried |= set(range(first, first + 20))
     expected = max(carried) - min(carried) + 1 - len(carried) if carried else 0
     assert counter.missing_samples == expected
@@ -25,16 +24,16 @@ def test_missing_samples_are_those_of_the_dropped_blocks(kept, start):
 def test_repeats_and_ends():
     counter = GapCounter()
     assert counter.reached(10)  # no topic, nothing to wait for
-    counter.add("force", BlockExtent(0, 20, 1000.0))
-    counter.add("voltage", BlockExtent(0, 10, 1000.0))
+    counter.add("force", 0, 20, 1000.0)
+    counter.add("voltage", 0, 10, 1000.0)
     assert counter.reached(9)
     assert not counter.reached(10)
-    assert counter.add("voltage", BlockExtent(5, 20, 1000.0)) == 0
+    assert counter.add("voltage", 5, 20, 1000.0) == 0
     assert counter.topics["voltage"].repeats == 1
     assert counter.gaps == 0
     assert counter.reached(19)
     assert counter.bench_time() == 0.025
-    assert counter.add("force", BlockExtent(30, 20, 1000.0)) == 10
+    assert counter.add("force", 30, 20, 1000.0) == 10
     assert counter.as_dict()["force"] == {
         "first_sample": 0,
         "end_sample": 50,

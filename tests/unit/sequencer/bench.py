@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
-from nmt_core.records import LevelCommand
+from nmt_core.records import LevelCommand, LoopStatus
 from nmt_core.vocabulary import BlockFlag, LoopState, RunPhase
 from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
 
@@ -20,16 +20,11 @@ RATE = 1000.0
 PACING = Pacing(RATE, BLOCK, tick_blocks=3, quiet_ramp=0.25, settle=0.2)
 
 
-@dataclass(frozen=True)
-class Report:
-    """State of the loop after a block."""
-
-    last_sample: int
-    level_index: int
-    level_sequence: int
-    state: int
-    flags: int = 0
-    reason: str = ""
+def status(
+    last_sample: int, index: int, sequence: int, state: LoopState, flags: int = 0, reason: str = ""
+) -> LoopStatus:
+    """State of the loop after a block; nobody asks for the amplitudes here."""
+    return LoopStatus(last_sample, index, sequence, state, 0.0, 0.0, 0.0, 0.0, "", 0.0, flags, reason)
 
 
 @dataclass(frozen=True)
@@ -54,10 +49,10 @@ class MiniLoop:
     flags: int = 0
     waiting: list[LevelCommand] = field(default_factory=list)
     begun: int = 0
-    newest: Report | None = None
+    newest: LoopStatus | None = None
     late: list[LevelCommand] = field(default_factory=list)
 
-    def on_level(self, order: LevelCommand, produced: int) -> Report | None:
+    def on_level(self, order: LevelCommand, produced: int) -> LoopStatus | None:
         """Take an order; the acknowledgement repeats the newest report."""
         self.sequence = max(self.sequence, order.sequence)
         self.waiting.append(order)
@@ -65,10 +60,10 @@ class MiniLoop:
             self.late.append(order)
         if self.newest is None:
             return None
-        self.newest = replace(self.newest, level_sequence=self.sequence, reason="")
+        self.newest = self.newest._replace(level_sequence=self.sequence, reason="")
         return self.newest
 
-    def block(self, first: int) -> tuple[Report, tuple[int, int, int] | None]:
+    def block(self, first: int) -> tuple[LoopStatus, tuple[int, int, int] | None]:
         """Answer a block; the lock event goes with the block that confirms the lock."""
         end = first + BLOCK
         reason, lock = "", None
@@ -96,7 +91,7 @@ class MiniLoop:
             and age >= fate.limit_after
         ):
             self.flags = BlockFlag.LIMIT
-        self.newest = Report(end - 1, self.index, self.sequence, self.state, self.flags, reason)
+        self.newest = status(end - 1, self.index, self.sequence, self.state, self.flags, reason)
         return self.newest, lock
 
 
@@ -115,7 +110,7 @@ class Bench:
     def __post_init__(self) -> None:
         self.machine = RunMachine(self.pacing)
         self.loop = MiniLoop(self.fates)
-        self.reports: deque[Report] = deque()
+        self.reports: deque[LoopStatus] = deque()
         self.locks: deque[tuple[int, int, int]] = deque()
         self.levels: deque[LevelCommand] = deque()
         self.states: deque[int] = deque()

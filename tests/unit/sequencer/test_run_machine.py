@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from unit.sequencer.bench import BLOCK, PACING, Bench, Fate, Report
+from unit.sequencer.bench import BLOCK, PACING, Bench, Fate, status
 
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import BlockFlag, LoopState, ResultCode, RunPhase
@@ -460,7 +460,7 @@ def test_old_reports_change_nothing():
     bench.until(lambda: in_window(bench))
     machine = bench.machine
     newest, horizon, report = machine.newest, machine.horizon, machine.report
-    machine.on_report(Report(newest - BLOCK, 0, 1, LoopState.LOCK_LOST, BlockFlag.LIMIT))
+    machine.on_report(status(newest - BLOCK, 0, 1, LoopState.LOCK_LOST, BlockFlag.LIMIT))
     assert (machine.newest, machine.horizon, machine.report) == (newest, horizon, report)
     assert machine.take_orders() == []
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_session.sample_run import record_sample_run
+from nmt_session import Session, plan_test
 
 LIMIT_KERNEL = 200.0
 LIMIT_PROCESSES = 40.0
@@ -118,20 +118,23 @@ def bag_figures(seconds: float) -> list[Figure]:
 
     rig = load_rig("beam")
     with tempfile.TemporaryDirectory(prefix="nmt-benchmark-") as folder:
-        record_sample_run(Path(folder) / "warm-up", rig, [0.3], 5)
-        sample = record_sample_run(Path(folder) / "bag", rig, _LEVELS, _window_periods(seconds))
-        bag = Bag.open(sample.bag)
+        with Session(plan_test(rig, [0.3], window_periods=5), extract=False) as session:
+            session.run()  # compiles or loads the kernels
+        plan = plan_test(rig, _LEVELS, window_periods=_window_periods(seconds))
+        with Session(plan, Path(folder), extract=False) as session:
+            session.run()
+        bag = Bag.open(Path(folder) / "bag")
         result = extract_opened_bag(bag)  # compiles or loads the kernels
         topics = [*result.settings.topics, "lock", "frequency"]
         messages = sum(bag.topics.get(topic, ("", 0))[1] for topic in topics)
-        with AnyReader([sample.bag]) as reader:
+        with AnyReader([Path(folder) / "bag"]) as reader:
             bare = messages / _best(lambda: _read_bare(reader, topics))
         ours = messages / _best(lambda: sum(1 for _ in bag.messages(topics)))
         extraction = messages / _best(lambda: extract_opened_bag(bag))
-        writing = _copy_time(bag, Path(folder) / "copy") / sample.messages
+        writing = _copy_time(bag, Path(folder) / "copy") / sum(count for _, count in bag.topics.values())
     block_us = 1e6 * rig.block_samples / rig.sample_rate_hz
-    plant_us = 1e6 * sample.plant_seconds / sample.blocks
-    loop_us = 1e6 * sample.loop_seconds / sample.blocks
+    plant_us = 1e6 * session.spent["plant"] / session.blocks
+    loop_us = 1e6 * session.spent["loop"] / session.blocks
     budget = block_us / LIMIT_ONE_PROCESS
     share = f"a block of {block_us / 1000:.0f} ms at {LIMIT_ONE_PROCESS:.0f} × real time"
     without_ros, ratio = block_us / (plant_us + loop_us), extraction / bare

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 from nmt_diagnose.twin.warm_up import warm_up_twin
 from nmt_extract.offline import extract_bag
 from nmt_plant.simulated_rig import SimulatedRig
@@ -13,16 +10,15 @@ from nmt_pll.paper_settings import PaperSettings
 from nmt_rig.linear_description import linear_description
 from nmt_rig.reference import compute_reference, single_point_reference
 from nmt_rig.rig import load_rig
-from nmt_session.sample_run import record_sample_run
+from nmt_session import Session, plan_test
 
 
 def warm_up() -> None:
     """Use every kernel once: plant, loop, extraction, harmonic balance, the diagnosis' model."""
     rig = load_rig("beam")
-    with tempfile.TemporaryDirectory(prefix="nmt-warm-up-") as folder:
-        bag = Path(folder) / "bag"
-        record_sample_run(bag, rig, [0.6], 6)
-        extract_bag(bag)
+    with Session(plan_test(rig, [0.6], window_periods=6)) as session:
+        session.run()
+        extract_bag(session.out / "bag")
     compute_reference(rig, harmonics=3, points=5)
     single_point_reference(rig, levels=[0.1, 0.6], harmonics=3)
     PaperLoop(linear_description(rig), PaperSettings(), rig.sample_rate_hz, rig.block_samples)

@@ -185,3 +185,17 @@ def _take(raw: bytes, position: int, kind: str) -> tuple[Any, int]:
 
 def _pad(buffer: bytearray, size: int) -> None:
     buffer.extend(bytes(aligned(len(buffer), size) - len(buffer)))
+
+
+def read_stamp(raw: bytes) -> int:
+    """Nanoseconds of a serialised message whose first field is a ``Time`` or a ``Header``.
+
+    Raises:
+        ValueError: not little-endian XCDR1, or too short.
+    """
+    check_encapsulation(raw)
+    try:
+        seconds, nanoseconds = STAMP.unpack_from(raw, BASE)
+    except struct.error as error:
+        raise ValueError("the message is too short for a stamp") from error
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)

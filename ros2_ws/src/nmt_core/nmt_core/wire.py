@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,6 +43,7 @@ __all__ = [
     "MODAL_POINT",
     "RUN_RECORD",
     "RUN_STATE",
+    "BlockHead",
     "BlockReader",
     "BlockWriter",
     "DriveCommand",
@@ -72,6 +73,25 @@ class _BlockLayout:
     values: tuple[Quantity, str, tuple[str, ...], tuple[int, ...]]
 
 
+class BlockHead(NamedTuple):
+    """A block without its samples; fields as in :class:`nmt_core.blocks.SampleBlock`."""
+
+    first_sample: int
+    samples: int
+    sample_rate: float
+    quantity: Quantity
+    unit: str
+    channels: tuple[str, ...]
+    points: tuple[int, ...]
+    oscillator: OscillatorPhase
+    flags: int
+
+    @property
+    def end_sample(self) -> int:
+        """Index of the sample after the last one."""
+        return self.first_sample + self.samples
+
+
 class BlockReader:
     """Reads serialised ``nmt_msgs/SampleBlock``.
 
@@ -88,14 +108,7 @@ class BlockReader:
         Raises:
             ValueError: the bytes are not a whole SampleBlock, or its data does not divide into its channels.
         """
-        layout = self._layout
-        if (
-            layout is None
-            or len(raw) <= layout.tail
-            or raw[12 : layout.index] != layout.head
-            or raw[layout.quantity : layout.data] != layout.middle
-        ):
-            layout = self._layout = self._find_layout(raw)
+        layout = self._layout_of(raw)
         try:
             first_sample, sample_rate = _INDEX.unpack_from(raw, layout.index)
             cycles, frequency, rate, flags = _TAIL.unpack_from(raw, layout.tail)
@@ -114,6 +127,34 @@ class BlockReader:
             OscillatorPhase(cycles, frequency, rate),
             flags,
         )
+
+    def head(self, raw: bytes) -> BlockHead:
+        """All but the samples, which are not touched: for whoever looks at every block of a long recording.
+
+        Raises:
+            ValueError: as :meth:`read`.
+        """
+        layout = self._layout_of(raw)
+        try:
+            first_sample, sample_rate = _INDEX.unpack_from(raw, layout.index)
+            cycles, frequency, rate, flags = _TAIL.unpack_from(raw, layout.tail)
+        except struct.error as error:
+            raise ValueError(f"the message is not a whole SampleBlock: {error}") from error
+        quantity, unit, channels, points = layout.values
+        samples = layout.count // len(channels)
+        phase = OscillatorPhase(cycles, frequency, rate)
+        return BlockHead(first_sample, samples, sample_rate, quantity, unit, channels, points, phase, flags)
+
+    def _layout_of(self, raw: bytes) -> _BlockLayout:
+        layout = self._layout
+        if (
+            layout is None
+            or len(raw) <= layout.tail
+            or raw[12 : layout.index] != layout.head
+            or raw[layout.quantity : layout.data] != layout.middle
+        ):
+            layout = self._layout = self._find_layout(raw)
+        return layout
 
     @staticmethod
     def _find_layout(raw: bytes) -> _BlockLayout:

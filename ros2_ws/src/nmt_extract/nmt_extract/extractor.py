@@ -116,8 +116,8 @@ class Extractor:
             "rejected": self._counts[Status.REJECTED],
             "not_locked": self._counts[Status.NOT_LOCKED],
         }
-        counters.update({f"gaps_{topic}": count for topic, count in self._assembler.gaps.items()})
-        counters.update({f"blocks_{topic}": count for topic, count in self._assembler.blocks.items()})
+        counters.update({f"gaps_{topic}": count for topic, count in self._assembler.table.gaps.items()})
+        counters.update({f"blocks_{topic}": count for topic, count in self._assembler.table.blocks.items()})
         return counters
 
     def _not_locked_point(self, sample: int, level_index: int, reason: str, response_unit: str) -> ModalPoint:

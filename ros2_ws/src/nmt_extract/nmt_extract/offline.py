@@ -120,11 +120,13 @@ def _linear_of(run: dict[str, Any], bag: Any) -> LinearDescription:
 
 
 def _settings_of(run: dict[str, Any], bag: Any) -> ExtractionSettings:
+    from nmt_record.segments import analysed_topics
+
     values = run.get("extraction") or {}
     if not isinstance(values, dict):
         raise BenchError(f"The bag {bag.path} has an 'extraction' entry that is not a mapping in its start record.")
     if "topics" not in values:
-        present = [t for t in ("force", "displacement", "velocity", "acceleration") if _count(bag, t)]
+        present = analysed_topics(bag)
         if "force" in present and len(present) > 1:
             values = {**values, "topics": present}
     return ExtractionSettings.from_mapping(values)

@@ -511,8 +511,10 @@ class GuardedDevice(Device):
 
     @final
     def _quiet(self, reason: str, ramp: float | None) -> None:
+        wanted = self._settings.limit_ramp if ramp is None else ramp
         if not self._reason:
-            self._trip(reason, self.QUIET_FLAG, self._settings.limit_ramp if ramp is None else ramp)
+            self._trip(reason, self.QUIET_FLAG, wanted)
+        self._quiet_ramp = min(self._quiet_ramp, wanted)
         self._oscillator.ramp_to_zero(self._quiet_ramp)
         self._quiet_link(self._quiet_ramp)
 

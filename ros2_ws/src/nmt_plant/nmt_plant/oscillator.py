@@ -60,8 +60,12 @@ class Envelope:
         return float(self.values(1)[0])
 
     def aim(self, target: float, length: int) -> None:
-        """Go to `target` within `length` samples from the present value, unless already on the way there."""
-        if target != self.target:
+        """Go to `target` within `length` samples from the present value, unless already on the way there.
+
+        On the way to zero the shorter of two ramps counts, so that no long one keeps an emergency waiting.
+        """
+        shorter = target == 0.0 and self._length - self._elapsed > length
+        if target != self.target or shorter:
             self._start, self._elapsed, self._length, self.target = self.value, 0, length, target
 
     def largest(self, samples: int) -> float:
@@ -261,7 +265,7 @@ class Oscillator:
         self._harmonic_weight.aim(1.0 if self._harmonics else 0.0, length)
 
     def ramp_to_zero(self, ramp: float) -> None:
-        """Half-cosine to zero within `ramp` seconds; phase and frequency go on."""
+        """Half-cosine to zero within `ramp` seconds, or sooner if it is on its way; phase and frequency go on."""
         length = round(min(ramp, _LONGEST_RAMP) * self.sample_rate)
         self._amplitude.aim(0.0, length)
         self._harmonic_weight.aim(0.0, length)

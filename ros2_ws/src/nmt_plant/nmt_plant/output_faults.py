@@ -26,7 +26,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
 from nmt_plant.loopback_device import LoopbackDevice
 from nmt_plant.output_owner import read_log
 
@@ -39,8 +40,19 @@ _RAMP = 0.1
 DEADLINE_BLOCKS = 3.0
 LEAD_BLOCKS = 2
 
-# From the fault to zero: the deadline counts from the last block, and a chunk passes before it is looked at.
-STATED_TIME = DEADLINE_BLOCKS * _BLOCK / _RATE + _RAMP + 0.02
+_MOST_TRIALS = 20
+
+
+class LateFeederError(RuntimeError):
+    """The feeding process was late, and its output stopped, before the fault was caused: a busy machine."""
+
+
+def stated_time(deadline_blocks: float) -> float:
+    """Longest time from a fault to zero, s: the deadline, the ramp, and 20 ms for chunks and scheduling.
+
+    The deadline counts from the last block fed, which lies before the fault.
+    """
+    return deadline_blocks * _BLOCK / _RATE + _RAMP + 0.02
 
 
 @dataclass(frozen=True)
@@ -141,14 +153,15 @@ def measure(
         seconds: how long the output is watched after it.
 
     Raises:
-        RuntimeError: the feeding process did not come up, or was late before the fault.
+        RuntimeError: the feeding process did not come up.
+        LateFeederError: it was late.
     """
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "output"
         with _feeder(fault, log, lead_blocks, deadline_blocks) as process:
             owner, _, tripped = _line(process).partition(" ")
             if tripped:
-                raise RuntimeError(f"the output was stopped before the fault ({tripped}); is this machine too busy?")
+                raise LateFeederError(f"stopped before the fault: {tripped}")
             if process.stdin is not None:
                 process.stdin.write("now\n")
                 process.stdin.flush()
@@ -162,14 +175,14 @@ def measure(
         calls = read_log(log)
     times = np.concatenate([end - (values.size - 1 - np.arange(values.size)) / _RATE for end, values in calls])
     values = np.concatenate([values for _, values in calls])
-    after = times > at
+    first = max(int(np.argmax(times > at)), 1)
     last = int(np.flatnonzero(values)[-1])
     watched = times[-1] if last == values.size - 1 else times[last + 1]
     return FaultOutcome(
         fault,
         float(watched - at) if last < values.size - 1 else float("inf"),
-        float(np.abs(np.diff(values[after], prepend=values[~after][-1])).max()),
-        float(np.abs(values[~after]).max()),
+        float(np.abs(np.diff(values[first - 1 :])).max()),
+        float(np.abs(values[:first]).max()),
         left,
     )
 
@@ -190,30 +203,44 @@ def _left(owner: int) -> tuple[str, ...]:
     return (f"process {owner}",) if Path(f"/proc/{owner}").exists() else ()
 
 
+def _trials(fault: str, count: int, lead_blocks: int, deadline_blocks: float) -> tuple[list[FaultOutcome], int]:
+    """Outcomes of a fault, and how often the feeding process was late before it."""
+    outcomes: list[FaultOutcome] = []
+    late = 0
+    while len(outcomes) < count and late < _MOST_TRIALS:
+        try:
+            outcomes.append(measure(fault, lead_blocks=lead_blocks, deadline_blocks=deadline_blocks))
+        except LateFeederError:
+            late += 1
+    return outcomes, late
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Print the times to zero of every fault; 1 if one is beyond the stated time or something was left behind."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--repeats", type=int, default=5, metavar="N", help="times each fault is caused (default: 5)")
+    parser.add_argument("--lead", type=int, default=LEAD_BLOCKS, metavar="N", help="blocks that wait at the output")
+    parser.add_argument("--deadline", type=float, default=DEADLINE_BLOCKS, metavar="N", help="blocks until it acts")
     parser.add_argument("--feed", choices=FAULTS, help=argparse.SUPPRESS)
     parser.add_argument("--log", help=argparse.SUPPRESS)
-    parser.add_argument("--lead", type=int, help=argparse.SUPPRESS)
-    parser.add_argument("--deadline", type=float, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.feed:
         feed(options.feed, options.log, options.lead, options.deadline)
         return 0
     missed = False
-    sys.stdout.write(f"time to zero, ms; stated: {1e3 * STATED_TIME:.0f}\n")
+    stated = stated_time(options.deadline)
+    sys.stdout.write(f"time to zero, ms; stated: {1e3 * stated:.0f}\n")
     for fault in FAULTS:
-        outcomes = [measure(fault) for _ in range(options.repeats)]
-        times = 1e3 * np.array([outcome.seconds for outcome in outcomes])
-        step = max(outcome.largest_step for outcome in outcomes)
+        outcomes, late = _trials(fault, options.repeats, options.lead, options.deadline)
+        times = 1e3 * np.array([outcome.seconds for outcome in outcomes] or [np.inf])
+        step = max((outcome.largest_step for outcome in outcomes), default=np.inf)
         left = sorted({name for outcome in outcomes for name in outcome.left})
-        missed = missed or bool(times.max() > 1e3 * STATED_TIME) or bool(left)
+        missed = missed or bool(times.max() > 1e3 * stated) or bool(left)
         sys.stdout.write(
             f"{fault:20s} median {np.median(times):6.1f}  worst {times.max():6.1f}  largest step {step:.4f} V  "
-            f"left behind: {', '.join(left) or 'nothing'}\n"
+            f"left behind: {', '.join(left) or 'nothing'}" + (f"  late before: {late}" if late else "") + "\n"
         )
+        sys.stdout.flush()
     return int(missed)
 
 

@@ -91,15 +91,23 @@ class OutputGuard:
         return abs(self.last) <= self._step
 
     def to_zero(self, ramp: float | None = None) -> None:
-        """Half-cosine to zero from the present value within ``ramp`` s (its own when None), then held until reset."""
-        if not self._held:
-            self._begin(self.last, self._ramp_time if ramp is None else ramp)
+        """Half-cosine to zero from the present value within ``ramp`` s (its own when None), then held until release.
 
-    def _begin(self, start: float, ramp: float) -> None:
+        Where it is on its way already, the shorter of the two ramps counts.
+        """
+        before = self._length - self._elapsed if self._held else None
+        length = self._length_of(self.last, self._ramp_time if ramp is None else ramp)
+        if before is None or length < before:
+            self._begin(self.last, length)
+
+    def _length_of(self, start: float, ramp: float) -> int:
         length = round(min(ramp * self._sample_rate, 1e9))
         # The half-cosine is steepest in its middle: start * pi / (2 length) a sample.
         least = math.ceil(0.5 * math.pi * (abs(start) / self._step))
-        self._start, self._elapsed, self._length, self._held = start, 0, max(length, least, 1), True
+        return max(length, least, 1)
+
+    def _begin(self, start: float, length: int) -> None:
+        self._start, self._elapsed, self._length, self._held = start, 0, length, True
 
     def _descent(self, count: int) -> FloatArray:
         """The ``count`` samples of the ramp after the present one."""
@@ -141,7 +149,7 @@ class OutputGuard:
         for k in range(voltage.size):
             wanted = float(voltage[k])
             if not abs(wanted) <= self._bound:
-                self._begin(present, self._ramp_time)
+                self._begin(present, self._length_of(present, self._ramp_time))
                 result[k:] = self._descent(voltage.size - k)
                 if k < count:
                     self.violation = (k, wanted)

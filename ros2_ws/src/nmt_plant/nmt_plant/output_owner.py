@@ -173,6 +173,7 @@ class OutputOwner:
         converter: what puts the samples out.
         stop_input: descriptor of an external stop line: a byte on it, or its end, stops for good; None = none.
         clock: steady clock, s.
+        parent: process that feeds; its end is seen even where a copy of its socket lives on. None = not watched.
     """
 
     def __init__(
@@ -182,12 +183,14 @@ class OutputOwner:
         converter: Converter,
         stop_input: int | None = None,
         clock: Callable[[], float] = time.monotonic,
+        parent: int | None = None,
     ) -> None:
         self._settings = settings
         self._channel = channel
         self._converter = converter
         self._stop_input = stop_input
         self._clock = clock
+        self._parent = parent
         self._guard = OutputGuard(settings.sample_rate, settings.limit, settings.slew, settings.ramp)
         self._queue: deque[FloatArray] = deque()
         self._queued = 0
@@ -255,11 +258,14 @@ class OutputOwner:
             except OSError:
                 message = b""
             if not message:
-                if not self._ending:
-                    self._ending = True
-                    self._to_zero("the process that fed the output has ended")
+                self._end_with_feeder()
                 return
             self._take(message)
+
+    def _end_with_feeder(self) -> None:
+        if not self._ending:
+            self._ending = True
+            self._to_zero("the process that fed the output has ended")
 
     def _take(self, message: bytes) -> None:
         kind = message[0]
@@ -290,7 +296,9 @@ class OutputOwner:
             self._to_zero("a message that is none was fed")
 
     def _watch(self) -> None:
-        """External stop and deadline."""
+        """External stop, deadline, and whether the process that feeds is still there."""
+        if self._parent is not None and os.getppid() != self._parent:
+            self._end_with_feeder()
         asked = self._converter.stop_requested()
         if self._stop_input is not None and not self._stopped:
             self._stopped = bool(select.select([self._stop_input], [], [], 0.0)[0])
@@ -365,9 +373,8 @@ def main(arguments: list[str] | None = None) -> int:
     descriptor, settings, name, options = given[:4]
     channel = socket.socket(fileno=int(descriptor))
     converter = load_converter(name, json.loads(options))
-    owner = OutputOwner(
-        OwnerSettings(**json.loads(settings)), channel, converter, int(given[4]) if len(given) > 4 else None
-    )
+    stop_input = int(given[4]) if len(given) > 4 else None
+    owner = OutputOwner(OwnerSettings(**json.loads(settings)), channel, converter, stop_input, parent=os.getppid())
     # A terminal's signals reach the feeding side, which ends in order; its end is seen here.
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)

@@ -23,10 +23,9 @@ from nmt_core.errors import BenchError
 from nmt_core.hardened import json_value, read_text, yaml_value
 from nmt_core.records import LockEvent
 from nmt_core.vocabulary import RecordKind
-from nmt_core.wire import LOCK_EVENT, BlockReader
+from nmt_core.wire import LOCK_EVENT, BlockHead, BlockReader
 from nmt_record.bag_writer import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY, BagWriter
 from nmt_record.bench_topics import SAMPLE_BLOCK, bench_name
-from nmt_record.cdr_peek import peek_block
 from nmt_record.mcap_file import Channel, LostStretch, McapFile, check_magic
 from nmt_record.message_definitions import MessageDefinition, typestore_of
 
@@ -192,10 +191,11 @@ class Bag:
         self.require_topics(topic)
         cut = first_sample is not None or stop_sample is not None
         read = BlockReader().read
+        head_of = BlockReader().head
         for _, _, _, raw in self.raw_messages([topic]):
             try:
                 if cut:
-                    extent = peek_block(raw)
+                    extent = head_of(raw)
                     if first_sample is not None and extent.end_sample <= first_sample:
                         continue
                     if stop_sample is not None and extent.first_sample >= stop_sample:
@@ -247,6 +247,7 @@ class Bag:
         names = {name for name, (kind, _) in self.topics.items() if kind == SAMPLE_BLOCK}
         ends: dict[str, int] = {}
         open_spans: list[LostSpan] = []
+        readers = {name: BlockReader() for name in names}
         for part in self._source.parts(names):
             if isinstance(part, LostSpan):
                 # Where the recording of a topic stood; the next block of the topic says where it goes on.
@@ -256,7 +257,7 @@ class Bag:
                 continue
             for topic, _, _, raw in part:
                 try:
-                    extent = peek_block(raw)
+                    extent = readers[topic].head(raw)
                 except ValueError:
                     continue
                 for span in open_spans:
@@ -406,11 +407,12 @@ class Bag:
             return None
         if self._source.lost_bytes:
             lost = f", {self._source.lost_bytes} bytes at its end are lost"
-        last = None
+        last: BlockHead | None = None
         names = [name for name, (kind, _) in self.topics.items() if kind == SAMPLE_BLOCK]
-        for _, _, _, raw in self.raw_messages(names) if names else ():
+        readers = {name: BlockReader() for name in names}
+        for topic, _, _, raw in self.raw_messages(names) if names else ():
             try:
-                extent = peek_block(raw)
+                extent = readers[topic].head(raw)
             except ValueError:
                 continue
             if last is None or extent.end_sample > last.end_sample:

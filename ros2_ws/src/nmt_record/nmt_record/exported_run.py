@@ -20,10 +20,8 @@ from nmt_core.whole_file import write_whole
 from nmt_core.wire import BlockReader, LoopStatus, read_status
 from nmt_record import uff
 from nmt_record.bag_reader import Bag
-from nmt_record.bench_topics import SAMPLE_BLOCK
-from nmt_record.cdr_peek import peek_block
 from nmt_record.frf_table import read_frf_table
-from nmt_record.segments import Segment, Signals, read_signals, segments
+from nmt_record.segments import Segment, Signals, read_signals, sample_topics, segments
 from nmt_record.side_tables import BlockRow, write_block_table, write_loop_table
 
 FORMATS = ("uff", "csv", "npz")
@@ -60,11 +58,12 @@ def recorded_extent(bag: Bag) -> Extent:
     Raises:
         BenchError: the bag has no samples.
     """
-    names = [name for name, (kind, count) in bag.topics.items() if kind == SAMPLE_BLOCK and count]
+    names = sample_topics(bag)
+    readers = {name: BlockReader() for name in names}
     first, stop = None, 0
-    for _, _, _, raw in bag.raw_messages(names) if names else ():
+    for topic, _, _, raw in bag.raw_messages(names) if names else ():
         try:
-            extent = peek_block(raw)
+            extent = readers[topic].head(raw)
         except ValueError:
             continue
         first = extent.first_sample if first is None else min(first, extent.first_sample)
@@ -394,14 +393,14 @@ def _write_csv(path: Path, signals: Signals) -> None:
 
 def _block_rows(bag: Bag, extent: Extent) -> list[BlockRow]:
     """Blocks of the topic whose phase the extraction uses; cut blocks keep the phase of their first sample."""
-    names = [name for name, (kind, count) in bag.topics.items() if kind == SAMPLE_BLOCK and count]
+    names = sample_topics(bag)
     leading = "force" if "force" in names else names[0]
     readers = {name: BlockReader() for name in names}
     rows: dict[int, BlockRow] = {}
     flags: list[tuple[str, int, int, int]] = []
     for topic, _, _, raw in bag.raw_messages(names):
         try:
-            block = readers[topic].read(raw)
+            block = readers[topic].head(raw)
         except ValueError:
             continue
         first, stop = max(block.first_sample, extent.first), min(block.end_sample, extent.stop)

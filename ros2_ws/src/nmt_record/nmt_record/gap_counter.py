@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from nmt_record.cdr_peek import BlockExtent
-
 
 @dataclass(slots=True)
 class Continuity:
@@ -40,21 +38,31 @@ class GapCounter:
 
     topics: dict[str, Continuity] = field(default_factory=dict)
 
-    def add(self, topic: str, extent: BlockExtent) -> int:
-        """Take note of a block; returns the number of samples missing before it."""
+    def add(self, topic: str, first_sample: int, samples: int, sample_rate: float) -> int:
+        """Take note of a block.
+
+        Args:
+            topic: its topic.
+            first_sample: index of its first sample.
+            samples: number of samples.
+            sample_rate: Hz.
+
+        Returns:
+            Number of samples missing before it.
+        """
         state = self.topics.get(topic)
         if state is None:
-            state = Continuity(extent.first_sample, extent.first_sample, extent.sample_rate)
+            state = Continuity(first_sample, first_sample, sample_rate)
             self.topics[topic] = state
-        missing = extent.first_sample - state.next_sample
+        missing = first_sample - state.next_sample
         if missing > 0:
             state.gaps += 1
             state.missing_samples += missing
         elif missing < 0:
             state.repeats += 1
         state.blocks += 1
-        state.next_sample = extent.first_sample + extent.samples
-        state.sample_rate = extent.sample_rate
+        state.next_sample = first_sample + samples
+        state.sample_rate = sample_rate
         return max(missing, 0)
 
     def reached(self, sample: int) -> bool:

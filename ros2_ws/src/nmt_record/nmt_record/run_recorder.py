@@ -8,13 +8,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from nmt_core.cdr import read_stamp
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
 from nmt_core.vocabulary import RunPhase
-from nmt_core.wire import RUN_STATE
+from nmt_core.wire import RUN_STATE, BlockReader
 from nmt_record.bag_writer import COMPRESSIONS, BagWriter
 from nmt_record.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, parse_topic
-from nmt_record.cdr_peek import BlockPeek, peek_stamp
 from nmt_record.gap_counter import GapCounter
 from nmt_record.message_definitions import local_definitions
 
@@ -114,11 +114,12 @@ class RunRecorder:
     def _callback(self, topic: BenchTopic) -> Callable[[bytes], None]:
         name = topic.name
         if topic.message_type == SAMPLE_BLOCK:
-            extent = BlockPeek().extent
+            head_of = BlockReader().head
 
             def on_block(raw: bytes) -> None:
                 try:
-                    self.gaps.add(name, extent(raw))
+                    head = head_of(raw)
+                    self.gaps.add(name, head.first_sample, head.samples, head.sample_rate)
                 except ValueError:
                     self.malformed += 1
                 self._write(name, True, raw)
@@ -149,7 +150,7 @@ class RunRecorder:
         stamp = None
         if stamped:
             try:
-                stamp = max(peek_stamp(raw), 0)
+                stamp = max(read_stamp(raw), 0)
             except ValueError:
                 self.malformed += 1
         self.writer.write(topic, raw, None, stamp)

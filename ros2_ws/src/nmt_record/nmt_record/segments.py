@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.blocks import FloatArray, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.vocabulary import LoopState, TestKind
-from nmt_core.wire import BlockReader, read_status
+from nmt_core.records import LockEvent
+from nmt_core.vocabulary import TestKind
+from nmt_core.wire import LOCK_EVENT, BlockHead, BlockReader, read_status
 from nmt_record.bag_reader import Bag
 from nmt_record.bench_topics import SAMPLE_BLOCK
-from nmt_record.cdr_peek import peek_block
+from nmt_record.sample_table import SampleTable, window_findings
+from nmt_record.topic_blocks import BlockRecord, ExcitationPhase, TopicStretch, phase_reference
+from nmt_record.window_policy import MINIMUM_PERIODS, Fault, Finding, NamedWindow, Verdict
+
+_ANALYSED = ("force", "displacement", "velocity", "acceleration")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +36,11 @@ class Segment:
         samples: number of samples.
         periods: whole excitation periods in it; 0 = not so many.
         frequency_hz: Hz at the lock; SWEEP: at the first sample; RANDOM: 0.
-        fault: why the window is not as planned (lock lost, recording ended); empty if it is.
+        fault: why the window is not as planned, a sentence without its full stop; empty if it is. The extraction
+            rejects it for the same reason.
+        usable_first_sample: first sample that can be used all the same (a sweep that was given up, random excitation
+            with a gap); ``first_sample`` without a fault.
+        usable_samples: how many can be used; 0 = none, ``samples`` without a fault.
     """
 
     kind: TestKind
@@ -41,7 +51,9 @@ class Segment:
     samples: int
     periods: int
     frequency_hz: float
-    fault: str = ""
+    fault: str
+    usable_first_sample: int
+    usable_samples: int
 
     @property
     def end_sample(self) -> int:
@@ -64,6 +76,9 @@ class Signals:
             if it is not known or nothing oscillates (random excitation).
         gaps: (topic, first sample, samples) of what is missing.
         flags: flags of all the blocks together; as in ``nmt_msgs/SampleBlock``.
+        findings: what is wrong with the blocks, topic by topic.
+        topics: name -> topic of the channel.
+        cycles_before: excitation periods from the start of the bag to the middle of the stretch; NaN if not known.
     """
 
     sample_rate: float
@@ -75,6 +90,9 @@ class Signals:
     oscillator: FloatArray | None
     gaps: tuple[tuple[str, int, int], ...]
     flags: int = 0
+    findings: tuple[Finding, ...] = ()
+    topics: dict[str, str] = field(default_factory=dict)
+    cycles_before: float = math.nan
 
     @property
     def samples(self) -> int:
@@ -90,6 +108,28 @@ class Signals:
         ]
 
 
+def sample_topics(bag: Bag) -> list[str]:
+    """Topics of a bag that hold blocks of samples."""
+    return [name for name, (kind, count) in bag.topics.items() if kind == SAMPLE_BLOCK and count]
+
+
+def analysed_topics(bag: Bag) -> tuple[str, ...]:
+    """Topics with blocks that a window is extracted from unless the run says otherwise: force and motions."""
+    present = sample_topics(bag)
+    return tuple(topic for topic in _ANALYSED if topic in present)
+
+
+def needed_topics(bag: Bag) -> tuple[str, ...]:
+    """Topics that a window of a bag needs whole: those that the run's extraction names and the bag has.
+
+    Faults of other topics cost their channels, not the window.
+    """
+    present = sample_topics(bag)
+    named = _extraction(bag).get("topics")
+    chosen = [topic for topic in named if topic in present] if isinstance(named, list | tuple) else []
+    return tuple(chosen) or analysed_topics(bag) or tuple(present)
+
+
 def segments(bag: Bag) -> list[Segment]:
     """Windows of a recorded run, in the order of their lock events.
 
@@ -98,25 +138,34 @@ def segments(bag: Bag) -> list[Segment]:
     Raises:
         BenchError: the bag is damaged.
     """
-    found = []
-    for event in bag.lock_events():
-        found.append(
-            Segment(
-                kind=event.test,
-                level_index=event.level_index,
-                level=event.level,
-                level_unit=event.level_unit,
-                first_sample=event.window_first_sample,
-                samples=event.window_samples,
-                periods=event.window_periods,
-                frequency_hz=event.frequency_hz,
-            )
-        )
-    if not found:
-        return found
-    losses = _lost_locks(bag)
-    end = _recorded_end(bag)
-    return [_with_fault(segment, losses, end) for segment in found]
+    events: list[LockEvent] = []
+    topics = needed_topics(bag)
+    table = SampleTable(
+        topics,
+        require_loop_state=bag.topics.get("frequency", ("", 0))[1] > 0,
+        minimum_periods=_minimum_periods(bag),
+        one_acquisition=True,
+    )
+    readers = {topic: BlockReader() for topic in topics}
+    wanted = [topic for topic in (*topics, "frequency", "lock") if topic in bag.topics]
+    for topic, _, _, raw in bag.raw_messages(wanted) if "lock" in bag.topics else ():
+        if topic == "lock":
+            event = _lock_event(bag, raw)
+            table.add_window(len(events), _window(event))
+            events.append(event)
+            continue
+        try:
+            if topic == "frequency":
+                status = read_status(raw)
+                table.add_state(status.last_sample, status.state, status.reason)
+            else:
+                head = readers[topic].head(raw)
+                table.add_record(topic, head.first_sample, head.samples, head)
+        except ValueError:
+            continue  # the window it belongs to will be found to have a gap
+    table.finish()
+    verdicts = {cut.key: cut.verdict for cut in table.take()}
+    return [_segment(event, verdicts[number]) for number, event in enumerate(events)]
 
 
 def read_signals(bag: Bag, first_sample: int, samples: int) -> Signals:
@@ -133,151 +182,168 @@ def read_signals(bag: Bag, first_sample: int, samples: int) -> Signals:
     """
     if samples < 1:
         raise BenchError(f"A stretch of samples needs at least one, got {samples}.")
-    topics: dict[str, _Topic] = {}
-    for topic, block in _blocks(bag, first_sample, first_sample + samples):
-        if topic not in topics:
-            topics[topic] = _Topic(topic, block, first_sample, samples)
-        topics[topic].add(block)
-    if not topics:
+    (signals,) = read_stretches(bag, [(first_sample, samples)])
+    if signals is None:
         raise BenchError(
             f"The bag {bag.path} has no samples from {first_sample} to {first_sample + samples - 1}; "
             "choose a stretch that was recorded."
         )
-    parts = [topics[name] for name in bag.topics if name in topics]
-    rate = parts[0].sample_rate
-    for part in parts:
-        if part.sample_rate != rate:
+    for finding in signals.findings:
+        if finding.fault in (Fault.CHANNELS, Fault.RATE):
             raise BenchError(
-                f"In the bag {bag.path} '{part.topic}' was sampled at {part.sample_rate:g} Hz and "
-                f"'{parts[0].topic}' at {rate:g} Hz; signals of one rate are needed."
+                f"In the bag {bag.path} the samples {first_sample} to {first_sample + samples - 1} do not belong "
+                f"together: {finding.reason.rstrip('.')}; choose a stretch of one kind of channels and one rate."
             )
-    channels: dict[str, FloatArray] = {}
-    units: dict[str, str] = {}
-    points: dict[str, int] = {}
-    quantities: dict[str, Quantity] = {}
-    flags = 0
-    for part in parts:
-        flags |= part.flags
-        for row, own in enumerate(part.names):
-            name = f"{part.topic}/{own}" if own in channels else own
-            channels[name] = part.data[row]
-            units[name] = part.unit
-            points[name] = part.points[row]
-            quantities[name] = part.quantity
-    reference = topics.get("force", parts[0])
-    gaps = tuple(gap for part in parts for gap in part.gaps())
-    return Signals(rate, first_sample, channels, units, points, quantities, reference.cycles(), gaps, flags)
+    return signals
 
 
-class _Topic:
-    """The samples of one topic, filled block by block."""
+def read_stretches(bag: Bag, stretches: Sequence[tuple[int, int]]) -> list[Signals | None]:
+    """All channels of a bag over several stretches of samples, in one pass.
 
-    def __init__(self, topic: str, block: SampleBlock, first_sample: int, samples: int) -> None:
-        self.topic = topic
-        self.names, self.points = block.channels, block.points
-        self.quantity, self.unit, self.sample_rate = block.quantity, block.unit, block.sample_rate
-        self.first, self.size = first_sample, samples
-        self.data: FloatArray = np.full((len(block.channels), samples), math.nan)
-        self.flags = 0
-        self._spans: list[tuple[int, int]] = []
-        self._phases: list[tuple[int, int, OscillatorPhase]] = []
+    Args:
+        bag: an opened bag.
+        stretches: first sample and number of samples of each.
 
-    def add(self, block: SampleBlock) -> None:
-        if (block.channels, block.points, block.unit, block.sample_rate) != (
-            self.names,
-            self.points,
-            self.unit,
-            self.sample_rate,
-        ):
-            raise BenchError(
-                f"The channels of topic '{self.topic}' change at sample {block.first_sample}; choose a stretch "
-                "before or after it."
-            )
-        start = block.first_sample - self.first
-        low, high = max(0, start), min(self.size, start + block.samples)
-        self.data[:, low:high] = block.data[:, low - start : high - start]
-        self.flags |= block.flags
-        self._spans.append((low, high))
-        self._phases.append((start, block.samples, block.oscillator))
+    Returns:
+        One for each stretch, with what is wrong with it; None where the bag holds no sample of it.
 
-    def gaps(self) -> Iterator[tuple[str, int, int]]:
-        position = 0
-        for low, high in [*sorted(self._spans), (self.size, self.size)]:
-            if low > position:
-                yield self.topic, self.first + position, low - position
-            position = max(position, high)
-
-    def cycles(self) -> FloatArray | None:
-        """Unwrapped phase at each sample, cycles; NaN in gaps."""
-        phases = sorted(self._phases, key=lambda item: item[0])
-        if any(math.isnan(phase.cycles) or math.isnan(phase.frequency_hz) for _, _, phase in phases):
-            return None
-        if all(phase.frequency_hz == 0.0 for _, _, phase in phases):
-            return None
-        result = np.full(self.size, math.nan)
-        end, reached = phases[0][0], phases[0][2].cycles
-        frequency = phases[0][2].frequency_hz
-        for start, samples, phase in phases:
-            # Across a gap the last frequency is the best guess of the whole turns in between.
-            expected = reached + frequency * (start - end) / self.sample_rate
-            turns = round(expected - phase.cycles)
-            low, high = max(0, start), min(self.size, start + samples)
-            time = np.arange(low - start, high - start) / self.sample_rate
-            advance = time * (phase.frequency_hz + 0.5 * phase.rate_hz_s * time)
-            result[low:high] = phase.cycles + turns + advance
-            length = samples / self.sample_rate
-            end = start + samples
-            reached = phase.cycles + turns + length * (phase.frequency_hz + 0.5 * phase.rate_hz_s * length)
-            frequency = phase.frequency_hz + phase.rate_hz_s * length
-        result -= math.floor(result[np.isfinite(result)][0])
-        return result
-
-
-def _blocks(bag: Bag, first: int, stop: int) -> Iterator[tuple[str, SampleBlock]]:
-    """Topic and block of everything that overlaps the samples first..stop - 1."""
-    names = [name for name, (kind, _) in bag.topics.items() if kind == SAMPLE_BLOCK]
+    Raises:
+        BenchError: the bag is damaged.
+    """
+    names = sample_topics(bag)
     readers = {name: BlockReader() for name in names}
+    clock_topic = "force" if "force" in names else names[0] if names else ""
+    collectors = [_Collector(first, samples) for first, samples in stretches]
+    clock = _Clock()
     for topic, _, _, raw in bag.raw_messages(names) if names else ():
         try:
-            extent = peek_block(raw)
-            if extent.end_sample > first and extent.first_sample < stop:
-                yield topic, readers[topic].read(raw)
-        except ValueError as error:
-            raise BenchError(f"A block of topic '{topic}' in the bag {bag.path} cannot be used: {error}.") from error
-
-
-def _recorded_end(bag: Bag) -> int:
-    """Index of the sample after the last one that all sample topics have."""
-    ends: dict[str, int] = {}
-    names = [name for name, (kind, count) in bag.topics.items() if kind == SAMPLE_BLOCK and count]
-    for topic, _, _, raw in bag.raw_messages(names) if names else ():
-        try:
-            ends[topic] = max(ends.get(topic, 0), peek_block(raw).end_sample)
+            head = readers[topic].head(raw)
+            wanted = [collector for collector in collectors if collector.wants(topic, head)]
+            block = readers[topic].read(raw) if wanted else None
         except ValueError:
-            continue
-    return min(ends.values(), default=0)
+            continue  # its samples will be found to be missing
+        if topic == clock_topic:
+            clock.add(head)
+        for collector in wanted:
+            collector.add(topic, block)
+    return [collector.signals(names, clock) for collector in collectors]
 
 
-def _lost_locks(bag: Bag) -> list[tuple[int, int, str]]:
-    """Level index, sample and reason of every lost lock."""
-    losses = []
-    state = 0
-    for _, _, _, raw in bag.raw_messages(["frequency"]) if "frequency" in bag.topics else ():
-        try:
-            status = read_status(raw)
-        except ValueError:
-            continue
-        if status.state == LoopState.LOCK_LOST and state != LoopState.LOCK_LOST:
-            losses.append((status.level_index, status.last_sample, status.reason))
-        state = status.state
-    return losses
+class _Collector:
+    """Gathers the blocks of one stretch."""
+
+    def __init__(self, first: int, samples: int) -> None:
+        self.first, self.samples, self.end = first, samples, first + samples
+        self._records: dict[str, list[BlockRecord]] = {}
+        self._reached: dict[str, int] = {}
+
+    def wants(self, topic: str, head: BlockHead) -> bool:
+        """Whether the next block of a topic belongs to the stretch: until the topic has reached its end."""
+        reached = self._reached.get(topic, head.first_sample)
+        return head.end_sample > self.first and head.first_sample < self.end and reached < self.end
+
+    def add(self, topic: str, block: SampleBlock | None) -> None:
+        assert block is not None
+        self._records.setdefault(topic, []).append(BlockRecord(block.first_sample, block.end_sample, block))
+        self._reached[topic] = max(self._reached.get(topic, 0), block.end_sample)
+
+    def signals(self, names: Sequence[str], clock: _Clock) -> Signals | None:
+        """The samples, in the order of ``names``; the blocks are given up."""
+        if self.samples < 1:
+            return None
+        channels: dict[str, FloatArray] = {}
+        units: dict[str, str] = {}
+        points: dict[str, int] = {}
+        quantities: dict[str, Quantity] = {}
+        topics: dict[str, str] = {}
+        chosen = [
+            TopicStretch.of(name, self.first, self.samples, self._records.pop(name))
+            for name in names
+            if name in self._records
+        ]
+        parts = [part for part in chosen if part.blocks]
+        if not parts:
+            return None
+        flags = 0
+        for part in parts:
+            flags |= part.flags
+            head = part.blocks[0]
+            data = np.full((len(head.channels), self.samples), math.nan)
+            part.copy_data(data)
+            for row, own in enumerate(head.channels):
+                name = f"{part.topic}/{own}" if own in channels else own
+                channels[name] = data[row]
+                units[name], points[name] = head.unit, head.points[row]
+                quantities[name], topics[name] = head.quantity, part.topic
+        reference = phase_reference(parts)
+        phase = ExcitationPhase(reference)
+        cycles = None
+        if phase.known and not phase.silent:
+            cycles = phase.cycles()
+            cycles -= math.floor(cycles[np.isfinite(cycles)][0])
+        findings = tuple(window_findings(chosen))
+        gaps = tuple(
+            (finding.topic, finding.sample, finding.end - finding.sample)
+            for finding in findings
+            if finding.fault is Fault.MISSING and finding.end is not None
+        )
+        return Signals(
+            reference.sample_rate, self.first, channels, units, points, quantities, cycles, gaps, flags,
+            findings, topics, clock.at(0.5 * (self.first + self.end)),
+        )  # fmt: skip
 
 
-def _with_fault(segment: Segment, losses: list[tuple[int, int, str]], end: int) -> Segment:
-    fault = ""
-    for level, sample, reason in losses:
-        if level == segment.level_index and segment.first_sample <= sample < segment.end_sample:
-            fault = f"given up at sample {sample}: {reason.rstrip('.')}"
-    if not fault and end < segment.end_sample:
-        fault = f"the recording ends at sample {end}, before the window does"
-    return replace(segment, fault=fault)
+class _Clock:
+    """Excitation periods since the start of the bag."""
+
+    def __init__(self) -> None:
+        self._sample = [0]
+        self._cycles = [0.0]
+
+    def add(self, head: BlockHead) -> None:
+        frequency = head.oscillator.frequency_hz
+        turns = frequency * head.samples / head.sample_rate if frequency > 0.0 and head.sample_rate > 0.0 else 0.0
+        self._sample.append(head.end_sample)
+        self._cycles.append(self._cycles[-1] + (math.nan if math.isnan(frequency) else turns))
+
+    def at(self, sample: float) -> float:
+        return float(np.interp(sample, self._sample, self._cycles))
+
+
+def _extraction(bag: Bag) -> dict[str, Any]:
+    extraction = (bag.run_start or {}).get("extraction")
+    return extraction if isinstance(extraction, dict) else {}
+
+
+def _minimum_periods(bag: Bag) -> int:
+    value = _extraction(bag).get("minimum_periods")
+    return value if isinstance(value, int) and not isinstance(value, bool) else MINIMUM_PERIODS
+
+
+def _lock_event(bag: Bag, raw: bytes) -> LockEvent:
+    try:
+        return LOCK_EVENT.read(raw)
+    except ValueError as error:
+        raise BenchError(f"A lock event in the bag {bag.path} cannot be read: {error}.") from error
+
+
+def _window(event: LockEvent) -> NamedWindow:
+    return NamedWindow(
+        event.window_first_sample, event.window_samples, event.window_periods, event.sample, TestKind.of(event.test)
+    )
+
+
+def _segment(event: LockEvent, verdict: Verdict) -> Segment:
+    return Segment(
+        kind=TestKind.of(event.test),
+        level_index=event.level_index,
+        level=event.level,
+        level_unit=event.level_unit,
+        first_sample=event.window_first_sample,
+        samples=event.window_samples,
+        periods=event.window_periods,
+        frequency_hz=event.frequency_hz,
+        fault=verdict.reason.rstrip("."),
+        usable_first_sample=verdict.first_sample,
+        usable_samples=verdict.samples,
+    )

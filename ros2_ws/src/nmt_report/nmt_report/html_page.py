@@ -80,8 +80,9 @@ def part(name: str, *values: Any) -> Markup:
 
 @cache
 def _environment() -> Environment:
+    loader = PackageLoader("nmt_report", "templates")
     environment = Environment(
-        loader=PackageLoader("nmt_report", "templates"),
+        loader=loader,
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -89,11 +90,5 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     # Style and script are no templates: their braces are their own.
-    environment.globals["source"] = lambda name: Markup(_source(environment, name))
+    environment.globals["source"] = lambda name: Markup(loader.get_source(environment, name)[0])
     return environment
-
-
-def _source(environment: Environment, name: str) -> str:
-    if environment.loader is None:
-        raise RuntimeError("The environment of the pages has no loader.")
-    return environment.loader.get_source(environment, name)[0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -105,11 +104,12 @@ def responses_of_bag(bag: Bag, points: int = 400) -> tuple[list[FrequencyRespons
         if segment.kind is TestKind.STEPPED_SINE:
             steps.setdefault(segment.level, []).append(segment)
             continue
-        usable = _usable_samples(segment, remarks)
-        if not usable:
+        if segment.fault:
+            remarks.append(f"The sweep at {segment.level:g} {segment.level_unit} is not complete: {segment.fault}.")
+        if not segment.usable_samples:
             continue
         try:
-            signals = read_signals(bag, segment.first_sample, usable)
+            signals = read_signals(bag, segment.usable_first_sample, segment.usable_samples)
             table = sweep_table(signals, segment.level, segment.level_unit, points)
             tables.append(_until_given_up(table) if segment.fault else table)
         except BenchError as error:
@@ -125,15 +125,6 @@ def responses_of_bag(bag: Bag, points: int = 400) -> tuple[list[FrequencyRespons
         if measured:
             tables.append(stepped_table(measured, level, windows[0].level_unit))
     return tables, remarks
-
-
-def _usable_samples(segment: Segment, remarks: list[str]) -> int:
-    """Samples of a sweep that may be used: all, or those before it was given up."""
-    if not segment.fault:
-        return segment.samples
-    remarks.append(f"The sweep at {segment.level:g} {segment.level_unit} is not complete: {segment.fault}.")
-    named = re.search(r"\bat sample (\d+)", segment.fault)  # both faults name the sample up to which all is well
-    return max(0, int(named[1]) - segment.first_sample) if named else 0
 
 
 def _until_given_up(table: FrequencyResponseTable) -> FrequencyResponseTable:

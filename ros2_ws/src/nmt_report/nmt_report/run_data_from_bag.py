@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from nmt_core.blocks import SampleBlock
+from nmt_core.blocks import FloatArray, SampleBlock
 from nmt_core.linear_description import LinearDescription
 from nmt_report.run_data import (
     Envelope,
@@ -26,6 +26,7 @@ from nmt_report.run_data import (
 if TYPE_CHECKING:
     from nmt_extract.modal_point import ModalPoint
     from nmt_record.bag_reader import Bag
+    from nmt_record.segments import Signals
 
 STRETCHES = 1200
 EXCERPT_PERIODS = 3.0
@@ -95,19 +96,16 @@ def report_data_from_bag(
 
 
 class _Signal:
-    """One channel on its way through the bag: envelope over stretches of blocks, samples of the excerpts."""
+    """One channel on its way through the bag: its envelope over stretches of blocks."""
 
-    def __init__(self, symbol: str, point: int, blocks: int, shortest: float, spans: Sequence[tuple[int, int]]) -> None:
-        self._symbol = symbol
+    def __init__(self, topic: str, point: int, blocks: int, shortest: float) -> None:
+        self._topic, self._symbol = topic, _SYMBOLS[topic]
         self._point = point
         self._blocks_per_stretch = max(1, math.ceil(blocks / STRETCHES))
         self._shortest = shortest
-        self._spans = spans
-        self._next_span = 0
         self._gathered: list[Any] = []
         self._first = 0
         self._envelope: list[tuple[float, float, float]] = []
-        self._pieces: dict[int, list[Any]] = {}
         self.channel = ""
         self.unit = ""
         self.sample_rate = math.nan
@@ -124,13 +122,6 @@ class _Signal:
         long_enough = block.end_sample - self._first >= self._shortest * block.sample_rate
         if len(self._gathered) >= self._blocks_per_stretch and long_enough:
             self._close_stretch(block.end_sample)
-        while self._next_span < len(self._spans) and block.end_sample > self._spans[self._next_span][0]:
-            first, stop = self._spans[self._next_span]
-            piece = data[max(0, first - block.first_sample) : max(0, stop - block.first_sample)]
-            self._pieces.setdefault(self._next_span, []).append(piece)
-            if block.end_sample < stop:
-                break
-            self._next_span += 1
 
     def envelope(self) -> Envelope:
         if self._gathered:
@@ -142,14 +133,13 @@ class _Signal:
     def symbol(self) -> str:
         return self._symbol.format(self.channel[1:]) if self.channel else self._symbol
 
-    def excerpt(self, span: int) -> Any:
-        """Samples of a span; None unless all of them were there."""
-        pieces = self._pieces.get(span)
-        if not pieces:
-            return None
-        samples = np.concatenate(pieces)
-        first, stop = self._spans[span]
-        return samples if samples.size == stop - first and np.all(np.isfinite(samples)) else None
+    def excerpt(self, signals: Signals) -> FloatArray | None:
+        """Samples of the channel over a stretch; None unless all of them were there."""
+        # Where two topics have channels of one name, the topic stands before it.
+        names = (f"{self._topic}/{self.channel}", self.channel)
+        name = next((name for name in names if signals.topics.get(name) == self._topic), None)
+        samples = None if name is None else signals.channels[name]
+        return samples if samples is not None and np.all(np.isfinite(samples)) else None
 
     def _close_stretch(self, end_sample: int) -> None:
         values = np.concatenate(self._gathered)
@@ -168,25 +158,29 @@ _SYMBOLS = {
 def _signals(
     bag: Bag, linear: LinearDescription | None, locks: Sequence[LockMark]
 ) -> tuple[list[Envelope], list[Excerpt], float, int]:
+    from nmt_record.segments import read_stretches
+
     present = [topic for topic in _SYMBOLS if bag.topics.get(topic, ("", 0))[1]]
     if "displacement" in present and "acceleration" in present:
         present.remove("acceleration")
-    spans = [(lock.window_first_sample, lock.window_first_sample + _excerpt_samples(lock)) for lock in locks]
     point = linear.drive_point if linear is not None else -1
     # A stretch shorter than a period would show the signal itself, not its envelope.
     shortest = 1.5 / linear.frequency_hz if linear is not None else 0.0
     signals: dict[str, _Signal] = {}
     for topic in present:
-        signal = signals[topic] = _Signal(_SYMBOLS[topic], point, bag.topics[topic][1], shortest, spans)
+        signal = signals[topic] = _Signal(topic, point, bag.topics[topic][1], shortest)
         for block in bag.blocks(topic):
             signal.add(block)
     response = signals.get("displacement") or signals.get("acceleration")
     force = signals.get("force")
+    end_sample = max((signal.end_sample for signal in signals.values()), default=0)
     excerpts = []
-    for number, lock in enumerate(locks):
-        if force is None or response is None:
-            break
-        force_samples, response_samples = force.excerpt(number), response.excerpt(number)
+    shown = [lock for lock in locks if lock.window_first_sample + _excerpt_samples(lock) <= end_sample]
+    spans = [(lock.window_first_sample, _excerpt_samples(lock)) for lock in shown]
+    for lock, stretch in zip(shown, read_stretches(bag, spans), strict=True):
+        if force is None or response is None or stretch is None:
+            continue
+        force_samples, response_samples = force.excerpt(stretch), response.excerpt(stretch)
         if force_samples is None or response_samples is None:
             continue
         excerpts.append(
@@ -203,7 +197,6 @@ def _signals(
             )
         )
     rates = [signal.sample_rate for signal in signals.values()]
-    end_sample = max((signal.end_sample for signal in signals.values()), default=0)
     return (
         [signal.envelope() for signal in signals.values()],
         excerpts,

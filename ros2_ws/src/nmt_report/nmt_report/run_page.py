@@ -9,6 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from nmt_core.vocabulary import ControlKind
 from nmt_extract.modal_point import Status
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.html_page import Column, Row, Table, part, render
@@ -89,7 +90,7 @@ def worst_deviation(data: RunReportData) -> tuple[float, float]:
     return worst[0], worst[1]
 
 
-_CONTROLS = {1: "voltage", 2: "response", 3: "force"}  # values of nmt_msgs/Level
+_CONTROLS: dict[Any, str] = {kind.value: kind.label for kind in ControlKind if kind is not ControlKind.UNKNOWN}
 
 
 def _faults(data: RunReportData) -> list[str]:

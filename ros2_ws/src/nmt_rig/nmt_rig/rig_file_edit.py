@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import math
 import textwrap
-from collections.abc import Mapping
-from itertools import accumulate, zip_longest
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from difflib import SequenceMatcher
+from itertools import accumulate
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -22,7 +24,7 @@ from nmt_rig.rig import Rig, validate_rig
 
 _DIGITS = 10
 _LONG = 100
-_LINE = 114
+_LINE = 116
 _ENDLESS = 10**6
 _OWN_LINES = (FoldedScalarString, LiteralScalarString)
 _EOL = {CommentedMap: 2, CommentedSeq: 0}
@@ -48,9 +50,9 @@ def edited_rig_text(text: str, name: str, target: Rig) -> str:
     try:
         short = target.model_dump(mode="json", exclude_defaults=True)
         new = {path: _at(short, path, value) for path, (_, value) in _differences(before, after).items()}
-        result = _edited(text, new)
-        if _alike(validate_rig(parse_document(result, name)).model_dump(mode="json"), after):
-            return result
+        for result in _edited(text, new):
+            if _alike(validate_rig(parse_document(result, name)).model_dump(mode="json"), after):
+                return result
     except (BenchError, YAMLError, _CannotEditError):
         pass
     # Anchors, merge keys and the like: written out plainly, without the comments.
@@ -108,10 +110,11 @@ def _alike(one: Any, other: Any) -> bool:
     return bool(math.isclose(one, other, rel_tol=10.0 ** (1 - _DIGITS))) if numbers else bool(one == other)
 
 
-def _edited(text: str, new: Mapping[KeyPath, Any]) -> str:
-    """A text with new values by path."""
+def _edited(text: str, new: Mapping[KeyPath, Any]) -> Iterator[str]:
+    """A text with new values by path: first with all other lines as they are, then as ruamel.yaml lays it out."""
     yaml = _layout(text)
     root = yaml.load(text)
+    before = _dumped(yaml, root)
     missing: dict[KeyPath, Any] = {}
     for path, value in new.items():
         depth = _depth(root, path)
@@ -121,15 +124,39 @@ def _edited(text: str, new: Mapping[KeyPath, Any]) -> str:
             _put(missing.setdefault(path[: depth + 1], {}), path[depth + 1 :], value)
     for path, value in missing.items():
         _add(_at(root, path[:-1], None), path[-1], value.get("", value) if isinstance(value, dict) else value)
-    return _dumped(yaml, root)
+    after = _dumped(yaml, root)
+    yield _merged(text, before, after)
+    yield after
+
+
+def _merged(text: str, before: str, after: str) -> str:
+    """What changes from ``before`` to ``after``, line by line, done to a text that ``before`` is another layout of.
+
+    Lines that only the layout changes, such as a comment within braces, stay as they are in the text.
+    """
+    old, base, new = text.splitlines(), before.splitlines(), after.splitlines()
+    own, its = _pairs(base, old), _pairs(base, new)
+    result: list[str] = []
+    k = i = j = 0
+    for line in range(len(base) + 1):
+        if line in own and line in its:
+            result += old[i : own[line]] if new[j : its[line]] == base[k:line] else new[j : its[line]]
+            result += old[own[line] : own[line] + 1]
+            k, i, j = line + 1, own[line] + 1, its[line] + 1
+    return "\n".join(result) + "\n"
+
+
+def _pairs(base: list[str], other: list[str]) -> dict[int, int]:
+    """Numbers of equal lines; the ends belong together too."""
+    blocks = SequenceMatcher(None, base, other, autojunk=False).get_matching_blocks()
+    return {block.a + k: block.b + k for block in blocks for k in range(block.size)} | {len(base): len(other)}
 
 
 def _layout(text: str) -> YAML:
     """Reader and writer with the indentation of a text: the one that gives it back with the fewest changed lines."""
 
     def changes(yaml: YAML) -> int:
-        old, again = text.splitlines(), _dumped(yaml, yaml.load(text)).splitlines()
-        return sum(a != b for a, b in zip_longest(old, again))
+        return (Counter(text.splitlines()) - Counter(_dumped(yaml, yaml.load(text)).splitlines())).total()
 
     layouts = (_yaml(mapping, dash, width) for width in (_ENDLESS, 120) for mapping in (2, 4) for dash in (2, 0))
     best, fewest = None, math.inf

@@ -60,7 +60,6 @@ class Session:
         out: folder that gets ``bag``, ``rig.yaml`` and ``run.json``; None = a temporary one.
         device: what takes the place of the simulated rig of the test; its blocks must be as those of that rig.
         loop_values: parameters of the loop that differ from the plan's and of which the bag says nothing.
-        run: the run's description of itself in the bag; None = the plan's.
         record: whether a bag is written.
         extract: whether modal points are extracted.
         listener: told of every message, in order.
@@ -81,7 +80,6 @@ class Session:
         *,
         device: Device | None = None,
         loop_values: Mapping[str, Any] | None = None,
-        run: Mapping[str, Any] | None = None,
         record: bool = True,
         extract: bool = True,
         listener: Listener | None = None,
@@ -95,7 +93,6 @@ class Session:
         self._out = Path(out) if out is not None else None
         self._device = device
         self._loop_values = dict(loop_values or {})
-        self._run = run
         self._record = record
         self._extract = extract
         self._listener = listener
@@ -103,8 +100,18 @@ class Session:
         self._queue: deque[tuple[str, Any]] = deque()
         self._ran = False
         self._interrupted = False
+        self._description: dict[str, Any] | None = None
         # Refuses what can be refused before anything is created.
         self.plan = plan_nodes(test, Path("bag"), Path("rig.yaml"))
+
+    def describe(self, run: Mapping[str, Any]) -> None:
+        """Give the run another description of itself than the plan's, before the session is entered."""
+        self._description = dict(run)
+
+    @property
+    def levels_locked(self) -> int:
+        """Levels whose window is complete."""
+        return sum(record.complete for record in self._sequencer.machine.records)
 
     # -- life ----------------------------------------------------------------------------------------------------
 
@@ -135,7 +142,7 @@ class Session:
         self._cleanup.callback(self._plant.shut_down, "the session ends")
         self._recorder: RunRecorder | None = None
         if self._record:
-            run = self.plan.run if self._run is None else dict(self._run)
+            run = self._description or self.plan.run
             rig_file.write_text(self.test.rig_yaml, encoding="utf-8")
             (self.out / "run.json").write_text(json.dumps(run, indent=2) + "\n", encoding="utf-8")
             values = {**self.plan.values["recorder"], "run_json": json.dumps(run)}
@@ -182,6 +189,7 @@ class Session:
                 self._publish_run()
                 self._pump(on_progress)
         except DeviceFault as fault:
+            self._plant.device.close()
             machine.abandon(ResultCode.NODE_LOST, f"The device failed: {fault}")
             self._close("interrupted", machine.reason)
         except BaseException as error:
@@ -343,7 +351,7 @@ class Session:
             code=machine.code,
             message=machine.reason,
             points=tuple(points[index] for index in sorted(points)),
-            bag=None if self._recorder is None else self.out / "bag",
+            bag=None if self._recorder is None else self._recorder.writer.path,
             bag_state="" if self._recorder is None else self._recorder.writer.state,
             wall_time=wall_time,
             bench_time=(machine.newest + 1) / float(self.rig.sample_rate_hz),

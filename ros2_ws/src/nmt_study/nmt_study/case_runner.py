@@ -1,4 +1,4 @@
-"""Runs one case through the bench's nodes and puts measurement and references into one plain mapping."""
+"""Runs one case in a session of this process and puts measurement and references into one plain mapping."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
+from nmt_core.vocabulary import ResultCode
 from nmt_extract.modal_point import MEASURED, ModalPoint, Status
 from nmt_study.case import StudyCase
 
@@ -19,7 +20,7 @@ Evaluation = Callable[[StudyCase, Path], dict[str, Any]]
 
 
 def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluation | None = None) -> dict[str, Any]:
-    """Run a case in lockstep, all nodes in this process.
+    """Run a case in this process.
 
     Args:
         case: the case.
@@ -31,20 +32,18 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
         plain values; NaN is None.
 
     Raises:
-        BenchError: the nodes did not start or the run did not end as planned.
+        BenchError: the case is refused, or the run did not end as planned.
     """
-    from nmt_bench.harness import Bench
-    from nmt_core.vocabulary import ResultCode
+    from nmt_session import Session, plan_test
     from nmt_study.case_reference import epmc_at, single_point_at
     from nmt_study.case_timing import level_timings
 
     began = time.monotonic()
     folder = Path(tempfile.mkdtemp(prefix="nmt-case-"))
     try:
-        bench = Bench(
+        plan = plan_test(
             case.rig,
             levels=case.levels,
-            out=folder,
             overrides=case.overrides,
             exciter=case.exciter,
             seed=case.seed,
@@ -58,11 +57,11 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
             },
             **_strategy(case),
         )
-        with bench:
-            result = bench.run()
+        with Session(plan, folder) as session:
+            result = session.run()
         if result.code != ResultCode.SUCCEEDED or result.bag is None or result.bag_state != "closed":
             raise BenchError(f"The run ended with {result.code.name}: {result.message}")
-        timings = level_timings(result.bag, bench.rig.sample_rate_hz, bench.rig.block_samples)
+        timings = level_timings(result.bag, plan.rig.sample_rate_hz, plan.rig.block_samples)
         levels: list[dict[str, Any]] = []
         for point in sorted(result.points, key=lambda item: item.level_index):
             row = level_mapping(point)
@@ -91,7 +90,7 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
             "wall_time_s": result.wall_time,
             "real_time_factor": result.real_time_factor,
         }
-        linear = bench.plan.run["linear"]
+        linear = session.plan.run["linear"]
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     amplitudes = [row["modal_amplitude"] for row in levels if row["status"] == int(Status.OK)]
@@ -126,7 +125,7 @@ def level_mapping(point: ModalPoint) -> dict[str, Any]:
 
 
 def _strategy(case: StudyCase) -> dict[str, Any]:
-    """Options of the bench that only some cases use."""
+    """Options of the plan that only some cases use."""
     options: dict[str, Any] = {}
     if case.control != "voltage":
         options["control"] = case.control

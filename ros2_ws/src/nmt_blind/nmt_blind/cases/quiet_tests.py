@@ -7,6 +7,7 @@ Fourier transform.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,9 @@ from nmt_blind.cases.laboratory import (
     play,
     random_test,
 )
-from nmt_core.blocks import FloatArray, Quantity
-from nmt_plant.device import DeviceFault
+from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.vocabulary import LoopState
 from nmt_rig.rig import Rig
 
 ComplexArray = NDArray[np.complex128]
@@ -74,26 +76,10 @@ def play_backbone(truth: Rig, model: Rig, bench: BenchSettings) -> dict[int, Qui
     Raises:
         TrialError: the motion is not finite or the test does not end.
     """
-    found: dict[int, QuietWindow] = {}
-    names = _names(truth)
-    blocks: list[tuple[int, float, float, float, FloatArray]] = []
-    try:
-        for step in play(as_built(quiet(truth, model), bench, _SEED), model, backbone_test(truth, model, bench)):
-            force = step.blocks[Quantity.FORCE]
-            if step.begun is not None:
-                blocks = []
-            phase = force.oscillator
-            data = np.concatenate([b.data for q, b in step.blocks.items() if q != Quantity.VOLTAGE])
-            blocks.append((force.first_sample, phase.cycles, phase.frequency_hz, phase.rate_hz_s, data))
-            if step.ended is not None:
-                window = step.ended
-                order = [c for q, b in step.blocks.items() if q != Quantity.VOLTAGE for c in b.channels]
-                found[window.level.index] = _reduced(
-                    blocks, window.first_sample, window.samples, model.sample_rate_hz, order, names, truth, model
-                )
-    except DeviceFault as fault:
-        raise TrialError(str(fault)) from fault
-    return found
+    reduction = _Reduction(truth, model)
+    play(as_built(quiet(truth, model), bench, _SEED), backbone_test(truth, model, bench), reduction)
+    reduction.finish()
+    return reduction.found
 
 
 def play_random(truth: Rig, model: Rig, bench: BenchSettings) -> QuietRecord:
@@ -102,56 +88,109 @@ def play_random(truth: Rig, model: Rig, bench: BenchSettings) -> QuietRecord:
     Raises:
         TrialError: the motion is not finite or the test does not end.
     """
-    parts: list[FloatArray] = []
-    voltages: list[FloatArray] = []
-    first = samples = 0
-    order: list[str] = []
-    try:
-        for step in play(as_built(quiet(truth, model), bench, _SEED), model, random_test(model, bench)):
-            order = [c for q, b in step.blocks.items() if q != Quantity.VOLTAGE for c in b.channels]
-            parts.append(np.concatenate([b.data for q, b in step.blocks.items() if q != Quantity.VOLTAGE]))
-            voltages.append(step.blocks[Quantity.VOLTAGE].data[0])
-            if step.ended is not None:
-                first, samples = step.ended.first_sample, step.ended.samples
-    except DeviceFault as fault:
-        raise TrialError(str(fault)) from fault
-    if samples == 0:
+    heard = _Heard()
+    play(as_built(quiet(truth, model), bench, _SEED), random_test(model, bench), heard)
+    if heard.lock is None:
         raise TrialError("the random test was given up")
-    span = slice(first, first + samples)
-    data = np.concatenate(parts, axis=1)[:, span]
+    span = slice(heard.lock.window_first_sample, heard.lock.window_end)
     names = _names(truth)
-    data = data[[order.index(name) for name in names]]
-    return QuietRecord(names, _quantised(data, names, truth, model), np.concatenate(voltages)[span])
+    data = np.concatenate([block.data for block in heard.blocks], axis=1)[[heard.order.index(n) for n in names]]
+    voltage = np.concatenate([block.voltage for block in heard.blocks])
+    return QuietRecord(names, _quantised(data[:, span], names, truth, model), voltage[span])
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """All channels of one block: without the voltage, (channels, n), and the voltage, (n,)."""
+
+    first_sample: int
+    phase: OscillatorPhase
+    data: FloatArray
+    voltage: FloatArray
+
+
+class _Heard:
+    """Listens to a test: blocks of the present level, in order, and its lock.
+
+    Attributes:
+        blocks: since the level began.
+        order: names of the channels, without the voltage.
+        lock: of the present level; None before and if it was lost before its window was complete.
+    """
+
+    def __init__(self) -> None:
+        self.blocks: list[_Block] = []
+        self.order: list[str] = []
+        self.lock: LockEvent | None = None
+        self._parts: list[SampleBlock] = []
+
+    def __call__(self, topic: str, record: Any) -> None:
+        if isinstance(record, SampleBlock):
+            if self._parts and self._parts[0].first_sample != record.first_sample:
+                self._join()
+            self._parts.append(record)
+        elif isinstance(record, LockEvent):
+            self.lock = record
+        elif isinstance(record, LoopStatus):
+            lost = record.state == LoopState.LOCK_LOST
+            if lost and self.lock is not None and record.last_sample + 1 < self.lock.window_end:
+                self.lock = None
+        elif isinstance(record, LevelCommand):
+            self.finish()
+
+    def _join(self) -> None:
+        motion = [part for part in self._parts if part.quantity != Quantity.VOLTAGE]
+        (voltage,) = (part for part in self._parts if part.quantity == Quantity.VOLTAGE)
+        self.order = [name for part in motion for name in part.channels]
+        data = np.concatenate([part.data for part in motion])
+        self.blocks.append(_Block(voltage.first_sample, voltage.oscillator, data, voltage.data[0]))
+        self._parts = []
+
+    def finish(self) -> None:
+        """The present level is over."""
+        if self._parts:
+            self._join()
+
+
+class _Reduction(_Heard):
+    """Reduces the window of every level that locked when the level is over."""
+
+    def __init__(self, truth: Rig, model: Rig) -> None:
+        super().__init__()
+        self._truth, self._model = truth, model
+        self.found: dict[int, QuietWindow] = {}
+
+    def finish(self) -> None:
+        """The present level is over: keep what its window says and forget its samples."""
+        super().finish()
+        if self.lock is not None:
+            window = _reduced(self.blocks, self.lock, self.order, self._truth, self._model)
+            self.found[self.lock.level_index] = window
+        self.blocks, self.lock = [], None
 
 
 def _names(rig: Rig) -> tuple[str, ...]:
     return tuple(rig.sensor_channel(sensor) for sensor in rig.sensors if sensor.quantity != "voltage")
 
 
-def _reduced(
-    blocks: list[tuple[int, float, float, float, FloatArray]],
-    first: int,
-    samples: int,
-    rate: float,
-    order: list[str],
-    names: tuple[str, ...],
-    truth: Rig,
-    model: Rig,
-) -> QuietWindow:
-    start = blocks[0][0]
+def _reduced(blocks: list[_Block], lock: LockEvent, order: list[str], truth: Rig, model: Rig) -> QuietWindow:
+    first, samples, rate = lock.window_first_sample, lock.window_samples, float(model.sample_rate_hz)
+    names = _names(truth)
+    start = blocks[0].first_sample
     turns = []
     count = 0.0
     previous = None
-    for _, cycles, frequency, slope, data in blocks:
-        length = data.shape[1] / rate
+    for block in blocks:
+        cycles, frequency, slope = block.phase
+        length = block.voltage.size / rate
         if previous is not None:
             count += round(previous - cycles)
-        time = np.arange(data.shape[1]) / rate
+        time = np.arange(block.voltage.size) / rate
         turns.append(count + cycles + time * (frequency + 0.5 * slope * time))
         previous = cycles + length * (frequency + 0.5 * slope * length)
     span = slice(first - start, first - start + samples)
     theta = np.concatenate(turns)[span]
-    data = np.concatenate([block[4] for block in blocks], axis=1)[[order.index(name) for name in names]][:, span]
+    data = np.concatenate([block.data for block in blocks], axis=1)[[order.index(name) for name in names]][:, span]
     data = _quantised(data, names, truth, model)
     angle = 2.0 * np.pi * theta
     mains = 2.0 * np.pi * 50.0 * (first + np.arange(samples)) / rate

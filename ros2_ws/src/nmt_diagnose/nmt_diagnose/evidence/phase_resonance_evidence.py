@@ -101,7 +101,7 @@ def analyse_window(segment: Segment, stretch: Stretch, settings: EvidenceSetting
     if force is None:
         raise BenchError(f"{where}: there is no force channel; the window is left out.")
     if force.name in stretch.faults:
-        raise BenchError(f"{where}: the force {stretch.faults[force.name]}; the window is left out.")
+        raise BenchError(f"{where}: the force cannot be used ({stretch.faults[force.name]}); the window is left out.")
     usable = [c for c in stretch.channels if c.name not in stretch.faults]
     data = np.stack([stretch.row(channel.name) for channel in usable])
     known = stretch.cycles is not None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nmt_core.blocks import BlockFlag, FloatArray, Quantity
+from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.evidence.bag_samples import Stretch
 from nmt_diagnose.evidence.conditions import MeasuredChannel
@@ -144,24 +144,18 @@ def _is_clipped(samples: FloatArray) -> bool:
     return False
 
 
-def overload_note(name: str, windows: Sequence[tuple[int, Stretch]]) -> list[str]:
-    """Sentence on clipped channels and converters at their end; the rows stay, because clipping is an effect."""
+def clipping_notes(name: str, windows: Sequence[tuple[int, Stretch]]) -> list[str]:
+    """Sentences on clipped channels.
+
+    The rows stay, because clipping is an effect; a window in which a converter said that it was overloaded is rejected
+    before it comes here.
+    """
     clipped: dict[str, list[int]] = {}
-    silent: list[int] = []
     for level, stretch in windows:
-        found = clipped_channels(stretch)
-        for channel in found:
+        for channel in clipped_channels(stretch):
             clipped.setdefault(channel, []).append(level)
-        if stretch.flags & BlockFlag.OVERLOAD and not found:
-            silent.append(level)
-    notes = [
+    return [
         f"{name}: channel {channel} is clipped at level {', '.join(map(str, levels))}; its observables are kept, "
         "because clipping is one of the effects that are looked for."
         for channel, levels in clipped.items()
     ]
-    if silent:
-        notes.append(
-            f"{name}: a converter reached its end at level {', '.join(map(str, silent))}, for a few samples only; the "
-            "observables are kept."
-        )
-    return notes

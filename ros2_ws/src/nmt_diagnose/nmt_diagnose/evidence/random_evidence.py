@@ -152,7 +152,9 @@ def random_evidence(
         part = _clean_part(stretch)
         length = part.stop - part.start
         if reference is None or length < stretch.samples // 2:
-            why = "; ".join(sorted(f"{channel} {fault}" for channel, fault in stretch.faults.items())) or "no reference"
+            why = (
+                "; ".join(sorted(f"{channel}: {fault}" for channel, fault in stretch.faults.items())) or "no reference"
+            )
             return empty((f"{name}: the random test is left out: {why}.",))
         notes.append(f"{name}: the longest stretch without gaps, {length} of {stretch.samples} samples, is used.")
         usable_whole = {c.name for c in stretch.channels if np.isfinite(stretch.row(c.name)[part]).all()}

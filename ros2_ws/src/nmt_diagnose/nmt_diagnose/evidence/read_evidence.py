@@ -14,13 +14,13 @@ import numpy as np
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.test_kind import TestKind
-from nmt_diagnose.evidence.bag_samples import Stretch, read_stretches
+from nmt_diagnose.evidence.bag_samples import Stretch, read_windows
 from nmt_diagnose.evidence.conditions import MeasuredChannel
 from nmt_diagnose.evidence.floors import repeatability
 from nmt_diagnose.evidence.model_view import ORDER, ModelView, matched
 from nmt_diagnose.evidence.observables import Evidence, joined
 from nmt_diagnose.evidence.phase_resonance_evidence import phase_resonance_evidence
-from nmt_diagnose.evidence.plausibility import check_frequency, out_of_scale, overload_note
+from nmt_diagnose.evidence.plausibility import check_frequency, clipping_notes, out_of_scale
 from nmt_diagnose.evidence.random_evidence import random_evidence
 from nmt_diagnose.evidence.record_evidence import record_evidence
 from nmt_diagnose.evidence.ring_down_evidence import ring_down_evidence
@@ -116,12 +116,14 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: EvidenceSettings) -> Evi
         notes.append(f"{name} was recorded on rig '{rig}', the model is '{model.name}'.")
     parts: list[Evidence] = []
     found = segments(bag)
-    usable = [segment for segment in found if not segment.fault and segment.kind is not TestKind.SWEEP]
-    notes += [
-        f"{name}: level {segment.level_index} ({segment.kind.label}) is left out: {segment.fault}."
-        for segment in found
-        if segment.fault
-    ]
+    usable = [segment for segment in found if segment.usable_samples and segment.kind is not TestKind.SWEEP]
+    for segment in found:
+        level = f"{name}: level {segment.level_index} ({segment.kind.label})"
+        if segment in usable and segment.fault:
+            part = f"{segment.usable_samples} of {segment.samples} samples"
+            notes.append(f"{level} is used in part, {part} from {segment.usable_first_sample} on: {segment.fault}.")
+        elif segment.fault:
+            notes.append(f"{level} is left out: {segment.fault}.")
     sweeps = sum(segment.kind is TestKind.SWEEP for segment in found)
     if sweeps:
         notes.append(
@@ -155,7 +157,7 @@ def _signals(
     notes: list[str],
 ) -> list[Evidence]:
     """Evidence of the windows of one bag."""
-    stretches = read_stretches(bag, [(segment.first_sample, segment.samples) for segment in usable])
+    stretches = read_windows(bag, usable)
     windows = []
     for segment, stretch in zip(usable, stretches, strict=True):
         if stretch is None or stretch.samples < _FEWEST_SAMPLES:
@@ -203,7 +205,7 @@ def _signals(
         for window in mine_windows:
             own = f"{name}/{kind.label}" if len(windows) > len(mine_windows) else name
             own = f"{own} {window.segment.level_index}" if len(mine_windows) > 1 else own
-            notes += overload_note(own, [(window.segment.level_index, window.stretch)])
+            notes += clipping_notes(own, [(window.segment.level_index, window.stretch)])
             if kind is TestKind.RANDOM:
                 parts.append(random_evidence(own, window.stretch, view, channels, settings, rate))
             else:
@@ -231,7 +233,7 @@ def _plausible(
     lowest = np.argsort(size, kind="stable")[:3]
     off, more = out_of_scale(name, [(locked[i].stretch, frequencies[i]) for i in lowest], view, channels)
     notes += more
-    notes += overload_note(name, [(window.segment.level_index, window.stretch) for window in locked])
+    notes += clipping_notes(name, [(window.segment.level_index, window.stretch) for window in locked])
     return {key: channel for key, channel in channels.items() if key not in off}
 
 

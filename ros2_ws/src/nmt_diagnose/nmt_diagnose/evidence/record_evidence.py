@@ -121,7 +121,11 @@ def _one(
     notes = [f"{name}: channel {channel} is left out: {fault}." for channel, fault in lost]
     source = stretch.find(Quantity.VOLTAGE) or stretch.find(Quantity.FORCE)
     if source is None or source.name in stretch.faults:
-        why = "no voltage or force was recorded" if source is None else f"its input {stretch.faults[source.name]}"
+        why = (
+            "no voltage or force was recorded"
+            if source is None
+            else f"its input cannot be used ({stretch.faults[source.name]})"
+        )
         return empty((f"{name}: the record is left out: {why}.",))
     recorded = {own.name: theirs for theirs, own in channels.items()}
     present = [

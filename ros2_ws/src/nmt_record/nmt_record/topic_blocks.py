@@ -1,0 +1,333 @@
+"""The blocks of one topic: which of them make up a stretch of samples, what is wrong with them, and their samples."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_record.window_policy import FLAG_FAULTS, PHASE_JUMP_CYCLES, AnyBlock, Fault, Finding
+
+# A source that goes on from below this share of the samples reached has been started anew; above, its clock is wrong.
+_NEW_ACQUISITION = 0.5
+_COMPACT = 256
+
+
+class BlockRecord(NamedTuple):
+    """Samples ``first`` to ``end`` − 1, and whatever they are decoded from."""
+
+    first: int
+    end: int
+    payload: Any
+
+
+class TopicBlocks:
+    """The newest blocks of one topic, in the order in which they came.
+
+    Args:
+        topic: its name.
+        one_acquisition: a source that begins anew is a clock that was set back; else what came before is forgotten.
+
+    Attributes:
+        topic: its name.
+        blocks: number of blocks that came.
+        gaps: number of blocks that did not begin where the one before ended.
+        reached: sample after the newest one; None before the first block.
+        set_back: sample after the newest one when the clock was set back, and the sample it was set back to; None if
+            it was not. What comes later is not where events say and is not kept.
+    """
+
+    def __init__(self, topic: str, *, one_acquisition: bool = False) -> None:
+        self.topic = topic
+        self.blocks = 0
+        self.gaps = 0
+        self.reached: int | None = None
+        self.set_back: tuple[int, int] | None = None
+        self._lowest_new = 0.0 if one_acquisition else _NEW_ACQUISITION
+        self._last_end = 0
+        # A block from before the newest sample, with the newest sample before it came.
+        self._doubtful: tuple[BlockRecord, int] | None = None
+        self._records: list[BlockRecord] = []
+        # Running maximum of the records' ends: ascending, so that it can be searched, whatever is repeated.
+        self._reached: list[int] = []
+        self._start = 0
+
+    def __len__(self) -> int:
+        return len(self._records) - self._start
+
+    def add(self, first: int, end: int, payload: Any) -> bool:
+        """Take the next block; returns whether it shows that the acquisition has begun anew."""
+        record = BlockRecord(first, end, payload)
+        anew = False
+        self.blocks += 1
+        if self.reached is None:
+            self.reached = end
+        elif first == self._last_end and self._doubtful is None:
+            self.reached = max(self.reached, end)
+        else:
+            anew = self._add_out_of_order(record)
+        self._last_end = end
+        if self.set_back is None:
+            self._records.append(record)
+            self._reached.append(self.reached)
+        return anew
+
+    def _add_out_of_order(self, record: BlockRecord) -> bool:
+        """One block out of order is a repeat; two that follow each other are a clock that was set back."""
+        assert self.reached is not None
+        anew = False
+        if record.first != self._last_end:
+            self.gaps += 1
+        doubtful, self._doubtful = self._doubtful, None
+        if doubtful is not None and record.first == doubtful[0].end != doubtful[1]:
+            before, reached = doubtful
+            if before.first < self._lowest_new * reached:
+                anew = True
+                self._records, self._reached, self._start = [before], [before.end], 0
+                self.set_back, self.reached = None, before.end
+            elif self.set_back is None:
+                self.set_back = (reached, before.first)
+        elif record.first < self.reached:
+            self._doubtful = (record, self.reached)
+        self.reached = max(self.reached, record.end)
+        return anew
+
+    def over(self, first: int, end: int) -> Iterator[BlockRecord]:
+        """Records from the first that reaches beyond ``first`` until one reaches ``end``, repeats included."""
+        for index in range(bisect_right(self._reached, first, self._start), len(self._records)):
+            yield self._records[index]
+            if self._reached[index] >= end:
+                return
+
+    def forget(self, oldest: int) -> None:
+        """Drop what ends at or before a sample."""
+        self._start = bisect_right(self._reached, oldest, self._start)
+        if self._start > _COMPACT and 2 * self._start > len(self._records):
+            del self._records[: self._start], self._reached[: self._start]
+            self._start = 0
+
+
+@dataclass(frozen=True, eq=False)
+class TopicStretch:
+    """The blocks of one topic over a stretch of samples, none twice, with what is wrong with them.
+
+    Attributes:
+        topic: its name.
+        first_sample: first sample of the stretch.
+        samples: number of samples.
+        blocks: those of one kind of channels and one rate, in time; without gaps where there is no finding.
+        findings: what is wrong, in the order in which it was found.
+    """
+
+    topic: str
+    first_sample: int
+    samples: int
+    blocks: tuple[Any, ...]
+    findings: tuple[Finding, ...]
+
+    @classmethod
+    def of(
+        cls,
+        topic: str,
+        first_sample: int,
+        samples: int,
+        records: Iterable[BlockRecord],
+        decode: Callable[[Any], AnyBlock] = lambda payload: payload,
+    ) -> TopicStretch:
+        """Choose and check the blocks of a stretch."""
+        end = first_sample + samples
+        position = first_sample
+        blocks: list[AnyBlock] = []
+        findings: list[Finding] = []
+        started = False
+        for record in records:
+            if record.end <= first_sample and not started:
+                continue
+            if record.first >= end and position >= end:
+                break
+            if record.first < position and started:
+                reason = f"'{topic}' repeats samples from {record.first} on within the window."
+                findings.append(Finding(Fault.REPEATED, reason, max(first_sample, record.first), topic, record.end))
+                continue
+            if record.first > position:
+                findings.append(_missing(topic, position, min(record.first, end)))
+            started = True
+            position = max(position, record.end)
+            if record.first >= end:
+                break
+            try:
+                block = decode(record.payload)
+            except ValueError as error:
+                reason = f"The block of '{topic}' at sample {record.first} is malformed: {error}."
+                findings.append(Finding(Fault.MALFORMED, reason, max(first_sample, record.first), topic, record.end))
+                continue
+            found = list(_faults_of(topic, block, blocks[0] if blocks else None, first_sample))
+            findings += found
+            if not found or not any(
+                finding.fault in (Fault.CHANNELS, Fault.RATE, Fault.MALFORMED) for finding in found
+            ):
+                blocks.append(block)
+        if position < end:
+            findings.append(_missing(topic, position, end))
+        return cls(topic, first_sample, samples, tuple(blocks), tuple(findings))
+
+    @property
+    def sample_rate(self) -> float:
+        """Hz; NaN without a block."""
+        return float(self.blocks[0].sample_rate) if self.blocks else math.nan
+
+    @property
+    def flags(self) -> int:
+        """Flags of all blocks together."""
+        flags = 0
+        for block in self.blocks:
+            flags |= block.flags
+        return flags
+
+    def copy_data(self, target: FloatArray) -> None:
+        """Copy the samples, shape ``(channels, samples)``; what is missing keeps the values that ``target`` has."""
+        first, size = self.first_sample, self.samples
+        for block in self.blocks:
+            start = block.first_sample - first
+            stop = start + block.samples
+            if start >= 0 and stop <= size:
+                target[:, start:stop] = block.data
+            else:
+                inside = slice(max(0, -start), block.samples - max(0, stop - size))
+                target[:, max(0, start) : min(size, stop)] = block.data[:, inside]
+
+    def missing_values(self, data: FloatArray) -> Finding | None:
+        """The first sample of ``data``, shape ``(channels, samples)``, that is not a finite number."""
+        finite = np.isfinite(data)
+        if finite.all():
+            return None
+        sample = int(np.argmin(finite.all(axis=0)))
+        channel = self.blocks[0].channels[int(np.argmin(finite[:, sample]))]
+        where = self.first_sample + sample
+        reason = f"Channel '{channel}' of '{self.topic}' has no valid value at sample {where}."
+        return Finding(Fault.VALUE, reason, where, self.topic)
+
+
+def _missing(topic: str, first: int, end: int) -> Finding:
+    reason = f"Samples {first} to {end - 1} of '{topic}' are missing from the window."
+    return Finding(Fault.MISSING, reason, first, topic, end)
+
+
+def _faults_of(topic: str, block: AnyBlock, head: AnyBlock | None, first_sample: int) -> Iterator[Finding]:
+    """What is wrong with one block, given the first of the stretch (None = this is the first)."""
+    where = f"in the block of '{topic}' at sample {block.first_sample}"
+    sample = max(first_sample, block.first_sample)
+
+    def finding(fault: Fault, reason: str) -> Finding:
+        return Finding(fault, reason, sample, topic, block.end_sample)
+
+    if head is None:
+        if len(block.points) != len(block.channels):
+            yield finding(Fault.MALFORMED, f"The points do not match the channels {where}.")
+        if not block.sample_rate > 0.0:
+            yield finding(Fault.RATE, f"The sampling rate is {block.sample_rate:g} Hz {where}.")
+    else:
+        if block.channels != head.channels or block.points != head.points:
+            yield finding(Fault.CHANNELS, f"The channels change within the window {where}.")
+        if block.sample_rate != head.sample_rate:
+            reason = f"The sampling rate is {block.sample_rate:g} Hz {where}, {head.sample_rate:g} Hz before."
+            yield finding(Fault.RATE, reason)
+    if head is None or block.quantity is not head.quantity or block.unit != head.unit:
+        if block.quantity is Quantity.UNKNOWN or block.quantity.topic != topic:
+            yield finding(Fault.UNIT, f"The quantity of '{topic}' is {block.quantity.name.lower()}.")
+        elif block.unit != block.quantity.unit:
+            yield finding(Fault.UNIT, f"The unit of '{topic}' is '{block.unit}' instead of {block.quantity.unit}.")
+    if block.flags:
+        for flag, fault, text in FLAG_FAULTS:
+            if block.flags & flag:
+                reason = f"Within the window {text} ('{topic}', block at sample {block.first_sample})."
+                yield finding(fault, reason)
+
+
+class ExcitationPhase:
+    """Phase of the excitation over the blocks of a stretch, from block to block without wrapping.
+
+    Across a gap the last frequency is the best guess of the whole turns in between.
+
+    Attributes:
+        known: whether every block says its phase and frequency.
+    """
+
+    def __init__(self, stretch: TopicStretch) -> None:
+        self._stretch = stretch
+        oscillators = [block.oscillator for block in stretch.blocks]
+        self._start = np.array([oscillator.cycles for oscillator in oscillators], dtype=np.float64)
+        self._frequency = np.array([oscillator.frequency_hz for oscillator in oscillators], dtype=np.float64)
+        self._rate = np.array([oscillator.rate_hz_s for oscillator in oscillators], dtype=np.float64)
+        self._first = np.array([block.first_sample for block in stretch.blocks], dtype=np.int64)
+        self._samples = np.array([block.samples for block in stretch.blocks], dtype=np.int64)
+        self.known = bool(self._first.size) and not bool(np.isnan(self._start).any() | np.isnan(self._frequency).any())
+        if not self.known:
+            return
+        length = self._samples / stretch.sample_rate
+        advance = length * (self._frequency + 0.5 * self._rate * length)
+        ahead = (self._first[1:] - (self._first + self._samples)[:-1]) / stretch.sample_rate
+        bridge = (self._frequency + self._rate * length)[:-1] * ahead
+        expected = (self._start + advance)[:-1] + bridge
+        self._turns = np.concatenate(([0.0], np.cumsum(np.round(expected - self._start[1:]))))
+        meets = (self._start + advance + self._turns)[:-1] - (self._start + self._turns)[1:]
+        self._jumps = (ahead == 0.0) & (np.abs(meets) > PHASE_JUMP_CYCLES)
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing oscillates in any block."""
+        return self.known and bool((self._frequency == 0.0).all())
+
+    def findings(self) -> Iterator[Finding]:
+        """Blocks without periodic excitation, and where the phase is not continuous or does not rise."""
+        if not self.known:
+            return
+        topic, earliest = self._stretch.topic, self._stretch.first_sample
+        quiet = ~(self._frequency > 0.0)
+        if quiet.any():
+            sample = int(self._first[np.argmax(quiet)])
+            reason = f"There is no periodic excitation within the window (sample {sample})."
+            yield Finding(Fault.SILENT, reason, max(earliest, sample), topic)
+        if self._jumps.any():
+            sample = int(self._first[1 + np.argmax(self._jumps)])
+            reason = f"The excitation's phase jumps within the window at sample {sample}."
+            yield Finding(Fault.PHASE_JUMP, reason, max(earliest, sample), topic)
+        last = self._frequency + self._rate * (self._samples - 1) / self._stretch.sample_rate
+        falls = ~quiet & ~(last > 0.0)
+        if falls.any():
+            sample = int(self._first[np.argmax(falls)])
+            reason = "The excitation's phase runs backwards within the window."
+            yield Finding(Fault.PHASE_JUMP, reason, max(earliest, sample), topic)
+
+    def cycles(self) -> FloatArray:
+        """Phase at each sample of the stretch, cycles, shape ``(samples,)``; NaN in gaps."""
+        first, size = self._stretch.first_sample, self._stretch.samples
+        block = np.repeat(np.arange(self._samples.size), self._samples)
+        before = np.cumsum(self._samples) - self._samples
+        within = np.arange(block.size) - before[block]
+        index = self._first[block] + within - first
+        inside = (index >= 0) & (index < size)
+        block, within, index = block[inside], within[inside], index[inside]
+        time = within / self._stretch.sample_rate
+        values = (self._start + self._turns)[block] + time * (self._frequency[block] + 0.5 * self._rate[block] * time)
+        if index.size == size:
+            return np.ascontiguousarray(values)
+        result: FloatArray = np.full(size, math.nan)
+        result[index] = values
+        return result
+
+    def end_cycles(self) -> float:
+        """Phase at the sample after the last, cycles, on from the last block."""
+        time = (self._stretch.first_sample + self._stretch.samples - self._first[-1]) / self._stretch.sample_rate
+        advance = time * (self._frequency[-1] + 0.5 * self._rate[-1] * time)
+        return float((self._start + self._turns)[-1] + advance)
+
+
+def phase_reference(stretches: Sequence[TopicStretch]) -> TopicStretch:
+    """The stretch whose phase counts: that of the force; all topics carry the same oscillator."""
+    return next((stretch for stretch in stretches if stretch.topic == "force"), stretches[0])

@@ -1,0 +1,117 @@
+"""Answers of the loop as records, and when a level is acknowledged."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.parameters import check_values
+from nmt_core.records import LevelCommand, LoopStatus
+from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, TestKind, Waveform
+from nmt_pll.level_loop import LockWindow, LoopOutput
+from nmt_pll.loop_core import PARAMETERS, LoopCore, drive_command, lock_event, loop_status
+
+RATE, SIZE = 1000.0, 20
+LEVEL = LevelCommand(
+    1, 0, 0.1, 100, 0.0, timeout=10.0, test=TestKind.RANDOM, band_low_hz=5.0, band_high_hz=50.0, duration=1.0
+)
+VALUES = {"sample_rate": RATE, "block_samples": SIZE, "drive_point": 2, "settling_time": 0.0}
+
+
+def core(**values: Any) -> LoopCore:
+    return LoopCore(check_values(PARAMETERS, {**VALUES, **values}, "pll"))
+
+
+def pair(number: int) -> list[SampleBlock]:
+    """Silent blocks of force and displacement."""
+    phase = OscillatorPhase(0.0, 0.0)
+    return [
+        SampleBlock(number * SIZE, RATE, quantity, quantity.unit, ("c",), (2,), np.zeros((1, SIZE)), phase)
+        for quantity in (Quantity.FORCE, Quantity.DISPLACEMENT)
+    ]
+
+
+def statuses(arrival: int, blocks: int = 12) -> list[LoopStatus]:
+    """All states published when the level arrives before block ``arrival``."""
+    loop = core()
+    found: list[LoopStatus] = []
+    for number in range(blocks):
+        if number == arrival:
+            found += loop.take_level(LEVEL)
+        for block in pair(number):
+            answer = loop.take_block(block)
+            if answer is not None:
+                found += answer.statuses
+    return found
+
+
+def test_the_acknowledgement_is_the_same_whenever_the_level_arrives_in_time() -> None:
+    expected = repr(statuses(0))
+    assert all(repr(statuses(arrival)) == expected for arrival in range(1, 6))  # block 5 begins at the level's sample
+    sequence = [(status.last_sample, status.level_sequence) for status in statuses(3)]
+    assert sequence[:7] == [(19, 0), (39, 0), (59, 0), (79, 0), (99, 0), (99, 1), (119, 1)]
+
+
+def test_a_late_level_is_acknowledged_at_once_and_counted() -> None:
+    sequence = [(status.last_sample, status.level_sequence) for status in statuses(8)]
+    assert sequence[7:10] == [(159, 0), (159, 1), (179, 1)]
+    loop = core()
+    for block in (*pair(0), *pair(9)):
+        loop.take_block(block)
+    assert loop.counters["gaps"] == 1
+    assert loop.take_level(LEVEL)[0].level_sequence == 1
+    assert loop.counters["late_levels"] == 1
+
+
+def test_a_level_that_cannot_be_done_is_answered_by_a_lost_lock() -> None:
+    told: list[str] = []
+    loop = LoopCore(check_values(PARAMETERS, VALUES, "pll"), lambda sentence, _: told.append(sentence))
+    loop.take_level(LevelCommand(1, 0, 0.1, 0, 0.0))
+    (answer,) = filter(None, map(loop.take_block, pair(0)))
+    assert answer.statuses[0].state == LoopState.LOCK_LOST
+    assert "needs a linear description" in answer.statuses[0].reason
+    assert (loop.counters["refused"], loop.counters["lock_losses"]) == (1, 1)
+    assert told == [f"Level refused: {answer.statuses[0].reason}."]
+
+
+OUTPUT = LoopOutput(
+    199, 22.5, 0.4, 0.1, LoopState.LOCKED, 0.01, 1.5, 2e-4, LEVEL, None, None, int(BlockFlag.OVERLOAD), Waveform.SWEEP,
+    0.5, 30.0, 1.0, 2.0,
+)  # fmt: skip
+
+
+def test_a_drive_command_repeats_the_answer() -> None:
+    drive = drive_command(OUTPUT, 40)
+    assert drive.waveform is Waveform.SWEEP
+    assert (drive.apply_at_sample, drive.based_on_sample) == (240, 199)
+    names = ("frequency_hz", "amplitude", "ramp", "rate_hz_s", "frequency_end_hz", "band_low_hz", "band_high_hz")
+    assert all(getattr(drive, name) == getattr(OUTPUT, name) for name in names)
+    off = drive_command(OUTPUT._replace(amplitude=0.0))
+    assert (off.waveform, off.apply_at_sample, off.ramp) == (Waveform.OFF, 200, 0.1)
+
+
+def test_the_state_of_a_quiet_loop_has_no_frequency() -> None:
+    status = loop_status(OUTPUT, 7, "m")
+    assert (status.frequency_hz, status.level_sequence, status.level_index, status.flags) == (22.5, 7, 0, 1)
+    assert loop_status(OUTPUT._replace(amplitude=0.0, level=None), 7, "m").frequency_hz == 0.0
+
+
+@pytest.mark.parametrize(
+    ("control", "response", "unit"),
+    [
+        (ControlKind.VOLTAGE, Quantity.ACCELERATION, "V"),
+        (ControlKind.FORCE, Quantity.ACCELERATION, "N"),
+        (ControlKind.RESPONSE, Quantity.ACCELERATION, "m/s^2"),
+        (ControlKind.RESPONSE, Quantity.VELOCITY, "m/s"),
+        (ControlKind.RESPONSE, Quantity.DISPLACEMENT, "m"),
+    ],
+)
+def test_a_lock_event_names_the_unit_of_its_level(control: ControlKind, response: Quantity, unit: str) -> None:
+    window = LockWindow(LevelCommand(3, 2, 0.7, 0, 0.1, control), 1999, 21.0, 0.02, 2000, 930, 20)
+    event = lock_event(window, response, RATE)
+    assert (event.level_index, event.level, event.level_unit) == (2, 0.7, unit)
+    assert (event.window_first_sample, event.window_samples, event.window_periods) == (2000, 930, 20)
+    assert event.time_ns == 1_999_000_000

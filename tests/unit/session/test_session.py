@@ -1,0 +1,203 @@
+"""A session in one process: how it ends, and what its bag says."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nmt_core.blocks import SampleBlock
+from nmt_core.errors import BenchError
+from nmt_core.records import DriveCommand, LockEvent, LoopStatus, RunState
+from nmt_core.vocabulary import LoopState, PointStatus, Quantity, ResultCode, RunPhase, Waveform
+from nmt_core.wire import LOCK_EVENT
+from nmt_extract.offline import extract_bag
+from nmt_plant.device import DeviceFault
+from nmt_plant.simulated_rig import SimulatedRig
+from nmt_record.bag_reader import Bag
+from nmt_rig.rig import load_rig
+from nmt_session import Progress, Session, TestPlan, plan_test
+
+
+def one_level(**changes: Any) -> TestPlan:
+    """A short phase resonance test of the beam."""
+    return plan_test("beam", **{"levels": [0.5], "window_periods": 10, "run_id": "short", **changes})
+
+
+def last_blocks(bag: Bag, count: int = 1) -> list[SampleBlock]:
+    return list(bag.blocks("voltage"))[-count:]
+
+
+def test_a_run_ends_with_its_points_and_a_bag_that_gives_them_again(tmp_path: Path) -> None:
+    seen: list[Progress] = []
+    with Session(one_level(), tmp_path) as session:
+        result = session.run(seen.append)
+    assert (result.code, result.bag_state, result.interrupted) == (ResultCode.SUCCEEDED, "closed", False)
+    assert session.levels_locked == 1
+    bag = Bag.open(tmp_path / "bag")
+    assert bag.loss is None
+    assert (bag.run_stop or {})["exit"] == {"state": "done", "reason": ""}
+    assert bag.run_start == session.plan.run
+    assert bag.rig_yaml == session.test.rig_yaml
+    assert not last_blocks(bag)[0].data.any()
+    (point,) = extract_bag(tmp_path / "bag").points
+    assert point.identical(result.points[0])
+    assert all(0.0 <= progress.fraction_done <= 1.0 for progress in seen)
+
+
+def test_without_a_folder_nothing_stays_behind() -> None:
+    with Session(one_level()) as session:
+        folder = session.out
+        assert (folder / "bag").is_dir()
+    assert not folder.exists()
+
+
+def test_with_its_drive_at_zero_the_loop_says_off_and_no_frequency() -> None:
+    drives: list[DriveCommand] = []
+    statuses: list[LoopStatus] = []
+
+    def listen(_: str, record: Any) -> None:
+        if isinstance(record, DriveCommand):
+            drives.append(record)
+        elif isinstance(record, LoopStatus):
+            statuses.append(record)
+
+    with Session(one_level(), record=False, extract=False, listener=listen) as session:
+        session.run()
+    quiet = [drive for drive in drives if drive.amplitude == 0.0]
+    assert len(quiet) > 5
+    assert {drive.waveform for drive in quiet} == {Waveform.OFF}
+    assert {drive.waveform for drive in drives if drive.amplitude > 0.0} == {Waveform.SINE}
+    assert {status.frequency_hz for status in statuses if status.drive_amplitude == 0.0} == {0.0}
+    assert all(status.frequency_hz > 0.0 for status in statuses if status.drive_amplitude > 0.0)
+    assert LoopState.LOCKED in {status.state for status in statuses}
+
+
+@pytest.mark.parametrize(
+    ("control", "levels", "unit"), [("voltage", [0.5], "V"), ("force", [0.8], "N"), ("response", [2e-4], "m")]
+)
+def test_the_level_of_a_lock_is_in_the_unit_of_what_is_held(
+    control: str, levels: list[float], unit: str, tmp_path: Path
+) -> None:
+    with Session(one_level(control=control, levels=levels), tmp_path) as session:
+        result = session.run()
+    assert session.test.level_unit == unit
+    (event,) = Bag.open(tmp_path / "bag").records("lock", LOCK_EVENT)
+    assert (event.level, event.level_unit) == (levels[0], unit)
+    assert result.points[0].level_unit == unit
+
+
+def test_a_stop_ramps_the_drive_to_zero(tmp_path: Path) -> None:
+    def stop_at_lock(_: str, record: Any) -> None:
+        if isinstance(record, LockEvent):
+            assert session.stop()
+
+    with Session(one_level(), tmp_path, listener=stop_at_lock) as session:
+        result = session.run()
+        assert not session.stop()
+    assert (result.code, result.bag_state) == (ResultCode.STOPPED, "closed")
+    assert [point.status for point in result.points] == [PointStatus.REJECTED]
+    assert not last_blocks(Bag.open(tmp_path / "bag"))[0].data.any()
+
+
+def test_an_interrupt_ramps_the_drive_to_zero_and_is_a_result(tmp_path: Path) -> None:
+    def interrupt(_: str, record: Any) -> None:
+        if isinstance(record, LockEvent):
+            signal.raise_signal(signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    with Session(one_level(), tmp_path, listener=interrupt) as session:
+        result = session.run()
+    assert signal.getsignal(signal.SIGINT) is before
+    assert (result.code, result.interrupted, result.bag_state) == (ResultCode.CANCELED, True, "closed")
+    assert not last_blocks(Bag.open(tmp_path / "bag"))[0].data.any()
+
+
+def test_an_error_of_a_callback_goes_on_after_the_ramp(tmp_path: Path) -> None:
+    peak = 0.0
+
+    def fail(_: str, record: Any) -> None:
+        nonlocal peak
+        if isinstance(record, SampleBlock) and record.quantity is Quantity.VOLTAGE:
+            peak = max(peak, float(abs(record.data).max()))
+        if isinstance(record, LockEvent):
+            raise RuntimeError("no space for figures")
+
+    with Session(one_level(), tmp_path, listener=fail) as session, pytest.raises(RuntimeError, match="no space"):
+        session.run()
+    bag = Bag.open(tmp_path / "bag")
+    assert (bag.run_stop or {})["exit"] == {"state": "interrupted", "reason": "RuntimeError: no space for figures"}
+    assert not last_blocks(bag)[0].data.any()
+    # The drive goes to zero along a ramp, not at once.
+    steps = [float(abs(block.data).max()) for block in last_blocks(bag, 50)]
+    assert peak > 0.4
+    assert any(0.1 * peak < step < 0.9 * peak for step in steps)
+
+
+class _Faulty(SimulatedRig):
+    """A rig that fails after a second."""
+
+    def _read(self) -> list[SampleBlock]:
+        if self.next_sample > 10_000:
+            raise DeviceFault("samples were lost")
+        return super()._read()
+
+
+def test_a_fault_of_the_device_is_a_result(tmp_path: Path) -> None:
+    with Session(one_level(), tmp_path, device=_Faulty(load_rig("beam"))) as session:
+        result = session.run()
+    assert result.code == ResultCode.NODE_LOST
+    assert "samples were lost" in result.message
+    assert result.bag_state == "closed"
+
+
+def test_what_the_loop_really_has_stays_out_of_the_bag(tmp_path: Path) -> None:
+    hidden = {"phase_offset_rad": 0.1}
+    with Session(one_level(), tmp_path, loop_values=hidden) as session:
+        off = session.run().points[0]
+    with Session(one_level(), record=False) as plain:
+        on = plain.run().points[0]
+    assert abs(off.phase_error - on.phase_error) == pytest.approx(0.1, abs=0.01)
+    start = Bag.open(tmp_path / "bag").run_start or {}
+    assert start["parameters"]["pll"].get("phase_offset_rad", 0.0) == 0.0
+
+
+def test_a_described_run_is_in_the_bag_as_described(tmp_path: Path) -> None:
+    session = Session(one_level(), tmp_path, extract=False)
+    session.describe({"run_id": "mine"})
+    with session:
+        session.run()
+    assert Bag.open(tmp_path / "bag").run_start == {"run_id": "mine"}
+    assert json.loads((tmp_path / "run.json").read_text()) == {"run_id": "mine"}
+
+
+def test_states_of_the_run_come_in_order() -> None:
+    phases: list[RunPhase] = []
+
+    def listen(_: str, record: Any) -> None:
+        if isinstance(record, RunState) and (not phases or phases[-1] is not record.phase):
+            phases.append(record.phase)
+
+    with Session(one_level(), record=False, extract=False, listener=listen) as session:
+        session.run()
+    assert phases == [RunPhase.IDLE, RunPhase.RUNNING, RunPhase.STOPPING, RunPhase.DONE]
+
+
+def test_refusals(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match="runs in lockstep"):
+        Session(one_level(pacing="realtime"))
+    with (
+        pytest.raises(BenchError, match="'colour' is not known to pll"),
+        Session(one_level(), loop_values={"colour": 1}),
+    ):
+        pass
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(BenchError, match="exists already"), Session(one_level(), tmp_path):
+        pass
+    with Session(one_level(), record=False, extract=False) as session:
+        session.run()
+        with pytest.raises(BenchError, match="runs once"):
+            session.run()

@@ -151,9 +151,10 @@ def test_damping_ratios_instead_of_a_matrix(tmp_path, beam):
 
 
 def test_factors_scale_what_they_say(tmp_path, beam):
-    export(tmp_path, beam)
+    np.savez(tmp_path / "beam.npz", M=beam.mass, K=beam.stiffness, C=beam.damping, p=beam.base_load)
     factors = ["structure.stiffness_factor=1.21", "structure.mass_factor=0.5", "structure.damping_factor=2"]
     structure = build_structure(rig_of(tmp_path, f"file: beam.npz, {points_at(beam)}", factors))
+    np.testing.assert_allclose(structure.base_load, 0.5 * beam.base_load, rtol=1e-12)
     plain = sticking_modes(beam, [], 3)
     scaled = sticking_modes(structure, [], 3)
     np.testing.assert_allclose(scaled.frequencies, plain.frequencies * np.sqrt(1.21 / 0.5), rtol=1e-9)
@@ -171,6 +172,7 @@ def two(**changes):
     [
         ("mass", [[1.0, 0.0], [0.0, 0.0]], "mass must be positive definite"),
         ("mass", [[1.0, 2.0], [2.0, 1.0]], "mass must be positive definite"),
+        ("mass", [[0.0, 1.0], [1.0, 0.0]], "mass must be positive definite"),
         ("mass", [[1.0]], "mass must be 2 x 2, as the stiffness, got 1 x 1"),
         ("stiffness", [[2.0, -1.0], [0.0, 1.0]], "stiffness is not symmetric"),
         ("stiffness", [[1.0, -2.0], [-2.0, 1.0]], "stiffness has a negative eigenvalue"),

@@ -39,6 +39,7 @@ class LockedLevel:
         direction: +1 while the level rises, −1 while it falls.
         force_n: measured |F₁|, N: the given amplitude where the force is held.
         phase_lean: how far the loop may still have been off because it had not settled, rad.
+        drive_harmonics: orders 2, 3, … of the recorded drive over its fundamental, whose phase is zero; empty = pure.
     """
 
     index: int
@@ -52,6 +53,7 @@ class LockedLevel:
     direction: int
     force_n: float = math.nan
     phase_lean: float = 0.0
+    drive_harmonics: tuple[complex, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ response up there, where they matter only for accelerations and forces (up to 1e
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +33,28 @@ def image_responses(
     view: ModelView, channels: Sequence[MeasuredChannel], frequency_hz: FloatArray, rate_hz: float
 ) -> NDArray[np.complex128]:
     """What images add to the response to 1 V at each frequency, shape (channels, frequencies)."""
+    return _images(view, channels, frequency_hz, rate_hz, lambda share: np.sinc(share) ** 2)
+
+
+def zero_order_images(
+    view: ModelView, channels: Sequence[MeasuredChannel], frequency_hz: FloatArray, rate_hz: float
+) -> NDArray[np.complex128]:
+    """The same for a drive that is held over each sample: sinc(f/f_h) e^{−iπf/f_h} takes the place of sinc²(f/f_h)."""
+    return _images(view, channels, frequency_hz, rate_hz, lambda share: np.sinc(share) * np.exp(-1j * np.pi * share))
+
+
+def _images(
+    view: ModelView,
+    channels: Sequence[MeasuredChannel],
+    frequency_hz: FloatArray,
+    rate_hz: float,
+    shape: Callable[[FloatArray], NDArray[Any]],
+) -> NDArray[np.complex128]:
     result = np.zeros((len(channels), frequency_hz.size), dtype=np.complex128)
     if math.isinf(rate_hz):
         return result
     for order in _IMAGES:
         place = frequency_hz + order * rate_hz
-        values = view.responses(channels, np.abs(place)) * np.sinc(place / rate_hz) ** 2
+        values = view.responses(channels, np.abs(place)) * shape(np.abs(place) / rate_hz)
         result += np.where(place > 0.0, values, np.conj(values))
     return np.nan_to_num(result)

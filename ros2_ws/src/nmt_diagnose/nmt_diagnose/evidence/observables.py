@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.evidence.conditions import Test
+from nmt_diagnose.evidence.measuring_chain import MeasuringChain
 
 IntArray = NDArray[np.int64]
 
@@ -75,6 +76,7 @@ class Evidence:
             model add, shape (m,).
         notes: sentences on what was found, left out and why (shown to the user).
         inputs: bags with their SHA-256.
+        chains: tolerances of the measuring chain of each test, None = it measures as the rig file says; may be empty.
     """
 
     tests: tuple[Test, ...]
@@ -84,6 +86,7 @@ class Evidence:
     floor: FloatArray
     notes: tuple[str, ...] = ()
     inputs: tuple[tuple[str, str], ...] = ()
+    chains: tuple[MeasuringChain | None, ...] = ()
 
     @property
     def sigma(self) -> FloatArray:
@@ -94,7 +97,7 @@ class Evidence:
         """Part of the evidence; the tests stay as they are."""
         return Evidence(
             self.tests, self.rows.take(which), self.values[which], self.std[which], self.floor[which], self.notes,
-            self.inputs,
+            self.inputs, self.chains,
         )  # fmt: skip
 
 
@@ -116,4 +119,5 @@ def joined(parts: Sequence[Evidence]) -> Evidence:
         np.concatenate([part.floor for part in parts]),
         tuple(note for part in parts for note in part.notes),
         tuple(item for part in parts for item in part.inputs),
+        tuple(chain for part in parts for chain in (part.chains or (None,) * len(part.tests))),
     )

@@ -256,6 +256,7 @@ def phase_resonance_evidence(
     settings: EvidenceSettings,
     response_quantity: Quantity | None = None,
     hold_rate_hz: float = math.inf,
+    drive_as_recorded: bool = False,
 ) -> Evidence:
     """Observables of the locked windows of one bag.
 
@@ -270,6 +271,8 @@ def phase_resonance_evidence(
         settings: settings.
         response_quantity: quantity whose phase the loop controlled; None = the first that there is at the drive point.
         hold_rate_hz: rate at which the drive is interpolated linearly, see drive_hold.py.
+        drive_as_recorded: the harmonics of the recorded voltage are an input of the model; else the drive is as pure
+            as it was commanded.
     """
     notes: list[str] = []
     analysed: list[LockedWindow] = []
@@ -287,6 +290,8 @@ def phase_resonance_evidence(
         if isinstance(outcome, str):
             notes.append(f"{name}: {outcome}")
             continue
+        if drive_as_recorded:
+            outcome = replace(outcome, drive_harmonics=_drive_harmonics(window))
         levels.append(outcome)
         kept.append(window)
     if not kept:
@@ -511,6 +516,15 @@ def _dropped_channels(name: str, windows: list[LockedWindow], channels: dict[str
         f"{name}: channel {channel} is left out at level {', '.join(map(str, indices))}: {fault}."
         for (channel, fault), indices in lost.items()
     ]
+
+
+def _drive_harmonics(window: LockedWindow) -> tuple[complex, ...]:
+    """Orders 2, 3, … of the recorded voltage over its fundamental; none where it was not recorded."""
+    voltage = next((c.name for c in window.stretch.channels if c.quantity is Quantity.VOLTAGE), None)
+    if voltage not in window.rows or not window.referenced:
+        return ()
+    own = window.amplitudes[window.row(voltage)]
+    return tuple(complex(value) for value in own[2:] / own[1]) if abs(own[1]) > 0.0 else ()
 
 
 def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int, given: bool) -> list[_Cell]:

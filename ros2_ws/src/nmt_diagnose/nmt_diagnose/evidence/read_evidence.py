@@ -17,6 +17,7 @@ from nmt_core.test_kind import TestKind
 from nmt_diagnose.evidence.bag_samples import Stretch, read_windows
 from nmt_diagnose.evidence.conditions import MeasuredChannel
 from nmt_diagnose.evidence.floors import repeatability
+from nmt_diagnose.evidence.measuring_chain import measuring_chain
 from nmt_diagnose.evidence.model_view import ORDER, ModelView, matched
 from nmt_diagnose.evidence.observables import Evidence, joined
 from nmt_diagnose.evidence.phase_resonance_evidence import phase_resonance_evidence
@@ -193,7 +194,9 @@ def _signals(
             mine = [(window.segment, window.stretch) for window in locked if window.segment.kind is kind]
             if mine:
                 own = f"{name}/{kind.label}" if several else name
-                parts.append(phase_resonance_evidence(own, mine, view, channels, settings, response, rate))
+                parts.append(
+                    phase_resonance_evidence(own, mine, view, channels, settings, response, rate, "imported" in run)
+                )
                 levels = len(getattr(parts[-1].tests[0], "levels", ())) if parts[-1].tests else 0
                 if 0 < levels < _FEW_LEVELS:
                     notes.append(
@@ -216,7 +219,8 @@ def _signals(
         own = f"{name}/record" if len(records) < len(windows) else name
         taken = [window.stretch for window in records]
         parts.append(record_evidence(own, taken, view, channels, settings, math.isfinite(rate)))
-    return parts
+    chain = measuring_chain(run, channels, windows[0].stretch.sample_rate)
+    return [replace(part, chains=(chain,) * len(part.tests)) for part in parts]
 
 
 def _plausible(

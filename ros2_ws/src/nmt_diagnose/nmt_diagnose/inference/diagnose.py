@@ -18,6 +18,7 @@ from nmt_diagnose.effects.placement import Explanation, joined
 from nmt_diagnose.evidence.conditions import RecordTest
 from nmt_diagnose.evidence.observables import Evidence
 from nmt_diagnose.evidence.read_evidence import read_evidence
+from nmt_diagnose.inference.chain_errors import with_chain_errors
 from nmt_diagnose.inference.confidence import Confidence, confidence, confidence_digest
 from nmt_diagnose.inference.contest import Contender, Contest, ContestSettings
 from nmt_diagnose.inference.diagnosis import (
@@ -152,7 +153,8 @@ class _Diagnoser:
         self.forward = Forward(evidence.tests, evidence.rows)
         self.given = self.forward.predict(rig)
         nuisances = lock_nuisances(evidence, rig, self.given)
-        self.problem = Problem(evidence, self.forward, nuisances)
+        self.problem = with_chain_errors(Problem(evidence, self.forward, nuisances), rig, self.given)
+        self.evidence = self.problem.evidence
         self.candidates = library_candidates(
             rig, operating_range(rig, evidence.tests, evidence=evidence), settings.withheld
         )

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.evidence.observables import Evidence, IntArray, Part
+from nmt_diagnose.inference.shared_errors import SharedErrors
 from nmt_diagnose.twin.forward import Forward, Prediction
 
 BoolArray = NDArray[np.bool_]
@@ -44,11 +45,13 @@ class Problem:
         evidence: the real side.
         forward: predicts its observables.
         nuisances: errors that rows share, no row in two of them.
+        shared: errors of the measuring chain; None = there are none.
     """
 
     evidence: Evidence
     forward: Forward
     nuisances: tuple[Nuisance, ...] = ()
+    shared: SharedErrors | None = None
 
     @property
     def size(self) -> int:
@@ -68,7 +71,7 @@ class Problem:
         result: FloatArray = values / (sigma if values.ndim == 1 else sigma[:, None])
         for nuisance in self.nuisances:
             nuisance.whiten(result)
-        return result
+        return result if self.shared is None else self.shared.whitened(result)
 
     def residual(self, prediction: Prediction) -> FloatArray:
         """Whitened residual Σ^(-½) (measured − predicted), shape (m,)."""

@@ -62,6 +62,7 @@ class LevelProblem:
         phase: measured arg F₁ − arg(velocity₁), rad.
         frequency_hz: start of the solution (nominal clock), Hz.
         seconds, cycles: bench time of the window.
+        harmonics: orders 2, 3, … of the drive over its fundamental.
     """
 
     given: int
@@ -70,6 +71,7 @@ class LevelProblem:
     frequency_hz: float
     seconds: float
     cycles: float
+    harmonics: tuple[complex, ...] = ()
 
 
 class PhaseResonanceTwin:
@@ -138,7 +140,7 @@ class PhaseResonanceTwin:
             frequency = min(self.test.levels, key=lambda item: item.drive).frequency_hz
         middle = 0.5 * (level.start_s + level.stop_s)
         return LevelProblem(
-            given, amplitude, level.phase_error, frequency, middle, level.cycles_before
+            given, amplitude, level.phase_error, frequency, middle, level.cycles_before, level.drive_harmonics
         )  # fmt: skip
 
     def solve(self, rig: Rig, cache: PartsCache, start: tuple[PeriodicState | None, ...] | None) -> list[Any]:
@@ -203,6 +205,8 @@ class PhaseResonanceTwin:
         """Arguments of the kernel from ``given`` on."""
         # Saturation is followed where the drive is what is given.
         drive = unit_drive(parts, amplitude if level.given == DRIVE_GIVEN else 0.0, self.ideal_force)
+        for order, share in enumerate(level.harmonics, start=2):
+            drive[parts.basis.orders == order] += share * parts.input_per_volt
         model = parts.linear
         given = {DRIVE_GIVEN: DRIVE_GIVEN, FORCE_GIVEN: self._force}
         return (

@@ -33,14 +33,20 @@ def image_responses(
     view: ModelView, channels: Sequence[MeasuredChannel], frequency_hz: FloatArray, rate_hz: float
 ) -> NDArray[np.complex128]:
     """What images add to the response to 1 V at each frequency, shape (channels, frequencies)."""
-    return _images(view, channels, frequency_hz, rate_hz, lambda share: np.sinc(share) ** 2)
+    return _images(view, channels, frequency_hz, rate_hz, _IMAGES, lambda share: np.sinc(share) ** 2)
 
 
 def zero_order_images(
-    view: ModelView, channels: Sequence[MeasuredChannel], frequency_hz: FloatArray, rate_hz: float
+    view: ModelView,
+    channels: Sequence[MeasuredChannel],
+    frequency_hz: FloatArray,
+    rate_hz: float,
+    orders: Sequence[int] = _IMAGES,
 ) -> NDArray[np.complex128]:
     """The same for a drive that is held over each sample: sinc(f/f_h) e^{−iπf/f_h} takes the place of sinc²(f/f_h)."""
-    return _images(view, channels, frequency_hz, rate_hz, lambda share: np.sinc(share) * np.exp(-1j * np.pi * share))
+    return _images(
+        view, channels, frequency_hz, rate_hz, orders, lambda share: np.sinc(share) * np.exp(-1j * np.pi * share)
+    )
 
 
 def _images(
@@ -48,12 +54,13 @@ def _images(
     channels: Sequence[MeasuredChannel],
     frequency_hz: FloatArray,
     rate_hz: float,
+    orders: Sequence[int],
     shape: Callable[[FloatArray], NDArray[Any]],
 ) -> NDArray[np.complex128]:
     result = np.zeros((len(channels), frequency_hz.size), dtype=np.complex128)
     if math.isinf(rate_hz):
         return result
-    for order in _IMAGES:
+    for order in orders:
         place = frequency_hz + order * rate_hz
         values = view.responses(channels, np.abs(place)) * shape(np.abs(place) / rate_hz)
         result += np.where(place > 0.0, values, np.conj(values))

@@ -45,6 +45,7 @@ class MeasuringChain:
         shared_delay_s: standard deviation of a delay of all sensors together against the voltage, s.
         hold_hz: rate at which the drive may have been held from sample to sample, Hz.
         mains: hum of the mains that is ordinary, over the largest fundamental of its channel.
+        clock: relative standard deviation of the sampling clock.
     """
 
     channels: Mapping[str, ChannelTolerance] = field(default_factory=dict)
@@ -52,6 +53,7 @@ class MeasuringChain:
     shared_delay_s: float = SHARED_DELAY_STD_S
     hold_hz: float = math.inf
     mains: float = 1e-3
+    clock: float = 3e-5
 
     def of(self, channel: str) -> ChannelTolerance:
         """Tolerance of a channel."""

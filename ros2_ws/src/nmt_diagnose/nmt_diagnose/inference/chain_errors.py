@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
+from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest
 from nmt_diagnose.evidence.drive_hold import zero_order_images
 from nmt_diagnose.evidence.measuring_chain import MeasuringChain
 from nmt_diagnose.evidence.model_view import ModelView
 from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.inference.problem import BoolArray, Problem
 from nmt_diagnose.inference.shared_errors import SharedErrors
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_rig.rig import Rig, SensorSection
 
+ComplexArray = NDArray[np.complex128]
+
 _GAIN_STEP, _DELAY_STEP_S, _DRIVE_STEP = 1e-3, 1e-6, 1e-3
-# What the model's response far above its modes may be off by: as a whole, and from line to line.
-_IMAGE_STD, _IMAGE_FLOOR = 0.3, 0.1
+_PHASE_STEP = 1e-4
+_IMAGE_ORDERS = ((-1,), (1,), (-2, 2, -3, 3, -4, 4))
+# What the model's response far above its modes may be off by from line to line, and the share of it that differs from
+# level to level.
+_IMAGE_FLOOR, _SAME_FOR_LEVELS = 0.1, 0.2
+# What the model's response to a harmonic of the drive may be off by, relative.
+_DRIVEN_FLOOR = 0.03
+_CLOCK_STEP = 1e-5
+# What a loop may hold other than it was told, rad.
+_AIM_STD = math.radians(1.0)
 _FUNDAMENTAL = (Part.LOG_MAGNITUDE, Part.PHASE)
 
 
@@ -41,7 +53,7 @@ def with_chain_errors(problem: Problem, rig: Rig, prediction: Prediction) -> Pro
     if not chains:
         return problem
     builder = _Columns(evidence, rig, chains)
-    floor = np.hypot(evidence.floor, builder.floor())
+    floor = np.hypot(evidence.floor, builder.floor(prediction))
     problem = replace(problem, evidence=replace(evidence, floor=floor))
     columns = np.nan_to_num(builder.columns(prediction), posinf=0.0, neginf=0.0)
     columns = columns[:, np.any(columns != 0.0, axis=0)]
@@ -62,7 +74,9 @@ class _Columns:
         part = rows.take(self.mine)
         self.rows = replace(part, test=renumbered[part.test])
         self.tests = tuple(evidence.tests[number] for number in self.numbers)
+        self.forward = Forward(self.tests, self.rows)
         self.own = tuple(chains[number] for number in self.numbers)
+        self.channels = sorted({c.name for test in self.tests for c in getattr(test, "channels", ())})
         self.images = self._images()
 
     def _full(self, values: FloatArray) -> FloatArray:
@@ -72,15 +86,9 @@ class _Columns:
 
     def columns(self, prediction: Prediction) -> FloatArray:
         """What one standard deviation of each error adds to the observables, shape (m, r)."""
-        forward = Forward(self.tests, self.rows)
-        start = Prediction(
-            prediction.values[self.mine],
-            prediction.converged[self.mine],
-            (),
-            tuple(prediction.states[number] for number in self.numbers),
-        )
+        forward = self.forward
         # Measured from a solution of the same accuracy.
-        base = forward.predict(self.rig, start)
+        base = forward.predict(self.rig, self._start(prediction))
 
         def change(rig: Rig, step: float) -> FloatArray:
             return forward.difference(forward.predict(rig, base).values, base.values) / step
@@ -88,7 +96,7 @@ class _Columns:
         found: list[FloatArray] = []
         omega = 2.0 * np.pi * self.rows.frequency_hz
         common = np.zeros(len(self.rows))
-        for channel in sorted({c.name for test in self.tests for c in getattr(test, "channels", ())}):
+        for channel in self.channels:
             tolerance = next((chain.of(channel) for chain in self.own if channel in chain.channels), self.own[0].of(""))
             gain = change(_edited(self.rig, channel, _louder), _GAIN_STEP)
             delay = change(_edited(self.rig, channel, _later), _DELAY_STEP_S)
@@ -96,8 +104,66 @@ class _Columns:
             found += [tolerance.gain * gain, tolerance.delay_s * delay, tolerance.phase * delay / omega]
         found.append(max(chain.shared_delay_s for chain in self.own) * common)
         found.append(max(chain.voltage_gain for chain in self.own) * self._voltage(base))
-        found += self._hold()
+        found += self._hold(self._slopes(base), self._late(base.values))
+        clock = self.rig.model_copy(update={"clock_error": self.rig.clock_error + _CLOCK_STEP})
+        found.append(max(chain.clock for chain in self.own) * change(clock, _CLOCK_STEP))
+        found += self._aims()
         return np.column_stack([self._full(column) for column in found])
+
+    def _start(self, prediction: Prediction) -> Prediction:
+        """The part of a prediction of all evidence that belongs to these tests."""
+        states = tuple(prediction.states[number] for number in self.numbers)
+        return Prediction(prediction.values[self.mine], prediction.converged[self.mine], (), states)
+
+    def _driven(self, prediction: Prediction) -> FloatArray:
+        """Size of what the recorded harmonics of the drive make of each harmonic, shape (rows,)."""
+        pure = tuple(
+            replace(t, levels=tuple(replace(level, drive_harmonics=()) for level in t.levels))
+            if isinstance(t, PhaseResonanceTest)
+            else t
+            for t in self.tests
+        )
+        result = np.zeros(len(self.rows))
+        if pure == self.tests:
+            return result
+        start = self._start(prediction)
+        without = Forward(pure, self.rows).predict(self.rig, start)
+        change = np.nan_to_num(self.forward.difference(start.values, without.values))
+        for mine in self._harmonics().values():
+            result[mine] = float(np.linalg.norm(change[mine]))
+        return result
+
+    def _harmonics(self) -> dict[tuple[int, ...], list[int]]:
+        """Rows of the real and imaginary part of each harmonic above the first."""
+        rows = self.rows
+        found: dict[tuple[int, ...], list[int]] = {}
+        for row in np.flatnonzero(np.isin(rows.part, (Part.REAL, Part.IMAG)) & (rows.harmonic > 1)):
+            key = (int(rows.test[row]), int(rows.level[row]), int(rows.channel[row]), int(rows.harmonic[row]))
+            found.setdefault(key, []).append(int(row))
+        return found
+
+    def _late(self, base: FloatArray) -> FloatArray:
+        """Change of harmonics above the first by half a sample of delay, in the frame of the drive."""
+        result = np.zeros(len(self.rows))
+        for (number, _, _, order), mine in self._harmonics().items():
+            rate = self.own[number].hold_hz
+            if number in self._referred() and np.isfinite(rate) and len(mine) == 2:
+                values = {int(self.rows.part[row]): row for row in mine}
+                angle = -np.pi * order * self.rows.frequency_hz[mine[0]] / rate
+                real, imag = values[int(Part.REAL)], values[int(Part.IMAG)]
+                result[real], result[imag] = -angle * base[imag], angle * base[real]
+        return np.nan_to_num(result)
+
+    def _slopes(self, base: Prediction) -> FloatArray:
+        """Change of the rows over that of the phase at which each level truly stood."""
+        moved = tuple(
+            replace(t, levels=tuple(replace(level, phase_error=level.phase_error + _PHASE_STEP) for level in t.levels))
+            if isinstance(t, PhaseResonanceTest)
+            else t
+            for t in self.tests
+        )
+        result = Forward(moved, self.rows).predict(self.rig, base)
+        return np.nan_to_num(self.forward.difference(result.values, base.values) / _PHASE_STEP)
 
     def _voltage(self, base: Prediction) -> FloatArray:
         """Rows over the relative error of the recorded voltage: the drive was larger than recorded."""
@@ -123,25 +189,25 @@ class _Columns:
             or (isinstance(test, RandomTest) and test.reference == "voltage")
         ]
 
-    def _images(self) -> FloatArray:
-        """What images of a held drive add to ln of each fundamental, complex, shape (rows,)."""
-        result = np.zeros(len(self.rows), dtype=np.complex128)
+    def _images(self) -> tuple[ComplexArray, ...]:
+        """What images of a held drive add to ln of each fundamental, of orders −1, 1 and the rest, (rows,) each."""
+        result = np.zeros((len(_IMAGE_ORDERS), len(self.rows)), dtype=np.complex128)
         for number in self._referred():
             test, chain = self.tests[number], self.own[number]
             channels = getattr(test, "channels", ())
-            mine = np.flatnonzero((self.rows.test == number) & self._linear_rows(number))
+            mine = np.flatnonzero(self._linear_rows(number))
             if not mine.size or not np.isfinite(chain.hold_hz):
                 continue
             view = ModelView.of(self.rig, test.drive_point)
             frequency = self.rows.frequency_hz[mine]
-            inside = frequency < 0.5 * chain.hold_hz
-            images = zero_order_images(view, channels, frequency, chain.hold_hz)
             plain = view.responses(channels, frequency)
             place = (self.rows.channel[mine], np.arange(mine.size))
-            result[mine] = np.where(inside, images[place] / plain[place], 0.0)
-        return np.nan_to_num(result)
+            for k, orders in enumerate(_IMAGE_ORDERS):
+                images = zero_order_images(view, channels, frequency, chain.hold_hz, orders)
+                result[k, mine] = np.where(frequency < 0.5 * chain.hold_hz, images[place] / plain[place], 0.0)
+        return tuple(np.nan_to_num(result))
 
-    def _linear_rows(self, number: int) -> FloatArray:
+    def _linear_rows(self, number: int) -> BoolArray:
         """Rows of a test that are the fundamental or a frequency response of a channel."""
         own = np.isin(self.rows.part, _FUNDAMENTAL) & (self.rows.channel >= 0) & (self.rows.test == number)
         return np.asarray(own)
@@ -151,8 +217,12 @@ class _Columns:
         phase = self.rows.part == Part.PHASE
         return np.where(phase, values.imag, values.real)
 
-    def _hold(self) -> list[FloatArray]:
-        """A drive that is held over each sample: smaller, half a sample late, and with images."""
+    def _hold(self, slopes: FloatArray, late: FloatArray) -> list[FloatArray]:
+        """A drive that is held over each sample: smaller, half a sample late, and with images.
+
+        A sampler with a delay τ of its own turns the image of order m by 2π m f_h τ, any angle; so each has an
+        amplitude and a phase of its own in every channel.
+        """
         direct = np.zeros(len(self.rows), dtype=np.complex128)
         for number in self._referred():
             rate = self.own[number].hold_hz
@@ -160,20 +230,55 @@ class _Columns:
             if np.isfinite(rate):
                 share = self.rows.frequency_hz[mine] / rate
                 direct[mine] = np.log(np.maximum(np.sinc(share), 1e-3)) - 1j * np.pi * share
-        found = [self._parts(direct + self.images)]
-        for channel in sorted({c.name for test in self.tests for c in getattr(test, "channels", ())}):
-            own = np.zeros(len(self.rows), dtype=bool)
-            for number, test in enumerate(self.tests):
-                names = [c.name for c in getattr(test, "channels", ())]
-                if channel in names:
-                    own |= (self.rows.test == number) & (self.rows.channel == names.index(channel))
-            found += [_IMAGE_STD * self._parts(turn * self.images) * own for turn in (1.0, 1j)]
+        found = [self._parts(direct) + late]
+        for channel in self.channels:
+            own = self._rows_of(channel)
+            for images in self.images:
+                found += [self._parts(t * images) * own + slopes * self._turned(channel, t * images) for t in (1, 1j)]
         return found
 
-    def floor(self) -> FloatArray:
+    def _rows_of(self, channel: str) -> BoolArray:
+        """Rows of a channel, in whatever test."""
+        own = np.zeros(len(self.rows), dtype=bool)
+        for number, test in enumerate(self.tests):
+            names = [c.name for c in getattr(test, "channels", ())]
+            if channel in names:
+                own |= (self.rows.test == number) & (self.rows.channel == names.index(channel))
+        return own
+
+    def _turned(self, channel: str, images: ComplexArray) -> FloatArray:
+        """By how much the phase between force and response truly was off at each locked row, if images were in it."""
+        result = np.zeros(len(self.rows))
+        for number, test in enumerate(self.tests):
+            if not isinstance(test, PhaseResonanceTest):
+                continue
+            force = next((c.name for c in test.channels if c.quantity is Quantity.FORCE), "")
+            sign = (channel == test.response_channel) - (channel == force)
+            mine = (self.rows.test == number) & self._rows_of(channel) & (self.rows.part == Part.PHASE)
+            for level in np.unique(self.rows.level[mine]) if sign else ():
+                angle = float(images[mine & (self.rows.level == level)][0].imag)
+                result[(self.rows.test == number) & (self.rows.level == level)] = sign * angle
+        return result
+
+    def _aims(self) -> list[FloatArray]:
+        """What the loop of each test held: it measured with a chain of its own."""
+        found = []
+        size = np.sum(np.abs(self.images), axis=0)
+        for number, test in enumerate(self.tests):
+            if isinstance(test, PhaseResonanceTest):
+                mine = self.rows.test == number
+                around = 2.0 * float(np.max(size[mine], initial=0.0))
+                found.append(np.hypot(_AIM_STD, around) * (mine & (self.rows.part == Part.PHASE_ERROR)))
+        return found
+
+    def floor(self, prediction: Prediction) -> FloatArray:
         """What is added to the floors of the rows, shape (m,)."""
-        result = _IMAGE_FLOOR * np.abs(self.images)
+        size = np.sum(np.abs(self.images), axis=0)
+        # The model's own error up there is the same for all levels of a run.
+        result = _IMAGE_FLOOR * size + _DRIVEN_FLOOR * self._driven(prediction)
         for number, chain in enumerate(self.own):
+            if isinstance(self.tests[number], PhaseResonanceTest):
+                result[(self.rows.test == number) & self._linear_rows(number)] *= _SAME_FOR_LEVELS
             lines = (self.rows.test == number) & (self.rows.part == Part.LINE)
             for channel in np.unique(self.rows.channel[lines]):
                 same = (self.rows.test == number) & (self.rows.channel == channel)

@@ -40,6 +40,10 @@ class ChannelSection(_Section):
         point: measurement point; left out where it belongs to none (drive voltage).
         scale: factor of the values before the unit applies: N per count, −1 for a sensor mounted the other way round.
         name: channel name in the bag; left out = letter of the quantity and point, such as a2.
+        gain_std: relative standard uncertainty of its calibration; left out = 1 %.
+        phase_std_deg: standard uncertainty of a phase that is the same at all frequencies, degrees; left out = 0.2.
+        delay_std_s: standard uncertainty of its delay against the other sensors, s; left out = 10 µs. Of a voltage:
+            against all sensors together; left out = 100 µs.
     """
 
     column: str | int
@@ -48,6 +52,9 @@ class ChannelSection(_Section):
     point: Annotated[int, Field(ge=0)] = 0
     scale: float = 1.0
     name: Annotated[str, Field(min_length=1, max_length=60)] | None = None
+    gain_std: Annotated[float, Field(ge=0)] | None = None
+    phase_std_deg: Annotated[float, Field(ge=0)] | None = None
+    delay_std_s: Annotated[float, Field(ge=0)] | None = None
 
     @property
     def measures(self) -> Quantity:

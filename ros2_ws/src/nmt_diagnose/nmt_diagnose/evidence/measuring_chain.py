@@ -80,18 +80,23 @@ def measuring_chain(
     voltage, shared = GAIN_STD, SHARED_DELAY_STD_S
     for section in sections if isinstance(sections, list) else ():
         if section.get("quantity") == "voltage":
-            voltage = float(section.get("gain_std", voltage))
+            voltage = _stated(section, "gain_std", voltage)
             # Of the voltage's delay against the sensors nothing differs from one of all sensors together.
-            shared = float(section.get("delay_std_s", shared))
+            shared = _stated(section, "delay_std_s", shared)
             continue
         own = _channel(section, channels)
         if own is not None:
             by_name[own] = ChannelTolerance(
-                float(section.get("gain_std", GAIN_STD)),
-                math.radians(float(section.get("phase_std_deg", PHASE_STD_DEG))),
-                float(section.get("delay_std_s", DELAY_STD_S)),
+                _stated(section, "gain_std", GAIN_STD),
+                math.radians(_stated(section, "phase_std_deg", PHASE_STD_DEG)),
+                _stated(section, "delay_std_s", DELAY_STD_S),
             )
     return MeasuringChain(by_name, voltage, shared, sample_rate)
+
+
+def _stated(section: Mapping[str, Any], key: str, default: float) -> float:
+    value = section.get(key)
+    return default if value is None else float(value)
 
 
 def _channel(section: Mapping[str, Any], channels: Mapping[str, MeasuredChannel]) -> str | None:

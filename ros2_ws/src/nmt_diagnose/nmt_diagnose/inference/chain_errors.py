@@ -31,8 +31,8 @@ _IMAGE_FLOOR, _SAME_FOR_LEVELS = 0.1, 0.2
 # What the model's response to a harmonic of the drive may be off by, relative.
 _DRIVEN_FLOOR = 0.03
 _CLOCK_STEP = 1e-5
-# What a loop may hold other than it was told, rad.
-_AIM_STD = math.radians(1.0)
+# What a loop may hold other than it was told, for all levels and for each, rad.
+_AIM_STD, _LOCK_STD = math.radians(1.0), math.radians(0.5)
 _FUNDAMENTAL = (Part.LOG_MAGNITUDE, Part.PHASE)
 
 
@@ -76,7 +76,9 @@ class _Columns:
         self.tests = tuple(evidence.tests[number] for number in self.numbers)
         self.forward = Forward(self.tests, self.rows)
         self.own = tuple(chains[number] for number in self.numbers)
-        self.channels = sorted({c.name for test in self.tests for c in getattr(test, "channels", ())})
+        self.channels = sorted(
+            {c.name for test in self.tests for c in getattr(test, "channels", ()) if c.quantity is not Quantity.VOLTAGE}
+        )
         self.images = self._images()
 
     def _full(self, values: FloatArray) -> FloatArray:
@@ -212,7 +214,7 @@ class _Columns:
         own = np.isin(self.rows.part, _FUNDAMENTAL) & (self.rows.channel >= 0) & (self.rows.test == number)
         return np.asarray(own)
 
-    def _parts(self, values: FloatArray) -> FloatArray:
+    def _parts(self, values: ComplexArray) -> FloatArray:
         """Change of ln of a response as change of its magnitude and phase rows."""
         phase = self.rows.part == Part.PHASE
         return np.where(phase, values.imag, values.real)
@@ -276,6 +278,7 @@ class _Columns:
         size = np.sum(np.abs(self.images), axis=0)
         # The model's own error up there is the same for all levels of a run.
         result = _IMAGE_FLOOR * size + _DRIVEN_FLOOR * self._driven(prediction)
+        result[self.rows.part == Part.PHASE_ERROR] = _LOCK_STD
         for number, chain in enumerate(self.own):
             if isinstance(self.tests[number], PhaseResonanceTest):
                 result[(self.rows.test == number) & self._linear_rows(number)] *= _SAME_FOR_LEVELS

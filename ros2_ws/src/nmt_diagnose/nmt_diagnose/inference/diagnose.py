@@ -56,6 +56,8 @@ _RANKED = 8
 _JUDGED = 3
 _HELPS = 2.0
 _CHANCE = 1.0
+# ln of the evidence from which an effect moves the solution so far that errors of the measuring chain act otherwise.
+_MOVES = 50.0
 _SECOND = 8.0  # ln of what a second effect costs in prior, among some hundred candidates
 
 
@@ -153,19 +155,23 @@ class _Diagnoser:
         self.forward = Forward(evidence.tests, evidence.rows)
         self.given = self.forward.predict(rig)
         nuisances = lock_nuisances(evidence, rig, self.given)
-        self.problem = with_chain_errors(Problem(evidence, self.forward, nuisances), rig, self.given)
+        self.plain = Problem(evidence, self.forward, nuisances)
+        self.problem = with_chain_errors(self.plain, rig, self.given)
         self.evidence = self.problem.evidence
         self.candidates = library_candidates(
             rig, operating_range(rig, evidence.tests, evidence=evidence), settings.withheld
         )
-        self.contest = Contest(
+        self.contest = self._contest()
+
+    def _contest(self) -> Contest:
+        return Contest(
             self.problem,
-            rig,
-            calibration_parameters(rig),
+            self.rig,
+            calibration_parameters(self.rig),
             self.candidates,
-            _affordable(settings.contest, evidence),
-            progress,
-            self.splits[0].fitted if settings.hold_out else None,
+            _affordable(self.settings.contest, self.evidence),
+            self.progress,
+            self.splits[0].fitted if self.settings.hold_out else None,
         )
 
     def run(self) -> Outcome:
@@ -182,6 +188,16 @@ class _Diagnoser:
         if better is not null:
             self.progress("starting anew from a better fit of the model")
             null = better
+            scan = self.contest.scan(null)
+            singles = self.contest.singles(null, scan)
+        if self.problem.shared is not None and singles and singles[0].fit.log_evidence > null.fit.log_evidence + _MOVES:
+            self.progress("tracing errors of the measuring chain about the best explanation")
+            near = singles[0].fit
+            moved = near.parametrisation.rig(near.theta)
+            self.problem = with_chain_errors(self.plain, moved, near.prediction)
+            self.evidence = self.problem.evidence
+            self.contest = self._contest()
+            null = self.contest.polished(self.contest.null())
             scan = self.contest.scan(null)
             singles = self.contest.singles(null, scan)
         singles, pairs = self.contest.pruned(singles, self.contest.pairs(singles))

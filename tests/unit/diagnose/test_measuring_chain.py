@@ -1,0 +1,159 @@
+"""Tolerances of the measuring chain of imports: covariance, directions, images of a held drive, harmonics of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete
+from unit.diagnose.linear_problem import FunctionModel, evidence_of
+from unit.diagnose.twin_evidence import chain, evidence_of_twin
+
+from nmt_core.blocks import Quantity
+from nmt_diagnose.evidence.conditions import MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.evidence.drive_hold import hold_factor, image_responses, zero_order_images
+from nmt_diagnose.evidence.measuring_chain import ChannelTolerance, MeasuringChain, measuring_chain
+from nmt_diagnose.evidence.model_view import ModelView
+from nmt_diagnose.evidence.observables import Part
+from nmt_diagnose.inference.chain_errors import with_chain_errors
+from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.inference.shared_errors import SharedErrors
+from nmt_diagnose.twin.forward import Forward
+from nmt_record.import_sidecar import ChannelSection
+
+CHANNELS = {
+    "force": MeasuredChannel("f1", Quantity.FORCE, 1),
+    "a2": MeasuredChannel("a2", Quantity.ACCELERATION, 2),
+}
+
+
+def test_whitening_is_the_dense_inverse_root() -> None:
+    draw = np.random.default_rng(1)
+    sigma = draw.uniform(0.5, 2.0, 9)
+    columns = draw.standard_normal((9, 3)) * np.array([0.2, 3.0, 50.0])
+    plain = Problem(evidence_of(np.zeros(9), sigma), FunctionModel(lambda t: t))
+    problem = replace(plain, shared=SharedErrors.of(plain.whitened(columns)))
+    left = draw.standard_normal((9, 4))
+    whitened = problem.whitened(left)
+    covariance = np.diag(sigma**2) + columns @ columns.T
+    assert np.allclose(whitened.T @ whitened, left.T @ np.linalg.solve(covariance, left))
+    assert np.allclose(problem.whitened(left[:, 1]), whitened[:, 1])
+
+
+def test_a_row_without_a_solution_does_not_spoil_the_others() -> None:
+    draw = np.random.default_rng(2)
+    shared = SharedErrors.of(draw.standard_normal((6, 2)))
+    values = draw.standard_normal(6)
+    values[3] = np.nan
+    assert np.array_equal(np.isnan(shared.whitened(values)), np.isnan(values))
+
+
+def test_only_imports_have_tolerances() -> None:
+    assert measuring_chain({"rig": "beam", "run_id": "x"}, CHANNELS, 1e4) is None
+    stated = [
+        {"column": "u", "quantity": "voltage", "gain_std": 2e-3, "delay_std_s": 5e-6},
+        {"column": "f", "quantity": "force", "point": 1, "name": "force", "phase_std_deg": 1.0},
+        {"column": 3, "quantity": "acceleration", "point": 2, "gain_std": 0.0, "delay_std_s": 2e-6},
+    ]
+    for section in stated:
+        ChannelSection.model_validate({**section, "unit": "V"})
+    found = measuring_chain({"imported": {"sidecar": {"channels": stated}}}, CHANNELS, 5000.0)
+    assert found is not None
+    assert (found.voltage_gain, found.shared_delay_s, found.hold_hz) == (2e-3, 5e-6, 5000.0)
+    assert found.of("f1") == ChannelTolerance(phase=math.radians(1.0))
+    assert found.of("a2") == ChannelTolerance(gain=0.0, delay_s=2e-6)
+    assert found.of("a9") == ChannelTolerance()
+
+
+class _FirstOrder:
+    """ẏ = −a y + u, seen as a model."""
+
+    rate = 700.0
+
+    def responses(self, channels: object, frequency_hz: np.ndarray) -> np.ndarray:
+        return (1.0 / (2j * np.pi * frequency_hz + self.rate))[None, :]
+
+
+def test_images_of_a_held_drive_are_those_of_the_sampled_system() -> None:
+    """A first-order system, held and sampled, has a transfer function in closed form (step-invariant transform)."""
+    hertz, frequency = 5000.0, np.array([20.0, 97.0, 400.0, 1500.0])
+    view = _FirstOrder()
+    orders = tuple(m for m in range(-4000, 4001) if m)
+    folded = zero_order_images(view, (CHANNELS["a2"],), frequency, hertz, orders)[0]  # type: ignore[arg-type]
+    share = frequency / hertz
+    direct = view.responses((), frequency)[0] * np.sinc(share) * np.exp(-1j * np.pi * share)
+    top, bottom, *_ = cont2discrete(([1.0], [1.0, view.rate]), 1.0 / hertz, method="zoh")
+    z = np.exp(2j * np.pi * share)
+    assert direct + folded == pytest.approx(np.polyval(top[0], z) / np.polyval(bottom, z), rel=2e-4)
+
+
+def test_images_of_an_interpolated_drive_are_those_of_the_sampled_system() -> None:
+    """The same for a drive that goes straight from sample to sample."""
+    hertz, frequency = 5000.0, np.array([97.0, 400.0])
+    view = _FirstOrder()
+    folded = image_responses(view, (CHANNELS["a2"],), frequency, hertz)[0]  # type: ignore[arg-type]
+    direct = view.responses((), frequency)[0] * hold_factor(frequency, hertz)
+    top, bottom, *_ = cont2discrete(([1.0], [1.0, view.rate]), 1.0 / hertz, method="foh")
+    z = np.exp(2j * np.pi * frequency / hertz)
+    assert direct + folded == pytest.approx(np.polyval(np.ravel(top), z) / np.polyval(bottom, z), rel=1e-4)
+
+
+def test_harmonics_of_the_drive_drive_the_model() -> None:
+    """Of a linear rig the third harmonic of each channel is its response there times that of the drive."""
+    model = chain(local_elements=[])
+    evidence = evidence_of_twin(model, random=False)
+    test = evidence.tests[0]
+    assert isinstance(test, PhaseResonanceTest)
+    share = 2e-3 * np.exp(0.7j)
+    moved = replace(test, levels=tuple(replace(level, drive_harmonics=(0j, complex(share))) for level in test.levels))
+    rows = evidence.rows
+    pure, driven = (Forward((own,), rows).predict(model).values for own in (test, moved))
+    found = 0
+    for channel, own in enumerate(test.channels):
+        for level in range(len(test.levels)):
+            mine = (rows.level == level) & (rows.channel == channel)
+            log_size = pure[mine & (rows.part == Part.LOG_MAGNITUDE)]
+            parts = [np.flatnonzero(mine & (rows.harmonic == 3) & (rows.part == p)) for p in (Part.REAL, Part.IMAG)]
+            if log_size.size and all(part.size for part in parts):
+                change = [float(driven[part[0]] - pure[part[0]]) for part in parts]
+                frequency = np.exp(pure[(rows.level == level) & (rows.part == Part.LOG_FREQUENCY)]) / (2.0 * np.pi)
+                response = ModelView.of(model, test.drive_point).responses((own,), 3.0 * frequency)[0, 0]
+                expected = response * share * test.levels[level].drive / math.exp(float(log_size[0]))
+                assert complex(*change) == pytest.approx(complex(expected), rel=2e-3)
+                found += 1
+    assert found >= 2 * len(test.levels)
+
+
+def test_errors_within_the_tolerances_are_noise_and_beyond_them_are_not() -> None:
+    """Gains of 1 % and 10 %, a common delay of 80 µs: exact predictions of a rig with these sensors."""
+    model = chain()
+    evidence = evidence_of_twin(model)
+    tolerant = replace(evidence, chains=(MeasuringChain(),) * len(evidence.tests))
+    forward = Forward(evidence.tests, evidence.rows)
+    base = forward.predict(model)
+    problem = with_chain_errors(Problem(tolerant, forward), model, base)
+    plain = Problem(evidence, forward)
+
+    def size(kind: Problem, gain: float, delay: float) -> float:
+        sensors = [
+            s.model_copy(update={"gain": s.gain * (gain if k == 0 else 1.0), "delay_s": s.delay_s + delay})
+            if s.quantity != "voltage"
+            else s
+            for k, s in enumerate(model.sensors)
+        ]
+        seen = forward.predict(model.model_copy(update={"sensors": sensors}), base)
+        residual = kind.whitened(forward.difference(seen.values, base.values))
+        return float(residual @ residual)
+
+    assert size(plain, 1.01, 80e-6) > 1e4
+    assert size(problem, 1.01, 80e-6) < 5.0
+    assert size(problem, 1.10, 80e-6) > 50.0
+
+
+def test_without_tolerances_the_problem_is_the_same() -> None:
+    model = chain()
+    evidence = evidence_of_twin(model, random=False)
+    problem = Problem(evidence, Forward(evidence.tests, evidence.rows))
+    assert with_chain_errors(problem, model, problem.forward.predict(model)) is problem

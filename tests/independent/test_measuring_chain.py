@@ -10,10 +10,9 @@ from independent.laboratory import Chain, MeasuringChain
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, 9])
-def test_a_healthy_recording_raises_no_alarm(tmp_path: Path, seed: int) -> None:
+def test_a_healthy_recording_raises_no_alarm(tmp_path: Path) -> None:
     """Gains of 1 %, phases of 0.2°, a delay, a held drive with a third harmonic of 0.1 %."""
-    found = diagnosed(tmp_path, Chain(), MeasuringChain.drawn(seed), (0.2, 0.5, 1.0))
+    found = diagnosed(tmp_path, Chain(), MeasuringChain.drawn(2), (0.2, 0.5, 1.0))
     assert found.verdict.value == "none"
 
 

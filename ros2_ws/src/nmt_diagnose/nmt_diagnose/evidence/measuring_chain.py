@@ -42,7 +42,8 @@ class MeasuringChain:
     Attributes:
         channels: by the model's name of the channel; others have the defaults.
         voltage_gain: relative standard deviation of the recorded or commanded voltage.
-        shared_delay_s: standard deviation of a delay of all sensors together against the voltage, s.
+        shared_delay_s: standard deviation of a delay that all sensors share against the voltage, and of one that the
+            sensors of a kind share, s.
         hold_hz: rate at which the drive may have been held from sample to sample, Hz.
         mains: hum of the mains that is ordinary, over the largest fundamental of its channel.
         clock: relative standard deviation of the sampling clock.

@@ -76,9 +76,12 @@ class _Columns:
         self.tests = tuple(evidence.tests[number] for number in self.numbers)
         self.forward = Forward(self.tests, self.rows)
         self.own = tuple(chains[number] for number in self.numbers)
-        self.channels = sorted(
-            {c.name for test in self.tests for c in getattr(test, "channels", ()) if c.quantity is not Quantity.VOLTAGE}
-        )
+        self.channels = {
+            c.name: c.quantity
+            for test in self.tests
+            for c in getattr(test, "channels", ())
+            if c.quantity is not Quantity.VOLTAGE
+        }
         self.images = self._images()
 
     def _full(self, values: FloatArray) -> FloatArray:
@@ -97,14 +100,17 @@ class _Columns:
 
         found: list[FloatArray] = []
         omega = 2.0 * np.pi * self.rows.frequency_hz
-        common = np.zeros(len(self.rows))
+        groups: dict[Quantity, FloatArray] = {}
         for channel in self.channels:
             tolerance = next((chain.of(channel) for chain in self.own if channel in chain.channels), self.own[0].of(""))
             gain = change(_edited(self.rig, channel, _louder), _GAIN_STEP)
             delay = change(_edited(self.rig, channel, _later), _DELAY_STEP_S)
-            common += delay
+            quantity = self.channels[channel]
+            groups[quantity] = groups.get(quantity, np.zeros(len(self.rows))) + delay
             found += [tolerance.gain * gain, tolerance.delay_s * delay, tolerance.phase * delay / omega]
-        found.append(max(chain.shared_delay_s for chain in self.own) * common)
+        # Sensors of one kind share their conditioners; all of them together may be late against the voltage.
+        shared = max(chain.shared_delay_s for chain in self.own)
+        found += [shared * group for group in (*groups.values(), np.sum(list(groups.values()), axis=0))]
         found.append(max(chain.voltage_gain for chain in self.own) * self._voltage(base))
         found += self._hold(self._slopes(base), self._late(base.values))
         clock = self.rig.model_copy(update={"clock_error": self.rig.clock_error + _CLOCK_STEP})

@@ -14,6 +14,7 @@ import numpy as np
 
 from nmt_core.blocks import UNKNOWN_PHASE, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
+from nmt_core.hardened import open_regular, read_text
 from nmt_core.linear_description import LinearDescription
 from nmt_core.test_kind import TestKind
 from nmt_core.wire import BlockWriter, LoopStatus, write_status
@@ -309,9 +310,7 @@ def _beside(sidecar: Path, name: str, place: str) -> Path:
 
 def _read_linear(path: Path) -> LinearDescription:
     try:
-        return LinearDescription.from_json(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"The linear description {path} cannot be read; give a linear.json file.") from error
+        return LinearDescription.from_json(read_text(path, "linear description"))
     except BenchError as error:
         raise BenchError(f"{path}: {error}") from error
 
@@ -319,7 +318,7 @@ def _read_linear(path: Path) -> LinearDescription:
 def _digest(path: Path) -> dict[str, str]:
     digest = hashlib.sha256()
     try:
-        with path.open("rb") as file:
+        with open_regular(path, "file", 2**62) as file:
             while piece := file.read(2**20):
                 digest.update(piece)
     except OSError as error:

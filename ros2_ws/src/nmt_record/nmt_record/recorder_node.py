@@ -16,6 +16,7 @@ from std_msgs.msg import String
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_text
 from nmt_core.parameters import Parameter
 from nmt_msgs.msg import RunState
 from nmt_record.bag_writer import COMPRESSIONS, BagWriter
@@ -285,11 +286,7 @@ def _text(values: dict[str, Any], text: str, file: str) -> str:
         raise BenchError(f"Parameters '{text}' and '{file}' of recorder exclude each other; give one.")
     if not values[file]:
         return str(values[text])
-    path = Path(values[file])
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"Parameter '{file}' of recorder names {path}, which cannot be read: {error}.") from error
+    return read_text(Path(values[file]), f"file of parameter '{file}' of recorder,")
 
 
 def main(args: list[str] | None = None) -> int:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_text
 
 if TYPE_CHECKING:
     from nmt_record.bag_reader import Bag
@@ -74,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     linear = linear_text(bag) if bag is not None else ""
     beside = arguments.source / "linear.json"
     if not linear and arguments.source.is_dir() and beside.is_file():
-        linear = beside.read_text(encoding="utf-8")
+        linear = read_text(beside, "linear description")
     with OutputFolder(arguments.out, arguments.force) as folder:
         files = [] if bag is None else _export_samples(bag, folder, arguments, linear)
         if responses is not None:

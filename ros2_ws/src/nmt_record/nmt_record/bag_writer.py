@@ -354,6 +354,7 @@ class BagWriter:
         return int(channel)
 
     def _write_record(self, kind: int, run_json: str, rig_yaml: str, stamp_ns: int) -> None:
+        local_definitions().definition(RUN_RECORD)  # a copy has its definitions from the source
         types = local_definitions().typestore.types
         stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000)
         record = types[RUN_RECORD](stamp=stamp, kind=kind, run_json=run_json, rig_yaml=rig_yaml)

@@ -25,7 +25,7 @@ from nmt_core.errors import BenchError
 
 LARGEST_DOCUMENT = 2**20  # bytes of a file written by hand
 LARGEST_TABLE = 2**28  # bytes of a text file that a program wrote
-LARGEST_ARRAYS = 2**28  # bytes of all arrays of a file together
+LARGEST_ARRAYS = 2**29  # bytes of all arrays of a file together, as double precision
 LARGEST_NUMBER = 1e30
 SMALLEST_NUMBER = 1e-25  # but for zero
 _MOST_NODES = 20_000
@@ -34,21 +34,8 @@ _DEEPEST = 40
 # What PyYAML's constructors raise for a value that does not fit its tag, besides YAMLError.
 YAML_FAULTS = (ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError)
 
-_NOT_NPZ = (
-    zipfile.BadZipFile,
-    ValueError,
-    EOFError,
-    KeyError,
-    SyntaxError,
-    TypeError,
-    OverflowError,
-    MemoryError,
-    NotImplementedError,
-    RuntimeError,
-    AttributeError,
-    IndexError,
-    zlib.error,
-)
+_DAMAGED_NPZ = (zipfile.BadZipFile, zlib.error, EOFError, KeyError, NotImplementedError, RuntimeError)
+_NOT_PLAIN = (ValueError, SyntaxError, TypeError, OverflowError, MemoryError, AttributeError, IndexError)
 
 
 def open_regular(path: Path, what: str, largest: int) -> IO[bytes]:
@@ -256,12 +243,19 @@ def read_arrays(path: Path, what: str, largest: int = LARGEST_ARRAYS) -> Mapping
                 return {name: arrays[name] for name in arrays.files}
     except BenchError:
         raise
-    except (OSError, *_NOT_NPZ) as error:
-        raise BenchError(f"The {what} {path} is not an NPZ file of plain arrays: {_first_line(error)}.") from error
+    except (OSError, *_DAMAGED_NPZ) as error:
+        raise BenchError(
+            f"The {what} {path.name} is cut off or damaged ({_first_line(error)}); save it again."
+        ) from error
+    except _NOT_PLAIN as error:
+        raise BenchError(
+            f"The {what} {path.name} holds arrays that are not plain numbers ({_first_line(error)}); save float arrays "
+            "with numpy.savez."
+        ) from error
 
 
 def _claimed_bytes(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> int:
-    """Bytes that an entry needs in memory, by its header."""
+    """Bytes that an entry needs in memory as double precision, by its header."""
     if not item.filename.endswith(".npy"):
         raise ValueError(f"'{item.filename}' in it is no array")
     with archive.open(item) as entry:
@@ -273,10 +267,11 @@ def _claimed_bytes(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> int:
         head = entry.tell()
     if kind.hasobject:
         raise ValueError(f"'{item.filename}' holds objects")
-    claimed = math.prod(int(n) for n in shape) * int(kind.itemsize)
+    values = math.prod(int(n) for n in shape)
+    claimed = values * int(kind.itemsize)
     if claimed != item.file_size - head or any(n < 0 for n in shape):
         raise ValueError(f"'{item.filename}' claims {claimed} bytes and has {item.file_size - head}")
-    return claimed
+    return max(claimed, 8 * values)
 
 
 def _first_line(error: Exception) -> str:

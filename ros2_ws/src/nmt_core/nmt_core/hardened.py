@@ -53,13 +53,13 @@ def open_regular(path: Path, what: str, largest: int) -> IO[bytes]:
         # Without O_NONBLOCK opening a pipe would wait for its other end.
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except (OSError, ValueError) as error:
-        raise BenchError(f"cannot read the {what} {path}: {getattr(error, 'strerror', None) or error}.") from error
+        raise BenchError(f"The {what} {path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
     file = None
     try:
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):
             kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
-            raise BenchError(f"cannot read the {what} {path}: it is {kind}; give a file.")
+            raise BenchError(f"The {what} {path} cannot be read: it is {kind}; give a file.")
         if status.st_size > largest:
             raise BenchError(
                 f"The {what} {path} has {status.st_size / 2**20:.1f} MiB, more than the {largest / 2**20:g} MiB that "
@@ -80,7 +80,7 @@ def read_text(path: Path, what: str, largest: int = LARGEST_TABLE) -> str:
     except UnicodeDecodeError as error:
         raise BenchError(f"{path} is not a text file in UTF-8; give a {what}.") from error
     except OSError as error:
-        raise BenchError(f"cannot read the {what} {path}: {error.strerror or error}.") from error
+        raise BenchError(f"The {what} {path} cannot be read: {error.strerror or error}.") from error
 
 
 class BoundedYaml(yaml.SafeLoader):

@@ -17,7 +17,7 @@ from nmt_core.validation_sentence import validation_sentence
 from nmt_rig.rig_file import KeyPath, RigDocument, apply_overrides, read_document
 from nmt_rig.rig_section import Name, NotNegative, Point, Positive
 from nmt_rig.rig_section import Section as Section
-from nmt_rig.structure_files import completed, names_files, with_file_contents
+from nmt_rig.structure_files import completed, names_files, with_channels, with_file_contents
 from nmt_rig.structure_sections import AddedMassSection as AddedMassSection
 from nmt_rig.structure_sections import AnyStructure, point_words
 from nmt_rig.structure_sections import BeamSection as BeamSection
@@ -747,7 +747,7 @@ def load_rig(path_or_name: str | Path, overrides: Sequence[str] = ()) -> Rig:
     document = read_document(path)
     # What the structure's files hold can be changed too: those that say which file come first.
     first = [text for text in overrides if names_files(text.partition("=")[0].strip())]
-    read = with_file_contents(apply_overrides(document, first), path.parent)
+    read = with_channels(with_file_contents(apply_overrides(document, first), path.parent))
     changed = apply_overrides(read, [text for text in overrides if text not in first])
     _move_exciter_elements(document.values, changed.values)
     rig = validate_rig(changed)

@@ -99,6 +99,7 @@ def test_json(tmp_path: Path) -> None:
     ):
         with pytest.raises(BenchError, match=why):
             json_value(text, "x")
+    assert json_value('{"m": 1e308}', "x", bounded=False) == {"m": 1e308}
     (tmp_path / "list.json").write_text("[1]")
     with pytest.raises(BenchError, match="must be a JSON object"):
         read_json(tmp_path / "list.json", "table")

@@ -169,12 +169,13 @@ def check_number(value: float, place: str) -> None:
         )
 
 
-def json_value(text: str, name: str) -> Any:
+def json_value(text: str, name: str, bounded: bool = True) -> Any:
     """Content of a JSON text, of bounded depth, size and magnitudes.
 
     Args:
         text: JSON; NaN and Infinity are taken as Python writes them.
         name: of the file or the place, for messages.
+        bounded: refuse magnitudes beyond every quantity; off for results, which may be as wild as the data were.
 
     Raises:
         BenchError: not JSON, too deep, too many entries, or a number out of bounds.
@@ -195,7 +196,7 @@ def json_value(text: str, name: str) -> Any:
             waiting.extend((part, depth + 1, inner) for inner, part in item.items())
         elif isinstance(item, list):
             waiting.extend((part, depth + 1, key) for part in item)
-        elif isinstance(item, int | float) and not isinstance(item, bool):
+        elif bounded and isinstance(item, int | float) and not isinstance(item, bool):
             _check_json_number(item, f"{name}, '{key}'" if key else name)
     return value
 

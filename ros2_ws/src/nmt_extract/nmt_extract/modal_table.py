@@ -112,11 +112,11 @@ def read_json(path: Path | str) -> tuple[list[ModalPoint], dict[str, Any]]:
         BenchError: not there, or not such a file.
     """
     try:
-        document = json_value(_read(Path(path)), str(path))
+        document = json_value(_read(Path(path)), str(path), bounded=False)
         if document["format"] != FORMAT:
             raise ValueError(f"its format is '{document['format']}'")
         return [_point_from_mapping(values) for values in document["points"]], document["inputs"]
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise BenchError(f"{path} is not a file of modal points ('{FORMAT}'): {error}.") from error
 
 

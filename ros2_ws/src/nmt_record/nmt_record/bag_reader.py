@@ -388,7 +388,7 @@ class Bag:
     def _parse(self, text: str) -> dict[str, Any]:
         if not text:
             return {}
-        record = json_value(text, f"The run record in the bag {self.path}")
+        record = json_value(text, f"The run record in the bag {self.path}", bounded=False)
         if not isinstance(record, dict):
             raise BenchError(f"The run record in the bag {self.path} is not a JSON object.")
         return record

@@ -97,7 +97,7 @@ class ObservableTable:
             BenchError: not such a text.
         """
         try:
-            values: Mapping[str, Any] = json_value(text, "An observable table")
+            values: Mapping[str, Any] = json_value(text, "An observable table", bounded=False)
             if values["format"] != FORMAT:
                 raise ValueError(f"format {values['format']}")
             return cls(
@@ -115,7 +115,7 @@ class ObservableTable:
                 name=values["name"],
                 source=values["source"],
             )
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise BenchError(
                 f"A table on topic '{OBSERVABLES_TOPIC}' is not of the form '{FORMAT}': {error}."
             ) from error

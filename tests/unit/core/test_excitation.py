@@ -7,7 +7,7 @@ import pytest
 
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 
 RANDOM = {"test": TestKind.RANDOM, "band_low_hz": 10.0, "band_high_hz": 2000.0, "duration": 20.0}
 SWEEP = {"test": TestKind.SWEEP, "rate_hz_s": -0.2, "frequency_end_hz": 350.0}

@@ -47,6 +47,7 @@ class Plain:
     prior_std: np.ndarray
     lower: np.ndarray
     names: tuple[str, ...]
+    log_prior: float = 0.0
 
     @classmethod
     def of(cls, size, std=1.0, lower=-np.inf):

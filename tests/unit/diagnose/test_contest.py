@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from unit.diagnose.twin_evidence import chain, evidence_of_twin, real
@@ -90,7 +92,41 @@ def test_climbing_over_the_levels_ends_where_a_fit_of_all_does() -> None:
     shifted = real(MODEL, exciter={"resistance_ohm": 3.0 * 1.06})
     own = contest(evidence_of_twin(shifted, seed=4, drives=LEVELS))
     null = own.null().fit
-    climbed = own._climbed(null.parametrisation, None)  # type: ignore[arg-type]
+    climbed = own._climbed(null.parametrisation, None, null.parametrisation.zero)  # type: ignore[arg-type]
     assert climbed.used.sum() == null.used.sum()
     assert climbed.log_evidence == pytest.approx(null.log_evidence, abs=0.5)
     np.testing.assert_allclose(climbed.theta, null.theta, atol=0.2)
+
+
+def test_a_pair_with_a_member_at_zero_is_no_pair() -> None:
+    truth = real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}])
+    own = contest(evidence_of_twin(truth, seed=7, drives=LEVELS))
+    null = own.null()
+    singles = own.singles(null, own.scan(null))
+    idle = next(s for s in own.scan(singles[0]) if own.candidates[s.direction.candidate].label == "phase_offset")
+    pair = own.add(singles[0], idle)
+    assert pair is not None
+    assert pair.strength(1) < 1.0
+    # A single fit that had stopped early takes over what the pair found.
+    early = replace(singles[0], fit=replace(singles[0].fit, log_evidence=singles[0].fit.log_evidence - 5.0))
+    better, kept = own.pruned([early, *singles[1:]], [pair])
+    assert kept == []
+    assert better[0].explanation == singles[0].explanation
+    assert better[0].fit.log_evidence == pytest.approx(singles[0].fit.log_evidence, abs=0.5)
+    assert len(better) == len(singles)
+    assert own.pruned(singles, [pair])[0][0] is singles[0]
+
+
+def test_a_strong_stop_is_fitted_to_its_optimum() -> None:
+    """Gap and stiffness bend the model's own parameters first; the truth is reached from the parameters as given."""
+    stop = {"kind": "two_sided_gap", "point": 2, "stiffness_n_m": 20000.0, "gap_m": 1.5e-4}
+    evidence = evidence_of_twin(real(MODEL, local_elements=[stop]), seed=8, drives=LEVELS)
+    own = contest(evidence, ("two_sided_gap",))
+    null = own.null()
+    best = own.singles(null, own.scan(null))[0]
+    assert best.candidates[0].label == "two_sided_gap@2"
+    assert best.fit.converged
+    assert best.fit.chi_square < 1.3 * best.fit.used.sum()
+    reported = best.fit.parametrisation.reported(best.fit.theta, 0)
+    gap_std = reported["gap"][0] * best.fit.std[best.fit.parametrisation.index_of(0)][1]
+    assert reported["gap"][0] == pytest.approx(1.5e-4, abs=4.0 * gap_std)

@@ -109,3 +109,20 @@ def test_a_wrong_parameter_is_a_calibration() -> None:
     assert not math.isnan(found.gap.closed)
     assert len(outcome.model.local_elements) == len(MODEL.local_elements)
     assert "resistance_ohm" in found.sentences[1]
+
+
+def test_a_weaker_effect_beside_a_strong_one_is_named_or_warned_of() -> None:
+    """A force gain of 4 % beside a cubic spring of hundreds of standard deviations bends the masses instead."""
+    gains = [s.model_dump() | ({"gain": 1.04} if s.quantity == "force" else {}) for s in MODEL.sensors]
+    spring = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e9}
+    outcome = diagnosed(real(MODEL, local_elements=[spring], sensors=gains), ("cubic_stiffness", "force_gain"))
+    found = outcome.diagnosis
+    first = found.ranking[0]
+    assert found.verdict is Verdict.EFFECT
+    assert "cubic_stiffness" in first.effect
+    assert first.sigmas > 5.0
+    if "force_gain" not in first.effect:
+        assert any("masses_kg" in sentence for sentence in found.warnings)
+        assert set(found.warnings) <= set(found.sentences)
+    assert first.converged
+    assert found.gap.closed <= 1.0

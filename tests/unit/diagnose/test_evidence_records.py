@@ -194,6 +194,19 @@ def test_frequency_response_table(tmp_path: Path) -> None:
     assert any("no uncertainties" in note for note in evidence.notes)
 
 
+@pytest.mark.parametrize("scatter", [0.0, 3e-3, 1.2e-2])
+def test_a_table_without_uncertainties_scatters_about_its_course(tmp_path: Path, scatter: float) -> None:
+    amplitude = np.linspace(0.1, 3.0, 40)
+    generator = np.random.default_rng(2)
+    frequency = 68.6 * np.sqrt(1.0 + 0.5 * amplitude**2) * np.exp(scatter * generator.standard_normal(40))
+    rows = "".join(f"{f!r},{a!r}\n" for f, a in zip(frequency.tolist(), amplitude.tolist(), strict=True))
+    bag = table(tmp_path, "backbone", "frequency_hz,amplitude\n" + rows)
+    evidence = read_evidence([bag], rig_in(tmp_path))
+    # Of a smooth course nothing is left but what tables of others are trusted to.
+    assert evidence.sigma == pytest.approx(np.full(40, max(scatter, 1e-3)), rel=0.25)
+    assert any("no uncertainties are given" in note for note in evidence.notes)
+
+
 def test_table_of_another_rig(tmp_path: Path) -> None:
     bag = table(tmp_path, "backbone", "frequency_hz,amplitude\n370.0,1\n369.0,2\n")
     with pytest.raises(BenchError, match="no mode of the model"):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -96,3 +98,49 @@ def test_parameters_that_hardly_differ_still_have_uncertainties():
     result = fit(Problem(evidence_of(matrix @ np.ones(3), 1.0), model), Plain.of(3, 1.0), np.zeros(3))
     assert np.all(np.isfinite(result.std))
     assert np.all(result.predictive_std >= 1.0)
+
+
+def test_a_fit_that_stops_before_its_optimum_says_so():
+    """A narrow bent valley (Rosenbrock): one step is not enough, and where steps are too short they promise little."""
+
+    def valley(t):
+        return np.array([20.0 * (t[1] - t[0] ** 2), 2.0 - t[0]])
+
+    def derivative(t):
+        return np.array([[-40.0 * t[0], 20.0], [-1.0, 0.0]])
+
+    problem = Problem(evidence_of(np.zeros(2), 0.01), FunctionModel(valley, derivative))
+    plain = Plain.of(2, 10.0)
+    start = FunctionModel(valley).predict(np.array([-1.5, 2.0]))
+    early = fit(problem, plain, np.array([-1.5, 2.0]), start=start, steps=2)
+    assert not early.converged
+    assert early.chi_square > 1.0
+    whole = fit(problem, plain, np.array([-1.5, 2.0]), start=start, steps=200, refreshes=200)
+    assert whole.converged
+    assert np.allclose(whole.theta, [2.0, 4.0], atol=0.05)
+
+
+def test_what_is_left_beyond_the_noise_makes_parameters_uncertain():
+    """A line through points that scatter five times as much as stated: how far its slope scatters is known."""
+    x = np.linspace(-1.0, 1.0, 40)
+    generator = np.random.default_rng(12)
+
+    def slope(size):
+        measured = 2.0 * x + size * generator.standard_normal(x.size)
+        model = FunctionModel(lambda t: x * t[0])
+        return fit(Problem(evidence_of(measured, 1.0), model), Plain.of(1, 100.0), np.zeros(1))
+
+    found = [slope(5.0) for _ in range(200)]
+    spread = np.std([item.theta[0] for item in found])
+    stated = np.mean([item.std[0] * item.scatter for item in found])
+    assert stated == pytest.approx(spread, rel=0.15)
+    # Within chance the stated uncertainties stay as they are.
+    assert slope(1.0).scatter == 1.0
+
+
+def test_a_less_probable_part_of_the_prior_costs_its_weight():
+    x = np.linspace(0.0, 1.0, 20)
+    problem = Problem(evidence_of(3.0 * x, 1.0), FunctionModel(lambda t: x * t[0]))
+    plain = Plain.of(1, 2.0)
+    usual, rare = (fit(problem, replace(plain, log_prior=value), np.zeros(1)) for value in (0.0, -2.5))
+    assert usual.log_evidence - rare.log_evidence == pytest.approx(2.5)

@@ -1,10 +1,18 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from unit.diagnose.linear_problem import evidence_of
 
+from nmt_diagnose.effects.effect import Candidate, Site
+from nmt_diagnose.effects.library import effect_named
+from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.evidence.observables import joined
+from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.gap import closed, noise_floor, rms
-from nmt_diagnose.inference.held_out import splits
+from nmt_diagnose.inference.held_out import Split, splits
+from nmt_diagnose.inference.held_out_contest import HeldOut, determined
 
 
 def test_splits_hold_out_every_second_level_the_top_two_and_whole_tests():
@@ -31,8 +39,9 @@ def test_closed_is_the_share_of_the_reachable_gap():
     full = closed(evidence, [(noise + 4.0, noise, everything)])
     assert full.before == pytest.approx(np.sqrt(17.0), rel=0.05)
     assert full.value == pytest.approx(1.0, abs=0.03)
-    assert full.low < full.value < full.high
+    assert full.low < full.value == full.high == 1.0
     half = closed(evidence, [(noise + 4.0, noise + 2.0, everything)])
+    assert half.low < half.value < half.high
     assert half.value == pytest.approx((17.0**0.5 - 5.0**0.5) / (17.0**0.5 - 1.0), abs=0.03)
     harm = closed(evidence, [(noise + 4.0, noise + 5.0, everything)])
     assert harm.value < 0.0
@@ -63,3 +72,106 @@ def test_a_prediction_is_worse_only_beyond_its_own_scatter():
     odd = noise + 0.05 * generator.standard_normal(1000)
     assert abs(closed(evidence, [(noise, odd, everything)]).gain) < 3.0
     assert closed(evidence, [(noise, noise, everything)]).gain == 0.0
+
+
+def test_the_onset_of_slip_is_no_noise():
+    """A course that bends at one level has a few large second differences; the scatter shows in the others."""
+    generator = np.random.default_rng(4)
+    levels, series = 12, 40
+    evidence = replace_rows(evidence_of(np.zeros(levels * series), 1.0, np.tile(np.arange(levels), series)), series)
+    noise = generator.standard_normal(levels * series)
+    bend = np.tile(np.maximum(np.arange(levels) - 7.0, 0.0), series) * 40.0
+    everything = np.ones(levels * series, dtype=bool)
+    assert noise_floor(evidence, noise, everything) == pytest.approx(1.0, rel=0.1)
+    assert noise_floor(evidence, noise + bend, everything) == pytest.approx(1.0, rel=0.3)
+
+
+def replace_rows(evidence, series):
+    """The rows as those of so many harmonics, one after the other."""
+    size = len(evidence.rows) // series
+    return replace(evidence, rows=replace(evidence.rows, harmonic=np.repeat(np.arange(series) + 1, size)))
+
+
+def test_no_more_than_all_of_a_gap_is_closed_and_the_floor_is_at_most_what_is_left():
+    generator = np.random.default_rng(7)
+    evidence = evidence_of(np.zeros(400), 1.0, np.repeat(np.arange(20), 20))
+    noise, everything = generator.standard_normal(400), np.ones(400, dtype=bool)
+    for floor in (0.5, 1.0, 3.0):
+        found = closed(evidence, [(noise + 6.0, noise, everything)], floor=floor)
+        assert found.floor == pytest.approx(min(floor, found.after))
+        assert found.value <= 1.0
+        assert found.high <= 1.0
+    # With something left, a floor below it takes nothing from the share that is open.
+    left = closed(evidence, [(noise + 6.0, noise + 3.0, everything)], floor=1.0)
+    assert left.value == pytest.approx((left.before - left.after) / (left.before - 1.0))
+    assert left.value < 0.7
+
+
+def explained(theta, std, prior, name="two_sided_gap"):
+    """A gap with a stop that a fit knows so well: stiffness and distance."""
+    effect = effect_named(name)
+    gap = Candidate(effect, Site(Placement.at("structure", 1), {"k": 1.0, "gap": 1.0}, 1))
+    known = SimpleNamespace(prior_std=np.array(prior), index_of=lambda _: slice(0, 2))
+    fitted = SimpleNamespace(theta=np.array(theta), std=np.array(std), parametrisation=known)
+    return Contender((gap,), fitted)
+
+
+@pytest.mark.parametrize(
+    ("theta", "std", "told"),
+    [
+        ([10.0, 0.1], [1.0, 0.1], True),
+        # Its distance is what is believed beforehand: the levels that are left do not reach it.
+        ([10.0, 0.1], [1.0, 0.9], False),
+        ([1.0, 0.1], [1.0, 0.1], False),
+    ],
+)
+def test_a_split_counts_only_if_it_tells_the_parameters(theta, std, told):
+    assert determined(explained(theta, std, [3.0, 1.0])) is told
+
+
+def test_repeats_are_what_noise_leaves():
+    generator = np.random.default_rng(9)
+    evidence = evidence_of(np.zeros(400), 1.0, np.arange(400))
+    # Scatter three times as large as what repeats showed is something else than noise.
+    residual = 3.0 * generator.standard_normal(400)
+    everything = np.ones(400, dtype=bool)
+    base = Contender((), SimpleNamespace(residual=residual, predictive_std=np.ones(400)))
+    refits = [(Split("all", ~everything, everything), base, {})]
+    assert HeldOut(evidence, refits, 0).floor == pytest.approx(3.0, rel=0.1)
+    assert HeldOut(evidence, refits, 0, repeated=True).floor == 1.0
+
+
+def test_only_splits_that_tell_the_explanation_count():
+    evidence = evidence_of(np.zeros(400), 1.0, np.repeat(np.arange(20), 20))
+    generator = np.random.default_rng(10)
+    noise, everything = generator.standard_normal(400), np.ones(400, dtype=bool)
+    ones = np.ones(400)
+    base = Contender((), SimpleNamespace(residual=noise + 5.0, predictive_std=ones))
+
+    def split(contender, left):
+        contender.fit.residual, contender.fit.predictive_std = noise + left, ones
+        return Split("some", ~everything, everything), base, {contender.explanation: contender}
+
+    told = explained([10.0, 0.1], [1.0, 0.1], [3.0, 1.0])
+    blind = explained([10.0, 0.1], [1.0, 0.9], [3.0, 1.0])
+    whole = HeldOut(evidence, [split(told, 0.0)], 0).closed(told.explanation)
+    assert whole.value > 0.97
+    both = HeldOut(evidence, [split(told, 0.0), split(blind, 5.0)], 0).closed(told.explanation)
+    assert both.value == pytest.approx(whole.value)
+    assert np.isnan(HeldOut(evidence, [split(blind, 5.0)], 0).closed(blind.explanation).value)
+
+
+def test_explanations_are_compared_by_what_they_predict():
+    evidence = evidence_of(np.zeros(400), 1.0, np.repeat(np.arange(20), 20))
+    noise, everything = np.random.default_rng(11).standard_normal(400), np.ones(400, dtype=bool)
+    ones = np.ones(400)
+    base = Contender((), SimpleNamespace(residual=noise + 5.0, predictive_std=ones))
+    good = explained([10.0, 0.1], [1.0, 0.1], [3.0, 1.0])
+    bad = explained([10.0, 0.1], [1.0, 0.1], [3.0, 1.0], "one_sided_stop")
+    good.fit.residual, bad.fit.residual = noise, noise + 1.0
+    good.fit.predictive_std = bad.fit.predictive_std = ones
+    tops = {good.explanation: good, bad.explanation: bad}
+    found = HeldOut(evidence, [(Split("all", ~everything, everything), base, tops)], 0).worse(list(tops))
+    assert found[good.explanation] == 0.0
+    # Twenty blocks of twenty rows, each worse by 1 ± 2/√20 squared standard deviations a row.
+    assert found[bad.explanation] == pytest.approx(np.sqrt(20.0) * 1.0 / (2.0 / np.sqrt(20.0)), rel=0.4)

@@ -17,7 +17,7 @@ from nmt_diagnose.inference.confidence import confidence as frozen
 from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.generic_source import SourceScore
-from nmt_diagnose.inference.judgement import Judgement, judge, with_share_left
+from nmt_diagnose.inference.judgement import Judgement, judge, with_held_out, with_share_left
 from nmt_diagnose.inference.problem import Problem
 
 CUBIC = Candidate(effect_named("cubic_stiffness"), Site(Placement.at("structure", 2), {"k": 1.0}, 2))
@@ -43,10 +43,10 @@ PLAIN = replace(
 )
 
 
-def contender(measured: np.ndarray, *explained: tuple[Candidate, np.ndarray]) -> Contender:
+def contender(measured: np.ndarray, *explained: tuple[Candidate, np.ndarray], spread: float = 3.0) -> Contender:
     """The fit of an explanation with one column per effect."""
     matrix = np.column_stack([column for _, column in explained]) if explained else np.zeros((ROWS, 0))
-    plain = Plain.of(len(explained), 3.0)
+    plain = Plain.of(len(explained), spread)
     problem = Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: matrix @ t))
     return Contender(tuple(c for c, _ in explained), fit(problem, plain, np.zeros(len(explained))))
 
@@ -181,3 +181,68 @@ def test_the_prior_of_a_pair_is_that_of_two_draws_in_any_order() -> None:
         for best in (pair, single)
     ]
     assert behind[0] - behind[1] == pytest.approx(np.log(expected) + gain)
+
+
+def strong(first: float, second: float) -> tuple[Contender, list[Contender], Contender]:
+    """The plain model, single explanations and the pair, of two effects of such strengths in standard deviations."""
+    loose = lambda measured, *explained: contender(measured, *explained, spread=1e5)  # noqa: E731
+    measured = (first / 8.0) * A + (second / 8.0) * B + NOISE
+    singles = [loose(measured, (CUBIC, A)), loose(measured, (DRAG, B))]
+    return contender(measured), singles, loose(measured, (CUBIC, A), (DRAG, B))
+
+
+@pytest.mark.parametrize("sigma", [64.0, 512.0, 4096.0])
+def test_a_pair_that_explains_everything_is_named_however_strong(sigma: float) -> None:
+    plain, singles, pair = strong(sigma, sigma)
+    assert pair.fit.chi_square < 2.0 * ROWS
+    # As the diagnosis calls it where nothing is left behind the best explanation.
+    found = judge(plain, singles, [pair], (), (), LIBRARY, frozen(), pair, 1.0)
+    assert found.classes[0].head is pair
+    assert found.unknown < 0.1
+    assert found.classes[0].probability > 0.8
+
+
+@pytest.mark.parametrize(("sigma", "second"), [(64.0, 16.0), (512.0, 16.0), (4096.0, 64.0)])
+def test_a_weaker_second_effect_is_found_beside_a_strong_one(sigma: float, second: float) -> None:
+    plain, singles, pair = strong(sigma, second)
+    found = judge(plain, singles, [pair], (), (), LIBRARY, frozen(), pair, 1.0)
+    assert found.classes[0].head is pair
+
+
+def test_what_an_inexact_model_of_a_strong_effect_leaves_is_no_second_effect() -> None:
+    # One percent of an effect of 4096 standard deviations is 41 of them.
+    plain, singles, pair = strong(4096.0, 20.0)
+    found = judge(plain, singles, [pair], (), (), LIBRARY, frozen(), pair, 1.0)
+    assert found.classes[0].head is singles[0]
+    # Within the strengths that the share was learned on, all of it counts.
+    plain, singles, pair = strong(64.0, 6.0)
+    gain = pair.fit.log_evidence - singles[0].fit.log_evidence
+    paid = 0.01 * (singles[0].fit.log_evidence - plain.fit.log_evidence)
+    free = judge(plain, singles, [pair], (), (), LIBRARY, replace(frozen(), inexactness=0.0), pair, 1.0)
+    held = judge(plain, singles, [pair], (), (), LIBRARY, replace(frozen(), inexactness=0.01), pair, 1.0)
+    assert gain < paid
+    assert free.classes[0].head is pair
+    assert held.classes[0].head is singles[0]
+
+
+def test_the_held_out_score_takes_part_in_the_ranking() -> None:
+    plain = judged(2.0 * A + 0.6 * B + NOISE)
+    first, second = plain.classes[0].head.explanation, plain.classes[1].head.explanation
+    # Chance is no reason.
+    assert with_held_out(plain, {first: 1.9, second: 0.0}) is plain
+    found = with_held_out(plain, {first: 9.0, second: 0.0})
+    assert found.classes[0].head.explanation == second
+    assert (found.none, found.unknown) == (plain.none, plain.unknown)
+    named = sum(group.probability for group in plain.classes)
+    assert sum(group.probability for group in found.classes) == pytest.approx(named)
+    assert sum(found.by_label.values()) == pytest.approx(1.0)
+
+
+def test_what_was_not_compared_on_held_out_data_gains_nothing_by_it() -> None:
+    plain = judged(2.0 * A + 0.6 * B + NOISE)
+    first, *others = [group.head.explanation for group in plain.classes]
+    assert others
+    found = with_held_out(plain, {first: 30.0})
+    before = {group.head.explanation: group.probability for group in plain.classes}
+    after = {group.head.explanation: group.probability for group in found.classes}
+    assert {e: after[e] for e in others} == {e: before[e] for e in others}

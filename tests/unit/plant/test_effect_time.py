@@ -7,7 +7,8 @@ import pytest
 from unit.plant.effect_rigs import DAMPER, MASS, RATE, SPRING, beam, harmonic, oscillator, run
 
 from nmt_core.blocks import Quantity
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
 from nmt_plant.simulated_rig import SimulatedRig
 
 

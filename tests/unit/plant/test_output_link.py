@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from nmt_core.blocks import BlockFlag, FloatArray, Quantity, SampleBlock
-from nmt_plant.device import DeviceFault, DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
+from nmt_plant.device import DeviceFault
 from nmt_plant.loopback_device import LoopbackDevice
 from nmt_plant.output_faults import FAULTS, measure
 from nmt_plant.output_link import OutputLink

@@ -28,6 +28,7 @@ from nmt_blind.cases.strength import (
 from nmt_blind.cases.truths import TRUTHS, Spot, Truth
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_json
 from nmt_core.whole_file import write_whole
 
 FORMAT = "nmt blind strengths 1"
@@ -224,7 +225,7 @@ def _text(values: dict[str, Any]) -> str:
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        values = read_json(path, "table of strengths")
+    except BenchError:
         return None
-    return values if isinstance(values, dict) and values.get("format") == FORMAT else None
+    return values if values.get("format") == FORMAT else None

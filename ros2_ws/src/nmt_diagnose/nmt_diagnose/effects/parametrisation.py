@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import exp
+from math import exp, log
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from nmt_rig.rig import Rig
 
 # Prior standard deviations of θ: a strength of three scales is still ordinary.
 STRENGTH_STD = 3.0
+# A nonlinear force may be many times the linear one: strengths may be so many times as large, each less probable.
+SPREADS = (1.0, 10.0, 100.0)
 SHAPE_STD = 1.0
 # Beyond this a shape is as good as anywhere: keeps trial steps of a fit finite.
 LARGEST_LOG_SHAPE = 20.0
@@ -24,18 +26,21 @@ LARGEST_LOG_SHAPE = 20.0
 class Parametrisation:
     """θ = [calibration parameters, then the parameters of each candidate].
 
-    Calibration: value · exp(std θ), prior N(0, 1). Strength: scale · θ, prior N(0, 3²); one that cannot be negative
-    is absent for θ ≤ 0. Shape: scale · exp(θ), prior N(0, 1).
+    Calibration: value · exp(std θ), prior N(0, 1). Strength: scale · θ, prior a mixture of N(0, (3 s)²) with weights
+    1/s over the spreads s = 1, 10, 100, of which each parametrisation takes one; one that cannot be negative is absent
+    for θ ≤ 0. Shape: scale · exp(θ), prior N(0, 1).
 
     Attributes:
         base: the model as given.
         calibration: parameters of the model that are free.
         candidates: effects that are added.
+        spreads: of the strengths of each candidate; 1 for those beyond the end.
     """
 
     base: Rig
     calibration: tuple[CalibrationParameter, ...]
     candidates: tuple[Candidate, ...] = ()
+    spreads: tuple[float, ...] = ()
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -59,8 +64,21 @@ class Parametrisation:
         """Prior standard deviations of θ, (n,)."""
         return np.array(
             [1.0] * len(self.calibration)
-            + [STRENGTH_STD if p.kind == "strength" else SHAPE_STD for _, p in self._effect_parameters]
+            + [
+                STRENGTH_STD * self.spread(index) if p.kind == "strength" else SHAPE_STD
+                for index, candidate in enumerate(self.candidates)
+                for p in candidate.effect.parameters
+            ]
         )
+
+    def spread(self, candidate: int) -> float:
+        """Spread of the strengths of a candidate."""
+        return self.spreads[candidate] if candidate < len(self.spreads) else 1.0
+
+    @property
+    def log_prior(self) -> float:
+        """ln of the weight of its part of the prior, up to a constant."""
+        return -sum(log(value) for value in self.spreads)
 
     @cached_property
     def lower(self) -> FloatArray:

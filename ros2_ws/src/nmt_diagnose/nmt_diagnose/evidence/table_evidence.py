@@ -18,6 +18,7 @@ from nmt_rig.rig import Rig
 
 _WRONG_FREQUENCY = 1.6
 _WITHOUT_STD = 0.02
+_FEWEST_FOR_SCATTER = 7
 
 
 def table_evidence(name: str, table: ObservableTable, model: Rig, settings: EvidenceSettings) -> Evidence:
@@ -65,6 +66,7 @@ def _backbone(
     floors = settings.floors
     rows = RowTable()
     where = np.flatnonzero(good)
+    unstated = max(floors.table_log_frequency, scatter_about_a_course(amplitude[good], np.log(frequency[good])))
     notes = [] if good.all() else [f"{name}: {int((~good).sum())} of {good.size} rows have no value and are left out."]
     for level, index in enumerate(where):
         place = Place(level, 0.0, float(frequency[index]), float(amplitude[index]))
@@ -72,7 +74,7 @@ def _backbone(
         known = math.isfinite(stated) and stated > 0.0
         rows.add(
             Part.LOG_FREQUENCY, math.log(2.0 * math.pi * frequency[index]), stated if known else 0.0,
-            floors.log_frequency if known else floors.table_log_frequency, place, 0, 1,
+            floors.log_frequency if known else unstated, place, 0, 1,
         )  # fmt: skip
         if math.isfinite(damping[index]):
             known = math.isfinite(damping_std[index]) and damping_std[index] > 0.0
@@ -81,8 +83,34 @@ def _backbone(
                 Part.DAMPING, float(damping[index]), float(damping_std[index]) if known else 0.0,
                 share * abs(float(damping[index])), place, 0, 1,
             )  # fmt: skip
+    if not np.any(np.isfinite(frequency_std[where])):
+        notes.append(f"{name}: no uncertainties are given; {100 * unstated:.2g} % is taken for every frequency.")
     test = BackboneTable(name, view.rig.drive_point, channel, amplitude[where].copy())
     return rows.evidence(test, notes)
+
+
+def scatter_about_a_course(x: FloatArray, y: FloatArray) -> float:
+    """Standard deviation of y about a smooth course over x: each point against the cubic through its four neighbours.
+
+    Args:
+        x: places, any order, shape (n,).
+        y: values, shape (n,).
+
+    Returns:
+        The standard deviation; 0 for fewer than seven different places.
+    """
+    x, first = np.unique(x, return_index=True)
+    y = y[first]
+    if x.size < _FEWEST_FOR_SCATTER:
+        return 0.0
+    squares = []
+    for middle in range(2, x.size - 2):
+        near = np.array([middle - 2, middle - 1, middle + 1, middle + 2])
+        weights = np.array(
+            [np.prod([(x[middle] - x[j]) / (x[i] - x[j]) for j in near if j != i]) for i in near]
+        )  # Lagrange
+        squares.append((y[middle] - weights @ y[near]) ** 2 / (1.0 + weights @ weights))
+    return math.sqrt(float(np.mean(squares)))
 
 
 def _responses(

@@ -6,7 +6,7 @@ Everything is judged on the same rows. The model without effect, its own paramet
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -16,7 +16,7 @@ from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate, EffectParameter
-from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.effects.parametrisation import SPREADS, Parametrisation
 from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.evidence.conditions import PhaseResonanceTest
 from nmt_diagnose.inference.fit import Fit, FitError, fit
@@ -30,6 +30,12 @@ _SHAPE_STARTS = (0.5, 1.0, 2.0)
 _INCREDIBLE = 2.0
 # Sensitivities of a first fit of a candidate; those that come near the best are fitted to the end.
 _REFRESHES = 3
+# Strength in standard deviations below which a member of a pair does nothing.
+_NOTHING = 1.0
+# Times that a fit which has not reached its optimum goes on.
+_ROUNDS = 4
+# Prior standard deviations of a strength from which a wider part of its prior is tried.
+_WIDER = 2.5
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
 
 
@@ -92,19 +98,17 @@ class Contender:
     @property
     def sigmas(self) -> float:
         """Strength of its weakest effect over its standard uncertainty; 0 without effects."""
-        parametrisation = self.fit.parametrisation
-        if not self.candidates:
-            return 0.0
-        found = []
-        for index, candidate in enumerate(self.candidates):
-            own = parametrisation.index_of(index)
-            strengths = [
-                abs(float(self.fit.theta[own][k])) / float(self.fit.std[own][k])
-                for k, parameter in enumerate(candidate.effect.parameters)
-                if parameter.kind == "strength"
-            ]
-            found.append(max(strengths, default=0.0))
-        return min(found)
+        return min((self.strength(member) for member in range(len(self.candidates))), default=0.0)
+
+    def strength(self, member: int) -> float:
+        """Strength of one of its effects over its standard uncertainty."""
+        own = self.fit.parametrisation.index_of(member)
+        strengths = [
+            abs(float(self.fit.theta[own][k])) / float(self.fit.std[own][k])
+            for k, parameter in enumerate(self.candidates[member].effect.parameters)
+            if parameter.kind == "strength"
+        ]
+        return max(strengths, default=0.0)
 
 
 class Contest:
@@ -149,10 +153,11 @@ class Contest:
         rows = self._used(used)
         best = fit(self.problem, parametrisation, parametrisation.zero, rows)
         if _incredible(best):
-            best = max(best, self._climbed(parametrisation, rows), key=lambda found: found.log_evidence)
+            climbed = self._climbed(parametrisation, rows, parametrisation.zero)
+            best = max(best, climbed, key=lambda found: found.log_evidence)
         return Contender((), best)
 
-    def _climbed(self, parametrisation: Parametrisation, used: BoolArray | None) -> Fit:
+    def _climbed(self, parametrisation: Parametrisation, used: BoolArray | None, theta: FloatArray) -> Fit:
         """The model fitted to linear tests first, then to more and more levels from below.
 
         Far from the real parameters a nonlinear level has valleys of its own; from the levels below it is near.
@@ -167,7 +172,6 @@ class Contest:
                 amplitudes = np.unique(evidence.rows.amplitude[mine])
                 rank[mine] = np.searchsorted(amplitudes, evidence.rows.amplitude[mine]) / max(1, amplitudes.size)
         wanted = np.ones(self.problem.size, dtype=bool) if used is None else used
-        theta = parametrisation.zero
         for share in _CLIMB:
             rows = wanted & (~levelled | (rank < share))
             if rows.any():
@@ -257,7 +261,8 @@ class Contest:
     def add(self, base: Contender, score: Score, used: BoolArray | None = None) -> Contender | None:
         """Fit a candidate on top of a contender; None where the model cannot be solved with it."""
         candidate = self.candidates[score.direction.candidate]
-        parametrisation = Parametrisation(self.rig, self.calibration, (*base.candidates, candidate))
+        spreads = tuple(base.fit.parametrisation.spread(index) for index in range(len(base.candidates)))
+        parametrisation = Parametrisation(self.rig, self.calibration, (*base.candidates, candidate), spreads)
         start = np.array(score.direction.start, dtype=np.float64)
         position = _strength(candidate)
         if start[position] == 0.0:
@@ -276,20 +281,83 @@ class Contest:
             result = fit(
                 self.problem, parametrisation, theta, rows, prediction, jacobian, exact=False, refreshes=_REFRESHES
             )
+            result = self._widened(result, rows)
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
             return None  # no rig, or no solution, at the start
         if used is None and np.any(base.fit.used & ~result.used):
             return None  # with rows left out that the others have to explain no evidence compares
         return Contender((*base.candidates, candidate), result, score)
 
+    def _widened(self, found: Fit, rows: BoolArray | None) -> Fit:
+        """The fit with the part of its strengths' prior that makes it most probable.
+
+        Where the prior holds a strength back, the next wider part is tried, which is less probable beforehand.
+        """
+        while True:
+            own = found.parametrisation
+            spreads = tuple(
+                _wider(own.spread(index)) if _held_back(found, index) else own.spread(index)
+                for index in range(len(own.candidates))
+            )
+            if spreads == tuple(own.spread(index) for index in range(len(own.candidates))):
+                return found
+            wider = replace(own, spreads=spreads)
+            trial = fit(
+                self.problem, wider, found.theta, rows, found.prediction, found.jacobian,
+                exact=False, refreshes=_REFRESHES,
+            )  # fmt: skip
+            if trial.log_evidence <= found.log_evidence:
+                return found
+            found = trial
+
     def polished(self, contender: Contender) -> Contender:
-        """The same fit with sensitivities at its estimate, for uncertainties that are reported."""
-        own = contender.fit
+        """The same fit with sensitivities at its estimate, for uncertainties that are reported.
+
+        One that stops before its optimum goes on from where it stands, as long as that helps.
+        """
+        best = self._finished(contender.fit)
         try:
-            result = fit(self.problem, own.parametrisation, own.theta, own.used, own.prediction)
+            wider = self._widened(best, best.used)
         except FitError:
-            return contender
-        return Contender(contender.candidates, result, contender.score)
+            wider = best
+        if wider is not best:
+            best = self._finished(wider)
+        if contender.candidates and (not best.converged or _incredible(best)):
+            best = self._restarted(best)
+        return Contender(contender.candidates, best, contender.score)
+
+    def _finished(self, best: Fit) -> Fit:
+        """The fit gone on with from where it stands, as long as it has not reached its optimum and that helps."""
+        for _ in range(_ROUNDS):
+            try:
+                result = fit(self.problem, best.parametrisation, best.theta, best.used, best.prediction)
+            except FitError:
+                break
+            helped = result.log_evidence > best.log_evidence + 0.5
+            best = result
+            if result.converged or not helped:
+                break
+        return best
+
+    def _restarted(self, best: Fit) -> Fit:
+        """The best of a fit and of fits of the same explanation from the model as it was given.
+
+        A strong effect bends the model's own parameters before it is named, often into a valley that no step leads out
+        of. From the parameters as given the effect is approached again, with all levels at once and level by level.
+        """
+        own, rows = best.parametrisation, best.used
+        start = np.where(np.arange(best.theta.size) < len(own.calibration), 0.0, best.theta)
+        for climbs in (False, True):
+            try:
+                near = self._climbed(own, rows, start) if climbs else fit(self.problem, own, start, rows)
+                found = self._finished(near)
+            except FitError:
+                continue
+            if np.any(rows & ~found.used):
+                continue  # with rows left out no evidence compares
+            if found.log_evidence > best.log_evidence:
+                best = found
+        return best
 
     def refit(self, contender: Contender, used: BoolArray) -> Contender | None:
         """The same explanation fitted to other rows; None where that fails."""
@@ -301,7 +369,7 @@ class Contest:
             )  # fmt: skip
         except FitError:
             return None
-        return Contender(contender.candidates, result, contender.score)
+        return Contender(contender.candidates, result if result.converged else self._finished(result), contender.score)
 
     def singles(self, base: Contender, found: Sequence[Score]) -> list[Contender]:
         """Fit the candidates that promise most, best evidence first.
@@ -329,6 +397,42 @@ class Contest:
                 if contender is not None:
                     result.append(contender)
         return self._settled(result)
+
+    def pruned(
+        self, singles: Sequence[Contender], pairs: Sequence[Contender]
+    ) -> tuple[list[Contender], list[Contender]]:
+        """Singles and pairs without members that do nothing, best evidence first.
+
+        A pair with a member at zero says nothing but that its other member can be fitted better: the single one goes
+        on from there.
+        """
+        kept: list[Contender] = []
+        better = list(singles)
+        for pair in pairs:
+            weakest = min(range(len(pair.candidates)), key=pair.strength)
+            if pair.strength(weakest) >= _NOTHING:
+                kept.append(pair)
+                continue
+            alone = self._without(pair, weakest)
+            if alone is None:
+                continue
+            rivals = [own for own in better if own.explanation == alone.explanation]
+            if all(alone.fit.log_evidence > own.fit.log_evidence + 0.5 for own in rivals):
+                better = [own for own in better if own not in rivals] + [alone]
+        return sorted(better, key=lambda own: -own.fit.log_evidence), kept
+
+    def _without(self, contender: Contender, member: int) -> Contender | None:
+        """The explanation fitted without one of its effects, from where it stands; None where that fails."""
+        before = contender.fit
+        rest = tuple(c for k, c in enumerate(contender.candidates) if k != member)
+        spreads = tuple(before.parametrisation.spread(k) for k in range(len(contender.candidates)) if k != member)
+        parametrisation = Parametrisation(self.rig, self.calibration, rest, spreads)
+        theta = np.delete(before.theta, np.r_[before.parametrisation.index_of(member)])
+        try:
+            found = fit(self.problem, parametrisation, theta, before.used, before.prediction)
+        except FitError:
+            return None
+        return Contender(rest, found, contender.score)
 
     def _settled(self, contenders: list[Contender]) -> list[Contender]:
         """Those near the best fitted to the end with sensitivities of their own, best evidence first.
@@ -377,6 +481,18 @@ class Contest:
                     best = max(best, contender.fit.log_evidence)
             heads.update(single.effects)
         return self._settled(result)
+
+
+def _held_back(found: Fit, candidate: int) -> bool:
+    """Whether the prior holds a strength of a candidate back."""
+    own = found.parametrisation.index_of(candidate)
+    share = np.abs(found.theta[own]) / found.parametrisation.prior_std[own]
+    strengths = [p.kind == "strength" for p in found.parametrisation.candidates[candidate].effect.parameters]
+    return bool(np.any(share[strengths] > _WIDER))
+
+
+def _wider(spread: float) -> float:
+    return next((value for value in SPREADS if value > spread), spread)
 
 
 def _incredible(found: Fit) -> bool:

@@ -37,7 +37,7 @@ from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.held_out_contest import HeldOut, Refits
 from nmt_diagnose.inference.hypotheses import NULL
-from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, with_share_left
+from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, with_held_out, with_share_left
 from nmt_diagnose.inference.lock_noise import lock_nuisances
 from nmt_diagnose.inference.next_test import next_tests
 from nmt_diagnose.inference.problem import Problem
@@ -45,6 +45,7 @@ from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.inference.sentences import sentences
 from nmt_diagnose.inference.sources import generic_sources, places
+from nmt_diagnose.inference.warnings import warned
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig, load_rig
@@ -120,30 +121,41 @@ def diagnose_bags(
     """
     rig = model if isinstance(model, Rig) else load_rig(str(model))
     evidence = read_evidence(bags, rig, floor_bags, progress=progress)
-    return diagnose_evidence(rig, evidence, settings, progress)
+    return diagnose_evidence(rig, evidence, settings, progress, bool(floor_bags))
 
 
 def diagnose_evidence(
-    rig: Rig, evidence: Evidence, settings: DiagnosisSettings | None = None, progress: Progress | None = None
+    rig: Rig,
+    evidence: Evidence,
+    settings: DiagnosisSettings | None = None,
+    progress: Progress | None = None,
+    repeated: bool = False,
 ) -> Outcome:
     """Diagnose evidence that has been read already; see :func:`diagnose_bags`.
+
+    ``repeated`` says that its uncertainties contain the differences of repeats.
 
     Raises:
         BenchError: the model has no solution for any of the evidence.
     """
-    return _Diagnoser(rig, evidence, settings or DiagnosisSettings(), progress or (lambda _: None)).run()
+    return _Diagnoser(rig, evidence, settings or DiagnosisSettings(), progress or (lambda _: None), repeated).run()
 
 
 class _Diagnoser:
-    def __init__(self, rig: Rig, evidence: Evidence, settings: DiagnosisSettings, progress: Progress) -> None:
+    def __init__(
+        self, rig: Rig, evidence: Evidence, settings: DiagnosisSettings, progress: Progress, repeated: bool
+    ) -> None:
         self.rig, self.evidence, self.settings, self.progress = rig, evidence, settings, progress
+        self.repeated = repeated
         self.confidence: Confidence = confidence()
         self.splits = splits(evidence, settings.hold_out)
         self.forward = Forward(evidence.tests, evidence.rows)
         self.given = self.forward.predict(rig)
         nuisances = lock_nuisances(evidence, rig, self.given)
         self.problem = Problem(evidence, self.forward, nuisances)
-        self.candidates = library_candidates(rig, operating_range(rig, evidence.tests), settings.withheld)
+        self.candidates = library_candidates(
+            rig, operating_range(rig, evidence.tests, evidence=evidence), settings.withheld
+        )
         self.contest = Contest(
             self.problem,
             rig,
@@ -170,7 +182,7 @@ class _Diagnoser:
             null = better
             scan = self.contest.scan(null)
             singles = self.contest.singles(null, scan)
-        pairs = self.contest.pairs(singles)
+        singles, pairs = self.contest.pruned(singles, self.contest.pairs(singles))
         self.progress("weighing the explanations")
         rig = null.fit.parametrisation.rig(null.fit.theta)
         found = places(self.forward, rig, null.fit.prediction, self.problem)
@@ -184,7 +196,8 @@ class _Diagnoser:
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])
         heads = [group.head.explanation for group in judgement.classes[:_JUDGED]]
         shares = {explanation: held.closed(explanation) for explanation in heads}
-        best_share = shares[heads[0]] if heads else None
+        judgement = with_held_out(judgement, held.worse(heads))
+        best_share = shares.get(judgement.classes[0].head.explanation) if judgement.classes else None
         if best_share is not None and best_share.low > 0.9 and best_share.value >= self.confidence.explained:
             judgement = with_share_left(judgement, min(max(1.0 - best_share.value, 0.0), 1.0))
         accepted = self._accepted(judgement, shares)
@@ -199,9 +212,10 @@ class _Diagnoser:
         tests = residual_tests(self.evidence, best.fit.residual, best.fit.used)
         final = null if verdict is not Verdict.EFFECT else best
         model = self.rig if verdict is Verdict.NONE else final.fit.parametrisation.rig(final.fit.theta)
+        warnings = warned(verdict, best, calibration, gap)
         diagnosis = Diagnosis(
             verdict=verdict,
-            sentences=sentences(verdict, where, ranking, judgement.classes, gap, ahead, calibration),
+            sentences=(*sentences(verdict, where, ranking, judgement.classes, gap, ahead, calibration), *warnings),
             where=where,
             ranking=ranking,
             probabilities=judgement.by_label,
@@ -214,6 +228,7 @@ class _Diagnoser:
             residual_tests=tuple(test.to_mapping() for test in tests),
             candidates=tuple(self._candidate(contender, null) for contender in [null, *singles, *pairs]),
             features=self._features(judgement, null, singles, pairs, scan, sources, leftovers, as_given, chance),
+            warnings=warnings,
         )
         return Outcome(
             diagnosis,
@@ -247,7 +262,7 @@ class _Diagnoser:
             if base is not None:
                 tops = {head.explanation: self.contest.refit(head, split.fitted) for head in heads}
                 found.append((split, base, tops))
-        return HeldOut(self.evidence, found, self.settings.seed)
+        return HeldOut(self.evidence, found, self.settings.seed, self.repeated)
 
     def _accepted(self, judgement: Judgement, shares: dict[Explanation, Closed]) -> ExplanationClass | None:
         """The most probable explanation that predicts held-out data no worse than the model without it.
@@ -284,7 +299,8 @@ class _Diagnoser:
         given = verdict is Verdict.CALIBRATION
         whole = held.closed(best.explanation, as_given if given else None)
         rows, start, after = held.pooled(null, best, as_given if given else None)
-        judged = held.splits != ()
+        # Without a split that tells the explanation, by the fits themselves.
+        judged = math.isfinite(whole.before)
         return Gap(
             whole.before if judged else rms(null.fit.residual[rows]),
             whole.after if judged else rms(best.fit.residual[rows]),
@@ -315,6 +331,7 @@ class _Diagnoser:
                     parameters=_parameters(head),
                     closed=Share(share.value, share.low, share.high) if share else Share(*[math.nan] * 3),
                     sigmas=head.sigmas,
+                    converged=head.fit.converged,
                 )
             )
         return tuple(result)
@@ -352,7 +369,7 @@ class _Diagnoser:
                     parameter.name,
                     parameter.value,
                     value,
-                    abs(value + parameter.offset) * parameter.std * std,
+                    abs(value + parameter.offset) * parameter.std * std * best.fit.scatter,
                     parameter.unit,
                     parameter.std,
                     theta / std if std > 0.0 else 0.0,
@@ -477,5 +494,7 @@ def _parameters(contender: Contender) -> dict[str, Value]:
                 moved[k] += 0.1 * std[k]
                 change = parametrisation.reported(moved, index)[name][0] - value
                 variance += (10.0 * change) ** 2 if math.isfinite(change) else math.inf
-            result[f"{candidate.label}.{name}" if several else name] = Value(value, math.sqrt(variance), unit)
+            result[f"{candidate.label}.{name}" if several else name] = Value(
+                value, math.sqrt(variance) * contender.fit.scatter, unit
+            )
     return result

@@ -71,6 +71,7 @@ class Ranked:
         parameters: fitted parameters.
         closed: share of the held-out gap it closes.
         sigmas: its strength over its standard uncertainty.
+        converged: whether its fit reached the optimum.
     """
 
     effect: str
@@ -81,6 +82,7 @@ class Ranked:
     parameters: dict[str, Value]
     closed: Share
     sigmas: float
+    converged: bool = True
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,8 @@ class Gap:
     """The gap on held-out data in noise units, and per observable in engineering units too.
 
     Attributes:
-        before: root-mean-square whitened residual of the model with its own parameters re-fitted.
+        before: root-mean-square whitened residual of the model with its own parameters re-fitted; that of the fits
+            themselves where no held-out data tell the explanation, and ``closed`` is NaN.
         after: with the accepted explanation.
         floor: what no model can beat.
         as_given: of the model as it was given.
@@ -171,6 +174,7 @@ class Diagnosis:
     residual_tests: tuple[dict[str, Any], ...] = ()
     candidates: tuple[dict[str, Any], ...] = ()
     features: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""

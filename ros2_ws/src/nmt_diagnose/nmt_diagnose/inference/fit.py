@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,8 @@ from nmt_diagnose.twin.forward import Prediction
 _STEPS = 25
 _TRIALS = 10
 _SMALL = 0.02  # fall of χ² that is not worth a step
+_CONVERGED = 1.0  # fall of χ² that a whole step may still promise
+_SCATTERED = 2.0  # χ² per degree of freedom that is no chance
 _LET_GO = 1e3
 _COOLING = 6.0  # fall of the inflated noise from step to step of a cold fit
 _COOLING_STEPS = 25
@@ -35,7 +38,7 @@ class Fit:
         chi_square: Σ r² over the used rows.
         penalty: Σ (θ/std)² of the prior.
         log_evidence: ln ∫ likelihood · prior dθ by Laplace's method, without the constant of the rows.
-        converged: the last step changed nothing that matters.
+        converged: by its sensitivities no step from the estimate promises a fall that matters.
     """
 
     parametrisation: Parametrisation
@@ -55,6 +58,17 @@ class Fit:
         """Standard uncertainties of the estimate, shape (n,)."""
         result: FloatArray = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         return result
+
+    @property
+    def scatter(self) -> float:
+        """By how much more the used rows scatter about the fit than stated; 1 where that may be chance.
+
+        Standard uncertainties that are reported are multiplied by it (Birge, Phys. Rev. 40 (1932) 207): what a model
+        leaves beyond the noise makes its parameters uncertain too.
+        """
+        told = float(np.sum(1.0 - (self.std / self.parametrisation.prior_std) ** 2))
+        ratio = self.chi_square / max(1.0, int(self.used.sum()) - told)
+        return math.sqrt(ratio) if ratio > _SCATTERED else 1.0
 
     def settled_residual(self, prior_std: FloatArray | None = None) -> FloatArray:
         """Whitened residual of the used rows after the last linear step to the optimum, shape (used,).
@@ -144,7 +158,7 @@ def fit(
     if not np.any(solvable & rows):
         raise FitError("the model has no solution for any of the observables")
     rows = rows & solvable
-    damping, converged = 1e-4, False
+    damping = 1e-4
     cost = _cost(residual, rows, theta, std)
     fresh = jacobian is None
     if jacobian is None:
@@ -177,7 +191,6 @@ def fit(
             # Sensitivities from elsewhere may promise nothing where those at the estimate would lead on.
             done = promised < _SMALL + 1e-7 * cost and not exact
             if fresh or done or refreshes <= 0:
-                converged = promised < 1.0
                 break
             jacobian, fresh = _whitened_jacobian(problem, parametrisation, theta, prediction), True
             refreshes -= 1
@@ -191,7 +204,7 @@ def fit(
             refreshes -= 1
     if exact and not fresh:
         jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
-    return _finished(problem, parametrisation, theta, rows, prediction, residual, jacobian, converged)
+    return _finished(problem, parametrisation, theta, rows, prediction, residual, jacobian)
 
 
 def _approached(
@@ -249,15 +262,19 @@ def _finished(
     prediction: Prediction,
     residual: FloatArray,
     jacobian: FloatArray,
-    converged: bool,
 ) -> Fit:
     std = parametrisation.prior_std
     used = jacobian[rows]
     normal = used.T @ used + np.diag(std**-2.0)
+    # Undamped: where damped steps help no more there may still be a way down that they are too short for.
+    gradient = used.T @ residual[rows] - theta / std**2
+    step = _bounded_step(normal, gradient, 0.0, theta, parametrisation.lower)
+    converged = float(2.0 * gradient @ step - step @ normal @ step) < _CONVERGED
     chi_square = float(residual[rows] @ residual[rows])
     penalty = float(np.sum((theta / std) ** 2))
     _, log_determinant = np.linalg.slogdet(normal)
     log_evidence = -0.5 * (chi_square + penalty) - 0.5 * float(log_determinant) - float(np.sum(np.log(std)))
+    log_evidence += parametrisation.log_prior
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return Fit(
         parametrisation, theta, covariance, residual, jacobian, rows, prediction, chi_square, penalty, log_evidence,

@@ -12,6 +12,10 @@ from nmt_diagnose.inference.problem import BoolArray
 
 _RESAMPLES = 1000
 _FEWEST = 30
+# Root mean square over median of second differences, in units of what they are for noise, from which bends of the
+# courses themselves are seen: the onset of slip or of contact.
+_BENT = 2.0
+_MEDIAN_OF_SQUARE = 0.4549  # of a standard normal variable
 
 
 @dataclass(frozen=True)
@@ -21,7 +25,7 @@ class Closed:
     Attributes:
         before, after: root-mean-square whitened residual on held-out data.
         floor: what noise and repeatability leave.
-        value: (before − after) / (before − floor); NaN where there is no gap to close.
+        value: (before − after) / (before − floor), at most 1; NaN where there is no gap to close.
         low, high: bootstrap interval of 90 %.
         gain: fall of the squared residuals over its own scatter from block to block; negative where the held-out data
             are predicted worse.
@@ -46,7 +50,9 @@ def noise_floor(evidence: Evidence, residual: FloatArray, rows: BoolArray) -> fl
     """Root mean square that noise alone leaves, from second differences over neighbouring levels or lines.
 
     What an effect adds changes slowly from level to level and drops out; noise is multiplied by √6. Stated
-    uncertainties may be larger or smaller than the scatter that is there: no model can beat the scatter.
+    uncertainties may be larger or smaller than the scatter that is there: no model can beat the scatter. Where a course
+    bends, at the onset of slip or contact, a few second differences are many times as large as the others; the
+    floor follows from their median then.
 
     Args:
         evidence: the real side.
@@ -67,7 +73,9 @@ def noise_floor(evidence: Evidence, residual: FloatArray, rows: BoolArray) -> fl
     squares = (values[2:] - 2.0 * values[1:-1] + values[:-2])[same] ** 2 / 6.0
     if squares.size < _FEWEST:
         return 1.0
-    return float(np.sqrt(np.mean(squares)))
+    plain = float(np.sqrt(np.mean(squares)))
+    robust = float(np.sqrt(np.median(squares) / _MEDIAN_OF_SQUARE))
+    return robust if plain > _BENT * robust else plain
 
 
 def closed(
@@ -82,7 +90,7 @@ def closed(
         evidence: the real side.
         pairs: residual before, residual after (m,) each, and the held-out rows, one per split.
         seed: of the bootstrap.
-        floor: rms that no model can beat.
+        floor: rms that no model can beat; what is left where that is less, as a prediction beats what is no floor.
     """
     before_squares, after_squares, counts = [], [], []
     for before, after, rows in pairs:
@@ -106,6 +114,7 @@ def closed(
     low, high = (float(x) for x in np.quantile(sample, [0.05, 0.95])) if sample.size > 50 else (float("nan"),) * 2
     before_rms, after_rms = float(np.sqrt(b.sum() / n.sum())), float(np.sqrt(a.sum() / n.sum()))
     value = float(_share(np.array([before_rms]), np.array([after_rms]), floor)[0])
+    floor = min(floor, after_rms)
     fall = b - a
     scatter = float(np.sqrt(n.size) * np.std(fall))
     gain = float(fall.sum()) / scatter if scatter > 0.0 else 0.0
@@ -125,6 +134,8 @@ def _block(evidence: Evidence) -> IntArray:
 
 
 def _share(before: FloatArray, after: FloatArray, floor: float) -> FloatArray:
+    """Share of the gap above the floor that is closed: at most 1, NaN where nothing lies above the floor."""
+    reached = np.minimum(floor, after)
     with np.errstate(divide="ignore", invalid="ignore"):
-        value = (before - after) / (before - floor)
+        value = (before - after) / (before - reached)
     return np.where(before > floor * 1.02, value, np.nan)

@@ -15,9 +15,23 @@ from nmt_diagnose.inference.gap import Closed, closed, noise_floor
 from nmt_diagnose.inference.held_out import Split
 from nmt_diagnose.inference.problem import BoolArray
 
+# Strength in standard deviations, and standard deviation over that of the prior, by which a parameter is told.
 _TOLD = 2.0
+_LEARNT = 0.5
 
 Refits = tuple[Split, Contender, Mapping[Explanation, Contender | None]]
+
+
+def determined(contender: Contender) -> bool:
+    """Whether the rows of a fit tell every parameter of its effects: strengths, and shapes beyond their prior."""
+    parametrisation = contender.fit.parametrisation
+    for index, candidate in enumerate(contender.candidates):
+        own = parametrisation.index_of(index)
+        share = contender.fit.std[own] / parametrisation.prior_std[own]
+        shapes = np.array([p.kind == "shape" for p in candidate.effect.parameters])
+        if contender.strength(index) < _TOLD or np.any(share[shapes] > _LEARNT):
+            return False
+    return True
 
 
 class HeldOut:
@@ -30,12 +44,13 @@ class HeldOut:
         evidence: the real side.
         refits: of each split: the split, the model without effect, and the explanations re-fitted.
         seed: of the bootstrap.
+        repeated: repeats of the tests are part of the stated uncertainties, so that these are what noise leaves.
     """
 
-    def __init__(self, evidence: Evidence, refits: Sequence[Refits], seed: int) -> None:
+    def __init__(self, evidence: Evidence, refits: Sequence[Refits], seed: int, repeated: bool = False) -> None:
         self._evidence, self._refits, self._seed = evidence, refits, seed
         self._scale = [base.fit.predictive_std for _, base, _ in refits]
-        self.floor = self._noise()
+        self.floor = min(self._noise(), 1.0) if repeated else self._noise()
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -45,12 +60,13 @@ class HeldOut:
     def closed(self, explanation: Explanation, start: FloatArray | None = None) -> Closed:
         """Gap before and after an explanation; one without causes is the model with its parameters re-fitted.
 
+        Only splits that tell the explanation's parameters count; NaN where none does.
+
         Args:
             explanation: one of those that were re-fitted.
             start: residual to start from, shape (m,); None = of the model without effect, re-fitted to each split.
         """
         pairs: list[tuple[FloatArray, FloatArray, BoolArray]] = []
-        undetermined: list[tuple[FloatArray, FloatArray, BoolArray]] = []
         for (split, base, tops), scale in zip(self._refits, self._scale, strict=True):
             top = base if explanation == base.explanation else tops.get(explanation)
             if top is None:
@@ -59,11 +75,33 @@ class HeldOut:
             # A prediction is judged by what noise and its own open parameters leave of it.
             own = scale if top is base else np.maximum(scale, top.fit.predictive_std)
             pair = (before / scale, top.fit.residual / own, split.held_out)
-            told = not top.candidates or top.sigmas >= _TOLD
-            (pairs if told else undetermined).append(pair)
-        # Without the test that shows an effect nothing can be predicted of it; such splits count only alone.
-        pairs = pairs or undetermined
+            # Without the test that shows an effect nothing can be predicted of it.
+            if determined(top):
+                pairs.append(pair)
         return closed(self._evidence, pairs, self._seed, self.floor)
+
+    def worse(self, explanations: Sequence[Explanation]) -> dict[Explanation, float]:
+        """By how many of its standard deviations each explanation predicts worse than the one that predicts best.
+
+        The scatter is that of the difference from block to block, over the splits that tell the parameters of both; 0
+        where there is none.
+        """
+        result = dict.fromkeys(explanations, 0.0)
+        for own in explanations:
+            for rival in explanations:
+                if rival != own:
+                    result[own] = max(result[own], self._distance(own, rival))
+        return result
+
+    def _distance(self, own: Explanation, rival: Explanation) -> float:
+        pairs = []
+        for (split, _, tops), scale in zip(self._refits, self._scale, strict=True):
+            left, right = tops.get(own), tops.get(rival)
+            if left is not None and right is not None and determined(left) and determined(right):
+                # Both by the same measure, so that a prediction gains nothing by being uncertain.
+                pairs.append((left.fit.residual / scale, right.fit.residual / scale, split.held_out))
+        found = closed(self._evidence, pairs, self._seed, self.floor).gain
+        return max(0.0, found) if math.isfinite(found) else 0.0
 
     def pooled(
         self, null: Contender, best: Contender, start: FloatArray | None

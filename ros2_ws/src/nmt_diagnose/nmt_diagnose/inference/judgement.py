@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,12 @@ from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN, Hypothesis, Kind, equivalence_classes, probabilities
 
 _UNLIKELY = math.log(1e5)
+# The share of ``inexactness`` was learned on effects of up to 64 standard deviations, a gain of 64²/2. Of what an
+# effect explains beyond that, a model of it that is right to 1 % leaves 1e-4.
+_LEARNED = 0.5 * 64.0**2
+_LEFT = 1e-4
+# Standard deviations by which a prediction may be worse than another by chance.
+_CHANCE_OF_WORSE = 2.0
 
 
 @dataclass(frozen=True)
@@ -115,10 +121,18 @@ def judge(
 
     single_gain = {c.explanation.causes[0]: max(0.0, c.fit.log_evidence - base) for c in singles}
 
+    def strongest(contender: Contender) -> float:
+        """Gain of the strongest of its effects alone."""
+        return max((single_gain.get(cause, 0.0) for cause in contender.explanation.causes), default=0.0)
+
+    def feigned(contender: Contender) -> float:
+        """Evidence for something unnamed that the inexact model of the strongest effect may feign."""
+        return confidence.inexactness * strongest(contender)
+
     def inexact(contender: Contender) -> float:
-        """Evidence that the inexact model of the strongest of its effects may feign."""
-        own = [single_gain.get(cause, 0.0) for cause in contender.explanation.causes]
-        return confidence.inexactness * max(own, default=0.0)
+        """The same for a second effect, which has one or two parameters to imitate that inexactness with."""
+        own = strongest(contender)
+        return confidence.inexactness * min(own, _LEARNED) + _LEFT * max(0.0, own - _LEARNED)
 
     hypotheses = [Hypothesis(Kind.NONE, 0.0, math.log(confidence.prior_none), null)]
     for contender in singles:
@@ -141,12 +155,12 @@ def judge(
         else:
             behind += math.log(2.0 * confidence.prior_pair / kinds**2)
         behind += chosen(best)
-        found += best.fit.log_evidence - base
+        found += best.fit.log_evidence - base - feigned(best)
     hypotheses.append(Hypothesis(Kind.UNNAMED, found, behind))
     if best is not None:
         for source in leftovers:
             prior = behind - math.log(max(1, len(leftovers)))
-            gain = best.fit.log_evidence - base + source.gain - inexact(best)
+            gain = best.fit.log_evidence - base + source.gain - feigned(best)
             hypotheses.append(Hypothesis(Kind.UNNAMED, gain, prior, placement=source.placement))
     weights = probabilities(hypotheses)
     classes = _classes(weights, hypotheses, confidence.equivalence)
@@ -248,6 +262,38 @@ def with_share_left(judgement: Judgement, left: float) -> Judgement:
     by_explanation = {explanation: value * factor for explanation, value in judgement.named.items()}
     classes = tuple(replace(group, probability=group.probability * factor) for group in judgement.classes)
     return replace(judgement, unknown=unknown, classes=classes, named=by_explanation, other=judgement.other * factor)
+
+
+def with_held_out(judgement: Judgement, worse: Mapping[Explanation, float]) -> Judgement:
+    """The judgement where explanations are less probable by how much worse they predict data that no fit has seen.
+
+    The evidence compares how well models fit; one that is wrong by more than the noise may fit best where it bends most
+    freely, and predicts badly. What is lost goes to the others that were compared.
+
+    Args:
+        judgement: by evidence and priors.
+        worse: standard deviations by which each explanation that was compared predicts worse than the best of them; up
+            to two are chance.
+    """
+    penalties = {
+        group.head.explanation: math.exp(-0.5 * max(worse[group.head.explanation] - _CHANCE_OF_WORSE, 0.0) ** 2)
+        for group in judgement.classes
+        if group.head.explanation in worse
+    }
+    told = [group for group in judgement.classes if group.head.explanation in penalties]
+    before = sum(group.probability for group in told)
+    after = sum(group.probability * penalties[group.head.explanation] for group in told)
+    if min(penalties.values(), default=1.0) == 1.0 or not after > 0.0:
+        return judgement
+    factors = [
+        penalties[g.head.explanation] * before / after if any(g is own for own in told) else 1.0
+        for g in judgement.classes
+    ]
+    classes = [replace(c, probability=c.probability * f) for c, f in zip(judgement.classes, factors, strict=True)]
+    by_effects = {effects: f for c, f in zip(judgement.classes, factors, strict=True) for effects in c.effects}
+    named = {explanation: p * by_effects.get(explanation.effects, 1.0) for explanation, p in judgement.named.items()}
+    classes.sort(key=lambda item: -item.probability)
+    return replace(judgement, classes=tuple(classes), named=named)
 
 
 def _classes(weights: FloatArray, hypotheses: Sequence[Hypothesis], limit: float) -> tuple[ExplanationClass, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -10,8 +11,16 @@ from scipy.linalg import eigh
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.evidence.conditions import MeasuredChannel, PhaseResonanceTest, RandomTest, RecordTest, Test
-from nmt_diagnose.evidence.observables import Rows
+from nmt_diagnose.evidence.conditions import (
+    BackboneTable,
+    MeasuredChannel,
+    PhaseResonanceTest,
+    RandomTest,
+    RecordTest,
+    RingDownTest,
+    Test,
+)
+from nmt_diagnose.evidence.observables import Evidence, Part, Rows
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin, resting_tangent
 from nmt_diagnose.twin.rig_parts import RigParts
@@ -20,12 +29,25 @@ from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import BeamSection, ChainSection, Rig
 from nmt_rig.rig_model import build_system
 
+# Measured over modelled motion beyond which the model is no measure of it.
+_FAR_OFF = 2.0
 
-def operating_range(rig: Rig, tests: Sequence[Test], settings: TwinSettings | None = None) -> OperatingRange:
+
+def operating_range(
+    rig: Rig, tests: Sequence[Test], settings: TwinSettings | None = None, evidence: Evidence | None = None
+) -> OperatingRange:
     """Largest motion over the tests, by the model as it is.
 
     Phase-resonant tests by their highest and lowest level; a random test or a record by its rms through the system
-    linearised at rest. Without any test that excites, a displacement of 1 mm.
+    linearised at rest; backbones and decays by the amplitudes that they are given over, with the shape of the resting
+    mode. Where the evidence shows motions less than half or more than twice as large, they are taken. Without any test
+    whose motion is known, 1 mm at the mode under test.
+
+    Args:
+        rig: the model.
+        tests: the tests.
+        settings: of the twin; None = a coarse mesh.
+        evidence: what was measured in the tests; it tells the frequencies of a backbone, too. None = the model alone.
 
     Raises:
         BenchError: the rig does not fit the tests.
@@ -43,8 +65,11 @@ def operating_range(rig: Rig, tests: Sequence[Test], settings: TwinSettings | No
     pairs: dict[tuple[int, int], float] = {}
     omega, force, voltage, coil, best = 0.0, 0.0, 0.0, 0.0, -1.0
     rotation = dict.fromkeys(points, 0.0)
-    for test in tests:
+    for number, test in enumerate(tests):
         motions = _motions(rig, test, (*channels, *probes), settings)
+        if isinstance(test, BackboneTable | RingDownTest) and test.amplitudes.size:
+            motions = _given(rig, test, (*channels, *probes), settings, _frequency(rig, test, number, evidence))
+        motions = _as_measured(motions, (*channels, *probes), test, number, evidence)
         for parts, frequency, drive, amplitudes, unknowns in motions:
             values = {c.name: abs(a) for c, a in zip((*channels, *probes), amplitudes, strict=True)}
             for channel, (gain, *_rest) in zip(channels, parts.channels, strict=False):
@@ -71,7 +96,7 @@ def operating_range(rig: Rig, tests: Sequence[Test], settings: TwinSettings | No
                 best, omega = float(own.max()), frequency
     if best <= 0.0:
         displacement = dict.fromkeys(points, 1e-3)
-        omega = 2.0 * np.pi * 100.0
+        omega = 2.0 * np.pi * _mode_under_test(rig)
     mass, inertia, pair_mass = _effective_masses(rig, omega)
     start = [test.levels[0].start_s if isinstance(test, PhaseResonanceTest) else getattr(test, "start_s", 0.0)
              for test in tests if not (isinstance(test, PhaseResonanceTest) and not test.levels)]  # fmt: skip
@@ -171,19 +196,11 @@ def _noise(
     system = parts.system
     squares = np.zeros(len(channels))
     q_squares = np.zeros(system.size)
-    tangent = resting_tangent(parts, 0j).real
-    stiffness = system.stiffness + sum(
-        value * np.outer(direction, direction) for value, direction in zip(tangent, parts.inputs.T[:-1], strict=True)
-    )
     weights = np.gradient(omega) if omega.size > 1 else np.ones(1)
     weights = weights / weights.sum()
     peak, top = omega[0], -1.0
-    rows, r = parts.rows, parts.coordinates
     for w, weight in zip(omega, weights, strict=True):
-        q = np.linalg.solve(stiffness + 1j * w * system.damping - w**2 * system.mass, system.input_vector + 0j)
-        s = 1j * w
-        y = (rows.displacement + s * rows.velocity + s * s * rows.acceleration)[r:] @ q + rows.feedthrough[r:, -1]
-        y = y * parts.channels[:, 0]
+        q, y = _resting_response(parts, w)
         squares += weight * np.abs(y) ** 2
         q_squares += weight * np.abs(q) ** 2
         largest = float(np.max(np.abs(q[: system.structure_size])))
@@ -192,6 +209,123 @@ def _noise(
     scale = rms * parts.input_per_volt
     amplitudes = np.sqrt(squares).astype(complex) * scale
     return [(parts, float(peak), rms, amplitudes, np.sqrt(q_squares) * scale)]
+
+
+def _given(
+    rig: Rig,
+    test: BackboneTable | RingDownTest,
+    channels: tuple[MeasuredChannel, ...],
+    settings: TwinSettings,
+    frequency_hz: float,
+) -> list[Found]:
+    """Largest and smallest of the amplitudes of a test, through the system linearised at rest at its resonance."""
+    cache = PartsCache(settings)
+    own = next((c for c in channels if c.name == test.channel.name), None)
+    every = channels if own is not None else (*channels, test.channel)
+    parts = cache.parts(rig, Setup(test.drive_point, False, every, FourierBasis.up_to(1)))
+    resting = _resting_frequencies(rig)
+    omega = 2.0 * np.pi * float(resting[np.argmin(np.abs(np.log(resting / frequency_hz)))])
+    q, y = _resting_response(parts, omega)
+    size = abs(y[[c.name for c in every].index(test.channel.name)])
+    found: list[Found] = []
+    for amplitude in (float(np.max(test.amplitudes)), float(np.min(test.amplitudes))):
+        scale = amplitude / max(size, 1e-300)
+        found.append((parts, omega, scale / parts.input_per_volt, y[: len(channels)] * scale, q * scale))
+    return found
+
+
+def _resting_response(parts: RigParts, omega: float) -> tuple[np.ndarray, np.ndarray]:
+    """Unknowns and channels per unit of input, of the system linearised at rest."""
+    system, rows, r = parts.system, parts.rows, parts.coordinates
+    tangent = resting_tangent(parts, 0j).real
+    stiffness = system.stiffness + sum(
+        value * np.outer(direction, direction) for value, direction in zip(tangent, parts.inputs.T[:-1], strict=True)
+    )
+    q = np.linalg.solve(stiffness + 1j * omega * system.damping - omega**2 * system.mass, system.input_vector + 0j)
+    s = 1j * omega
+    y = (rows.displacement + s * rows.velocity + s * s * rows.acceleration)[r:] @ q + rows.feedthrough[r:, -1]
+    return q, y * parts.channels[:, 0]
+
+
+def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, evidence: Evidence | None) -> float:
+    """Frequency of a test's smallest amplitude, Hz."""
+    if isinstance(test, RingDownTest):
+        return test.start_frequency_hz
+    if evidence is not None:
+        rows = evidence.rows
+        mine = rows.frequency_hz[(rows.test == number) & (rows.level == int(np.argmin(test.amplitudes)))]
+        if mine.size and mine[0] > 0.0:
+            return float(mine[0])
+    return _mode_under_test(rig)
+
+
+def _as_measured(
+    motions: list[Found],
+    channels: tuple[MeasuredChannel, ...],
+    test: Test,
+    number: int,
+    evidence: Evidence | None,
+) -> list[Found]:
+    """Motions of a test, scaled to what its own motion channels show where the model is off by more than a factor."""
+    if evidence is None or not motions or isinstance(test, BackboneTable | RingDownTest):
+        return motions
+    names = [channel.name for channel in channels]
+    result: list[Found] = []
+    for parts, omega, drive, amplitudes, unknowns in motions:
+        ratios = [
+            size / abs(amplitudes[names.index(name)])
+            for name, size in _measured_sizes(evidence, test, number, drive).items()
+            if name in names and abs(amplitudes[names.index(name)]) > 0.0
+        ]
+        ratio = float(np.median(ratios)) if ratios else 1.0
+        factor = ratio if ratio > 0.0 and not 1.0 / _FAR_OFF <= ratio <= _FAR_OFF else 1.0
+        result.append((parts, omega, drive, amplitudes * factor, unknowns * factor))
+    return result
+
+
+def _measured_sizes(evidence: Evidence, test: Test, number: int, drive: float) -> dict[str, float]:
+    """Amplitude, or rms, of each motion channel of a test: of a phase-resonant one at the level next to a drive."""
+    rows, values = evidence.rows, evidence.values
+    if isinstance(test, BackboneTable | RingDownTest):
+        return {}
+    sizes: dict[str, float] = {}
+    for index, channel in enumerate(test.channels):
+        if channel.quantity not in (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION):
+            continue
+        mine = (rows.test == number) & (rows.channel == index)
+        if isinstance(test, RecordTest):
+            mine &= rows.part == Part.SAMPLE
+            if mine.any():
+                sizes[channel.name] = float(np.std(values[mine]))
+            continue
+        mine &= (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1)
+        if not mine.any():
+            continue
+        if isinstance(test, PhaseResonanceTest):
+            own = np.flatnonzero(mine)
+            sizes[channel.name] = math.exp(float(values[own[np.argmin(np.abs(rows.amplitude[own] - drive))]]))
+        elif int(mine.sum()) == test.lines_hz.size > 1:
+            magnitude = np.empty(test.lines_hz.size)
+            magnitude[rows.level[mine]] = np.exp(values[mine])
+            weights = np.gradient(test.lines_hz)
+            sizes[channel.name] = test.drive_rms * math.sqrt(float(weights @ magnitude**2 / weights.sum()))
+    return sizes
+
+
+def _resting_frequencies(rig: Rig) -> FloatArray:
+    """Frequencies of the modes at rest, friction sticking, exciter attached, Hz; those of a free body left out."""
+    system = build_system(rig)
+    n = system.mechanical_size
+    stiffness = system.sticking_stiffness()[:n, :n]
+    squares = eigh(0.5 * (stiffness + stiffness.T), system.mass[:n, :n], eigvals_only=True)
+    result: FloatArray = np.sqrt(squares[squares > 1e-9 * squares[-1]]) / (2.0 * np.pi)
+    return result
+
+
+def _mode_under_test(rig: Rig) -> float:
+    """Resting frequency of the mode that the rig file says is tested, Hz."""
+    frequencies = _resting_frequencies(rig)
+    return float(frequencies[min(max(rig.test.mode, 1), frequencies.size) - 1])
 
 
 def _total_mass(rig: Rig) -> float:

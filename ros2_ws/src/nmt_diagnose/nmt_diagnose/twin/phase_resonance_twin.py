@@ -114,6 +114,9 @@ class PhaseResonanceTwin:
         if np.any(rows.harmonic > self.basis.orders[-1]):
             raise BenchError(f"test {test.name} has observables beyond harmonic {test.harmonics}.")
         self.levels = tuple(self._problem(position) for position in range(len(test.levels)))
+        # Of a backbone: the range of frequencies over which its resonance moves, Hz.
+        frequencies = [level.frequency_hz for level in test.levels if level.frequency_hz > 0.0]
+        self._measured = (min(frequencies), max(frequencies)) if test.held == "response" and frequencies else None
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""
@@ -125,14 +128,17 @@ class PhaseResonanceTwin:
 
     def _problem(self, position: int) -> LevelProblem:
         level = self.test.levels[position]
+        frequency = level.frequency_hz
         amplitude, given = level.drive, DRIVE_GIVEN
         if self.ideal_force:
             amplitude, given = level.force_n, FORCE_GIVEN
         elif self.test.held == "response":
             given = 0
+            # A backbone is followed from its lowest amplitude: its resonance may move to a multiple of the resting one.
+            frequency = min(self.test.levels, key=lambda item: item.drive).frequency_hz
         middle = 0.5 * (level.start_s + level.stop_s)
         return LevelProblem(
-            given, amplitude, level.phase_error, level.frequency_hz, middle, level.cycles_before
+            given, amplitude, level.phase_error, frequency, middle, level.cycles_before
         )  # fmt: skip
 
     def solve(self, rig: Rig, cache: PartsCache, start: tuple[PeriodicState | None, ...] | None) -> list[Any]:
@@ -230,8 +236,10 @@ class PhaseResonanceTwin:
             )
         except (np.linalg.LinAlgError, ZeroDivisionError):
             return None
-        # A frequency far from the start is another resonance.
-        if not done or not abs(math.log(solved[-2] / (2.0 * np.pi * level.frequency_hz * parts.clock))) < 1.5 * SEARCH:
+        # A frequency far from what was measured is another resonance.
+        reached = solved[-2] / (2.0 * np.pi * parts.clock)
+        low, high = self._measured or (level.frequency_hz, level.frequency_hz)
+        if not done or not (math.log(reached / high) < 1.5 * SEARCH and math.log(low / reached) < 1.5 * SEARCH):
             return None
         if phase_slope(jacobian) <= 0.0:
             return None

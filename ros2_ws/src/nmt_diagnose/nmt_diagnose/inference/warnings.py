@@ -1,0 +1,44 @@
+"""What a reader has to mind: fits that stopped early, parameters that nobody would believe, remainders."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from nmt_diagnose.inference.contest import Contender
+from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
+
+# Standard deviations of its prior beyond which a parameter is not what a data sheet or a ruler leaves open.
+_CREDIBLE = 3.0
+# What is left over the floor from which it is more than noise.
+_LEFT = 2.0
+
+
+def warned(verdict: Verdict, best: Contender, calibration: Sequence[Recalibrated], gap: Gap) -> tuple[str, ...]:
+    """Sentences of warning; empty where there is nothing to mind.
+
+    Args:
+        verdict: of the diagnosis.
+        best: the model as it came out, with the accepted explanation or without.
+        calibration: its own parameters.
+        gap: on held-out data.
+    """
+    found = []
+    if not best.fit.converged:
+        what = f"The fit with {best.explanation.label}" if best.candidates else "The re-fit of the model"
+        found.append(f"{what} stopped before its optimum: its values and their uncertainties are not to be relied on.")
+    theta = best.fit.theta[: len(calibration)]
+    far = [(item, float(value)) for item, value in zip(calibration, theta, strict=True) if abs(value) > _CREDIBLE]
+    for item, value in sorted(far, key=lambda pair: -abs(pair[1])) if verdict is not Verdict.NONE else ():
+        found.append(
+            f"The fit moves {item.name} from {item.start:.4g} to {item.to:.4g} {item.unit}, {abs(value):.1f} standard "
+            "deviations of what is believed of it: check it, or something else hides behind it."
+        )
+    if verdict is Verdict.EFFECT and math.isfinite(gap.after) and gap.after > _LEFT * max(gap.floor, 1.0):
+        worst = max(gap.per_observable.items(), key=lambda item: item[1]["after"], default=None)
+        where = f", most of it in {worst[0]}" if worst else ""
+        found.append(
+            f"{gap.after:.1f} standard deviations (rms) are left on held-out data{where}: the explanation is not the "
+            "whole of the gap."
+        )
+    return tuple(found)

@@ -1,0 +1,207 @@
+"""Backbones and decays bring their own scale: the same data in other amplitudes are judged the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from unit.diagnose.twin_evidence import evidence_of_twin
+from unit.diagnose.twin_tests import chain
+
+from nmt_core.blocks import Quantity
+from nmt_diagnose.effects.library import candidates, library
+from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.evidence.conditions import BackboneTable, MeasuredChannel, RandomTest, RingDownTest
+from nmt_diagnose.evidence.observables import Evidence, Part, Rows
+from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_evidence
+from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.twin.operating_range import operating_range
+from nmt_rig.rig import Rig, validate_rig
+from nmt_rig.rig_file import RigDocument
+
+HZ, RATIO = 133.0, 0.0035
+OMEGA = 2.0 * pi * HZ
+# Largest amplitude of the backbone, m, and the cubic force there over the linear one.
+TOP, SHARE = 5e-4, 4.0
+SCATTER = 5e-3
+KNOWN = ("cubic_stiffness", "quintic_stiffness", "two_sided_gap", "added_mass")
+
+
+def oscillator() -> Rig:
+    """1 kg on a spring, pushed by a force."""
+    values: dict[str, Any] = {
+        "name": "oscillator",
+        "structure": {
+            "kind": "chain",
+            "masses_kg": [1.0],
+            "ground_springs_n_m": [OMEGA**2],
+            "ground_dampers_ns_m": [2.0 * RATIO * OMEGA],
+        },
+        "exciter": {"kind": "force", "point": 1, "newton_per_volt": 1.0},
+        "sensors": [{"quantity": "force", "point": "drive"}, {"quantity": "displacement", "point": 1}],
+        "extraction": {"quantity": "displacement", "linear_modes": 1},
+    }
+    return validate_rig(RigDocument("test", values, {}))
+
+
+def free_vibration(peak: float, cubic: float) -> tuple[float, float]:
+    """ω, and amplitude of the fundamental, of a mass on a linear and a cubic spring that is let go at a peak."""
+
+    def rest(_: float, y: np.ndarray) -> float:
+        return float(y[1])
+
+    rest.terminal, rest.direction = True, 1.0  # type: ignore[attr-defined]
+    run = solve_ivp(
+        lambda _, y: [y[1], -(OMEGA**2) * y[0] - cubic * y[0] ** 3], (0.0, 2.0 * pi / OMEGA), [peak, 0.0],
+        events=rest, rtol=1e-10, atol=1e-14, dense_output=True,
+    )  # fmt: skip
+    half = float(run.t_events[0][0])
+    times = np.arange(2000) / 2000 * half
+    fundamental = 2.0 * np.mean(run.sol(times)[0] * np.exp(-1j * pi * times / half))
+    return pi / half, float(abs(fundamental))
+
+
+def backbone(scale: float) -> Evidence:
+    """A backbone with scatter as laboratories have it, its amplitudes in another unit, so to say."""
+    cubic = SHARE * OMEGA**2 / TOP**2
+    points = [free_vibration(peak, cubic) for peak in np.linspace(0.1, 1.0, 10) * TOP]
+    amplitudes = scale * np.array([amplitude for _, amplitude in points])
+    noise = np.random.default_rng(5).standard_normal(len(points)) * SCATTER
+    values = np.log([omega for omega, _ in points]) + noise
+    count = len(points)
+    same = lambda value: np.full(count, value, dtype=np.int64)  # noqa: E731
+    rows = Rows(
+        same(0), np.arange(count, dtype=np.int64), same(0), same(1), same(int(Part.LOG_FREQUENCY)), np.zeros(count),
+        np.exp(values) / (2.0 * pi), amplitudes,
+    )  # fmt: skip
+    channel = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1)
+    test = BackboneTable("backbone", 1, channel, amplitudes)
+    return Evidence((test,), rows, values, np.full(count, SCATTER), np.zeros(count))
+
+
+def diagnosed(scale: float) -> Diagnosis:
+    withheld = tuple(effect.name for effect in library() if effect.name not in KNOWN)
+    return diagnose_evidence(
+        oscillator(), backbone(scale), DiagnosisSettings(withheld=withheld, look_ahead=False)
+    ).diagnosis
+
+
+@pytest.fixture(scope="module")
+def plain() -> Diagnosis:
+    return diagnosed(1.0)
+
+
+def test_a_cubic_force_many_times_the_linear_one_is_named(plain: Diagnosis) -> None:
+    assert plain.verdict is Verdict.EFFECT
+    first = plain.ranking[0]
+    assert first.effect == "cubic_stiffness"
+    assert first.parameters["k"].value == pytest.approx(SHARE * OMEGA**2 / TOP**2, abs=3.0 * first.parameters["k"].std)
+    assert plain.gap.closed > 0.9
+
+
+@pytest.mark.parametrize("scale", [0.01, 100.0])
+def test_amplitudes_in_other_units_change_nothing(plain: Diagnosis, scale: float) -> None:
+    other = diagnosed(scale)
+    assert other.verdict is plain.verdict
+    assert other.ranking[0].effect == plain.ranking[0].effect
+    assert other.ranking[0].probability == pytest.approx(plain.ranking[0].probability, abs=0.01)
+    assert other.probabilities["unknown"] == pytest.approx(plain.probabilities["unknown"], abs=0.01)
+    assert other.gap.closed == pytest.approx(plain.gap.closed, abs=0.01)
+    k, wanted = other.ranking[0].parameters["k"], plain.ranking[0].parameters["k"]
+    assert k.value * scale**2 == pytest.approx(wanted.value, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "derivatives"), [(Quantity.DISPLACEMENT, 0), (Quantity.VELOCITY, 1), (Quantity.ACCELERATION, 2)]
+)
+def test_the_scale_of_a_table_and_of_a_decay_is_their_own_amplitude(quantity: Quantity, derivatives: int) -> None:
+    channel = MeasuredChannel("y1", quantity, 1)
+    amplitudes = np.array([2e-4, 3e-3]) * OMEGA**derivatives
+    for test in (
+        BackboneTable("table", 1, channel, amplitudes),
+        RingDownTest("decay", 1, channel, amplitudes[::-1], HZ),
+    ):
+        found = operating_range(oscillator(), [test], evidence=backbone(1.0))
+        assert found.displacement[1] == pytest.approx(3e-3, rel=1e-9)
+        assert found.omega == pytest.approx(OMEGA, rel=1e-9)
+        assert found.channels["x1"] == pytest.approx(3e-3, rel=1e-9)
+        assert found.channels_low["x1"] == pytest.approx(2e-4, rel=1e-9)
+
+
+def test_the_mode_of_a_table_is_the_one_at_its_frequency() -> None:
+    rig = chain()
+    squares = np.linalg.eigvals(
+        np.linalg.solve(np.diag([0.5 + 0.024 + 0.019, 0.3]), [[58707.0, -18000.0], [-18000.0, 21000.0]])
+    )
+    low, high = sorted(sqrt(value) / (2.0 * pi) for value in squares)
+    channel = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1)
+    for frequency in (low, high):
+        test = BackboneTable("table", 1, channel, np.array([1e-3]))
+        one = backbone(1.0).take(np.arange(1))
+        found = operating_range(
+            rig, [test], evidence=replace(one, rows=replace(one.rows, frequency_hz=np.array([frequency])))
+        )
+        assert found.omega == pytest.approx(2.0 * pi * frequency, rel=0.02)
+        assert found.displacement[1] == pytest.approx(1e-3, rel=1e-9)
+    # Without frequencies: the mode that the rig file says is tested.
+    assert operating_range(rig, [test]).omega == pytest.approx(2.0 * pi * low, rel=0.02)
+
+
+def test_without_any_motion_the_scale_is_a_millimetre_at_the_mode_under_test() -> None:
+    test = RandomTest("frf", 1, (), "force", np.array([HZ]), 1.0, "none", 0.0, 0.0, 0.0)
+    found = operating_range(oscillator(), [test])
+    assert found.displacement[1] == pytest.approx(1e-3)
+    assert found.omega == pytest.approx(OMEGA, rel=1e-9)
+
+
+def test_a_backbone_whose_resonance_doubles_has_a_prediction_at_every_amplitude() -> None:
+    """The linear model stays at its resonance, and the model with the spring follows: no level goes without."""
+    evidence = backbone(1.0)
+    forward = Forward(evidence.tests, evidence.rows)
+    assert np.exp(evidence.values[-1] - evidence.values[0]) > 1.9
+    assert forward.predict(oscillator()).values == pytest.approx(np.full(10, np.log(OMEGA)), abs=1e-4)
+    spring = {"kind": "cubic_spring", "point": 1, "stiffness_n_m3": SHARE * OMEGA**2 / TOP**2}
+    values = {**oscillator().model_dump(), "local_elements": [spring]}
+    truth = validate_rig(RigDocument("test", values, {}))
+    assert forward.predict(truth).values == pytest.approx(evidence.values, abs=4.0 * SCATTER)
+
+
+def test_motions_that_the_model_is_far_from_are_taken_as_measured() -> None:
+    model = chain()
+    evidence = evidence_of_twin(model, noise=0.0, drives=(0.1, 0.4, 1.6))
+    plain = operating_range(model, evidence.tests)
+    assert operating_range(model, evidence.tests, evidence=evidence) == plain
+    motion = (evidence.rows.part == Part.LOG_MAGNITUDE) & (evidence.rows.channel > 0) & (evidence.rows.test == 0)
+    motion &= evidence.rows.harmonic == 1
+    run = evidence.take(evidence.rows.test == 0)
+    far = replace(run, tests=run.tests[:1], values=run.values + np.log(30.0) * motion[evidence.rows.test == 0])
+    alone = operating_range(model, far.tests)
+    found = operating_range(model, far.tests, evidence=far)
+    assert found.displacement[2] == pytest.approx(30.0 * alone.displacement[2], rel=1e-3)
+    assert found.channels["a2"] == pytest.approx(30.0 * alone.channels["a2"], rel=1e-3)
+    assert found.channels_low["a2"] == pytest.approx(30.0 * alone.channels_low["a2"], rel=1e-3)
+    assert (found.omega, found.voltage) == (alone.omega, alone.voltage)
+    lines = evidence.take(evidence.rows.test == 1)
+    lines = replace(
+        lines, tests=lines.tests[1:], rows=replace(lines.rows, test=np.zeros(len(lines.rows), dtype=np.int64))
+    )
+    alone = operating_range(model, lines.tests)
+    assert operating_range(model, lines.tests, evidence=lines) == alone
+    louder = replace(lines, values=lines.values + np.log(5.0) * (lines.rows.part == Part.LOG_MAGNITUDE))
+    found = operating_range(model, lines.tests, evidence=louder)
+    assert found.displacement[1] == pytest.approx(5.0 * alone.displacement[1], rel=0.02)
+
+
+def test_wider_parts_of_the_prior_are_as_much_less_probable() -> None:
+    rig = oscillator()
+    found = candidates(rig, operating_range(rig, backbone(1.0).tests))
+    pair = tuple(next(c for c in found if c.effect.name == name) for name in ("cubic_stiffness", "two_sided_gap"))
+    plain, wide = Parametrisation(rig, (), pair), Parametrisation(rig, (), pair, (10.0, 100.0))
+    # Strengths only: the gap is a shape.
+    assert wide.prior_std / plain.prior_std == pytest.approx([10.0, 100.0, 1.0])
+    assert plain.log_prior - wide.log_prior == pytest.approx(np.log(1000.0))

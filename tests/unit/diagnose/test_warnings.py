@@ -1,0 +1,49 @@
+"""What a diagnosis warns of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from unit.diagnose.test_judgement import CUBIC, A, contender
+
+from nmt_diagnose.inference.contest import Contender
+from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
+from nmt_diagnose.inference.warnings import warned
+
+GAP = Gap(20.0, 1.1, 1.0, 30.0, 0.99, 0.98, 1.0, {"run: frequency": {"after": 1.1}}, ("every second level",))
+MASS = Recalibrated("structure.masses_kg.0", 0.5, 0.52, 1e-3, "kg", 0.01, 4.0)
+
+
+def best(theta: float = 0.0, converged: bool = True) -> Contender:
+    """A fit of a model with one parameter of its own and a cubic spring."""
+    found = contender(A, (CUBIC, A))
+    return replace(found, fit=replace(found.fit, theta=np.array([theta, 1.0]), converged=converged))
+
+
+def test_nothing_to_mind_is_not_mentioned() -> None:
+    assert warned(Verdict.EFFECT, best(2.9), (MASS,), GAP) == ()
+    assert warned(Verdict.NONE, best(4.0), (MASS,), GAP) == ()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_parameter_that_nobody_would_believe(sign: float) -> None:
+    (sentence,) = warned(Verdict.EFFECT, best(4.0 * sign), (MASS,), GAP)
+    assert "structure.masses_kg.0 from 0.5 to 0.52 kg, 4.0 standard deviations" in sentence
+
+
+def test_a_fit_that_stopped_early() -> None:
+    (sentence,) = warned(Verdict.EFFECT, best(converged=False), (MASS,), GAP)
+    assert sentence.startswith("The fit with cubic_stiffness@2 stopped before its optimum")
+    alone = Contender((), replace(best(converged=False).fit, theta=np.zeros(1)))
+    assert warned(Verdict.CALIBRATION, alone, (MASS,), GAP)[0].startswith("The re-fit of the model stopped")
+
+
+def test_an_explanation_that_is_not_the_whole() -> None:
+    left = replace(GAP, after=4.0, per_observable={"run: frequency": {"after": 2.0}, "run: phase": {"after": 6.0}})
+    (sentence,) = warned(Verdict.EFFECT, best(), (MASS,), left)
+    assert sentence.startswith("4.0 standard deviations (rms) are left on held-out data, most of it in run: phase")
+    assert warned(Verdict.UNKNOWN, best(), (MASS,), left) == ()
+    assert warned(Verdict.EFFECT, best(), (MASS,), replace(left, after=math.nan)) == ()

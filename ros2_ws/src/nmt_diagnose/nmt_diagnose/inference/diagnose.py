@@ -470,6 +470,8 @@ def _affordable(settings: ContestSettings, evidence: Evidence) -> ContestSetting
         placements=min(settings.placements, 1),
         first_of_pairs=min(settings.first_of_pairs, 1),
         settled=min(settings.settled, 3),
+        rounds=min(settings.rounds, 2),
+        restarts=False,
     )
 
 

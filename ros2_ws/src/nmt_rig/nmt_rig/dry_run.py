@@ -60,6 +60,13 @@ def check_physics(rig: Rig, document: RigDocument) -> None:
             "and inductance against resistance of the exciter."
         )
     frequency = float(modes.frequencies[rig.test.mode - 1]) / (2.0 * np.pi)
+    if frequency == 0.0:
+        rigid = int(np.sum(modes.frequencies == 0.0))
+        words = f"modes 1 to {rigid} are rigid-body modes" if rigid > 1 else "mode 1 is a rigid-body mode"
+        raise BenchError(
+            f"{document.place(('test', 'mode'))}: {words} of rig {rig.name} at 0 Hz; choose an elastic "
+            "mode (test.mode), or hold the structure by a spring."
+        )
     if not 0.0 < frequency < 0.5 * rig.sample_rate_hz:
         place = document.place(("sample_rate_hz",))
         raise BenchError(

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 
 import pytest
 
@@ -27,7 +26,7 @@ SWEEP = {"test": TestKind.SWEEP, "rate_hz_s": -0.2, "frequency_end_hz": 350.0}
 def test_what_a_bench_can_do_passes_and_goes_through_messages(fields, frequencies):
     excitation = Excitation(**fields)
     excitation.check(frequencies, 2, 1, 10_000.0)
-    assert Excitation.from_goal(SimpleNamespace(**excitation.values)) == excitation
+    assert Excitation.from_goal(excitation.values) == excitation
 
 
 @pytest.mark.parametrize(

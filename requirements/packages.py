@@ -68,7 +68,7 @@ LIBRARIES = {
 }
 """By the name that is imported."""
 
-WITH_ANOTHER = {"pydantic_core": "pydantic"}
+WITH_ANOTHER = {"markupsafe": "jinja2", "pydantic_core": "pydantic"}
 """Modules that come with a library of another name."""
 
 ROS = frozenset(

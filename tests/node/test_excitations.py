@@ -15,8 +15,7 @@ pytest.importorskip("rclpy")
 from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
-from nmt_core.vocabulary import LoopState, ResultCode
+from nmt_core.vocabulary import LoopState, ResultCode, TestKind
 from nmt_extract.offline import extract_bag
 from nmt_record.bag_reader import Bag
 from nmt_record.segments import read_signals, segments

@@ -10,6 +10,7 @@ setup(
         ("share/nmt_bench", ["package.xml"]),
     ],
     install_requires=[
+        "jinja2>=3.1",
         "numpy>=1.26",
         "rich>=13.7",
         "rosbags==0.11.9",

@@ -11,6 +11,7 @@ setup(
     ],
     install_requires=[
         "distributed>=2024.1",
+        "jinja2>=3.1",
         "joblib>=1.3",
         "matplotlib>=3.6",
         "numpy>=1.26",

@@ -10,9 +10,9 @@ setup(
         ("share/nmt_report", ["package.xml"]),
     ],
     install_requires=[
+        "jinja2>=3.1",
         "matplotlib>=3.6",
         "numpy>=1.26",
-        "PyYAML>=6.0",
         "rich>=13.7",
     ],
     extras_require={"test": ["pytest"]},

@@ -14,6 +14,7 @@ setup(
         "numpy>=1.26",
         "pydantic>=2.5",
         "PyYAML>=6.0",
+        "ruamel.yaml>=0.17.21",
         "scipy>=1.11",
     ],
     extras_require={"test": ["pytest"]},

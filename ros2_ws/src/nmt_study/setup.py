@@ -10,6 +10,7 @@ setup(
         ("share/nmt_study", ["package.xml"]),
     ],
     install_requires=[
+        "jinja2>=3.1",
         "joblib>=1.3",
         "matplotlib>=3.6",
         "numpy>=1.26",

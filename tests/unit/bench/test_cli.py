@@ -346,3 +346,14 @@ def break_off(context: output_folder.OutputFolder, name: str = "") -> None:
 def environment() -> dict[str, str]:
     """The environment of a child that finds the same modules."""
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+
+
+@pytest.mark.parametrize("option", ["--ramp", "--levels", "--set"])
+def test_a_dash_in_the_place_of_a_value(capsys: pytest.CaptureFixture[str], tmp_path: Path, option: str) -> None:
+    assert cli.main(["run", "beam", f"{option}=--", "--out", str(tmp_path / "out")]) == 2
+    assert f"Argument {option}: expected a value" in capsys.readouterr().err
+
+
+def test_a_folder_whose_name_is_too_long(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert cli.main(["reference", "beam", "--out", str(tmp_path / ("x" * 300))]) == 2
+    assert "cannot be used (file name too long)" in capsys.readouterr().err

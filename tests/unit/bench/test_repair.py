@@ -10,6 +10,7 @@ import pytest
 from nmt_bench.cli import main
 from nmt_record.bag_reader import Bag
 from nmt_record.bag_writer import BagWriter
+from nmt_record.message_definitions import local_definitions
 
 
 @pytest.fixture
@@ -40,6 +41,18 @@ def test_losses_are_named_and_the_rest_is_a_bag(bag: Path, tmp_path: Path, capsy
     assert record["kept"] == {"note": 8, "run_record": 2}
     assert record["lost"][0]["messages"] == {"note": 2}
     assert Bag.open(tmp_path / "out" / "bag").topics["note"][1] == 8
+
+
+def test_a_cut_bag_gets_a_stop_record(bag: Path, tmp_path: Path, capsys) -> None:
+    file = bag / "bag_0.mcap"
+    content = file.read_bytes()
+    file.write_bytes(content[: content.index(b"note7")])
+    local_definitions.cache_clear()  # as in a process that has written no bag yet
+    assert main(["repair", str(bag), "--out", str(tmp_path / "out")]) == 0
+    assert "is cut off" in capsys.readouterr().out
+    mended = Bag.open(tmp_path / "out" / "bag")
+    assert mended.run_stop["exit"]["state"] == "repaired"
+    assert mended.topics["note"][1] > 4
 
 
 def test_a_whole_bag_is_copied(bag: Path, tmp_path: Path, capsys) -> None:

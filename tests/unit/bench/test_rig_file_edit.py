@@ -88,11 +88,13 @@ def test_nothing_to_change_leaves_the_text(tmp_path: Path) -> None:
     "text",
     [
         # An anchor shared by two entries: one of them must change, the other not.
-        "name: a\nstructure: {kind: chain, masses_kg: [&m 1.0, *m], springs_n_m: [1000.0]}\n"
+        "name: a\nstructure: {kind: chain, masses_kg: [&m 1.0, *m], springs_n_m: [1000.0], "
+        "ground_springs_n_m: [9.0, 0.0]}\n"
         "exciter: {kind: force, point: 1}\nsensors: [{quantity: force}, {quantity: displacement, point: 1}]\n"
         "extraction: {linear_modes: 1}\n",
         # No line end, an empty mapping, a sequence that is not indented.
-        "name: a\nstructure:\n  kind: chain\n  masses_kg:\n  - 1.0\n  - 1.0\n  springs_n_m: [1000.0]\npll: {}\n"
+        "name: a\nstructure:\n  kind: chain\n  masses_kg:\n  - 1.0\n  - 1.0\n  springs_n_m: [1000.0]\n"
+        "  ground_springs_n_m: [9.0, 0.0]\npll: {}\n"
         "extraction: {linear_modes: 1}\n"
         "exciter: {kind: force, point: 1}\nsensors:\n- quantity: force\n- quantity: displacement\n  point: 1",
     ],
@@ -115,6 +117,7 @@ structure:
     kind: chain
     masses_kg: [+1.0, 1.e0]   # weighed
     springs_n_m: [1000.]
+    ground_springs_n_m: [9., 0]
     loss_factor: 1e-3
 
 # What is driven.

@@ -1,13 +1,12 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 
 import pytest
 
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 
 RANDOM = {"test": TestKind.RANDOM, "band_low_hz": 10.0, "band_high_hz": 2000.0, "duration": 20.0}
 SWEEP = {"test": TestKind.SWEEP, "rate_hz_s": -0.2, "frequency_end_hz": 350.0}
@@ -27,7 +26,7 @@ SWEEP = {"test": TestKind.SWEEP, "rate_hz_s": -0.2, "frequency_end_hz": 350.0}
 def test_what_a_bench_can_do_passes_and_goes_through_messages(fields, frequencies):
     excitation = Excitation(**fields)
     excitation.check(frequencies, 2, 1, 10_000.0)
-    assert Excitation.from_goal(SimpleNamespace(**excitation.values)) == excitation
+    assert Excitation.from_goal(excitation.values) == excitation
 
 
 @pytest.mark.parametrize(

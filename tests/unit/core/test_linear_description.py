@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 
-finite = st.floats(allow_nan=False, allow_infinity=False)
+finite = st.floats(0.0, 10.0)
 
 
 @st.composite
@@ -129,3 +129,22 @@ def test_per_volt_values_may_be_left_out(linear):
     back = LinearDescription.from_mapping(values)
     assert math.isnan(back.force_per_volt)
     assert math.isnan(back.displacement_per_volt)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"damping_ratios": [1e308, 0.01]},
+        {"frequencies_rad_s": [100.0, math.inf]},
+        {"frequencies_rad_s": [-100.0, 700.0]},
+        {"shapes": [[0.1, 0.2], [0.3, 1e99]]},
+        {"plant_damping_ratio": 11.0},
+        {"plant_damping_ratio": math.nan},
+        {"moving_mass_kg": 1e9},
+        {"force_per_volt": 1e308},
+    ],
+)
+def test_magnitudes_of_no_structure_are_refused(linear, change):
+    values = {**asdict(linear), **change}
+    with pytest.raises(BenchError, match=f"{next(iter(change))} (has the value|must not be negative)"):
+        LinearDescription.from_mapping(values)

@@ -206,7 +206,7 @@ def test_nobody_else_defines_a_state_flag_kind_or_unit():
 
 
 def test_drive_commands_are_made_from_a_loops_output_in_one_place():
-    """In the product a drive command is made by the codec, by the loop's answer, and by the plant's own benchmark."""
+    """In the product a drive command is made by the codec, the loop's answer, and the plant's own measurements."""
     makers = set()
     for path in SOURCES.glob("nmt_*/nmt_*/**/*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -215,5 +215,6 @@ def test_drive_commands_are_made_from_a_loops_output_in_one_place():
     assert makers == {
         "nmt_core/nmt_core/wire.py",
         "nmt_plant/nmt_plant/benchmark.py",
+        "nmt_plant/nmt_plant/output_faults.py",
         "nmt_pll/nmt_pll/loop_core.py",
     }

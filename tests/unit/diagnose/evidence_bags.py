@@ -11,8 +11,7 @@ import numpy as np
 
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.records import LevelCommand
-from nmt_core.test_kind import TestKind
-from nmt_core.vocabulary import LoopState
+from nmt_core.vocabulary import LoopState, TestKind
 from nmt_core.wire import LOCK_EVENT, BlockReader, BlockWriter
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.loop import PhaseLockedLoop

@@ -17,7 +17,7 @@ from nmt_blind.cases.rig_edits import Edit, with_edits
 from nmt_blind.cases.strength import Sensitivity, value_at
 from nmt_blind.cases.strength_table import load_table
 from nmt_blind.cases.truths import KNOWN, OPEN, TRUTHS
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 from nmt_extract.offline import extract_bag
 from nmt_record.bag_reader import Bag
 from nmt_record.segments import read_signals, segments

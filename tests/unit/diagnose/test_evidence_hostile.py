@@ -13,7 +13,7 @@ from unit.diagnose.evidence_bags import LEVELS, altered, record, rig_with_noise,
 
 from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 from nmt_diagnose.evidence.conditions import PhaseResonanceTest
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.read_evidence import read_evidence

@@ -9,7 +9,7 @@ import pytest
 from unit.diagnose.evidence_bags import record, rig_with_noise
 
 from nmt_core.blocks import FloatArray
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 from nmt_diagnose.evidence.floors import Floors
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.read_evidence import read_evidence

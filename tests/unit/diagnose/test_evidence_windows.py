@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from unit.diagnose.evidence_bags import altered, record, rig_with_noise, with_data
 
 from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity, SampleBlock
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest, RingDownTest
 from nmt_diagnose.evidence.model_view import ModelView
 from nmt_diagnose.evidence.moderated_variance import moderated

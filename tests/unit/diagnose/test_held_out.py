@@ -171,7 +171,11 @@ def test_explanations_are_compared_by_what_they_predict():
     good.fit.residual, bad.fit.residual = noise, noise + 1.0
     good.fit.predictive_std = bad.fit.predictive_std = ones
     tops = {good.explanation: good, bad.explanation: bad}
-    found = HeldOut(evidence, [(Split("all", ~everything, everything), base, tops)], 0).worse(list(tops))
+    held = HeldOut(evidence, [(Split("all", ~everything, everything), base, tops)], 0)
+    shares = {explanation: held.closed(explanation) for explanation in tops}
+    found = held.worse(shares, 0.03)
     assert found[good.explanation] == 0.0
     # Twenty blocks of twenty rows, each worse by 1 ± 2/√20 squared standard deviations a row.
     assert found[bad.explanation] == pytest.approx(np.sqrt(20.0) * 1.0 / (2.0 / np.sqrt(20.0)), rel=0.4)
+    # The bad one closes nine tenths of the gap: whoever calls that the same does not tell them apart.
+    assert held.worse(shares, 0.3) == dict.fromkeys(tops, 0.0)

@@ -202,7 +202,7 @@ def test_a_pair_that_explains_everything_is_named_however_strong(sigma: float) -
     assert found.classes[0].probability > 0.8
 
 
-@pytest.mark.parametrize(("sigma", "second"), [(64.0, 16.0), (512.0, 16.0), (4096.0, 64.0)])
+@pytest.mark.parametrize(("sigma", "second"), [(64.0, 16.0), (512.0, 32.0), (4096.0, 256.0)])
 def test_a_weaker_second_effect_is_found_beside_a_strong_one(sigma: float, second: float) -> None:
     plain, singles, pair = strong(sigma, second)
     found = judge(plain, singles, [pair], (), (), LIBRARY, frozen(), pair, 1.0)
@@ -210,8 +210,8 @@ def test_a_weaker_second_effect_is_found_beside_a_strong_one(sigma: float, secon
 
 
 def test_what_an_inexact_model_of_a_strong_effect_leaves_is_no_second_effect() -> None:
-    # One percent of an effect of 4096 standard deviations is 41 of them.
-    plain, singles, pair = strong(4096.0, 20.0)
+    # Three percent of an effect of 4096 standard deviations are 123 of them.
+    plain, singles, pair = strong(4096.0, 100.0)
     found = judge(plain, singles, [pair], (), (), LIBRARY, frozen(), pair, 1.0)
     assert found.classes[0].head is singles[0]
     # Within the strengths that the share was learned on, all of it counts.

@@ -12,6 +12,8 @@ from unit.plant.effect_rigs import oscillator, rig_of, run
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, effect_named, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
@@ -21,7 +23,6 @@ from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.influence import Source
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_diagnose.twin.settings import TwinSettings
-from nmt_plant.device import DriveCommand, Waveform
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis

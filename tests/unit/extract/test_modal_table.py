@@ -121,5 +121,5 @@ def test_files_that_are_something_else_are_refused(tmp_path):
         with pytest.raises(BenchError):
             read_json(path)
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(BenchError, match="not text"):
+    with pytest.raises(BenchError, match="not a text file"):
         read_csv(path)

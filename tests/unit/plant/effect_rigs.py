@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.rig import Rig, load_rig, validate_rig
 from nmt_rig.rig_file import RigDocument

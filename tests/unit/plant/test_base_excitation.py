@@ -7,7 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from nmt_core.errors import BenchError
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import acceleration_output, assemble, displacement_output, velocity_output

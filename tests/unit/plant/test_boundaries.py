@@ -8,8 +8,14 @@ from scipy.optimize import brentq
 
 from nmt_core.errors import BenchError
 from nmt_rig.linear_description import linear_description
+from nmt_rig.model.assembly import OutputRow, assemble
 from nmt_rig.model.beam import euler_bernoulli_beam, euler_bernoulli_cantilever
+from nmt_rig.model.continuation import NotConvergedError
+from nmt_rig.model.epmc import epmc_backbone
+from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
+from nmt_rig.model.local_elements import CubicSpring
+from nmt_rig.model.time_integration import TimeIntegrator
 from nmt_rig.rig import load_rig
 
 LENGTH, WIDTH, HEIGHT, MODULUS, DENSITY = 0.6, 0.03, 0.005, 70e9, 2700.0
@@ -126,8 +132,38 @@ def test_springs_of_an_end_that_is_not_there_are_refused():
 
 def test_a_free_beam_is_tested_at_an_elastic_mode():
     free = ["structure.boundary=free-free", "local_elements=[]"]
-    with pytest.raises(BenchError, match="of the first 2 modes 2 are rigid-body modes"):
-        linear_description(load_rig("beam", free))
+    with pytest.raises(BenchError, match="modes 1 to 2 are rigid-body modes of rig beam at 0 Hz"):
+        load_rig("beam", free)
     linear = linear_description(load_rig("beam", [*free, "test.mode=3", "extraction.linear_modes=3"]))
     assert linear.frequencies_rad_s[:2] == (0.0, 0.0)
     assert linear.frequency_hz > 100.0
+
+
+def test_a_floating_beam_needs_its_cords_for_the_mean_position():
+    amplitudes = np.geomspace(1e-6, 1e-3, 4)
+
+    def backbone(basis, **more):
+        free = beam("free-free", 6, stiffness_damping=1e-6, **more)
+        return epmc_backbone(free, [CubicSpring(free.direction(1, 4), 1e8)], amplitudes, basis, mode=2)
+
+    with pytest.raises(NotConvergedError, match="has no mean position"):
+        backbone(FourierBasis.up_to(5))
+    odd = backbone(FourierBasis.up_to(5, odd_only=True))
+    held = backbone(FourierBasis.up_to(5), suspension_stiffness=0.2)
+    np.testing.assert_allclose(held.omega_rad_s, odd.omega_rad_s, rtol=2e-5)
+    assert odd.omega_rad_s[-1] > 1.1 * odd.omega_rad_s[0]
+
+
+@pytest.mark.parametrize("cubic", [0.0, 1e9])
+def test_a_floating_beam_moves_off_as_a_rigid_body(cubic):
+    """The centre of mass goes on under ∫∫ F / m, whatever bends: mean of the displacement, weighted by the mass."""
+    free = beam("free-free", 4, stiffness_damping=1e-5)
+    mass = PER_LENGTH * LENGTH
+    # Σ (row of M) q over lateral degrees of freedom is m times the centre's displacement.
+    centre = OutputRow(np.zeros(free.size), np.zeros(free.size), free.base_load / mass, 0.0)
+    elements = [CubicSpring(free.direction(1, 3), cubic)] if cubic else []
+    system = assemble(free, elements, 2)
+    time = np.arange(4001) / 5000.0
+    found = TimeIntegrator(system, 5000.0, [centre], 4).advance(2.0 * np.sin(60.0 * time))[0]
+    exact = 2.0 / mass * (time / 60.0 - np.sin(60.0 * time) / 60.0**2)
+    np.testing.assert_allclose(found, exact[:-1], atol=2e-5 * exact.max())

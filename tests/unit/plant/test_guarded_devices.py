@@ -9,7 +9,8 @@ import pytest
 
 from nmt_core.blocks import BlockFlag, FloatArray, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
 from nmt_plant.guarded_device import GuardedDevice
 from nmt_plant.loopback_device import LoopbackDevice
 from nmt_plant.oscillator import OscillatorBlock

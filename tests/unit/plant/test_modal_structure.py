@@ -183,6 +183,8 @@ def test_three_lines_are_a_rig(tmp_path):
     # 1 N at resonance: x = F / (2 ζ m ω²).
     omega = 2.0 * np.pi * 133.1
     assert linear.displacement_per_volt == pytest.approx(1.0 / (2.0 * 0.0035 * omega**2), rel=1e-9)
+    # What was left out can be changed like what was written.
+    assert load_rig(file, ["exciter.newton_per_volt=3", "sensors.3.gain=2"]).exciter.newton_per_volt == 3.0
     # The rig that travels in a bag loads to the same rig.
     copy = tmp_path / "copy.yaml"
     copy.write_text(rig_text(rig))

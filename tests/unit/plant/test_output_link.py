@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from nmt_core.blocks import BlockFlag, FloatArray, Quantity, SampleBlock
-from nmt_plant.device import DeviceFault, DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
+from nmt_plant.device import DeviceFault
 from nmt_plant.loopback_device import LoopbackDevice
 from nmt_plant.output_faults import FAULTS, measure
 from nmt_plant.output_link import OutputLink
@@ -60,7 +62,7 @@ def test_what_is_fed_is_put_out_logged_and_given_back(tmp_path: Path) -> None:
     link = OutputLink(settings(lead_blocks=10), arguments={"sample_rate": RATE, "log": str(log)})
     link.start()
     process = link.pid
-    assert link.state is OutputState.IDLE
+    assert link.state is OutputState.AT_ZERO
     for n in range(10):
         link.feed(fed[n * BLOCK : (n + 1) * BLOCK])
     np.testing.assert_array_equal(link.collect(10 * BLOCK, 20.0), fed)
@@ -75,7 +77,7 @@ def test_what_is_fed_is_put_out_logged_and_given_back(tmp_path: Path) -> None:
 def test_quiet_latches_until_reset(link: OutputLink) -> None:
     for _ in range(40):
         link.feed(np.ones(BLOCK))
-    until(lambda: link.state is OutputState.RUNNING)
+    until(lambda: link.state is OutputState.FOLLOWING)
     link.quiet("operator", 0.01)
     until(lambda: link.state is OutputState.HELD)
     assert link.is_tripped
@@ -89,21 +91,21 @@ def test_after_the_death_of_the_owner_the_state_is_unknown(link: OutputLink) -> 
     link.feed(np.ones(BLOCK))
     assert link.pid is not None
     os.kill(link.pid, signal.SIGKILL)
-    until(lambda: link.state is OutputState.UNKNOWN)
+    until(lambda: link.state is OutputState.NOT_KNOWN)
     assert "UNKNOWN: the process that owns it has died" in link.sentence
     with pytest.raises(DeviceFault, match="UNKNOWN"):
         link.collect(BLOCK)
     with pytest.raises(DeviceFault, match="cannot be fed: the state of the output is UNKNOWN"):
         link.feed(np.ones(BLOCK))
-    assert link.close() is OutputState.UNKNOWN
+    assert link.close() is OutputState.NOT_KNOWN
 
 
 def test_a_stopped_owner_is_unknown_and_does_not_stay_behind(link: OutputLink) -> None:
     process = link.pid
     assert process is not None
     os.kill(process, signal.SIGSTOP)
-    until(lambda: link.state is OutputState.UNKNOWN)
-    assert link.close(timeout=0.2) is OutputState.UNKNOWN
+    until(lambda: link.state is OutputState.NOT_KNOWN)
+    assert link.close(timeout=0.2) is OutputState.NOT_KNOWN
     assert not alive(process)
 
 
@@ -113,7 +115,7 @@ def test_an_owner_that_is_told_to_end_goes_to_zero_first(tmp_path: Path) -> None
     link.start()
     for _ in range(40):
         link.feed(np.ones(BLOCK))
-    until(lambda: link.state is OutputState.RUNNING)
+    until(lambda: link.state is OutputState.FOLLOWING)
     assert link.pid is not None
     os.kill(link.pid, signal.SIGTERM)
     until(lambda: link.state is OutputState.ENDED)

@@ -104,14 +104,14 @@ def test_what_is_fed_is_put_out_and_reported_sample_by_sample(bench: Bench) -> N
     line = np.concatenate([values for _, _, values, _ in bench.reports()])
     np.testing.assert_array_equal(line, fed[: line.size])
     assert line.size >= 8 * BLOCK
-    assert bench.owner.state is OutputState.RUNNING
+    assert bench.owner.state is OutputState.FOLLOWING
 
 
 def test_it_waits_for_its_lead(bench: Bench) -> None:
     bench.feed(np.ones(BLOCK))
     bench.steps(10)
     assert not bench.output.any()
-    assert bench.owner.state is OutputState.IDLE
+    assert bench.owner.state is OutputState.AT_ZERO
     bench.feed(np.ones(BLOCK))
     bench.steps(1)
     assert bench.output[-CHUNK:].all()
@@ -143,7 +143,7 @@ def test_a_hang_with_the_drive_at_zero_trips_nothing(bench: Bench) -> None:
     for _ in range(3):
         bench.feed(np.zeros(BLOCK))
     bench.steps(100)
-    assert bench.owner.state is OutputState.IDLE
+    assert bench.owner.state is OutputState.AT_ZERO
     fed = bench.wave(4)
     np.testing.assert_array_equal(bench.output[-3 * BLOCK :], fed[: 3 * BLOCK])
 
@@ -216,7 +216,7 @@ def test_the_external_stop_line_stops_for_good(act: str) -> None:
     ours, line = os.pipe()
     bench = Bench(stop_input=ours)
     bench.wave(6)
-    assert bench.owner.state is OutputState.RUNNING
+    assert bench.owner.state is OutputState.FOLLOWING
     if act == "byte":
         os.write(line, b"!")
     os.close(line)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from nmt_core.blocks import BlockFlag, Quantity
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.rig import load_rig
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from nmt_core.blocks import Quantity
-from nmt_plant.device import DriveCommand, Waveform
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import assemble

@@ -9,8 +9,9 @@ import pytest
 
 from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
 from nmt_plant.benchmark import run_benchmark
-from nmt_plant.device import DriveCommand, Waveform
 from nmt_plant.simulated_rig import TICK_ORDER, SimulatedRig
 from nmt_rig.rig import load_rig
 

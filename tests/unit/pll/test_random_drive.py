@@ -9,8 +9,7 @@ import pytest
 from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.records import LevelCommand
-from nmt_core.test_kind import TestKind
-from nmt_core.vocabulary import ControlKind, LoopState, Waveform
+from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
 from nmt_pll.random_drive import RandomDrive
 
 RATE, BLOCK = 1000.0, 100

@@ -11,8 +11,7 @@ from unit.pll.closed_loop import ClosedLoop
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
-from nmt_core.vocabulary import LoopState
+from nmt_core.vocabulary import LoopState, TestKind
 from nmt_pll.settings import LoopSettings
 
 SETTINGS = LoopSettings(force_floor=1e-9)

@@ -8,8 +8,7 @@ from unit.pll.swept_rig import SweptRig
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
-from nmt_core.vocabulary import ControlKind, LoopState
+from nmt_core.vocabulary import ControlKind, LoopState, TestKind
 
 
 @pytest.mark.parametrize(("start", "stop"), [(366.0, 371.0), (371.0, 366.0)])

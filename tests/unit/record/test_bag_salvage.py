@@ -139,6 +139,19 @@ def test_a_damaged_start_is_told_by_what_the_file_says_of_itself(make_bag):
         assert "messages: 1 of run_record" in bag.loss
 
 
+@pytest.mark.parametrize("place", [*range(8), -1, -8])
+def test_a_damaged_byte_of_the_magic_does_not_make_it_another_file(make_bag, place):
+    path = make_bag(blocks=6, per_chunk=PER_CHUNK)
+    file = path / "bag_0.mcap"
+    content = bytearray(file.read_bytes())
+    content[place] ^= 4
+    file.write_bytes(content)
+    bag = Bag.open(path)
+    assert firsts(bag) == [0, 20, 40, 60, 80, 100]
+    assert bag.lost_spans == ()
+    assert bag.loss is None or "its messages were found without it" in bag.loss
+
+
 def test_repair_writes_a_regular_bag_that_says_what_it_lacks(make_bag, make_block, tmp_path):
     path = make_bag(blocks=12, per_chunk=4)
     file = path / "bag_0.mcap"

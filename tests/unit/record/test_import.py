@@ -15,7 +15,7 @@ from unit.record.foreign_data import FREQUENCY_HZ, RATE, SHAPES, recording, side
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 from nmt_record import Bag
 from nmt_record.imported_run import ImportedRun, read_import, write_import
 from nmt_record.observables import observable_tables

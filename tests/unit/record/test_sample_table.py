@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from unit.extract.synthetic import RATE, Stream
 
 from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
-from nmt_core.test_kind import TestKind
-from nmt_core.vocabulary import LoopState
+from nmt_core.vocabulary import LoopState, TestKind
 from nmt_record.sample_table import SampleTable
 from nmt_record.topic_blocks import ExcitationPhase, TopicBlocks, TopicStretch, phase_reference
 from nmt_record.window_policy import POLICIES, Effect, Fault, Finding, NamedWindow, judge

@@ -10,7 +10,7 @@ import pytest
 
 from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 from nmt_core.wire import BlockWriter, LoopStatus, write_status
 from nmt_record.bag_reader import Bag
 from nmt_record.bag_writer import BagWriter

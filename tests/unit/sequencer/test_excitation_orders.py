@@ -9,8 +9,7 @@ from unit.sequencer.bench import Bench, Fate
 
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
-from nmt_core.test_kind import TestKind
-from nmt_core.vocabulary import ResultCode
+from nmt_core.vocabulary import ResultCode, TestKind
 from nmt_sequencer.run_machine import RunPlan
 
 SWEEP = Excitation(TestKind.SWEEP, rate_hz_s=0.2, frequency_end_hz=390.0)

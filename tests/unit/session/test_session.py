@@ -9,13 +9,14 @@ from typing import Any
 
 import pytest
 
-from nmt_core.blocks import SampleBlock
+from nmt_core.blocks import FloatArray, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.records import DriveCommand, LockEvent, LoopStatus, RunState
 from nmt_core.vocabulary import LoopState, PointStatus, Quantity, ResultCode, RunPhase, Waveform
 from nmt_core.wire import LOCK_EVENT
 from nmt_extract.offline import extract_bag
 from nmt_plant.device import DeviceFault
+from nmt_plant.oscillator import OscillatorBlock
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_record.bag_reader import Bag
 from nmt_rig.rig import load_rig
@@ -140,10 +141,10 @@ def test_an_error_of_a_callback_goes_on_after_the_ramp(tmp_path: Path) -> None:
 class _Faulty(SimulatedRig):
     """A rig that fails after a second."""
 
-    def _read(self) -> list[SampleBlock]:
+    def _measure(self, drive: OscillatorBlock) -> FloatArray:
         if self.next_sample > 10_000:
             raise DeviceFault("samples were lost")
-        return super()._read()
+        return super()._measure(drive)
 
 
 def test_a_fault_of_the_device_is_a_result(tmp_path: Path) -> None:

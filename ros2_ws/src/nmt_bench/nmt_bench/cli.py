@@ -127,6 +127,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not words:
             parser.print_help()
             return EXIT_USER
+        for word in words:
+            if word.startswith("--") and word.endswith("=--"):  # argparse would make an empty list of it
+                parser.error(f"argument {word[:-3]}: expected a value, got '--'")
         arguments = parser.parse_args(words)
         if arguments.command is None:
             parser.error("a command is missing")

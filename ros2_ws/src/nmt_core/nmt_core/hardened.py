@@ -25,7 +25,7 @@ from nmt_core.errors import BenchError
 
 LARGEST_DOCUMENT = 2**20  # bytes of a file written by hand
 LARGEST_TABLE = 2**28  # bytes of a text file that a program wrote
-LARGEST_ARRAYS = 2**28  # bytes of all arrays of a file together
+LARGEST_ARRAYS = 2**29  # bytes of all arrays of a file together, as double precision
 LARGEST_NUMBER = 1e30
 SMALLEST_NUMBER = 1e-25  # but for zero
 _MOST_NODES = 20_000
@@ -34,21 +34,8 @@ _DEEPEST = 40
 # What PyYAML's constructors raise for a value that does not fit its tag, besides YAMLError.
 YAML_FAULTS = (ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError)
 
-_NOT_NPZ = (
-    zipfile.BadZipFile,
-    ValueError,
-    EOFError,
-    KeyError,
-    SyntaxError,
-    TypeError,
-    OverflowError,
-    MemoryError,
-    NotImplementedError,
-    RuntimeError,
-    AttributeError,
-    IndexError,
-    zlib.error,
-)
+_DAMAGED_NPZ = (zipfile.BadZipFile, zlib.error, EOFError, KeyError, NotImplementedError, RuntimeError)
+_NOT_PLAIN = (ValueError, SyntaxError, TypeError, OverflowError, MemoryError, AttributeError, IndexError)
 
 
 def open_regular(path: Path, what: str, largest: int) -> IO[bytes]:
@@ -66,13 +53,13 @@ def open_regular(path: Path, what: str, largest: int) -> IO[bytes]:
         # Without O_NONBLOCK opening a pipe would wait for its other end.
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except (OSError, ValueError) as error:
-        raise BenchError(f"cannot read the {what} {path}: {getattr(error, 'strerror', None) or error}.") from error
+        raise BenchError(f"The {what} {path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
     file = None
     try:
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):
             kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
-            raise BenchError(f"cannot read the {what} {path}: it is {kind}; give a file.")
+            raise BenchError(f"The {what} {path} cannot be read: it is {kind}; give a file.")
         if status.st_size > largest:
             raise BenchError(
                 f"The {what} {path} has {status.st_size / 2**20:.1f} MiB, more than the {largest / 2**20:g} MiB that "
@@ -93,7 +80,7 @@ def read_text(path: Path, what: str, largest: int = LARGEST_TABLE) -> str:
     except UnicodeDecodeError as error:
         raise BenchError(f"{path} is not a text file in UTF-8; give a {what}.") from error
     except OSError as error:
-        raise BenchError(f"cannot read the {what} {path}: {error.strerror or error}.") from error
+        raise BenchError(f"The {what} {path} cannot be read: {error.strerror or error}.") from error
 
 
 class BoundedYaml(yaml.SafeLoader):
@@ -182,12 +169,13 @@ def check_number(value: float, place: str) -> None:
         )
 
 
-def json_value(text: str, name: str) -> Any:
+def json_value(text: str, name: str, bounded: bool = True) -> Any:
     """Content of a JSON text, of bounded depth, size and magnitudes.
 
     Args:
         text: JSON; NaN and Infinity are taken as Python writes them.
         name: of the file or the place, for messages.
+        bounded: refuse magnitudes beyond every quantity; off for results, which may be as wild as the data were.
 
     Raises:
         BenchError: not JSON, too deep, too many entries, or a number out of bounds.
@@ -208,7 +196,7 @@ def json_value(text: str, name: str) -> Any:
             waiting.extend((part, depth + 1, inner) for inner, part in item.items())
         elif isinstance(item, list):
             waiting.extend((part, depth + 1, key) for part in item)
-        elif isinstance(item, int | float) and not isinstance(item, bool):
+        elif bounded and isinstance(item, int | float) and not isinstance(item, bool):
             _check_json_number(item, f"{name}, '{key}'" if key else name)
     return value
 
@@ -256,12 +244,19 @@ def read_arrays(path: Path, what: str, largest: int = LARGEST_ARRAYS) -> Mapping
                 return {name: arrays[name] for name in arrays.files}
     except BenchError:
         raise
-    except (OSError, *_NOT_NPZ) as error:
-        raise BenchError(f"The {what} {path} is not an NPZ file of plain arrays: {_first_line(error)}.") from error
+    except (OSError, *_DAMAGED_NPZ) as error:
+        raise BenchError(
+            f"The {what} {path.name} is cut off or damaged ({_first_line(error)}); save it again."
+        ) from error
+    except _NOT_PLAIN as error:
+        raise BenchError(
+            f"The {what} {path.name} holds arrays that are not plain numbers ({_first_line(error)}); save float arrays "
+            "with numpy.savez."
+        ) from error
 
 
 def _claimed_bytes(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> int:
-    """Bytes that an entry needs in memory, by its header."""
+    """Bytes that an entry needs in memory as double precision, by its header."""
     if not item.filename.endswith(".npy"):
         raise ValueError(f"'{item.filename}' in it is no array")
     with archive.open(item) as entry:
@@ -273,10 +268,11 @@ def _claimed_bytes(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> int:
         head = entry.tell()
     if kind.hasobject:
         raise ValueError(f"'{item.filename}' holds objects")
-    claimed = math.prod(int(n) for n in shape) * int(kind.itemsize)
+    values = math.prod(int(n) for n in shape)
+    claimed = values * int(kind.itemsize)
     if claimed != item.file_size - head or any(n < 0 for n in shape):
         raise ValueError(f"'{item.filename}' claims {claimed} bytes and has {item.file_size - head}")
-    return claimed
+    return max(claimed, 8 * values)
 
 
 def _first_line(error: Exception) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.hardened import json_value
 
 TEST_KEYS = frozenset(
     (
@@ -29,6 +30,21 @@ TEST_KEYS = frozenset(
     )
 )
 """What ``linear.json`` of a linear modal test says beyond the description; passed over here."""
+
+
+_LARGEST = {
+    "frequencies_rad_s": 1e8,
+    "damping_ratios": 10.0,
+    "shapes": 1e6,
+    "drive_point_shape": 1e6,
+    "plant_frequency_rad_s": 1e8,
+    "plant_damping_ratio": 10.0,
+    "moving_mass_kg": 1e6,
+    "force_per_volt": 1e12,
+    "displacement_per_volt": 1e6,
+}
+"""What no structure on a shaker exceeds, in the units of the attributes."""
+_NOT_NEGATIVE = ("frequencies_rad_s", "plant_frequency_rad_s")
 
 
 @dataclass(frozen=True)
@@ -106,8 +122,9 @@ class LinearDescription:
             for key in ("force_per_volt", "displacement_per_volt"):
                 if data.get(key) is None:
                     data[key] = math.nan
+            _check_magnitudes(data)
             return cls(**data)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise BenchError(f"The linear description is not complete or not well-formed: {error}.") from error
 
     @classmethod
@@ -117,10 +134,26 @@ class LinearDescription:
         Raises:
             BenchError: not JSON, or as :meth:`from_mapping`.
         """
-        try:
-            values = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise BenchError(f"The linear description is not valid JSON: {error}.") from error
+        values = json_value(text, "The linear description")
         if not isinstance(values, dict):
             raise BenchError("The linear description must be a JSON object.")
         return cls.from_mapping(values)
+
+
+def _check_magnitudes(values: dict[str, Any]) -> None:
+    """Refuse numbers of no structure, and what is no number; NaN only where it means that a value is not known."""
+    for key, largest in _LARGEST.items():
+        if key not in values:
+            continue
+        numbers = np.array(values[key], dtype=np.float64)
+        known = numbers[~np.isnan(numbers)] if key in ("force_per_volt", "displacement_per_volt") else numbers.ravel()
+        bad = known[~(np.abs(known) <= largest)]
+        if bad.size:
+            raise BenchError(
+                f"The linear description's {key} has the value {bad[0]:g}, beyond {largest:g}; is the file damaged or "
+                "in other units?"
+            )
+        if key in _NOT_NEGATIVE and np.any(known < 0.0):
+            raise BenchError(f"The linear description's {key} must not be negative, got {known.min():g}.")
+    if any(not isinstance(point, int) for point in (*values["points"], values["drive_point"], values["target_mode"])):
+        raise TypeError("points, drive_point and target_mode must be whole numbers")

@@ -9,7 +9,7 @@ from typing import Any
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 from nmt_extract.linear_file import Linearity, linear_mapping, linearity
 from nmt_extract.linear_test import LinearTest, LinearTestSettings, linear_test
 from nmt_record.bag_reader import Bag

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.hardened import json_value, read_text
 from nmt_core.whole_file import write_whole
 from nmt_extract.harmonics import ComplexArray
 from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
@@ -111,11 +112,11 @@ def read_json(path: Path | str) -> tuple[list[ModalPoint], dict[str, Any]]:
         BenchError: not there, or not such a file.
     """
     try:
-        document = json.loads(_read(Path(path)))
+        document = json_value(_read(Path(path)), str(path), bounded=False)
         if document["format"] != FORMAT:
             raise ValueError(f"its format is '{document['format']}'")
         return [_point_from_mapping(values) for values in document["points"]], document["inputs"]
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise BenchError(f"{path} is not a file of modal points ('{FORMAT}'): {error}.") from error
 
 
@@ -203,11 +204,7 @@ def _plain(value: Any) -> Any:
 
 
 def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it is not text"
-        raise BenchError(f"{path} cannot be read: {why}.") from error
+    return read_text(path, "table of modal points")
 
 
 def _write_whole(path: Path, text: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_json as read_json_file
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.harmonics import ComplexArray
 from nmt_extract.modal_table import read_json
@@ -170,15 +170,7 @@ def _others(path: Path | None, inputs: dict[str, Any], points: Sequence[int]) ->
             raise BenchError("The run does not say which linear modes it used; give --linear FILE.")
         linear = LinearDescription.from_mapping(known)
         return linear, OtherModes.from_modes(linear, points)
-    try:
-        values = json.loads(_file(path, "linear.json").read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it is not text"
-        raise BenchError(f"{path} cannot be read: {why}.") from error
-    except json.JSONDecodeError as error:
-        raise BenchError(f"{path} is not valid JSON: {error}.") from error
-    if not isinstance(values, dict):
-        raise BenchError(f"{path} must be a JSON object as './nmt linear' writes it.")
+    values = read_json_file(_file(path, "linear.json"), "linear description")
     return LinearDescription.from_mapping(values), OtherModes.from_file(values, points)
 
 

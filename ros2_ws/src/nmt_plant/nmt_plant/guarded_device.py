@@ -243,8 +243,8 @@ class GuardedDevice(Device):
         """Whether the next sample put out is zero, and all that follow without a new command."""
         if self._link is not None:
             state = self._link.state
-            waiting = state is OutputState.RUNNING and any(block.voltage.any() for block, _ in self._made)
-            if waiting or state in (OutputState.RAMPING, OutputState.UNKNOWN):
+            waiting = state is OutputState.FOLLOWING and any(block.voltage.any() for block, _ in self._made)
+            if waiting or state in (OutputState.RAMPING, OutputState.NOT_KNOWN):
                 return False
         return self._oscillator.is_quiet and self._output.reaches_zero
 
@@ -368,7 +368,7 @@ class GuardedDevice(Device):
         made, self._seen = self._made.popleft()
         values = self._link.collect(n, 1.0 + 4.0 * self._lead * n / self._sample_rate)
         if self._link.is_tripped and not self._reason:
-            if self._link.state is OutputState.UNKNOWN:
+            if self._link.state is OutputState.NOT_KNOWN:
                 raise DeviceFault(self._link.sentence)
             self._trip(f"output: {self._link.reason}", BlockFlag.WATCHDOG, 0.0)
         following = values[-1] if self._reason else self._made[0][0].voltage[0]

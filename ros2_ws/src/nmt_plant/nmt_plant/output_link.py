@@ -53,7 +53,7 @@ class OutputLink:
 
     def _forget(self) -> None:
         self._sequence = 0
-        self._state = OutputState.UNKNOWN
+        self._state = OutputState.NOT_KNOWN
         self._heard = 0.0
         self._gone = False
         self.reason = ""
@@ -101,7 +101,7 @@ class OutputLink:
         theirs.close()
         self._channel = ours
         end = time.monotonic() + _START_TIME
-        while self._state is OutputState.UNKNOWN:
+        while self._state is OutputState.NOT_KNOWN:
             if self._process.poll() is not None or time.monotonic() > end:
                 words = self._last_words()
                 self.close()
@@ -193,23 +193,23 @@ class OutputLink:
         if self._state is OutputState.ENDED:
             return self._state
         if self._gone or self._process is None or time.monotonic() - self._heard > _SILENT:
-            return OutputState.UNKNOWN
+            return OutputState.NOT_KNOWN
         return self._state
 
     @property
     def is_tripped(self) -> bool:
         """Whether the owner has taken the output to zero, or is about to, or nobody knows."""
-        return self.state in (OutputState.RAMPING, OutputState.HELD, OutputState.ENDED, OutputState.UNKNOWN)
+        return self.state in (OutputState.RAMPING, OutputState.HELD, OutputState.ENDED, OutputState.NOT_KNOWN)
 
     @property
     def sentence(self) -> str:
         """What is known of the output, for people."""
         state = self.state
-        if state is OutputState.UNKNOWN:
+        if state is OutputState.NOT_KNOWN:
             return "the state of the output is UNKNOWN: the process that owns it has died or does not report."
         words = {
-            OutputState.IDLE: "the output is at zero",
-            OutputState.RUNNING: "the output follows what it is fed",
+            OutputState.AT_ZERO: "the output is at zero",
+            OutputState.FOLLOWING: "the output follows what it is fed",
             OutputState.RAMPING: "the output goes to zero",
             OutputState.HELD: "the output is held at zero",
             OutputState.ENDED: "the output is at zero and released",
@@ -252,7 +252,7 @@ class OutputLink:
             process.kill()
             process.wait()
         if self._state is not OutputState.ENDED:
-            self._state = OutputState.UNKNOWN
+            self._state = OutputState.NOT_KNOWN
         channel.close()
         if process.stderr is not None:
             process.stderr.close()

@@ -57,9 +57,9 @@ class OwnerMessage(IntEnum):
 class OutputState(IntEnum):
     """What is known of an output."""
 
-    UNKNOWN = 0
-    IDLE = 1
-    RUNNING = 2
+    NOT_KNOWN = 0
+    AT_ZERO = 1
+    FOLLOWING = 2
     RAMPING = 3
     HELD = 4
     ENDED = 5
@@ -197,7 +197,7 @@ class OutputOwner:
         self._sequence = -1
         self._fed_at = clock()
         self._reported_at = -1.0
-        self._reported_state = OutputState.UNKNOWN
+        self._reported_state = OutputState.NOT_KNOWN
         self._echo: list[FloatArray] = []
         self._echoed = 0
         self._consumed = 0
@@ -211,7 +211,7 @@ class OutputOwner:
         """What the output does."""
         if self._guard.held:
             return OutputState.HELD if self._guard.last == 0.0 else OutputState.RAMPING
-        return OutputState.RUNNING if self._playing else OutputState.IDLE
+        return OutputState.FOLLOWING if self._playing else OutputState.AT_ZERO
 
     def run(self) -> None:
         """Work until the side that feeds has ended or asks for the end, and the output is at zero."""

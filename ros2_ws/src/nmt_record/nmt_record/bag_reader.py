@@ -6,6 +6,7 @@ The message definitions come from the bag itself, so it opens where the bench's 
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Iterable, Iterator
@@ -20,7 +21,7 @@ from rosbags.rosbag2 import Reader
 from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import MessageCodec, Record
 from nmt_core.errors import BenchError
-from nmt_core.hardened import json_value, read_text, yaml_value
+from nmt_core.hardened import json_value, open_regular, read_text, yaml_value
 from nmt_core.records import LockEvent
 from nmt_core.vocabulary import RecordKind
 from nmt_core.wire import LOCK_EVENT, BlockHead, BlockReader
@@ -120,7 +121,7 @@ class Bag:
             BenchError: nothing there, empty, a ROS 1 bag, no bag at all, or nothing readable in it.
         """
         path = Path(path)
-        if not path.exists():
+        if not os.path.exists(path):  # unlike Path.exists it does not raise for a name that is too long
             raise BenchError(f"There is no bag at {path}; check the path.")
         try:
             source, custom = _open_folder(path) if path.is_dir() else _open_file(path)
@@ -387,7 +388,7 @@ class Bag:
     def _parse(self, text: str) -> dict[str, Any]:
         if not text:
             return {}
-        record = json_value(text, f"The run record in the bag {self.path}")
+        record = json_value(text, f"The run record in the bag {self.path}", bounded=False)
         if not isinstance(record, dict):
             raise BenchError(f"The run record in the bag {self.path} is not a JSON object.")
         return record
@@ -534,7 +535,7 @@ class _Closing:
 def _open_file(path: Path) -> tuple[_Source, dict[str, str]]:
     if path.name == "metadata.yaml":
         return _open_folder(path.parent)
-    with path.open("rb") as file:
+    with open_regular(path, "bag file", 2**62) as file:
         head = file.read(16)
     if head == _SQLITE_MAGIC:
         return _RosbagsSource(path), {}

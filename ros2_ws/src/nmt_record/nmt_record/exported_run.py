@@ -14,6 +14,7 @@ import yaml
 
 from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_text
 from nmt_core.linear_description import LinearDescription
 from nmt_core.vocabulary import LEVEL_UNITS, ControlKind, TestKind
 from nmt_core.whole_file import write_whole
@@ -182,7 +183,7 @@ def export_run(
     linear = linear_text(bag) if bag is not None else ""
     beside = source / "linear.json"
     if not linear and source.is_dir() and beside.is_file():
-        linear = beside.read_text(encoding="utf-8")
+        linear = read_text(beside, "linear description")
     files = [] if bag is None else _export_samples(bag, folder, form, ascii_uff, only, linear)
     if with_responses:
         drive_point = LinearDescription.from_json(linear).drive_point if linear else 0

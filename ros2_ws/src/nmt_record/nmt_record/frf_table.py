@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_text
 
 _LETTERS = {"x": Quantity.DISPLACEMENT, "v": Quantity.VELOCITY, "a": Quantity.ACCELERATION}
 # a2 of a sweep; a2_f1_hv of a linear test. Responses over the voltage are no mechanical frequency responses.
@@ -59,8 +60,8 @@ def read_frf_table(path: Path, drive_point: int = 0) -> list[FrequencyResponse]:
         BenchError: no such file or no such columns.
     """
     try:
-        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = list(csv.reader(io.StringIO(read_text(path, "table of frequency responses"))))
+    except csv.Error as error:
         raise BenchError(f"{path} cannot be read as a table: {error}.") from error
     head = rows[0] if rows else []
     if "frequency_hz" not in head:

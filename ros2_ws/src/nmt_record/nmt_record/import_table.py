@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import re
-import zipfile
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
+from nmt_core.hardened import LARGEST_TABLE, open_regular, read_arrays
 from nmt_record import uff
 from nmt_record.unit_table import plain_unit, quantity_of_unit
+
+LARGEST_DATA = 2**29  # bytes of a file of columns
 
 _SUFFIXES = {
     ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv", ".asc": "csv",
@@ -137,7 +137,7 @@ def kind_of(path: Path) -> str:
     try:
         if path.is_dir():
             raise BenchError(f"{path} is a folder; name the file with the data.")
-        with path.open("rb") as file:
+        with open_regular(path, "data file", LARGEST_DATA) as file:
             head = file.read(512)
     except OSError as error:
         raise BenchError(f"The data file {path} cannot be read: {(error.strerror or str(error)).lower()}.") from error
@@ -209,7 +209,8 @@ def _decoded(data: bytes, name: str, notes: list[str]) -> str:
 def _read_csv(path: Path) -> SourceTable:
     name = path.name
     notes: list[str] = []
-    text = _decoded(path.read_bytes(), name, notes)
+    with open_regular(path, "table", LARGEST_TABLE // 2) as file:
+        text = _decoded(file.read(LARGEST_TABLE), name, notes)
     everything = re.split(r"\r\n|\n|\r", text)
     numbers = [
         i for i, line in enumerate(everything) if line.strip() and not line.lstrip().startswith(("#", "%", "//"))
@@ -367,18 +368,7 @@ def _cell(cell: str, form: _Form, where: str, column: str) -> float:
 
 def _read_npz(path: Path) -> SourceTable:
     name = path.name
-    arrays: dict[str, Any] = {}
-    try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            for key in file.files:
-                arrays[key] = file[key]
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError) as error:
-        raise BenchError(f"{name} is cut off or damaged ({_first_line(error)}); save it again.") from error
-    except ValueError as error:
-        raise BenchError(
-            f"{name} holds arrays that are not plain numbers ({_first_line(error)}); save float arrays with "
-            f"numpy.savez."
-        ) from error
+    arrays = dict(read_arrays(path, "data file"))
     rate = None
     for key in ("sample_rate", "fs", "Fs"):
         if key in arrays and arrays[key].size == 1 and np.issubdtype(arrays[key].dtype, np.number):
@@ -393,7 +383,7 @@ def _read_npz(path: Path) -> SourceTable:
         if array.ndim > 2 or (array.ndim == 2 and 1 not in array.shape):
             shape = " × ".join(map(str, array.shape))
             raise BenchError(f"Array {key} of {name} has the shape {shape}; save each channel as an array of its own.")
-        columns[key] = array.reshape(-1).astype(np.float64)
+        columns[key] = array.reshape(-1).astype(np.float64, copy=False)
     if not columns or not next(iter(columns.values())).size:
         raise BenchError(f"{name} is empty of arrays; save the columns with numpy.savez.")
     lengths = {key: column.shape[0] for key, column in columns.items()}
@@ -465,7 +455,3 @@ def _read_uff(path: Path) -> SourceTable:
         None if head.abscissa is not None else head.abscissa_increment,
         head.abscissa,
     )
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")

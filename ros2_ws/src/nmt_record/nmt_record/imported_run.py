@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 
 from nmt_core.blocks import UNKNOWN_PHASE, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
+from nmt_core.hardened import open_regular, read_text
 from nmt_core.linear_description import LinearDescription
 from nmt_core.records import LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
@@ -23,8 +24,9 @@ from nmt_record.bag_writer import BagWriter
 from nmt_record.bench_topics import BENCH_TOPICS
 from nmt_record.import_checks import ImportedChannel, check_columns, check_names, check_physics
 from nmt_record.import_clock import Clock, find_clock
+from nmt_record.import_continuity import STEADY_KINDS, doubled_blocks, phase_jump
 from nmt_record.import_sidecar import Sidecar, SignalSection, TableSection, check_sidecar, read_sidecar
-from nmt_record.import_table import read_table
+from nmt_record.import_table import SourceTable, read_table
 from nmt_record.message_definitions import local_definitions
 from nmt_record.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, ObservableTable, read_observables
 from nmt_record.side_tables import BlockRow, read_block_table, read_loop_table
@@ -222,6 +224,7 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
         for window in [s.window or (s.first_sample, s.stop_sample)]
         if s.section.locked
     ]
+    _check_continuity(run, table, clock, stretches)
     if not run.sidecar.loop:
         run.loop = _made_states(run)
     run.notes += check_physics(run.channels, stretches, run.sample_rate, run.linear)
@@ -233,6 +236,42 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
         side = _beside(run.path, sidecar.loop, document.place(("loop",)))
         run.loop = read_loop_table(side)
         run.files.append(_digest(side))
+
+
+def _check_continuity(
+    run: ImportedRun, table: SourceTable, clock: Clock, stretches: Sequence[tuple[SignalSection, str, int, int]]
+) -> None:
+    """Every row once, as far as the rows themselves and the phase of steady windows tell.
+
+    Raises:
+        BenchError: rows are doubled or missing inside a window, with the place.
+    """
+
+    def row_of(sample: int) -> int:
+        return sample if clock.rows is None else int(np.searchsorted(clock.rows, sample))
+
+    for row, count in doubled_blocks(table.columns):
+        sample = row if clock.rows is None else int(clock.rows[row])
+        what = f"the {count} rows from {table.place(row)} on repeat the {count} rows before them, value by value"
+        inside = next((name for _, name, first, stop in stretches if first < sample + count and sample < stop), None)
+        if inside is not None:
+            raise BenchError(
+                f"In the window of {inside} {what}; take the doubled rows out, or choose a window beside them."
+            )
+        run.notes.append(f"Outside of the windows {what}.")
+    for section, name, first, stop in stretches:
+        signals = [channel.data[first:stop] for channel in run.channels]
+        if section.kind not in STEADY_KINDS or not all(np.isfinite(signal).all() for signal in signals):
+            continue  # windows with missing samples are rejected anyway
+        jump = phase_jump(signals, run.sample_rate)
+        if jump is not None:
+            what = "missing" if jump.rows > 0 else "doubled"
+            raise BenchError(
+                f"In the window of {name} the phase of the channels steps by {jump.phase:.3g} rad near "
+                f"{table.place(row_of(first + jump.sample))} ({jump.sigmas:.0f} times its noise), as if about "
+                f"{max(1, round(abs(jump.rows)))} rows were {what}; export the data again, or choose a window beside "
+                "it."
+            )
 
 
 def _made_states(run: ImportedRun) -> list[LoopStatus]:
@@ -309,9 +348,7 @@ def _beside(sidecar: Path, name: str, place: str) -> Path:
 
 def _read_linear(path: Path) -> LinearDescription:
     try:
-        return LinearDescription.from_json(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"The linear description {path} cannot be read; give a linear.json file.") from error
+        return LinearDescription.from_json(read_text(path, "linear description"))
     except BenchError as error:
         raise BenchError(f"{path}: {error}") from error
 
@@ -319,7 +356,7 @@ def _read_linear(path: Path) -> LinearDescription:
 def _digest(path: Path) -> dict[str, str]:
     digest = hashlib.sha256()
     try:
-        with path.open("rb") as file:
+        with open_regular(path, "file", 2**62) as file:
             while piece := file.read(2**20):
                 digest.update(piece)
     except OSError as error:

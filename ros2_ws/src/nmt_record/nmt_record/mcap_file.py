@@ -19,7 +19,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from nmt_core.errors import BenchError
-from nmt_core.hardened import yaml_value
+from nmt_core.hardened import open_regular, yaml_value
 from nmt_record.message_definitions import MessageDefinition
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -137,7 +137,7 @@ class McapFile:
         """
         bag = cls(path)
         try:
-            with path.open("rb") as file:
+            with open_regular(path, "bag file", 2**62) as file:
                 check_magic(path, file.read(16))
                 if not bag._read_index(file):
                     bag._scan(file, path.stat().st_size)

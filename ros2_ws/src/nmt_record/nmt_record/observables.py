@@ -13,6 +13,7 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
+from nmt_core.hardened import json_value
 from nmt_record import uff
 from nmt_record.bag_reader import Bag
 from nmt_record.import_sidecar import TableSection
@@ -96,7 +97,7 @@ class ObservableTable:
             BenchError: not such a text.
         """
         try:
-            values: Mapping[str, Any] = json.loads(text)
+            values: Mapping[str, Any] = json_value(text, "An observable table", bounded=False)
             if values["format"] != FORMAT:
                 raise ValueError(f"format {values['format']}")
             return cls(
@@ -114,7 +115,7 @@ class ObservableTable:
                 name=values["name"],
                 source=values["source"],
             )
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise BenchError(
                 f"A table on topic '{OBSERVABLES_TOPIC}' is not of the form '{FORMAT}': {error}."
             ) from error

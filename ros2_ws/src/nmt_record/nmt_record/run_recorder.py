@@ -10,6 +10,7 @@ from typing import Any
 
 from nmt_core.cdr import read_stamp
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_text
 from nmt_core.parameters import Parameter
 from nmt_core.vocabulary import RunPhase
 from nmt_core.wire import RUN_STATE, BlockReader
@@ -161,8 +162,4 @@ def _text(values: Mapping[str, Any], text: str, file: str) -> str:
         raise BenchError(f"Parameters '{text}' and '{file}' of recorder exclude each other; give one.")
     if not values[file]:
         return str(values[text])
-    path = Path(values[file])
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"Parameter '{file}' of recorder names {path}, which cannot be read: {error}.") from error
+    return read_text(Path(values[file]), f"file of parameter '{file}' of recorder,")

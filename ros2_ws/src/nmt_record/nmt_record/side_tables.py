@@ -11,6 +11,7 @@ from pathlib import Path
 
 from nmt_core.blocks import SAMPLE_TOPICS, OscillatorPhase
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_text
 from nmt_core.whole_file import write_whole
 from nmt_core.wire import LoopStatus
 
@@ -139,7 +140,7 @@ def _write(path: Path, lines: Iterable[Sequence[object]]) -> None:
 
 def _read(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     try:
-        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = list(csv.reader(io.StringIO(read_text(path, "table"))))
+    except csv.Error as error:
         raise BenchError(f"{path} cannot be read as a table: {error}.") from error
     return (rows[0] if rows else []), [(number, row) for number, row in enumerate(rows[1:], start=2) if row]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.hardened import LARGEST_TABLE, open_regular
 
 TIME_RESPONSE = 1
 FREQUENCY_RESPONSE = 4
@@ -129,7 +130,8 @@ def read_uff(path: Path) -> list[UffFunction]:
         BenchError: not a universal file, cut off, or a dataset 58 that is not whole or not of this form.
     """
     try:
-        data = path.read_bytes()
+        with open_regular(path, "universal file", LARGEST_TABLE) as file:
+            data = file.read()
     except OSError as error:
         raise BenchError(f"{path} cannot be read: {error.strerror or error}.") from error
     functions = [_read_function(dataset, path.name) for dataset in _datasets(data, path.name) if dataset.kind == 58]

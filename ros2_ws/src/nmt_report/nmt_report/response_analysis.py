@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 from nmt_extract.swept_response import FrequencyResponseTable, stepped_point, stepped_table, sweep_table
 from nmt_record.segments import Segment, read_signals, segments
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_text
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.modal_point import ModalPoint, Status
 
@@ -203,8 +204,8 @@ def read_reference(path: Path, label: str = "EPMC reference") -> ReferenceCurve:
     """
     names = ["modal_amplitude", "omega_rad_s", "damping_ratio"]
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_text(path, "reference").splitlines()
+    except BenchError as error:
         raise BenchError(
             f"The reference {path} cannot be read as text; give the reference.csv that './nmt reference' writes."
         ) from error

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 
 from nmt_core.blocks import FloatArray, SampleBlock
+from nmt_core.errors import BenchError
+from nmt_core.hardened import yaml_value
 from nmt_core.linear_description import LinearDescription
 from nmt_report.run_data import (
     Envelope,
@@ -255,7 +256,7 @@ def _history(loop: Sequence[tuple[int, float, float, int, float]]) -> LoopHistor
 
 def _rig(text: str | None) -> dict[str, Any]:
     try:
-        content = yaml.safe_load(text or "")
-    except yaml.YAMLError:
+        content = yaml_value(text or "", "rig.yaml")
+    except BenchError:
         return {}
     return content if isinstance(content, dict) else {}

@@ -17,7 +17,7 @@ from nmt_core.validation_sentence import validation_sentence
 from nmt_rig.rig_file import KeyPath, RigDocument, apply_overrides, read_document
 from nmt_rig.rig_section import Name, NotNegative, Point, Positive
 from nmt_rig.rig_section import Section as Section
-from nmt_rig.structure_files import completed, names_files, with_file_contents
+from nmt_rig.structure_files import completed, names_files, with_channels, with_file_contents
 from nmt_rig.structure_sections import AddedMassSection as AddedMassSection
 from nmt_rig.structure_sections import AnyStructure, point_words
 from nmt_rig.structure_sections import BeamSection as BeamSection
@@ -721,7 +721,7 @@ def find_rig(path_or_name: str | Path) -> Path:
         BenchError: there is no such rig.
     """
     path = Path(path_or_name)
-    if path.is_file():
+    if os.path.isfile(path):  # unlike Path.is_file it does not raise for a name that is too long
         return path
     if re.fullmatch(r"[A-Za-z0-9_-]+", str(path_or_name)):
         for folder in _rig_folders():
@@ -740,16 +740,21 @@ def load_rig(path_or_name: str | Path, overrides: Sequence[str] = ()) -> Rig:
         overrides: `a.b.c=value`, validated like the file itself; `exciter.point` takes the elements on its side along.
 
     Raises:
-        BenchError: no such rig, or anything wrong in it or in an override, with the line.
+        BenchError: no such rig, anything wrong in it or in an override, with the line, or a model that cannot be
+            computed.
     """
     path = find_rig(path_or_name)
     document = read_document(path)
     # What the structure's files hold can be changed too: those that say which file come first.
     first = [text for text in overrides if names_files(text.partition("=")[0].strip())]
-    read = with_file_contents(apply_overrides(document, first), path.parent)
+    read = with_channels(with_file_contents(apply_overrides(document, first), path.parent))
     changed = apply_overrides(read, [text for text in overrides if text not in first])
     _move_exciter_elements(document.values, changed.values)
-    return validate_rig(changed)
+    rig = validate_rig(changed)
+    from nmt_rig.dry_run import check_physics  # it needs the models, which need this module
+
+    check_physics(rig, changed)
+    return rig
 
 
 def _move_exciter_elements(before: Any, after: Any) -> None:

@@ -29,7 +29,8 @@ def apply_overrides(document: RigDocument, overrides: Sequence[str]) -> RigDocum
         try:
             value = parse_document(f"value: {text}", f"--set {override}").values.get("value")
         except BenchError as error:
-            raise BenchError(f"--set {override}: the value is not valid YAML.") from error
+            why = str(error).rsplit(": ", 1)[-1].rstrip(".")
+            raise BenchError(f"--set {override}: the value is not valid YAML, or no value of a rig ({why}).") from error
         target: Any = values
         path: KeyPath = ()
         for depth, part in enumerate(parts):

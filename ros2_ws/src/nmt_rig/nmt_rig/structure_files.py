@@ -57,35 +57,44 @@ def _replaced(document: YamlDocument, structure: dict[str, Any]) -> YamlDocument
 
 
 def completed(document: YamlDocument) -> YamlDocument:
-    """A modal rig with what its file leaves out: an ideal force at the first point, sensors at all points, its modes.
+    """A modal rig with what its file leaves out: exciter and sensors, and as many linear modes as they allow.
 
     So a structure given by one mode is a rig of a few lines.
     """
+    document = with_channels(document)
     values = document.values
-    structure = values.get("structure")
-    if not isinstance(structure, Mapping) or structure.get("kind") != "modal":
-        return document
-    points, modes = structure.get("points", [1]), structure.get("modes", [])
-    if not isinstance(points, list) or not points or not isinstance(modes, list):
-        return document
-    added: dict[str, Any] = {}
-    if "exciter" not in values:
-        added["exciter"] = {"kind": "force", "point": points[0]}
-    if "sensors" not in values:
-        added["sensors"] = [
-            {"quantity": "force", "point": "drive"},
-            *({"quantity": "displacement", "point": point} for point in points),
-            *({"quantity": "acceleration", "point": point} for point in points),
-            {"quantity": "voltage"},
-        ]
     extraction = values.get("extraction", {})
-    if isinstance(extraction, Mapping) and "linear_modes" not in extraction:
-        quantity = extraction.get("quantity", "displacement")
-        sensors = added.get("sensors", values.get("sensors"))
-        listed = [s for s in sensors if isinstance(s, Mapping)] if isinstance(sensors, list) else []
-        responses = sum(sensor.get("quantity") == quantity for sensor in listed)
-        added["extraction"] = {**extraction, "linear_modes": max(1, min(2, len(modes), responses))}
-    return YamlDocument(document.name, {**values, **added}, document.places) if added else document
+    if not _is_modal(document) or not isinstance(extraction, Mapping) or "linear_modes" in extraction:
+        return document
+    modes, sensors = values["structure"].get("modes"), values["sensors"]
+    if not isinstance(modes, list) or not isinstance(sensors, list):
+        return document
+    quantity = extraction.get("quantity", "displacement")
+    responses = sum(isinstance(sensor, Mapping) and sensor.get("quantity") == quantity for sensor in sensors)
+    extraction = {**extraction, "linear_modes": max(1, min(2, len(modes), responses))}
+    return YamlDocument(document.name, {**values, "extraction": extraction}, document.places)
+
+
+def with_channels(document: YamlDocument) -> YamlDocument:
+    """A modal rig with an ideal force at its first point and sensors at all points, where its file leaves them out."""
+    if not _is_modal(document):
+        return document
+    points = document.values["structure"].get("points", [1])
+    if not isinstance(points, list) or not points:
+        points = [1]
+    sensors = [
+        {"quantity": "force", "point": "drive"},
+        *({"quantity": "displacement", "point": point} for point in points),
+        *({"quantity": "acceleration", "point": point} for point in points),
+        {"quantity": "voltage"},
+    ]
+    defaults = {"exciter": {"kind": "force", "point": points[0]}, "sensors": sensors}
+    return YamlDocument(document.name, {**defaults, **document.values}, document.places)
+
+
+def _is_modal(document: YamlDocument) -> bool:
+    structure = document.values.get("structure")
+    return isinstance(structure, Mapping) and structure.get("kind") == "modal"
 
 
 def _path(document: YamlDocument, structure: Mapping[str, Any], key: str, folder: Path) -> Path | None:

@@ -66,7 +66,7 @@ class TestPlan:
             ``force`` (N).
         strategy: ``stepped``: wait at every level for lock; ``ramp``: lock once, then ramp from level to level as long
             as a window lasts and extract during the ramps by the balance of power.
-        test: kind of test, see :class:`nmt_core.test_kind.TestKind`: ``phase_resonance``, ``random``, ``sweep``,
+        test: kind of test, see :class:`nmt_core.vocabulary.TestKind`: ``phase_resonance``, ``random``, ``sweep``,
             ``stepped_sine`` or ``ring_down``. Only the phase-locked kinds use a linear description.
         frequencies_hz: start of the sweep or frequency of the stepped sine, one for all levels or one a level.
         band_hz: band of the noise of a random test, Hz; its levels are V rms.

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_json
 from nmt_core.whole_file import write_whole
 from nmt_study.case import StudyCase
 
@@ -83,7 +84,6 @@ class CaseStore:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_json(path, "result")
+    except BenchError:
         return {}
-    return values if isinstance(values, dict) else {}

@@ -12,7 +12,7 @@ import numpy as np
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 from nmt_extract.constant_amplitude import SolvedPoints, fit_at_amplitudes, half_power, solve_points
 from nmt_extract.modal_point import Status
 from nmt_extract.ring_down import Decay, average_decays, ring_down

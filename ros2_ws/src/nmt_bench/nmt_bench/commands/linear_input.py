@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_text
 from nmt_core.linear_description import LinearDescription
 
 if TYPE_CHECKING:
@@ -19,11 +21,8 @@ def read_linear(path: Path) -> LinearDescription:
     Raises:
         BenchError: no such file, or not a linear description.
     """
-    path = path / "linear.json" if path.is_dir() else path
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"The linear description {path} cannot be read; give a linear.json file.") from error
+    path = path / "linear.json" if os.path.isdir(path) else path
+    text = read_text(path, "linear description (linear.json)")
     try:
         return LinearDescription.from_json(text)
     except BenchError as error:

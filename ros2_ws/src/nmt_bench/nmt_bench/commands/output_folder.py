@@ -140,6 +140,11 @@ def check_output(path: Path, force: bool, replace: str = "force") -> None:
     Raises:
         BenchError: ``path`` is a file, or a folder that is not empty while ``force`` is not set.
     """
+    try:
+        path.exists()
+    except (OSError, ValueError) as error:
+        why = _reason(error) if isinstance(error, OSError) else str(error)
+        raise BenchError(f"The results folder {path} cannot be used ({why}); choose another with --out.") from error
     if path.exists() and not path.is_dir():
         raise BenchError(f"The results folder {path} is a file; choose another with --out.")
     if path.is_dir() and not force and any(path.iterdir()):

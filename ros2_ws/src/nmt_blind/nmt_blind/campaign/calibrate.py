@@ -15,6 +15,7 @@ from nmt_blind.campaign.scored_case import ScoredCase
 from nmt_blind.campaign.statistics import ReliabilityDiagram, area_under_roc, reliability
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_json
 from nmt_core.whole_file import write_whole
 from nmt_diagnose.inference.confidence import bounded
 
@@ -99,8 +100,8 @@ def calibrate(folders: Sequence[Path], file: Path, target: Path) -> tuple[Learne
     """
     cases = [case for folder in folders for case in development_cases(folder) if case.details.get("features")]
     try:
-        values = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        values = read_json(file, "calibration")
+    except BenchError as error:
         raise BenchError(f"The calibration {file} cannot be read ({error}).") from error
     learned = tuple(learn(question, cases) for question in QUESTIONS)
     for item in learned:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 from nmt_extract.harmonics import segment_moments, solve_moments
 from nmt_record.bag_reader import Bag
 from nmt_record.segments import Segment, read_signals, segments

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_json
 from nmt_core.whole_file import write_whole
 
 RESULT_FORMAT = "nmt blind result 1"
@@ -166,10 +167,10 @@ def read_public(folder: Path) -> dict[str, Any]:
         BenchError: the folder holds no campaign.
     """
     try:
-        values = json.loads((folder / _PUBLIC_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        values = read_json(folder / _PUBLIC_FILE, "description of the cases")
+    except BenchError as error:
         raise BenchError(f"The folder {folder} holds no blind cases; make them with './nmt blind make'.") from error
-    if not isinstance(values, dict) or "cases" not in values:
+    if "cases" not in values:
         raise BenchError(f"The folder {folder} holds no blind cases; make them with './nmt blind make'.")
     return values
 
@@ -177,11 +178,10 @@ def read_public(folder: Path) -> dict[str, Any]:
 def read_result(results: Path, case: str) -> dict[str, Any] | None:
     """Result of a case; None if there is none."""
     try:
-        values = json.loads((results / f"{case}.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        values = read_json(results / f"{case}.json", "result")
+    except BenchError:
         return None
-    good = isinstance(values, dict) and values.get("format") == RESULT_FORMAT
-    return values if good else None
+    return values if values.get("format") == RESULT_FORMAT else None
 
 
 def bag_digest(bag: Path) -> str:

@@ -24,6 +24,7 @@ from nmt_blind.campaign.statistics import (
     threshold_for,
 )
 from nmt_core.errors import BenchError
+from nmt_core.hardened import json_value, read_json
 from nmt_core.whole_file import write_whole
 
 SCORE_FORMAT = "nmt blind score 1"
@@ -333,7 +334,9 @@ def _opened(folder: Path, seal: dict[str, Any]) -> dict[str, Any]:
             f"The seal is broken: {path} has sha256 {digest}, sealed was {seal.get('sha256')}; these cases cannot be "
             "scored."
         )
-    values: dict[str, Any] = json.loads(text)
+    values = json_value(text.decode("utf-8", "replace"), f"The sealed truth {path}")
+    if not isinstance(values, dict):
+        raise BenchError(f"The sealed truth {path} is not what a campaign holds.")
     return values
 
 
@@ -394,12 +397,9 @@ def development_cases(folder: Path) -> tuple[ScoredCase, ...]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        return read_json(path, "file")
+    except BenchError as error:
         raise BenchError(f"The file {path} cannot be read; is {path.parent} the folder of a campaign?") from error
-    if not isinstance(values, dict):
-        raise BenchError(f"The file {path} is not what a campaign holds.")
-    return values
 
 
 def _plain(value: Any) -> Any:

@@ -15,6 +15,7 @@ from nmt_blind.cases.draw import Case, draw_cases
 from nmt_blind.cases.laboratory import record_backbone, record_random
 from nmt_blind.cases.rig_edits import with_edits
 from nmt_blind.cases.strength_table import StrengthTable, load_table
+from nmt_core import hardened
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
 
@@ -225,9 +226,6 @@ def read_json(path: Path) -> dict[str, Any]:
         BenchError: the file is not there or is no JSON object.
     """
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        return hardened.read_json(path, "file")
+    except BenchError as error:
         raise BenchError(f"The file {path} cannot be read; make the campaign again.") from error
-    if not isinstance(values, dict):
-        raise BenchError(f"The file {path} is not what a campaign holds; make the campaign again.")
-    return values

@@ -15,7 +15,6 @@ from joblib import Parallel, delayed
 
 from nmt_blind.cases.blind_rigs import BlindRig
 from nmt_blind.cases.operating import Operating
-from nmt_blind.cases.rig_edits import rig_yaml
 from nmt_blind.cases.strength import (
     FREQUENCY,
     FUNDAMENTAL,
@@ -29,6 +28,7 @@ from nmt_blind.cases.strength import (
 from nmt_blind.cases.truths import TRUTHS, Spot, Truth
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_json
 from nmt_core.whole_file import write_whole
 
 FORMAT = "nmt blind strengths 1"
@@ -84,9 +84,13 @@ def table_file(rig: BlindRig) -> Path:
 
 
 def fingerprint(rig: BlindRig) -> str:
-    """What a table depends on: the rig file's content, the tests and what they repeat to."""
+    """What a table depends on: the rig file's content, the tests and what they repeat to.
+
+    Keys at their defaults do not count: a new key of rig files leaves the tables valid.
+    """
     noise = [FREQUENCY, FUNDAMENTAL, HARMONIC, PHASE_AT_LOCK, PHASE_LEAN]
-    text = rig_yaml(rig.model()) + json.dumps([asdict(rig.bench), noise], sort_keys=True)
+    values = rig.model().model_dump(mode="json", exclude_defaults=True)
+    text = json.dumps([values, asdict(rig.bench), noise], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -221,7 +225,7 @@ def _text(values: dict[str, Any]) -> str:
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        values = read_json(path, "table of strengths")
+    except BenchError:
         return None
-    return values if isinstance(values, dict) and values.get("format") == FORMAT else None
+    return values if values.get("format") == FORMAT else None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 from nmt_diagnose.evidence.bag_samples import Stretch
 from nmt_diagnose.evidence.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.evidence.converter_step import converter_step

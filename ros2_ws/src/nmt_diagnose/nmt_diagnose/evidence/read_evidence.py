@@ -13,7 +13,7 @@ import numpy as np
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.test_kind import TestKind
+from nmt_core.vocabulary import TestKind
 from nmt_diagnose.evidence.bag_samples import Stretch, read_windows
 from nmt_diagnose.evidence.conditions import MeasuredChannel
 from nmt_diagnose.evidence.floors import repeatability

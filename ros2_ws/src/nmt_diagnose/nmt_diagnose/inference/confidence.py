@@ -11,7 +11,6 @@ diagnosis.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -20,6 +19,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_json
 
 CONFIDENCE_FILE = Path(__file__).with_name("confidence.json")
 
@@ -112,9 +112,9 @@ def confidence(path: Path = CONFIDENCE_FILE) -> Confidence:
         BenchError: the file is damaged.
     """
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = read_json(path, "calibration of confidence")
         return Confidence(**{item.name: _read(values[item.name]) for item in fields(Confidence)})
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (BenchError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise BenchError(
             f"The calibration of confidence {path} cannot be read ({error}); install nmt again."
         ) from error

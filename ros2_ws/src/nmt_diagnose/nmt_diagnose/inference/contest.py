@@ -32,8 +32,6 @@ _INCREDIBLE = 2.0
 _REFRESHES = 3
 # Strength in standard deviations below which a member of a pair does nothing.
 _NOTHING = 1.0
-# Times that a fit which has not reached its optimum goes on.
-_ROUNDS = 4
 # Prior standard deviations of a strength from which a wider part of its prior is tried.
 _WIDER = 2.5
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
@@ -56,6 +54,8 @@ class ContestSettings:
         weak: strength in standard deviations up to which an effect leaves the directions of others as they are.
         settled: most explanations that are fitted to the end.
         close: logarithm of evidence by which one may lie behind the best to be fitted to the end.
+        rounds: most times that a fit goes on which has not reached its optimum.
+        restarts: whether one that has not reached it then starts again from the parameters as given.
     """
 
     finalists: int = 8
@@ -69,6 +69,8 @@ class ContestSettings:
     weak: float = 30.0
     settled: int = 6
     close: float = 60.0
+    rounds: int = 4
+    restarts: bool = True
 
 
 @dataclass(frozen=True)
@@ -322,13 +324,13 @@ class Contest:
             wider = best
         if wider is not best:
             best = self._finished(wider)
-        if contender.candidates and (not best.converged or _incredible(best)):
+        if self.settings.restarts and contender.candidates and (not best.converged or _incredible(best)):
             best = self._restarted(best)
         return Contender(contender.candidates, best, contender.score)
 
     def _finished(self, best: Fit) -> Fit:
         """The fit gone on with from where it stands, as long as it has not reached its optimum and that helps."""
-        for _ in range(_ROUNDS):
+        for _ in range(self.settings.rounds):
             try:
                 result = fit(self.problem, best.parametrisation, best.theta, best.used, best.prediction)
             except FitError:

@@ -214,7 +214,7 @@ class _Diagnoser:
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])
         heads = [group.head.explanation for group in judgement.classes[:_JUDGED]]
         shares = {explanation: held.closed(explanation) for explanation in heads}
-        judgement = with_held_out(judgement, held.worse(heads))
+        judgement = with_held_out(judgement, held.worse(shares, 1.0 - self.confidence.explained))
         best_share = shares.get(judgement.classes[0].head.explanation) if judgement.classes else None
         if best_share is not None and best_share.low > 0.9 and best_share.value >= self.confidence.explained:
             judgement = with_share_left(judgement, min(max(1.0 - best_share.value, 0.0), 1.0))
@@ -488,6 +488,8 @@ def _affordable(settings: ContestSettings, evidence: Evidence) -> ContestSetting
         placements=min(settings.placements, 1),
         first_of_pairs=min(settings.first_of_pairs, 1),
         settled=min(settings.settled, 3),
+        rounds=min(settings.rounds, 2),
+        restarts=False,
     )
 
 

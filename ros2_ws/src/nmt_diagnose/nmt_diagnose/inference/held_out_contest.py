@@ -80,16 +80,21 @@ class HeldOut:
                 pairs.append(pair)
         return closed(self._evidence, pairs, self._seed, self.floor)
 
-    def worse(self, explanations: Sequence[Explanation]) -> dict[Explanation, float]:
+    def worse(self, shares: Mapping[Explanation, Closed], alike: float) -> dict[Explanation, float]:
         """By how many of its standard deviations each explanation predicts worse than the one that predicts best.
 
         The scatter is that of the difference from block to block, over the splits that tell the parameters of both; 0
-        where there is none.
+        where there is none. Explanations that close the same share of the gap are not told apart: models of named
+        effects are right to some percent only, and anything added imitates the rest.
+
+        Args:
+            shares: what each explanation closes.
+            alike: difference of shares up to which they are the same.
         """
-        result = dict.fromkeys(explanations, 0.0)
-        for own in explanations:
-            for rival in explanations:
-                if rival != own:
+        result = dict.fromkeys(shares, 0.0)
+        for own, mine in shares.items():
+            for rival, theirs in shares.items():
+                if rival != own and theirs.value > mine.value + alike:
                     result[own] = max(result[own], self._distance(own, rival))
         return result
 

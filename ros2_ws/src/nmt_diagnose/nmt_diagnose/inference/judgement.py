@@ -18,9 +18,9 @@ from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN, Hypothesis, 
 
 _UNLIKELY = math.log(1e5)
 # The share of ``inexactness`` was learned on effects of up to 64 standard deviations, a gain of 64²/2. Of what an
-# effect explains beyond that, a model of it that is right to 1 % leaves 1e-4.
+# effect explains beyond that, a model of it that is right to 3 % leaves 1e-3.
 _LEARNED = 0.5 * 64.0**2
-_LEFT = 1e-4
+_LEFT = 1e-3
 # Standard deviations by which a prediction may be worse than another by chance.
 _CHANCE_OF_WORSE = 2.0
 

@@ -40,8 +40,8 @@ def operating_range(
 
     Phase-resonant tests by their highest and lowest level; a random test or a record by its rms through the system
     linearised at rest; backbones and decays by the amplitudes that they are given over, with the shape of the resting
-    mode. Where the evidence shows motions less than half or more than twice as large, they are taken. Without any test
-    whose motion is known, 1 mm at the mode under test.
+    mode. Where windows and lines show motions less than half or more than twice as large, these are taken. Without any
+    test whose motion is known, 1 mm at the mode under test.
 
     Args:
         rig: the model.
@@ -267,7 +267,7 @@ def _as_measured(
     evidence: Evidence | None,
 ) -> list[Found]:
     """Motions of a test, scaled to what its own motion channels show where the model is off by more than a factor."""
-    if evidence is None or not motions or isinstance(test, BackboneTable | RingDownTest):
+    if evidence is None or not motions:
         return motions
     names = [channel.name for channel in channels]
     result: list[Found] = []
@@ -286,18 +286,13 @@ def _as_measured(
 def _measured_sizes(evidence: Evidence, test: Test, number: int, drive: float) -> dict[str, float]:
     """Amplitude, or rms, of each motion channel of a test: of a phase-resonant one at the level next to a drive."""
     rows, values = evidence.rows, evidence.values
-    if isinstance(test, BackboneTable | RingDownTest):
+    if isinstance(test, BackboneTable | RingDownTest | RecordTest):
         return {}
     sizes: dict[str, float] = {}
     for index, channel in enumerate(test.channels):
         if channel.quantity not in (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION):
             continue
         mine = (rows.test == number) & (rows.channel == index)
-        if isinstance(test, RecordTest):
-            mine &= rows.part == Part.SAMPLE
-            if mine.any():
-                sizes[channel.name] = float(np.std(values[mine]))
-            continue
         mine &= (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1)
         if not mine.any():
             continue

@@ -148,7 +148,7 @@ class LocalForces:
                 else:
                     raise BenchError(
                         f"harmonic balance does not know local element {type(element).__name__}; "
-                        "add its kind to nmt_plant/model/aft.py."
+                        "add its kind to nmt_rig/model/aft.py."
                     )
             for start, rows in zip(starts, (len(jenkins), len(contacts), len(kinds)), strict=True):
                 start.append(rows)

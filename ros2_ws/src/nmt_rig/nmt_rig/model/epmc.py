@@ -19,7 +19,13 @@ from scipy.linalg import eigh
 
 from nmt_core.errors import BenchError
 from nmt_rig.model.aft import LocalForces, LocalTables, scaled_local_forces
-from nmt_rig.model.continuation import Branch, StepControl, follow_branch, solve_at_parameter
+from nmt_rig.model.continuation import (
+    Branch,
+    NotConvergedError,
+    StepControl,
+    follow_branch,
+    solve_at_parameter,
+)
 from nmt_rig.model.fourier_basis import ComplexArray, FloatArray, FourierBasis, IntArray
 from nmt_rig.model.harmonic_balance import (
     ModalImpedance,
@@ -102,7 +108,10 @@ class EpmcProblem:
             stiffness += element.linear_stiffness * outer
             damping += element.linear_damping * outer
         squares, vectors = eigh(stiffness, structure.mass)
-        if without_rounding(squares[[mode]], vectors[:, [mode]], stiffness)[0] <= 0.0:
+        squares = without_rounding(squares, vectors, stiffness)
+        # Without supports the mean position is not determined, and order 0 has no solution of its own.
+        self.floats = bool(np.any(squares == 0.0) and 0 in basis.orders)
+        if squares[mode] <= 0.0:
             raise BenchError(f"mode {mode + 1} is a rigid-body mode; choose an elastic mode for the reference.")
         self.linear_frequency = float(np.sqrt(squares[mode]))
         self.linear_shape: FloatArray = vectors[:, mode]
@@ -363,7 +372,15 @@ def epmc_backbone(
     first = float(logs[0])
     while not problem.is_linear_at(first) and first > logs[0] - 8.0:
         first -= 0.5
-    start = solve_at_parameter(problem, problem.linear_start(first), what="nonlinear mode")
+    try:
+        start = solve_at_parameter(problem, problem.linear_start(first), what="nonlinear mode")
+    except NotConvergedError as error:
+        if not problem.floats:
+            raise
+        raise NotConvergedError(
+            "the nonlinear mode of a structure that floats has no mean position; hold it by soft springs, as a rig "
+            "hangs in its cords, or keep odd harmonics only."
+        ) from error
     branch = follow_branch(problem, start, float(logs[-1]) + 1e-9, control, what="nonlinear mode")
 
     # First passage of each amplitude; on a branch that folds in q the later ones are not reported.

@@ -36,13 +36,14 @@ _AIM_STD, _LOCK_STD = math.radians(1.0), math.radians(0.5)
 _FUNDAMENTAL = (Part.LOG_MAGNITUDE, Part.PHASE)
 
 
-def with_chain_errors(problem: Problem, rig: Rig, prediction: Prediction) -> Problem:
+def with_chain_errors(problem: Problem, rig: Rig, prediction: Prediction, scatter: FloatArray | None = None) -> Problem:
     """The problem with the tolerances of its tests' measuring chains as part of the noise; itself without any.
 
     Args:
         problem: evidence and model.
         rig: the model as given.
         prediction: its prediction of the evidence.
+        scatter: of each row from test to test, shape (m,), see scatter.py; None = none.
     """
     evidence = problem.evidence
     chains = {
@@ -54,8 +55,12 @@ def with_chain_errors(problem: Problem, rig: Rig, prediction: Prediction) -> Pro
         return problem
     builder = _Columns(evidence, rig, chains)
     floor = np.hypot(evidence.floor, builder.floor(prediction))
+    if scatter is not None:
+        floor = np.hypot(floor, scatter)
     problem = replace(problem, evidence=replace(evidence, floor=floor))
     columns = np.nan_to_num(builder.columns(prediction), posinf=0.0, neginf=0.0)
+    if scatter is not None:
+        columns = np.hstack([columns, builder.between_tests(scatter)])
     columns = columns[:, np.any(columns != 0.0, axis=0)]
     return replace(problem, shared=SharedErrors.of(problem.whitened(columns)))
 
@@ -278,6 +283,19 @@ class _Columns:
                 around = 2.0 * float(np.max(size[mine], initial=0.0))
                 found.append(np.hypot(_AIM_STD, around) * (mine & (self.rows.part == Part.PHASE_ERROR)))
         return found
+
+    def between_tests(self, scatter: FloatArray) -> FloatArray:
+        """A random test is one more passage: magnitudes and phases of each channel scatter as a level's do, (m, r)."""
+        found = [np.zeros(len(self.rows))]
+        own = scatter[self.mine]
+        for number, test in enumerate(self.tests):
+            for k, channel in enumerate(test.channels if isinstance(test, RandomTest) else ()):
+                levels = self._rows_of(channel.name) & (self.rows.test != number)
+                for part in _FUNDAMENTAL:
+                    size = float(np.max(own[levels & (self.rows.part == part)], initial=0.0))
+                    mine = (self.rows.test == number) & (self.rows.channel == k) & (self.rows.part == part)
+                    found.append(size * mine)
+        return np.column_stack([self._full(column) for column in found])
 
     def floor(self, prediction: Prediction) -> FloatArray:
         """What is added to the floors of the rows, shape (m,)."""

@@ -44,6 +44,7 @@ from nmt_diagnose.inference.next_test import next_tests
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import residual_tests
+from nmt_diagnose.inference.scatter import scatter_floor
 from nmt_diagnose.inference.sentences import sentences
 from nmt_diagnose.inference.sources import generic_sources, places
 from nmt_diagnose.inference.warnings import warned
@@ -190,13 +191,7 @@ class _Diagnoser:
             null = better
             scan = self.contest.scan(null)
             singles = self.contest.singles(null, scan)
-        if self.problem.shared is not None and singles and singles[0].fit.log_evidence > null.fit.log_evidence + _MOVES:
-            self.progress("tracing errors of the measuring chain about the best explanation")
-            near = singles[0].fit
-            moved = near.parametrisation.rig(near.theta)
-            self.problem = with_chain_errors(self.plain, moved, near.prediction)
-            self.evidence = self.problem.evidence
-            self.contest = self._contest()
+        if self.problem.shared is not None and self._retraced(null, singles):
             null = self.contest.polished(self.contest.null())
             scan = self.contest.scan(null)
             singles = self.contest.singles(null, scan)
@@ -257,6 +252,20 @@ class _Diagnoser:
             null.fit.prediction.values,
             final.fit.prediction.values,
         )
+
+    def _retraced(self, null: Contender, singles: Sequence[Contender]) -> bool:
+        """Whether errors of the measuring chain and scatter were traced anew, about the best explanation so far."""
+        moves = bool(singles) and singles[0].fit.log_evidence > null.fit.log_evidence + _MOVES
+        near = singles[0].fit if moves else null.fit
+        scatter = scatter_floor(self.evidence, self.plain.difference(near.prediction.values))
+        if not moves and not scatter.any():
+            return False
+        self.progress("tracing errors of the measuring chain about the best explanation")
+        moved = near.parametrisation.rig(near.theta)
+        self.problem = with_chain_errors(self.plain, moved, near.prediction, scatter)
+        self.evidence = self.problem.evidence
+        self.contest = self._contest()
+        return True
 
     def _most_promising(
         self, null: Contender, singles: Sequence[Contender], pairs: Sequence[Contender]

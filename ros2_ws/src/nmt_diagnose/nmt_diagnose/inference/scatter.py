@@ -1,0 +1,82 @@
+"""Scatter of imported runs from level to level, as what an explanation leaves shows it.
+
+A laboratory's repeats differ by 0.1 to 2 %, far more than the noise within a window. What scatters about a straight
+line over the levels has no course that an effect would have, so it is noise of a kind of its own: it raises the floors.
+What follows a smooth course does not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.evidence.conditions import PhaseResonanceTest
+from nmt_diagnose.evidence.observables import Evidence, Part
+
+_FEWEST_LEVELS = 4
+_FEWEST_FREE = 3
+_BY_CHANCE = 1e-4
+# What scatter may be, as an ordinary share: ln ω, phases in rad, ln of magnitudes, harmonics over their fundamental.
+_LARGEST = {
+    Part.LOG_FREQUENCY: 1e-3,
+    Part.PHASE_ERROR: 0.02,
+    Part.LOG_MAGNITUDE: 0.02,
+    Part.PHASE: 0.02,
+    Part.REAL: 5e-3,
+    Part.IMAG: 5e-3,
+}
+
+
+def scatter_floor(evidence: Evidence, difference: FloatArray) -> FloatArray:
+    """Standard deviation of the scatter of each row's kind, shape (m,); 0 where it may be noise as stated.
+
+    Rows of one kind share it: those of a test, part and quantity, fundamentals and other orders apart.
+
+    Args:
+        evidence: the real side.
+        difference: measured minus predicted, not whitened, shape (m,).
+    """
+    result = np.zeros(len(evidence.rows))
+    for number, test in enumerate(evidence.tests):
+        if not (isinstance(test, PhaseResonanceTest) and number < len(evidence.chains) and evidence.chains[number]):
+            continue
+        quantities = np.array([int(channel.quantity) for channel in test.channels] + [-1])
+        mine = evidence.rows.test == number
+        kinds = np.column_stack(
+            [evidence.rows.part, quantities[evidence.rows.channel * mine], np.minimum(evidence.rows.harmonic, 2)]
+        )
+        for kind in np.unique(kinds[mine], axis=0):
+            which = mine & np.all(kinds == kind, axis=1)
+            largest = _LARGEST.get(Part(int(kind[0])))
+            if largest is not None:
+                result[which] = min(_of_kind(evidence, difference, np.flatnonzero(which)), largest)
+    return result
+
+
+def _of_kind(evidence: Evidence, difference: FloatArray, which: np.ndarray) -> float:
+    """Standard deviation beyond the stated one about straight lines over the levels, one for each channel and order."""
+    rows = evidence.rows.take(which)
+    left, stated, squares, free = 0.0, 0.0, 0.0, 0
+    groups = np.column_stack([rows.channel, rows.harmonic])
+    for group in np.unique(groups, axis=0):
+        own = which[np.all(groups == group, axis=1)]
+        own = own[np.isfinite(difference[own])]
+        if own.size < _FEWEST_LEVELS:
+            continue
+        sigma = evidence.sigma[own]
+        level = evidence.rows.amplitude[own]
+        basis = np.column_stack([np.ones(own.size), level - level.mean()])
+        if np.linalg.matrix_rank(basis) < 2:
+            basis = basis[:, :1]
+        orthonormal, _ = np.linalg.qr(basis)
+        rest = difference[own] - orthonormal @ (orthonormal.T @ difference[own])
+        left += float(rest @ rest)
+        freedom = own.size - basis.shape[1]
+        squares += freedom * float(np.mean(sigma**2))
+        stated += float(np.max(sigma) ** 2) * freedom
+        free += freedom
+    if free < _FEWEST_FREE or chi2.sf(left / (stated / free), free) > _BY_CHANCE:
+        return 0.0
+    # A variance from few values is uncertain itself; residuals over it have the variance d / (d − 2).
+    return float(np.sqrt(max(left - squares, 0.0) / max(free - 2, 1)))

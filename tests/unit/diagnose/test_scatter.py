@@ -1,0 +1,51 @@
+"""Scatter from level to level of imported runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from unit.diagnose.twin_evidence import chain, evidence_of_twin
+
+from nmt_diagnose.evidence.measuring_chain import MeasuringChain
+from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.inference.scatter import scatter_floor
+
+
+@pytest.fixture(scope="module")
+def evidence() -> Evidence:
+    found = evidence_of_twin(chain(), random=False, drives=np.linspace(0.1, 1.6, 40))
+    return replace(found, chains=(MeasuringChain(),))
+
+
+def noise(evidence: Evidence, seed: int) -> np.ndarray:
+    return np.asarray(evidence.sigma * np.random.default_rng(seed).standard_normal(len(evidence.rows)))
+
+
+def test_noise_as_stated_is_no_scatter(evidence: Evidence) -> None:
+    for seed in range(10):
+        assert not scatter_floor(evidence, noise(evidence, seed)).any()
+
+
+def test_scatter_is_found_in_its_kind_at_its_size(evidence: Evidence) -> None:
+    rows, draw = evidence.rows, np.random.default_rng(3)
+    magnitude = rows.part == Part.LOG_MAGNITUDE
+    scatter = 1e-2 * draw.standard_normal(len(rows)) * magnitude
+    # A gain and a slope over the level are no scatter.
+    difference = noise(evidence, 4) + scatter + magnitude * (0.05 + 0.1 * rows.amplitude)
+    found = scatter_floor(evidence, difference)
+    assert found[magnitude] == pytest.approx(1e-2, rel=0.3)
+    assert not found[~magnitude].any()
+
+
+def test_scatter_that_is_not_ordinary_is_bounded(evidence: Evidence) -> None:
+    magnitude = evidence.rows.part == Part.LOG_MAGNITUDE
+    difference = 0.3 * np.random.default_rng(5).standard_normal(len(evidence.rows)) * magnitude
+    assert np.max(scatter_floor(evidence, difference)) == 0.02
+
+
+def test_the_own_simulator_has_none(evidence: Evidence) -> None:
+    difference = np.random.default_rng(6).standard_normal(len(evidence.rows))
+    assert not scatter_floor(replace(evidence, chains=()), difference).any()
+    assert not scatter_floor(replace(evidence, chains=(None,)), difference).any()

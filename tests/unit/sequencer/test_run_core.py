@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from unit.sequencer.bench import status
 
 from nmt_core.command_judge import Source
 from nmt_core.parameters import check_values
@@ -12,7 +13,6 @@ from nmt_core.records import LoopStatus
 from nmt_core.vocabulary import LoopState, ResultCode, RunPhase
 from nmt_sequencer.run_core import PARAMETERS, RunCore
 from nmt_sequencer.run_machine import RunPlan
-from unit.sequencer.bench import status
 
 BLOCK, RATE = 100, 1000.0
 LOOP, STRANGER = Source("01", "/pll"), Source("02", "/stranger")

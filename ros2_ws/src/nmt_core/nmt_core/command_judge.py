@@ -183,8 +183,9 @@ class CommandJudge:
         return ", ".join(str(source) for source in self.strangers)
 
     def release(self) -> None:
-        """Accept any source and any first sample again, for a new run; the counts stay."""
+        """Accept any source and any first sample again, for a new run; the counts stay, the strangers are forgotten."""
         self.source = None
+        self.strangers.clear()
         self.last = None
 
     @property

@@ -58,7 +58,6 @@ class PlantCore:
     def take_state(self, state: RunState) -> bool:
         """Take the state of the run; True if the run begins with it."""
         if state.phase == RunPhase.RUNNING and self.phase not in (*_ACTIVE[:-1], RunPhase.UNKNOWN):
-            self.judge.strangers.clear()
             self.judge.release()  # the loop may have been started again since the last run
         self.phase = state.phase
         if self.lockstep and state.phase in _ACTIVE:
@@ -100,6 +99,11 @@ class PlantCore:
         """A sentence that names who else has sent drive commands; empty if nobody has."""
         names = self.judge.second_source
         return f"topic drive has a second publisher: {names}" if names else ""
+
+    @property
+    def in_run(self) -> bool:
+        """Whether a run is under way, its ramp to zero included."""
+        return self.running and self.phase in _ACTIVE[:-1]
 
     @property
     def due(self) -> bool:

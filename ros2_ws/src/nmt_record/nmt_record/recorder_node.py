@@ -118,7 +118,7 @@ class RecorderNode(BenchNode):
                 _QOS[topic.service],
                 raw=True,
             )
-        self.create_timer(min(0.1, values["flush_interval"] / 2.0), self._watch)
+        self.steady_timer(min(0.1, values["flush_interval"] / 2.0), self._watch)
         self._publish_state("")
 
     def _recording(self, topic: str) -> Callable[[bytes], None]:

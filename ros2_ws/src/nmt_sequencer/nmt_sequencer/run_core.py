@@ -108,7 +108,6 @@ class RunCore:
         """
         self.points.clear()
         self.judge.release()
-        self.judge.strangers.clear()
         self.machine.start(plan)
 
     def refuse(self, plan: RunPlan, code: ResultCode, reason: str) -> None:

@@ -50,7 +50,12 @@ COMMON_PARAMETERS = (
         "",
         "Endpoints that must be connected before the node calls itself ready, as 'topic:count'; empty = none.",
     ),
-    Parameter("watched_nodes", [""], "", "Nodes whose heartbeat this node watches; empty = none."),
+    Parameter(
+        "watched_nodes",
+        [""],
+        "",
+        "Nodes whose heartbeat this node watches, in its own namespace unless they begin with a slash; empty = none.",
+    ),
     Parameter(
         "silence_timeout", 3.0, "s", "Wall time without a heartbeat after which a watched node is lost.", low=0.5
     ),
@@ -74,6 +79,8 @@ class BenchNode(Node):  # type: ignore[misc]
     """
 
     BURST_PERIOD = 0.0  # s; see spin_for_ever
+    NEEDED: tuple[str, ...] = ()
+    """Parameters without which the node does not start: with their defaults it would work, but without a guard."""
 
     def __init__(
         self,
@@ -95,7 +102,7 @@ class BenchNode(Node):  # type: ignore[misc]
         # Guard, heartbeat and tick must go on whatever becomes of ROS time.
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         watched: Any = self.values["watched_nodes"]
-        self.watched_nodes: list[str] = [name for name in watched if name]
+        self.watched_nodes: list[str] = [self._in_own_namespace(name) for name in watched if name]
         silence: Any = self.values["silence_timeout"]
         self._silence_timeout = float(silence)
         self._heard: dict[str, tuple[float, str]] = {}
@@ -112,6 +119,12 @@ class BenchNode(Node):  # type: ignore[misc]
             raise BenchError(
                 f"Parameter '{sorted(unknown)[0]}' is not known to {self.get_name()}; "
                 f"it knows {', '.join(sorted(known))}."
+            )
+        needed = [name for name in self.NEEDED if name not in values and name not in self._parameter_overrides]
+        if needed:
+            raise BenchError(
+                f"{self.get_fully_qualified_name()} needs the parameter '{needed[0]}'; start it with "
+                "'--ros-args --params-file FILE' and a file of './nmt params' that names this node."
             )
         given: dict[str, Any] = {}
         for item in table:
@@ -235,9 +248,18 @@ class BenchNode(Node):  # type: ignore[misc]
     def update_counters(self) -> None:
         """Called before each heartbeat; nodes fill :attr:`counters` here."""
 
+    @property
+    def heartbeat_name(self) -> str:
+        """The node's name on `/diagnostics`: with its namespace, without a leading slash."""
+        return str(self.get_fully_qualified_name()).lstrip("/")
+
+    def _in_own_namespace(self, name: str) -> str:
+        """A watched node's name on `/diagnostics`; it lives in this node's namespace unless it begins with a slash."""
+        return name.lstrip("/") if name.startswith("/") else _full_name(self.get_namespace(), name).lstrip("/")
+
     def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
         """Publish the counters under the node's name."""
-        status = DiagnosticStatus(level=level, name=self.get_name(), message=message, hardware_id="")
+        status = DiagnosticStatus(level=level, name=self.heartbeat_name, message=message, hardware_id="")
         status.values = [KeyValue(key=key, value=str(value)) for key, value in self.counters.items()]
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()

@@ -27,6 +27,8 @@ class PllNode(BenchNode):
         BenchError: a parameter is out of range.
     """
 
+    NEEDED = ("sample_rate", "block_samples", "watched_nodes")
+
     def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
         super().__init__("pll", PARAMETERS, values, **kwargs)
         self.core = LoopCore(self.values, self._complain)

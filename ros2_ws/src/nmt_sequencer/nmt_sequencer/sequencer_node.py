@@ -33,6 +33,8 @@ class SequencerNode(BenchNode):
         **kwargs: forwarded to :class:`rclpy.node.Node`.
     """
 
+    NEEDED = ("sample_rate", "block_samples", "watched_nodes")
+
     def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
         super().__init__("sequencer", PARAMETERS, values, **kwargs)
         self.core = RunCore(self.values)

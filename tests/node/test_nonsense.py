@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from rclpy.node import Node
 
-from nmt_bench.harness import Bench, Progress
+from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.base_node import SAMPLES_QOS
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_extract.modal_point import Status
@@ -41,24 +42,75 @@ def nonsense_drives() -> list[Drive]:
     ]
 
 
-def test_nonsense_drive_commands_are_refused_one_by_one(tmp_path: Path) -> None:
-    with Bench("beam", [0.3], out=tmp_path / "out", window_periods=300) as bench:
-        publisher = stranger(bench).create_publisher(Drive, "drive", SAMPLES_QOS)
-        sent: list[Drive] = []
+def disturbed(out: Path, kind: Any, topic: str, sent: list[Any]) -> tuple[RunResult, dict[str, dict[str, Any]]]:
+    """A run in which a stranger becomes a second publisher of a topic once the loop has locked; and the counters."""
+    with Bench("beam", [0.3, 0.4], out=out, window_periods=300) as bench:
+        node = stranger(bench)
+        publishers: list[Any] = []
 
         def disturb(progress: Progress) -> None:
-            if progress.state == LoopState.LOCKED and not sent:
-                sent.extend(nonsense_drives())
-                for drive in sent:
-                    publisher.publish(drive)
+            if progress.state == LoopState.LOCKED and not publishers:
+                publishers.append(node.create_publisher(kind, topic, SAMPLES_QOS))
+                for message in sent:
+                    publishers[0].publish(message)
 
         result = bench.run(disturb)
-        bench.nodes["plant"].update_counters()
-        refused = bench.nodes["plant"].counters["refused"]
-    assert sent
-    assert refused == len(sent)
-    assert result.code == ResultCode.SUCCEEDED
-    assert result.points[0].status == Status.OK
+        assert publishers
+        counters = {}
+        for name in ("plant", "pll", "sequencer"):
+            bench.nodes[name].update_counters()
+            counters[name] = bench.nodes[name].counters
+    return result, counters
+
+
+def assert_ended_by_a_ramp(result: RunResult) -> None:
+    """The stranger is named, the level was never passed, and the last block is zero after a ramp."""
+    assert "/stranger" in result.message
+    assert result.bag_state == "closed"
+    assert result.bag is not None
+    blocks = list(Bag.open(result.bag).blocks("voltage"))
+    voltage = np.concatenate([block.data[0] for block in blocks])
+    assert 0.29 < np.max(np.abs(voltage)) <= 0.3
+    assert not blocks[-1].data.any()
+    assert np.max(np.abs(np.diff(voltage))) < 0.3 * 2 * np.pi * 25 / 10_000
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_second_publisher_of_drive_moves_nothing_and_ends_the_run(silent: bool, tmp_path: Path) -> None:
+    attack = Drive(waveform=Drive.SINE, frequency_hz=22.0, amplitude=5.0)
+    blind = Drive(waveform=Drive.SINE, frequency_hz=22.0, amplitude=5.0, based_on_sample=2**60)
+    sent = [] if silent else [*nonsense_drives(), blind, *[attack] * 100]
+    result, counters = disturbed(tmp_path / "out", Drive, "drive", sent)
+    assert result.code == ResultCode.NODE_LOST
+    assert_ended_by_a_ramp(result)
+    assert counters["plant"]["refused"] >= len(sent)
+
+
+def test_a_second_publisher_of_level_moves_nothing_and_ends_the_run(tmp_path: Path) -> None:
+    sent = [Level(**{"amplitude": 5.0, "sequence": 2**30, **values}) for values in (
+        {}, {"apply_at_sample": 2**60}, {"amplitude": math.nan}, {"amplitude": -3.0}, {"control": 9},
+        {"ramp": math.inf},
+    )]  # fmt: skip
+    result, counters = disturbed(tmp_path / "out", Level, "level", sent)
+    assert result.code == ResultCode.NODE_LOST
+    assert_ended_by_a_ramp(result)
+    assert counters["pll"]["refused"] >= len(sent)
+
+
+def test_a_second_publisher_of_frequency_moves_nothing_and_ends_the_run(tmp_path: Path) -> None:
+    sent = [Frequency(last_sample=2**60, level_sequence=2**30, state=Frequency.LOCKED), Frequency(state=200)]
+    result, counters = disturbed(tmp_path / "out", Frequency, "frequency", sent)
+    assert result.code == ResultCode.REFUSED
+    assert_ended_by_a_ramp(result)
+    assert counters["sequencer"]["refused"] >= 1
+
+
+def test_a_run_does_not_begin_under_two_publishers() -> None:
+    with Bench("beam", [0.3], window_periods=10, node_values={"sequencer": {"ready_timeout": 2.0}}) as bench:
+        stranger(bench).create_publisher(Drive, "drive", SAMPLES_QOS)
+        result = bench.run()
+    assert result.code == ResultCode.NODE_LOST
+    assert "plant (topic drive has several publishers: /pll and /stranger)" in result.message
 
 
 def test_blocks_of_another_source_do_not_reach_the_loop_unnoticed(tmp_path: Path) -> None:
@@ -87,32 +139,9 @@ def test_blocks_of_another_source_do_not_reach_the_loop_unnoticed(tmp_path: Path
     assert point.status != Status.OK or point.damping_ratio == pytest.approx(0.00853, rel=0.02)
 
 
-def test_levels_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+def test_lock_events_of_strangers_do_not_stop_the_nodes(tmp_path: Path) -> None:
     with Bench("beam", [0.3], out=tmp_path / "out", window_periods=300) as bench:
-        publisher = stranger(bench).create_publisher(Level, "level", SAMPLES_QOS)
-        sent: list[int] = []
-
-        def disturb(progress: Progress) -> None:
-            if progress.state == LoopState.LOCKED and not sent:
-                sent.append(progress.sample)
-                for values in ({"amplitude": math.nan}, {"amplitude": -3.0}, {"amplitude": 1.0, "control": 9},
-                               {"amplitude": 1.0, "ramp": math.inf}):  # fmt: skip
-                    publisher.publish(Level(**values))
-
-        result = bench.run(disturb)
-        bench.nodes["pll"].update_counters()
-        assert bench.nodes["pll"].counters["refused"] == 4
-    assert result.code == ResultCode.SUCCEEDED
-    assert result.points[0].status == Status.OK
-    voltage = np.concatenate([block.data[0] for block in Bag.open(tmp_path / "out" / "bag").blocks("voltage")])
-    assert np.max(np.abs(voltage)) <= 0.3
-
-
-def test_lock_events_and_loop_states_of_strangers_do_not_stop_the_nodes(tmp_path: Path) -> None:
-    with Bench("beam", [0.3], out=tmp_path / "out", window_periods=300) as bench:
-        node = stranger(bench)
-        lock = node.create_publisher(LockEvent, "lock", SAMPLES_QOS)
-        state = node.create_publisher(Frequency, "frequency", SAMPLES_QOS)
+        lock = stranger(bench).create_publisher(LockEvent, "lock", SAMPLES_QOS)
         sent: list[int] = []
 
         def disturb(progress: Progress) -> None:
@@ -120,7 +149,6 @@ def test_lock_events_and_loop_states_of_strangers_do_not_stop_the_nodes(tmp_path
                 sent.append(progress.sample)
                 lock.publish(LockEvent())
                 lock.publish(LockEvent(level_index=4_000_000_000, window_samples=2**60))
-                state.publish(Frequency(state=200))
 
         result = bench.run(disturb)
     assert result.code in (ResultCode.SUCCEEDED, ResultCode.STOPPED)

@@ -45,7 +45,8 @@ class Rig(Node):
     def __init__(self, context):
         super().__init__("rig", context=context, enable_rosout=False, start_parameter_services=False)
         self.blocks = {
-            name: self.create_publisher(SampleBlockMessage, name, SAMPLES_QOS) for name in ("force", "acceleration")
+            name: self.create_publisher(SampleBlockMessage, name, SAMPLES_QOS)
+            for name in ("force", "acceleration", "voltage")
         }
         self.drive = self.create_publisher(Drive, "drive", SAMPLES_QOS)
         self.lock = self.create_publisher(LockEvent, "lock", SAMPLES_QOS)
@@ -60,8 +61,14 @@ class Rig(Node):
         publish = self.blocks[topic].publish
         publish(BlockWriter("beam").write(make_block(topic, first_sample, samples)))
 
-    def publish_state(self, phase, sample=0, run_id="run-7"):
-        self.run_state.publish(RunState(run_id=run_id, phase=phase, sample=sample))
+    def publish_voltage(self, first_sample, amplitude, samples=20):
+        data = np.full((1, samples), amplitude)
+        phase = OscillatorPhase(0.0, 0.0, 0.0)
+        block = SampleBlock(first_sample, 1000.0, Quantity.VOLTAGE, "V", ("u",), (0,), data, phase)
+        self.blocks["voltage"].publish(BlockWriter("beam").write(block))
+
+    def publish_state(self, phase, sample=0, run_id="run-7", result_code=0):
+        self.run_state.publish(RunState(run_id=run_id, phase=phase, sample=sample, result_code=result_code))
 
 
 def make_block(topic, first_sample, samples=20):
@@ -95,7 +102,7 @@ class Stage:
         self.recorder = RecorderNode(values, context=self.context)
         self.executor.add_node(self.recorder)
         self.until(lambda: self.rig.lock.get_subscription_count() and self.rig.run_state.get_subscription_count())
-        self.until(lambda: all(p.get_subscription_count() for p in self.rig.blocks.values()))
+        self.until(lambda: all(self.rig.blocks[name].get_subscription_count() for name in ("force", "acceleration")))
         self.until(lambda: self.rig.bag_states)
         return self.recorder
 
@@ -173,6 +180,36 @@ def test_a_run_is_recorded_and_the_bag_closes_by_itself(stage):
     }
     published = [stamp for _, _, stamp, _ in bag.raw_messages(["force"])]
     assert published == [20_000_000 * index for index in range(30)]  # bench time
+
+
+def test_after_an_early_end_the_bag_stays_open_until_the_drive_is_at_zero(stage):
+    recorder = stage.start(settle_time=0.0)
+    rig = stage.rig
+    stage.until(rig.blocks["voltage"].get_subscription_count)
+    rig.publish_state(RunState.RUNNING)
+    rig.publish_voltage(0, 0.8)
+    stage.until(lambda: recorder.writer.counts.get("voltage") == 1)
+    rig.publish_state(RunState.DONE, sample=19, result_code=6)
+    stage.until(lambda: recorder.core.end_sample == 19)
+    for _ in range(5):
+        recorder._watch()
+    assert recorder.state == "open"
+    rig.publish_voltage(20, 0.4)
+    rig.publish_voltage(40, 0.0)
+    stage.until(lambda: recorder.state == "closed")
+    blocks = list(Bag.open(stage.path).blocks("voltage"))
+    assert [float(block.data.max()) for block in blocks] == [0.8, 0.4, 0.0]
+
+
+def test_a_drive_that_never_comes_to_rest_does_not_keep_the_bag_open(stage, monkeypatch):
+    monkeypatch.setattr("nmt_record.recorder_node._LONGEST_RAMP", 0.2)
+    recorder = stage.start(settle_time=0.0)
+    stage.until(stage.rig.blocks["voltage"].get_subscription_count)
+    stage.rig.publish_state(RunState.RUNNING)
+    stage.rig.publish_voltage(0, 0.8)
+    stage.until(lambda: recorder.writer.counts.get("voltage") == 1)
+    stage.rig.publish_state(RunState.DONE, sample=19, result_code=6)
+    stage.until(lambda: recorder.state == "closed")
 
 
 def test_offline_blocks_equal_live_ones(stage):

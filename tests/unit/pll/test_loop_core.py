@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.command_judge import Source
 from nmt_core.parameters import check_values
 from nmt_core.records import LevelCommand, LoopStatus
 from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, TestKind, Waveform
 from nmt_pll.level_loop import LockWindow, LoopOutput
-from nmt_pll.loop_core import PARAMETERS, LoopCore, drive_command, lock_event, loop_status
+from nmt_pll.loop_core import PARAMETERS, LoopAnswer, LoopCore, drive_command, lock_event, loop_status
 
 RATE, SIZE = 1000.0, 20
 LEVEL = LevelCommand(
@@ -32,6 +34,12 @@ def pair(number: int) -> list[SampleBlock]:
         SampleBlock(number * SIZE, RATE, quantity, quantity.unit, ("c",), (2,), np.zeros((1, SIZE)), phase)
         for quantity in (Quantity.FORCE, Quantity.DISPLACEMENT)
     ]
+
+
+def feed(loop: LoopCore, first: int, last: int) -> list[LoopAnswer]:
+    """Answers to the blocks from one number to another."""
+    answers = [loop.take_block(block) for number in range(first, last) for block in pair(number)]
+    return [answer for answer in answers if answer is not None]
 
 
 def statuses(arrival: int, blocks: int = 12) -> list[LoopStatus]:
@@ -115,3 +123,34 @@ def test_a_lock_event_names_the_unit_of_its_level(control: ControlKind, response
     assert (event.level_index, event.level, event.level_unit) == (2, 0.7, unit)
     assert (event.window_first_sample, event.window_samples, event.window_periods) == (2000, 930, 20)
     assert event.time_ns == 1_999_000_000
+
+
+def test_levels_come_from_one_source_and_zero_from_anybody() -> None:
+    told: list[str] = []
+    loop = LoopCore(check_values(PARAMETERS, VALUES, "pll"), lambda sentence, _: told.append(sentence))
+    own, stranger = Source("01", "/sequencer"), Source("02", "/stranger")
+    feed(loop, 0, 3)
+    assert loop.take_level(LEVEL, own) == ()
+    feed(loop, 3, 8)
+    assert loop.take_level(replace(LEVEL, sequence=2, amplitude=5.0, apply_at_sample=180), stranger) == ()
+    assert max(answer.drive.amplitude for answer in feed(loop, 8, 20)) == LEVEL.amplitude
+    assert loop.second_source == "topic level has a second publisher: /stranger"
+    assert "/stranger" in told[0]
+    loop.take_level(replace(LEVEL, sequence=3, amplitude=0.0, apply_at_sample=420), stranger)
+    assert feed(loop, 20, 40)[-1].drive.amplitude == 0.0
+
+
+def test_of_several_publishers_no_level_is_taken() -> None:
+    loop = core()
+    feed(loop, 0, 3)
+    assert loop.take_level(LEVEL, Source("01 02", "/sequencer and /stranger", alone=False)) == ()
+    assert all(answer.drive.amplitude == 0.0 for answer in feed(loop, 3, 20))
+    assert not loop.at_work
+
+
+def test_a_level_for_a_sample_that_never_comes_is_refused() -> None:
+    loop = core()
+    feed(loop, 0, 3)
+    assert loop.take_level(replace(LEVEL, apply_at_sample=2**60)) == ()
+    assert not loop.at_work
+    assert loop.counters["refused"] == 1

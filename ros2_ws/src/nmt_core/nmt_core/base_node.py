@@ -12,6 +12,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
@@ -20,6 +21,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
+from nmt_core.command_judge import Source
 from nmt_core.dds_profile import check_ports, seal_transport
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter, ParameterValue, check_values
@@ -48,7 +50,12 @@ COMMON_PARAMETERS = (
         "",
         "Endpoints that must be connected before the node calls itself ready, as 'topic:count'; empty = none.",
     ),
-    Parameter("watched_nodes", [""], "", "Nodes whose heartbeat this node watches; empty = none."),
+    Parameter(
+        "watched_nodes",
+        [""],
+        "",
+        "Nodes whose heartbeat this node watches, in its own namespace unless they begin with a slash; empty = none.",
+    ),
     Parameter(
         "silence_timeout", 3.0, "s", "Wall time without a heartbeat after which a watched node is lost.", low=0.5
     ),
@@ -72,6 +79,8 @@ class BenchNode(Node):  # type: ignore[misc]
     """
 
     BURST_PERIOD = 0.0  # s; see spin_for_ever
+    NEEDED: tuple[str, ...] = ()
+    """Parameters without which the node does not start: with their defaults it would work, but without a guard."""
 
     def __init__(
         self,
@@ -88,8 +97,12 @@ class BenchNode(Node):  # type: ignore[misc]
         self.received = 0
         self._expected = _parse_peers(self.values["expected_peers"], self.get_name())
         self._endpoints: dict[str, list[Any]] = {}
+        self._sources: dict[str, tuple[int, Source]] = {}
+        self._command_types: dict[str, str] = {}
+        # Guard, heartbeat and tick must go on whatever becomes of ROS time.
+        self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         watched: Any = self.values["watched_nodes"]
-        self.watched_nodes: list[str] = [name for name in watched if name]
+        self.watched_nodes: list[str] = [self._in_own_namespace(name) for name in watched if name]
         silence: Any = self.values["silence_timeout"]
         self._silence_timeout = float(silence)
         self._heard: dict[str, tuple[float, str]] = {}
@@ -97,7 +110,7 @@ class BenchNode(Node):  # type: ignore[misc]
         if self.watched_nodes:
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._heartbeat = self.create_timer(HEARTBEAT_PERIOD, self._beat)
+        self._heartbeat = self.steady_timer(HEARTBEAT_PERIOD, self._beat)
 
     def _declare(self, table: Sequence[Parameter], values: dict[str, Any]) -> dict[str, ParameterValue]:
         known = {parameter.name for parameter in table}
@@ -106,6 +119,12 @@ class BenchNode(Node):  # type: ignore[misc]
             raise BenchError(
                 f"Parameter '{sorted(unknown)[0]}' is not known to {self.get_name()}; "
                 f"it knows {', '.join(sorted(known))}."
+            )
+        needed = [name for name in self.NEEDED if name not in values and name not in self._parameter_overrides]
+        if needed:
+            raise BenchError(
+                f"{self.get_fully_qualified_name()} needs the parameter '{needed[0]}'; start it with "
+                "'--ros-args --params-file FILE' and a file of './nmt params' that names this node."
             )
         given: dict[str, Any] = {}
         for item in table:
@@ -136,6 +155,54 @@ class BenchNode(Node):  # type: ignore[misc]
         self._endpoints.setdefault(topic, []).append(subscription.get_publisher_count)
         return subscription
 
+    def command_subscription(
+        self, kind: Any, topic: str, callback: Callable[[bytes, Source], None], qos: QoSProfile
+    ) -> Any:
+        """A raw subscription to a topic that one publisher may command; the callback is told who sent a message.
+
+        The EventsExecutor of ROS 2 Jazzy hands no message info to callbacks. But the middleware delivers the messages
+        of matched publishers only, and names those: while there is one, it is the sender; while there are several,
+        nobody can tell.
+        """
+        self._command_types[topic] = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+        return self.bench_subscription(kind, topic, lambda raw: callback(raw, self.source(topic)), qos, raw=True)
+
+    def source(self, topic: str) -> Source:
+        """Who publishes on a topic of `command_subscription` now."""
+        count = max(connected() for connected in self._endpoints[topic])
+        known = self._sources.get(topic)
+        if known is not None and known[0] == count:
+            return known[1]
+        return self._look_for_publishers(topic, count)
+
+    def _look_for_publishers(self, topic: str, count: int) -> Source:
+        found = {
+            bytes(info.endpoint_gid).hex(): _full_name(info.node_namespace, info.node_name)
+            for info in self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
+            if info.topic_type == self._command_types[topic]
+            and info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT  # those do not match
+        }
+        known = self._sources.get(topic)
+        if not found and known is not None and known[1].alone:
+            source = known[1]  # what it sent before it left
+        else:
+            names = " and ".join(sorted(found.values())) or "a publisher that is not known yet"
+            source = Source(" ".join(sorted(found)), names, alone=len(found) == 1 and count <= 1)
+        self._sources[topic] = (count, source)
+        return source
+
+    def second_publisher(self) -> str:
+        """A sentence that names the publishers of a commanded topic that has several; empty if none has."""
+        for topic in self._command_types:
+            source = self.source(topic)
+            if not source.alone and self._sources[topic][0] > 1:
+                return f"topic {topic} has several publishers: {source}"
+        return ""
+
+    def steady_timer(self, period: float, callback: Callable[[], None]) -> Any:
+        """A timer (s) on the steady clock, which goes on when ROS time stands still."""
+        return self.create_timer(period, callback, clock=self._steady_clock)
+
     def missing_peers(self) -> list[str]:
         """Topics whose expected peers are not connected yet."""
         return [
@@ -161,21 +228,38 @@ class BenchNode(Node):  # type: ignore[misc]
         limit = time.monotonic() - self._silence_timeout
         return next((n for n in self.watched_nodes if n in self._heard and self._heard[n][0] < limit), "")
 
+    def forget_failures(self) -> None:
+        """Begin anew: what a watched node reported before a run does not end it."""
+        self._failures.clear()
+
     def failed_node(self) -> tuple[str, str]:
         """A watched node that reports an error, and its words; empty if none does."""
         return next(iter(self._failures.items()), ("", ""))
 
     def _beat(self) -> None:
         missing = self.missing_peers()
+        for topic in self._command_types:
+            self._look_for_publishers(topic, max(connected() for connected in self._endpoints[topic]))
+        second = self.second_publisher()
         self.update_counters()
-        self.publish_diagnostics(message=f"waiting for {', '.join(missing)}" if missing else READY)
+        message = f"waiting for {', '.join(missing)}" if missing else second or READY
+        self.publish_diagnostics(message=message)
 
     def update_counters(self) -> None:
         """Called before each heartbeat; nodes fill :attr:`counters` here."""
 
+    @property
+    def heartbeat_name(self) -> str:
+        """The node's name on `/diagnostics`: with its namespace, without a leading slash."""
+        return str(self.get_fully_qualified_name()).lstrip("/")
+
+    def _in_own_namespace(self, name: str) -> str:
+        """A watched node's name on `/diagnostics`; it lives in this node's namespace unless it begins with a slash."""
+        return name.lstrip("/") if name.startswith("/") else _full_name(self.get_namespace(), name).lstrip("/")
+
     def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
         """Publish the counters under the node's name."""
-        status = DiagnosticStatus(level=level, name=self.get_name(), message=message, hardware_id="")
+        status = DiagnosticStatus(level=level, name=self.heartbeat_name, message=message, hardware_id="")
         status.values = [KeyValue(key=key, value=str(value)) for key, value in self.counters.items()]
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
@@ -183,6 +267,10 @@ class BenchNode(Node):  # type: ignore[misc]
 
     def shut_down(self) -> None:
         """Called once before the node is destroyed, whatever ended it; nodes quiet the drive and close files here."""
+
+
+def _full_name(namespace: str, name: str) -> str:
+    return f"{namespace.rstrip('/')}/{name}"
 
 
 def _parse_peers(entries: Any, owner: str) -> dict[str, int]:

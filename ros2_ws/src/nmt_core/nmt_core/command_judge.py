@@ -16,6 +16,25 @@ from enum import Enum
 from nmt_core.errors import BenchError
 
 _MOST_STRANGERS = 100  # tokens remembered; the count goes on
+LONGEST_AHEAD = 60.0  # s of bench time that a command may name ahead; no ramp or wait of the bench is longer
+
+
+@dataclass(frozen=True)
+class Source:
+    """Who publishes on a topic.
+
+    Attributes:
+        token: what tells it from others, such as the GID of its publisher.
+        name: fully qualified name of its node, for people.
+        alone: False if the topic has several publishers, of which any may have sent a message.
+    """
+
+    token: str
+    name: str = field(default="", compare=False)
+    alone: bool = True
+
+    def __str__(self) -> str:
+        return self.name or self.token
 
 
 class Refusal(Enum):
@@ -109,6 +128,9 @@ class CommandJudge:
         apply_at: int | None,
         values: Mapping[str, float],
     ) -> tuple[Refusal, str] | None:
+        if isinstance(source, Source) and not source.alone:
+            self.strangers[source] += 1
+            return Refusal.SOURCE, f"the topic has several publishers, {source}; one is accepted."
         if self.source is not None and source != self.source:
             if source in self.strangers or len(self.strangers) < _MOST_STRANGERS:
                 self.strangers[source] += 1
@@ -155,9 +177,15 @@ class CommandJudge:
             )
         return None
 
+    @property
+    def second_source(self) -> str:
+        """The sources refused, by name; empty while one source only has sent."""
+        return ", ".join(str(source) for source in self.strangers)
+
     def release(self) -> None:
-        """Accept any source and any first sample again, for a new run; the counts stay."""
+        """Accept any source and any first sample again, for a new run; the counts stay, the strangers are forgotten."""
         self.source = None
+        self.strangers.clear()
         self.last = None
 
     @property

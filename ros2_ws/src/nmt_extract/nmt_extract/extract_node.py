@@ -28,6 +28,7 @@ class ExtractNode(BenchNode):
 
     # Nobody waits for this node block by block.
     BURST_PERIOD = 0.02
+    NEEDED = ("linear_json",)
 
     def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
         super().__init__("extract", PARAMETERS, values, **kwargs)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 
 from nmt_core.blocks import SampleBlock
+from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge
 from nmt_core.records import DriveCommand, RunState
 from nmt_core.vocabulary import Quantity, RunPhase
 from nmt_plant.device import Device, DeviceState, check_drive
@@ -13,6 +14,7 @@ from nmt_plant.lockstep import LockstepGate
 _ACTIVE = (RunPhase.RUNNING, RunPhase.PAUSED, RunPhase.STOPPING, RunPhase.DONE)
 _LONGEST_RAMP = 60.0  # s of bench time
 _LONGEST_END = 10.0  # s of bench time
+_LONGEST_STALL = 10.0  # s that the loop may miss in real time
 
 
 class PlantCore:
@@ -26,6 +28,7 @@ class PlantCore:
     Attributes:
         phase: phase of the run, as last heard of.
         running: whether a run has begun.
+        judge: whether a drive command can be meant.
         quantities: what the device measures, in the order of its blocks.
 
     Raises:
@@ -38,6 +41,12 @@ class PlantCore:
         self.phase = RunPhase.UNKNOWN
         self.running = False
         self._gate = LockstepGate(device.block_samples, latency_blocks)
+        block_rate = device.sample_rate / device.block_samples
+        self.judge = CommandJudge(
+            device.block_samples,
+            horizon=round(LONGEST_AHEAD * device.sample_rate),
+            most_missing=latency_blocks if lockstep else round(_LONGEST_STALL * block_rate),
+        )
         device.configure()
         device.start()
         # One block for the list of quantities; the device starts again from sample 0.
@@ -48,6 +57,8 @@ class PlantCore:
 
     def take_state(self, state: RunState) -> bool:
         """Take the state of the run; True if the run begins with it."""
+        if state.phase == RunPhase.RUNNING and self.phase not in (*_ACTIVE[:-1], RunPhase.UNKNOWN):
+            self.judge.release()  # the loop may have been started again since the last run
         self.phase = state.phase
         if self.lockstep and state.phase in _ACTIVE:
             self._gate.horizon = max(self._gate.horizon, state.horizon_sample)
@@ -56,15 +67,43 @@ class PlantCore:
         self.running = True
         return True
 
-    def take_drive(self, command: DriveCommand) -> None:
+    def take_drive(self, command: DriveCommand, source: Hashable = "loop") -> str:
         """Hand a command to the device; the block that waits for it may then be due.
+
+        Args:
+            command: the command.
+            source: who sent it, see `nmt_core.command_judge.CommandJudge.judge`.
+
+        Returns:
+            Empty if the command is taken, otherwise the sentence why it cannot be meant; then nothing has changed.
 
         Raises:
             BenchError: the command is out of its range, or beyond what the device can do.
         """
         check_drive(command)
+        why = self.judge.judge(
+            source,
+            next_sample=self.device.next_sample,
+            based_on=command.based_on_sample,
+            apply_at=command.apply_at_sample,
+            values={"frequency_hz": command.frequency_hz, "amplitude": command.amplitude, "ramp": command.ramp},
+        )
+        if why:
+            return why
         self._gate.answered = max(self._gate.answered, command.based_on_sample)
         self.device.write(command)
+        return ""
+
+    @property
+    def second_source(self) -> str:
+        """A sentence that names who else has sent drive commands; empty if nobody has."""
+        names = self.judge.second_source
+        return f"topic drive has a second publisher: {names}" if names else ""
+
+    @property
+    def in_run(self) -> bool:
+        """Whether a run is under way, its ramp to zero included."""
+        return self.running and self.phase in _ACTIVE[:-1]
 
     @property
     def due(self) -> bool:

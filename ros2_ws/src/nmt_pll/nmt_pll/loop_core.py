@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import bench_time_ns
+from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import Parameter
@@ -142,6 +143,7 @@ class LoopCore:
     Attributes:
         loops: the loop for each kind of test.
         loop: the one at work.
+        judge: whether a level can be meant.
         counters: gaps, refusals, late levels and lost locks so far.
 
     Raises:
@@ -156,6 +158,7 @@ class LoopCore:
         self.loops = self._make_loops()
         self.loop: LevelLoop = next(iter(self.loops.values()))
         self.counters = dict.fromkeys(("gaps", "refused", "late_levels", "lock_losses"), 0)
+        self.judge = CommandJudge(self.block_samples, horizon=round(LONGEST_AHEAD * self.sample_rate))
         self._complain = complain
         self._delay = int(values["latency_blocks"]) * self.block_samples
         self._waiting: dict[bool, SampleBlock] = {}
@@ -226,12 +229,32 @@ class LoopCore:
         self.counters["refused"] += 1
         self._complain(sentence, often)
 
-    def take_level(self, level: LevelCommand) -> tuple[LoopStatus, ...]:
+    @property
+    def second_source(self) -> str:
+        """A sentence that names who else has sent levels; empty if nobody has."""
+        names = self.judge.second_source
+        return f"topic level has a second publisher: {names}" if names else ""
+
+    @property
+    def at_work(self) -> bool:
+        """Whether a level is sought or held, or waits for its sample."""
+        return self.loop.machine.state in (LoopState.ACQUIRING, LoopState.LOCKED) or bool(self._unacknowledged)
+
+    def take_level(self, level: LevelCommand, source: Hashable = "sequencer") -> tuple[LoopStatus, ...]:
         """Take a level; returns the acknowledgement if it is due already.
+
+        A level above zero is taken from one source only and for a sample that can exist, see
+        `nmt_core.command_judge.CommandJudge.judge`; zero is taken from anybody.
 
         A level of this run that cannot be done is answered by a lost lock at its sample: without an answer the
         sequencer would wait for ever.
         """
+        why = ""
+        if level.amplitude != 0.0:
+            why = self.judge.judge(source, next_sample=self._next_sample, apply_at=level.apply_at_sample)
+        if why:
+            self.refuse(f"Level refused: {why}", often=False)
+            return ()
         if level.control == ControlKind.UNKNOWN:
             level = replace(level, control=ControlKind.VOLTAGE)
         newest = max([self._sequence, *(item.sequence for item in self._unacknowledged)])

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
+
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
+from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
 from nmt_core.records import LoopStatus
 from nmt_core.wire import LEVEL, LOCK_EVENT, BlockReader, write_drive, write_status
@@ -24,16 +27,19 @@ class PllNode(BenchNode):
         BenchError: a parameter is out of range.
     """
 
+    NEEDED = ("sample_rate", "block_samples", "watched_nodes")
+
     def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
         super().__init__("pll", PARAMETERS, values, **kwargs)
         self.core = LoopCore(self.values, self._complain)
         self._drive = self.bench_publisher(msg.Drive, "drive", SAMPLES_QOS)
         self._frequency = self.bench_publisher(msg.Frequency, "frequency", SAMPLES_QOS)
         self._lock = self.bench_publisher(msg.LockEvent, "lock", SAMPLES_QOS)
-        self.bench_subscription(msg.Level, "level", self._on_level, SAMPLES_QOS, raw=True)
+        self.command_subscription(msg.Level, "level", self._on_level, SAMPLES_QOS)
         for topic in ("force", self.core.response.topic):
             self.bench_subscription(msg.SampleBlock, topic, self._reading(BlockReader()), SAMPLES_QOS, raw=True)
-        self.create_timer(0.25, self._guard)
+        self._reported = ""
+        self.steady_timer(0.25, self._guard)
 
     def _complain(self, sentence: str, often: bool) -> None:
         if often:
@@ -42,18 +48,39 @@ class PllNode(BenchNode):
             self.get_logger().error(sentence)
 
     def _guard(self) -> None:
-        """Quiet the drive if the node that commands the levels has gone."""
+        """Quiet the drive if the node that commands the levels has gone, or if another one commands them, too."""
         silent = self.silent_node()
         if silent:
             self.core.loop.quiet(f"node {silent} has fallen silent")
+        self._report(self.second_publisher() or (self.core.second_source if self.core.at_work else ""))
 
-    def _on_level(self, raw: bytes) -> None:
+    def _report(self, second: str) -> None:
+        """Warn of a second publisher once and take the drive to zero; the heartbeat goes on saying so."""
+        if second and not self._reported and self.core.at_work:
+            self.get_logger().warning(f"Drive goes to zero: {second}.")
+            self.core.loop.quiet(second)
+            self._reported = second
+            self.publish_diagnostics()
+        elif not second:
+            self._reported = ""
+            if not self.core.at_work:
+                self.core.judge.release()  # another sequencer may begin the next run
+
+    def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
+        """Publish the counters; a second publisher of levels makes an error of it."""
+        if self._reported:
+            level, message = DiagnosticStatus.ERROR, self._reported
+        super().publish_diagnostics(level, message)
+
+    def _on_level(self, raw: bytes, source: Source) -> None:
         try:
             level = LEVEL.read(raw)
         except (BenchError, ValueError) as error:
             self.core.refuse(f"Level refused: {error}", often=False)
             return
-        self._publish_statuses(self.core.take_level(level))
+        self._publish_statuses(self.core.take_level(level, source))
+        if self.core.second_source:
+            self._report(self.core.second_source)
 
     def _reading(self, reader: BlockReader) -> Callable[[bytes], None]:
         def on_bytes(raw: bytes) -> None:

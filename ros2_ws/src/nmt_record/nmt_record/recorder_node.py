@@ -26,6 +26,8 @@ _QOS = {
 }
 # A source in real time goes on after the run; its blocks do not keep the bag open for ever.
 _LONGEST_END = 3.0
+# After a run that ended early the plant takes the drive to zero by itself: its ramp belongs into the bag.
+_LONGEST_RAMP = 6.0  # s
 
 
 class RecorderNode(BenchNode):
@@ -118,7 +120,7 @@ class RecorderNode(BenchNode):
                 _QOS[topic.service],
                 raw=True,
             )
-        self.create_timer(min(0.1, values["flush_interval"] / 2.0), self._watch)
+        self.steady_timer(min(0.1, values["flush_interval"] / 2.0), self._watch)
         self._publish_state("")
 
     def _recording(self, topic: str) -> Callable[[bytes], None]:
@@ -150,6 +152,8 @@ class RecorderNode(BenchNode):
         now = time.monotonic()
         silence, since_end = now - self._last_time, now - self._end_time
         if self.core.gaps.reached(self.core.end_sample):
+            if since_end < _LONGEST_RAMP and self.core.awaits_ramp:
+                return
             if silence >= self._settle_time or since_end >= _LONGEST_END:
                 self.close("", "done")
         elif silence >= self._patience or since_end >= self._patience + _LONGEST_END:

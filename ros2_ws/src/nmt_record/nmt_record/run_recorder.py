@@ -12,7 +12,7 @@ from nmt_core.cdr import read_stamp
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_text
 from nmt_core.parameters import Parameter
-from nmt_core.vocabulary import RunPhase
+from nmt_core.vocabulary import ResultCode, RunPhase
 from nmt_core.wire import RUN_STATE, BlockReader
 from nmt_record.bag_writer import COMPRESSIONS, BagWriter
 from nmt_record.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, parse_topic
@@ -84,6 +84,8 @@ class RunRecorder:
         )
         self._run_id = str(json.loads(run_json).get("run_id", "")) if run_json else ""
         self._seen_running = False
+        self._ended_well = False
+        self._newest_voltage: bytes | None = None
         self._callbacks: dict[str, Callable[[bytes], None]] = {}
         for topic in self.topics:
             self.writer.add_topic(topic.name, topic.message_type, topic.service)
@@ -112,6 +114,16 @@ class RunRecorder:
             )
         return self.writer.failure or reason
 
+    @property
+    def awaits_ramp(self) -> bool:
+        """Whether the run ended early and the newest block of the voltage, if there is any, is not at zero yet."""
+        if self.end_sample is None or self._ended_well or self._newest_voltage is None:
+            return False
+        try:
+            return bool(BlockReader().read(self._newest_voltage).data.any())
+        except ValueError:
+            return False  # malformed; nothing can be told from it
+
     def _callback(self, topic: BenchTopic) -> Callable[[bytes], None]:
         name = topic.name
         if topic.message_type == SAMPLE_BLOCK:
@@ -121,6 +133,8 @@ class RunRecorder:
                 try:
                     head = head_of(raw)
                     self.gaps.add(name, head.first_sample, head.samples, head.sample_rate)
+                    if name == "voltage":
+                        self._newest_voltage = raw
                 except ValueError:
                     self.malformed += 1
                 self._write(name, True, raw)
@@ -143,6 +157,7 @@ class RunRecorder:
         elif self._seen_running or (state.run_id and state.run_id == self._run_id):
             # Otherwise it is the latched end of an earlier run.
             self.end_sample = state.sample
+            self._ended_well = state.result_code == ResultCode.SUCCEEDED
 
     def _write(self, topic: str, stamped: bool, raw: bytes) -> None:
         if self.writer.state != "open":

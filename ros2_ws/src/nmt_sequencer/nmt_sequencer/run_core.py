@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from typing import Any
 
 from nmt_core.cdr import bench_time_ns
+from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge, Source
 from nmt_core.excitation import Excitation
 from nmt_core.modal_point import ModalPoint
 from nmt_core.parameters import Parameter
@@ -34,6 +35,10 @@ PARAMETERS = (
     Parameter("points_timeout", 30.0, "s", "Wall time to wait for missing modal points after a run.", low=0.0),
 )
 
+# In real time a sequencer may join a loop that has run for long, and miss blocks that the loop could not answer.
+_LONGEST_BEFORE = 7 * 86400.0  # s
+_LONGEST_STALL = 10.0  # s
+
 
 class RunCore:
     """The run machine with its parameters, and its orders and states as records.
@@ -46,6 +51,7 @@ class RunCore:
     Attributes:
         machine: the state machine of the run.
         points: modal points of the run, by level.
+        judge: whether a state of the loop can be meant.
     """
 
     def __init__(self, values: Mapping[str, Any]) -> None:
@@ -62,6 +68,13 @@ class RunCore:
         )
         self.points: dict[int, ModalPoint] = {}
         self._published: tuple[Any, ...] = ()
+        rate, block = float(values["sample_rate"]), int(values["block_samples"])
+        lockstep = self.machine.pacing.lockstep
+        self.judge = CommandJudge(
+            block,
+            horizon=round((LONGEST_AHEAD if lockstep else _LONGEST_BEFORE) * rate),
+            most_missing=int(values["latency_blocks"]) if lockstep else round(_LONGEST_STALL * rate / block),
+        )
 
     def plan(self, goal: Mapping[str, Any]) -> RunPlan:
         """The plan that a goal asks for; what the goal leaves at zero is taken from the parameters.
@@ -94,6 +107,7 @@ class RunCore:
             BenchError: a run is active.
         """
         self.points.clear()
+        self.judge.release()
         self.machine.start(plan)
 
     def refuse(self, plan: RunPlan, code: ResultCode, reason: str) -> None:
@@ -104,9 +118,35 @@ class RunCore:
         machine.phase = RunPhase.DONE
         machine.end_sample = machine.newest + 1
 
-    def take_status(self, status: LoopStatus) -> None:
-        """Take the state of the loop after a block."""
+    def take_status(self, status: LoopStatus, source: Hashable = "loop") -> str:
+        """Take the state of the loop after a block.
+
+        A state that is repeated or late acknowledges a level at most; a second source ends the run.
+
+        Args:
+            status: the state.
+            source: who sent it, see `nmt_core.command_judge.CommandJudge.judge`.
+
+        Returns:
+            Empty if the state is taken, otherwise the sentence why it cannot be meant.
+        """
+        last = self.judge.last
+        why = self.judge.judge(
+            source,
+            based_on=status.last_sample if last is None or status.last_sample > last else None,
+            values={"frequency_hz": status.frequency_hz, "drive_amplitude": status.drive_amplitude},
+        )
+        if self.judge.second_source and self.machine.active:
+            reason = f"Topic frequency has a second publisher: {self.judge.second_source}."
+            self.machine.stop(ResultCode.REFUSED, reason)
+            if isinstance(source, Source) and not source.alone:
+                # Nothing heard can be believed any more; the plant ramps to zero when the run is over.
+                self.machine.abandon(ResultCode.REFUSED, reason)
+        if why:
+            self.machine.work()
+            return why
         self.machine.on_report(status)
+        return ""
 
     def take_lock(self, lock: LockEvent) -> None:
         """Take a lock event."""

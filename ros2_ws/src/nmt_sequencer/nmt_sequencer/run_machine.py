@@ -307,6 +307,9 @@ class RunMachine:
             return
         record = self.records[-1]
         if report.flags & _TRIPPED:
+            if self.stop_request is not None and self.stop_request[0] in (ResultCode.NODE_LOST, ResultCode.REFUSED):
+                self._quiet(effective, *self.stop_request)  # why it tripped
+                return
             tripped = "a safety limit" if report.flags & BlockFlag.LIMIT else "the drive watchdog"
             record.reason = record.reason or f"{tripped} has tripped"
             self._quiet(effective, ResultCode.LIMIT, f"Level {record.index + 1}: {record.reason}.")

@@ -11,6 +11,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
+from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import ResultCode, RunPhase
 from nmt_core.wire import LEVEL, LOCK_EVENT, MODAL_POINT, RUN_STATE, read_status
@@ -32,6 +33,8 @@ class SequencerNode(BenchNode):
         **kwargs: forwarded to :class:`rclpy.node.Node`.
     """
 
+    NEEDED = ("sample_rate", "block_samples", "watched_nodes")
+
     def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
         super().__init__("sequencer", PARAMETERS, values, **kwargs)
         self.core = RunCore(self.values)
@@ -46,7 +49,7 @@ class SequencerNode(BenchNode):
 
         self._level = self.bench_publisher(msg.Level, "level", SAMPLES_QOS)
         self._state = self.bench_publisher(msg.RunState, "run_state", STATE_QOS)
-        self.bench_subscription(msg.Frequency, "frequency", self._on_frequency, SAMPLES_QOS, raw=True)
+        self.command_subscription(msg.Frequency, "frequency", self._on_frequency, SAMPLES_QOS)
         self.bench_subscription(msg.LockEvent, "lock", self._on_lock, SAMPLES_QOS, raw=True)
         self.bench_subscription(msg.ModalPoint, "modal_point", self._on_point, SAMPLES_QOS, raw=True)
         self._server = ActionServer(
@@ -59,7 +62,9 @@ class SequencerNode(BenchNode):
         )
         for name, call in (("stop", self._stop), ("pause", self._pause), ("resume", self._resume)):
             self.create_service(Trigger, name, call)
-        self.create_timer(_GUARD_PERIOD, self._guard)
+        self._refused = 0
+        self._told = ""
+        self.steady_timer(_GUARD_PERIOD, self._guard)
         self._publish_state()
 
     # -- goals ---------------------------------------------------------------------------------------------------
@@ -114,19 +119,24 @@ class SequencerNode(BenchNode):
         goal_handle, plan, since = self._pending
         missing = self.unready_nodes()
         own = self.missing_peers()
+        second = self.second_publisher()
         if goal_handle.is_cancel_requested:
             self._refuse(plan, ResultCode.CANCELED, "Cancelled before the first level.")
-        elif not missing and not own:
+        elif not missing and not own and not second:
             self._pending = None
+            self.forget_failures()
+            self._told = ""
             self.core.start(plan)
             self._publish_all()
         elif time.monotonic() - since > float(self.values["ready_timeout"]):
             what = [f"{name} ({state})" for name, state in missing.items()]
             what += [f"the peers of topic {topic}" for topic in own]
+            what += [second] if second else []
             self._refuse(
                 plan,
                 ResultCode.NODE_LOST,
-                f"Not ready within {self.values['ready_timeout']:g} s: {', '.join(what)}; start the missing nodes.",
+                f"Not ready within {self.values['ready_timeout']:g} s: {', '.join(what)}; start the missing "
+                "nodes and end those that do not belong here.",
             )
 
     def _refuse(self, plan: RunPlan, code: ResultCode, reason: str) -> None:
@@ -141,16 +151,27 @@ class SequencerNode(BenchNode):
 
     # -- what comes in -------------------------------------------------------------------------------------------
 
-    def _on_frequency(self, raw: bytes) -> None:
+    def _on_frequency(self, raw: bytes, source: Source) -> None:
         try:
             status = read_status(raw)
         except ValueError as error:
             self.get_logger().error(f"Loop state refused: {error}", throttle_duration_sec=1.0)
             return
-        if status.last_sample > self.machine.newest:
+        if status.flags and self.machine.active:
+            self._stop_for_failures()  # the plant may have said why it tripped
+        newest = self.machine.newest
+        why = self.core.take_status(status, source)
+        if why:
+            self._refused += 1
+            self.get_logger().error(f"Loop state refused: {why}", throttle_duration_sec=1.0)
+        if self.machine.newest > newest:
             self._newest_wall = time.monotonic()
-        self.core.take_status(status)
         self._publish_all()
+
+    def _stop_for_failures(self) -> None:
+        failed, words = self.failed_node()
+        if failed:
+            self.machine.stop(ResultCode.NODE_LOST, f"Node {failed} reports: {words.rstrip('.')}.")
 
     def _on_lock(self, raw: bytes) -> None:
         try:
@@ -231,9 +252,14 @@ class SequencerNode(BenchNode):
             silent = self.silent_node()
             if silent:
                 machine.stop(ResultCode.NODE_LOST, f"Node {silent} has fallen silent.")
-            failed, words = self.failed_node()
-            if failed:
-                machine.stop(ResultCode.NODE_LOST, f"Node {failed} reports: {words.rstrip('.')}.")
+            self._stop_for_failures()
+            second = self.second_publisher()
+            if second:
+                reason = f"{second[0].upper()}{second[1:]}."
+                machine.stop(ResultCode.REFUSED, reason)
+                if self._told != second:
+                    self._told = second
+                    self.get_logger().warning(f"The run ends: {reason}")
             if machine.phase == RunPhase.STOPPING or machine.stop_request is not None:
                 self._stopping_since = self._stopping_since or now
                 limit = _QUIET_TIMEOUT + (0.0 if machine.pacing.lockstep else machine.pacing.quiet_ramp + 1.0)
@@ -256,6 +282,8 @@ class SequencerNode(BenchNode):
             phase=self.machine.phase.name,
             levels_locked=sum(record.complete for record in records),
             levels_not_locked=sum(bool(record.reason) for record in records),
+            refused=self._refused,
+            **{f"frequency_{key}": value for key, value in self.core.judge.counts.items()},
         )
 
     def shut_down(self) -> None:

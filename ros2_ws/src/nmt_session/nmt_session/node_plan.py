@@ -202,8 +202,11 @@ class NodePlan:
     goal: dict[str, Any]
 
     def write_parameters(self, path: Path) -> None:
-        """Write a parameter file that ``ros2 run … --ros-args --params-file`` takes for any of the nodes."""
-        content = {name: {"ros__parameters": values} for name, values in self.values.items()}
+        """Write a parameter file that ``ros2 run … --ros-args --params-file`` takes for any of the nodes.
+
+        It holds in every namespace.
+        """
+        content = {f"/**/{name}": {"ros__parameters": values} for name, values in self.values.items()}
         path.write_text(yaml.safe_dump(content, sort_keys=True, allow_unicode=True), encoding="utf-8")
 
 

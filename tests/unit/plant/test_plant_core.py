@@ -1,0 +1,129 @@
+"""What the plant does with drive commands that cannot be meant: nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nmt_core.command_judge import Refusal, Source
+from nmt_core.errors import BenchError
+from nmt_core.records import DriveCommand, RunState
+from nmt_core.vocabulary import Quantity, ResultCode, RunPhase, Waveform
+from nmt_plant.loopback_device import LoopbackDevice
+from nmt_plant.plant_core import PlantCore
+
+BLOCK, RATE = 100, 1000.0
+LOOP = Source("01", "/pll")
+STRANGER = Source("02", "/stranger")
+
+
+def state(phase: RunPhase, horizon: int = 10_000) -> RunState:
+    return RunState("run", phase, 0, 1, 0.3, 0.0, 0, horizon, ResultCode.UNKNOWN, "")
+
+
+def sine(based_on: int, amplitude: float = 0.3, apply_at: int | None = None) -> DriveCommand:
+    return DriveCommand(
+        Waveform.SINE, 20.0, amplitude, 0.0, based_on + 1 if apply_at is None else apply_at, based_on_sample=based_on
+    )
+
+
+def running(latency_blocks: int = 0, lockstep: bool = True) -> PlantCore:
+    core = PlantCore(LoopbackDevice(RATE, BLOCK), latency_blocks, lockstep)
+    core.take_state(state(RunPhase.RUNNING))
+    return core
+
+
+def produce(core: PlantCore) -> float:
+    """Largest voltage of the next block."""
+    blocks = {block.quantity: block for block in core.produce()}
+    return float(np.max(np.abs(blocks[Quantity.VOLTAGE].data)))
+
+
+def test_the_commands_of_the_loop_are_taken_one_a_block() -> None:
+    core = running()
+    for number in range(20):
+        assert core.due
+        produce(core)
+        assert not core.due
+        assert core.take_drive(sine((number + 1) * BLOCK - 1), LOOP) == ""
+    assert produce(core) == pytest.approx(0.3, rel=1e-2)
+    assert core.judge.counts == {"accepted": 20, "missing_blocks": 0}
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_a_base_that_nobody_has_measured_does_not_switch_lockstep_off(lockstep: bool) -> None:
+    core = running(lockstep=lockstep)
+    produce(core)
+    assert "has not been measured" in core.take_drive(sine(2**60, 5.0, apply_at=0), LOOP)
+    assert "has not been measured" in core.take_drive(sine(2 * BLOCK - 1, 5.0, apply_at=0), LOOP)
+    assert not core.due
+    assert produce(core) == 0.0
+    assert core.judge.counts["refused_not_measured_yet"] == 2
+
+
+def test_a_command_before_the_first_block_has_no_base() -> None:
+    core = running()
+    assert core.take_drive(sine(BLOCK - 1, 5.0, apply_at=0), LOOP)
+    assert produce(core) == 0.0
+
+
+def test_blocks_left_out_are_allowed_as_far_as_the_plant_runs_ahead() -> None:
+    strict, loose = running(0), running(2)
+    for core in (strict, loose):
+        produce(core)
+        assert core.take_drive(sine(BLOCK - 1), LOOP) == ""
+        for _ in range(3):
+            produce(core)
+    assert "were left out" in strict.take_drive(sine(3 * BLOCK - 1), LOOP)
+    assert loose.take_drive(sine(4 * BLOCK - 1), LOOP) == ""
+
+
+def test_a_second_source_is_named_and_moves_nothing() -> None:
+    core = running()
+    produce(core)
+    assert core.take_drive(sine(BLOCK - 1), LOOP) == ""
+    assert core.second_source == ""
+    produce(core)
+    assert "/stranger" in core.take_drive(sine(2 * BLOCK - 1, 5.0, apply_at=0), STRANGER)
+    assert not core.due
+    assert core.second_source == "topic drive has a second publisher: /stranger"
+    assert core.take_drive(sine(2 * BLOCK - 1), LOOP) == ""
+    assert core.due
+    assert produce(core) < 0.31
+    assert core.judge.refused[Refusal.SOURCE] == 1
+
+
+def test_of_several_publishers_none_is_believed_even_before_the_first_command() -> None:
+    core = running()
+    produce(core)
+    both = Source("01 02", "/pll and /stranger", alone=False)
+    assert "several publishers" in core.take_drive(sine(BLOCK - 1, 5.0), both)
+    assert not core.due
+    assert "/pll and /stranger" in core.second_source
+
+
+def test_a_command_that_names_a_sample_far_ahead_is_refused() -> None:
+    core = running()
+    produce(core)
+    assert "ahead" in core.take_drive(sine(BLOCK - 1, apply_at=2**60), LOOP)
+    assert not core.due
+
+
+def test_a_command_beyond_the_device_is_an_answer_all_the_same() -> None:
+    core = running()
+    produce(core)
+    with pytest.raises(BenchError, match="limit of 10 V"):
+        core.take_drive(sine(BLOCK - 1, 50.0), LOOP)
+    assert core.due
+
+
+def test_a_new_run_accepts_a_loop_that_was_started_again() -> None:
+    core = running()
+    produce(core)
+    assert core.take_drive(sine(BLOCK - 1), LOOP) == ""
+    core.take_state(state(RunPhase.DONE))
+    produce(core)
+    assert core.take_drive(sine(2 * BLOCK - 1), STRANGER)
+    core.take_state(state(RunPhase.RUNNING))
+    assert core.second_source == ""
+    assert core.take_drive(sine(2 * BLOCK - 1), STRANGER) == ""

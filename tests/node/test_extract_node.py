@@ -100,9 +100,9 @@ class Stage:
         """Messages of a topic that the node has taken."""
         extractor = self.node.core.extractor
         assembler = extractor._assembler
-        counts = {"frequency": len(assembler._states), "level": len(extractor._levels)}
+        counts = {"frequency": assembler.table.kept[1], "level": len(extractor._levels)}
         counts["lock"] = len(extractor._lock_samples)
-        return {**counts, **assembler.blocks}[topic]
+        return {**counts, **assembler.table.blocks}[topic]
 
     def close(self):
         if self.node is not None:

@@ -176,4 +176,4 @@ def test_the_samples_of_a_window_are_those_that_were_extracted(bag: tuple[Path, 
         segment = segments(opened)[level.index]
         rate = RIG.sample_rate_hz
         assert (level.start_s, level.stop_s) == (segment.first_sample / rate, segment.end_sample / rate)
-        assert level.frequency_hz == pytest.approx(points[level.index].frequency_hz, rel=1e-9)
+        assert level.frequency_hz == pytest.approx(points[level.index].frequency_hz, rel=1e-8)

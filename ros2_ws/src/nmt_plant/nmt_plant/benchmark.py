@@ -41,11 +41,6 @@ class PlantBenchmark:
     peer: float
     peer_seconds: float
 
-    @property
-    def kernel_over_peer(self) -> float:
-        """How many times faster than the peer the time integration is."""
-        return self.kernel / self.peer
-
 
 def solve_ivp_peer(
     system: ElectromechanicalSystem,

@@ -20,6 +20,7 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.vocabulary import ControlKind, TestKind
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_extract.settings import ExtractionSettings
+from nmt_plant.oscillator import PEAK_FACTOR
 from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
 from nmt_pll.settings import settings_from
 from nmt_rig.linear_description import linear_description
@@ -33,9 +34,6 @@ RAMP_WINDOW = 20
 """Whole periods of a window of the strategy ``ramp`` unless the test says otherwise."""
 RAMP_DELAY = 1.0
 """Periods from the start of a level to its window in the strategy ``ramp``."""
-
-PEAK_FACTOR = 4.0
-"""Times its rms that a random drive reaches within seconds."""
 
 # Where each node's class and executable are found.
 NODES: dict[str, tuple[str, str, str]] = {

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from nmt_report.svg import ReportFigure
-from nmt_study.case import StudyCase
 
 Result = Mapping[str, Any]
 """What :func:`nmt_study.case_runner.run_case` returned, with ``case``."""
@@ -63,18 +61,3 @@ class StudyOutput:
     remarks: Sequence[str] = ()
     extra_rows: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
     tables: Sequence[StudyTable] = ()
-
-
-class StudyModule(Protocol):
-    """What the module of a study provides."""
-
-    TITLE: str
-
-    def cases(self, quick: bool) -> list[StudyCase]:
-        """The cases; few and short ones if ``quick``."""
-
-    def show(self, results: Sequence[Result]) -> StudyOutput:
-        """Figures and findings from finished cases, in the order of the cases."""
-
-    def evaluate(self, case: StudyCase, bag: Path) -> dict[str, Any]:
-        """Further evaluation of a case's bag; optional."""

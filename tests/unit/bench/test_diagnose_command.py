@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from unit.diagnose.evidence_bags import altered, record, rig_with_noise, with_da
 
 from nmt_bench.cli import main
 from nmt_core.blocks import Quantity, SampleBlock
+from nmt_core.records import LockEvent
 from nmt_diagnose.effects.library import library
 from nmt_rig.rig import find_rig, load_rig
 
@@ -131,10 +133,8 @@ def test_a_bag_of_another_rig(gain_bag: Path, tmp_path: Path, capsys: pytest.Cap
 
 
 def test_three_periods(gain_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def short(message: object) -> object:
-        message.window_periods = 3  # type: ignore[attr-defined]
-        message.window_samples = 3 * 450  # type: ignore[attr-defined]
-        return message
+    def short(event: LockEvent) -> LockEvent:
+        return replace(event, window_periods=3, window_samples=3 * 450)
 
     bag = altered(gain_bag, tmp_path / "short", events=short)
     assert "period" in refused(capsys, tmp_path / "out", "--model", "beam", "--real", bag)

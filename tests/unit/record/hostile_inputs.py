@@ -265,7 +265,9 @@ def main() -> None:
             traces.append(f"{name}: {traceback.format_exc()}")
         finally:
             signal.alarm(0)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    # Not ru_maxrss: it keeps the size of the process that started this one.
+    status = Path("/proc/self/status").read_text()
+    peak = 1024 * int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:")))
     print(json.dumps({"count": count, "refused": refused, "traces": traces, "slow": slow, "peak": peak}))
 
 

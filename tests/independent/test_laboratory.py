@@ -140,5 +140,8 @@ def test_the_bench_reads_the_foreign_laboratory(tmp_path: Path, capsys: pytest.C
     for point in points:
         assert point.frequency_hz == pytest.approx(expected, rel=3e-6)
         assert point.damping_ratio == pytest.approx(damping_ratio(chain), rel=5e-3)
+    modal = tmp_path / "modal"
+    assert main(["extract", str(bag), "--out", str(modal)]) == 0
+    assert "time in the window / periods" in (modal / "report.html").read_text()
     outcome = diagnose_bags(recorded.model, [bag / "bag"])
     assert outcome.diagnosis.verdict.value == "none"

@@ -212,7 +212,7 @@ def _with_frequency(excerpts: Sequence[Excerpt], points: Sequence[ModalPoint]) -
     complete = []
     for excerpt in excerpts:
         frequency = known.get(excerpt.level_index, math.nan)
-        if math.isfinite(excerpt.frequency_hz):
+        if excerpt.frequency_hz > 0.0:  # 0 and NaN both say that it is not known
             complete.append(excerpt)
         elif frequency > 0.0:
             stop = round(EXCERPT_PERIODS * excerpt.sample_rate / frequency)

@@ -5,7 +5,7 @@
     python docs/make_reference.py --check   # exit code 1 if a page is not up to date
 
 A page holds its tables between ``<!-- generated: KIND NAME -->`` and ``<!-- end -->``; everything else is
-written by hand. KIND is ``message`` (a .msg or .action file), ``parameters`` (the table of a node), ``rig``
+written by hand. KIND is ``message`` (a .msg, .srv or .action file), ``parameters`` (the table of a node), ``rig``
 (a section of the rig file), ``options`` (a command), ``effects`` (a place of the diagnosis) or ``priors``. The
 tables of parameters stand in the node modules, so they need ROS 2.
 """
@@ -37,7 +37,46 @@ NODE_MODULES = {
 
 # What the keys of a rig file mean; units and ranges come from the models.
 RIG_MEANINGS: dict[str, dict[str, str]] = {
+    "PortAudioSection": {
+        "outputs": "drive channels; one",
+        "inputs": "measured channels: one for every sensor; a `voltage` sensor without one is what was put out",
+        "check_valid_hours": "age up to which a passing `./nmt check` lets a test begin",
+        "settling_s": "quiet time before the delay is measured",
+        "kind": "converter",
+        "name": "of the device as PortAudio lists it, or a part of the name; empty = the first that has the ports",
+        "host_api": "of PortAudio, or a part of its name: JACK, ALSA",
+        "latency_s": "asked of PortAudio; none = its low one",
+    },
+    "NiDaqmxSection": {
+        "outputs": "drive channels; one",
+        "inputs": "measured channels: one for every sensor; a `voltage` sensor without one is what was put out",
+        "check_valid_hours": "age up to which a passing `./nmt check` lets a test begin",
+        "settling_s": "quiet time before the delay is measured",
+        "kind": "converter",
+        "address": "host:port of NI's gRPC device server; empty = the driver of this computer",
+        "start_trigger": "terminal that starts the output; empty = start trigger of the first input's device",
+        "clock_source": "terminal of the output's sample clock; empty = that of the first input's device",
+        "buffer_blocks": "blocks that the output's buffer holds",
+    },
+    "OutputPortSection": {
+        "channel": "name",
+        "port": "number from 1 (PortAudio) or physical channel (NI)",
+        "range_v": "full scale of the port",
+        "amplifier_gain": "volts at the exciter for a volt at the port",
+    },
+    "InputPortSection": {
+        "channel": "name of the sensor",
+        "port": "number from 1 (PortAudio) or physical channel (NI)",
+        "range_v": "full scale of the port",
+        "sensitivity_v": "volts at the port for one unit of the sensor: V/N, V per m/s²",
+        "uncertainty": "standard, relative, of the sensitivity, from the calibration sheet",
+        "calibrated": "date of that sheet",
+        "serial": "of the sensor",
+        "coupling": "of the input (NI)",
+        "icp_ma": "current of the sensor's supply (NI); 0 = none",
+    },
     "Rig": {
+        "device": "converter and channel map; left out = the rig is simulated",
         "name": "name of the rig: a letter, then letters, digits and underscores; goes into `frame_id`, "
         "run ids and reports",
         "description": "one line for people",
@@ -253,6 +292,15 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "gap_m": "free play to each side",
     },
     "QuadraticDragSection": {"kind": "g = c₂ v |v|", "drag_ns2_m2": "c₂"},
+    "AmplitudeDamperSection": {
+        "kind": "g = c w² v: damping that grows with the square of the amplitude (van der Pol type)",
+        "damping_ns_m3": "c",
+    },
+    "PowerLawDamperSection": {
+        "kind": "g = c |v|ᵖ sgn v",
+        "coefficient_n_sp_mp": "c, N sᵖ/mᵖ",
+        "exponent": "p; 1 = linear damper, 2 = quadratic drag",
+    },
     "LinearSpringSection": {"kind": "g = k w", "stiffness_n_m": "k"},
     "LinearDamperSection": {"kind": "g = c v", "damping_ns_m": "c"},
     "TanhFrictionSection": {
@@ -365,19 +413,20 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
 _UNITS = {
     "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_m2": "N/m²", "_ns2_m2": "N s²/m²", "_ns_m": "N s/m", "_n_m": "N/m",
     "_kg_m3": "kg/m³", "_m_s2": "m/s²", "_m_s": "m/s", "_n_a": "N/A", "_kg": "kg", "_pa": "Pa", "_hz": "Hz",
-    "_nm_rad": "N m/rad", "_ns_m2": "N s/m²", "_n_sa_m": "N sᵅ/m", "_per_s": "1/s", "_per_m": "1/m", "_per_m2": "1/m²",
+    "_nm_rad": "N m/rad", "_ns_m2": "N s/m²", "_ns_m3": "N s/m³", "_n_sp_mp": "N sᵖ/mᵖ", "_n_sa_m": "N sᵅ/m",
+    "_per_s": "1/s", "_per_m": "1/m", "_per_m2": "1/m²",
     "_ohm": "Ω", "_m_n": "m/N", "_h": "H", "_n": "N", "_m": "m", "_s": "s", "_v": "V", "_v_s": "V/s", "_volt": "N/V",
 }  # fmt: skip
 
 
 def message_table(name: str) -> str:
-    """Fields and constants of a message or action as Markdown tables.
+    """Fields and constants of a message, service or action as Markdown tables.
 
     Args:
         name: path below nmt_msgs, for example ``msg/Drive.msg``.
     """
     parts = (MESSAGES / name).read_text(encoding="utf-8").split("\n---\n")
-    titles = ("Goal", "Result", "Feedback") if name.endswith(".action") else ("",)
+    titles = {".action": ("Goal", "Result", "Feedback"), ".srv": ("Request", "Response")}.get(Path(name).suffix, ("",))
     return "\n\n".join(
         (f"**{title}**\n\n" if title else "") + _message_part(part) for title, part in zip(titles, parts, strict=True)
     )
@@ -454,7 +503,7 @@ def options_table(name: str) -> str:
 def _option_lines(command: argparse.ArgumentParser) -> list[str]:
     lines = ["| argument | meaning |", "|---|---|"]
     for action in command._actions:
-        if action.dest == "help":
+        if action.dest == "help" or (action.dest == "json" and action.nargs == 0):  # every command has them
             continue
         value = str(action.metavar or ("{" + ",".join(map(str, action.choices)) + "}" if action.choices else ""))
         words = ", ".join(action.option_strings)

@@ -46,23 +46,34 @@ class Library:
 
 
 LIBRARIES = {
+    # rosdep has the key, Ubuntu 24.04 the version 3.9.
+    "aiohttp": Library("aiohttp", ">=3.9", "python3-aiohttp", "python3-aiohttp"),
     "distributed": Library("distributed", ">=2024.1", apt="python3-distributed", extra="dask"),
+    "grpc": Library("grpcio", ">=1.49", apt="python3-grpcio", extra="hardware"),
+    "h5py": Library("h5py", ">=3.10", apt="python3-h5py"),
+    "jack": Library("JACK-Client", ">=0.5.4", extra="hardware"),
     "jinja2": Library("jinja2", ">=3.1", "python3-jinja2", "python3-jinja2"),
     "joblib": Library("joblib", ">=1.3", "python3-joblib", "python3-joblib"),
     "lz4": Library("lz4", ">=4.0", apt="python3-lz4"),
     "matplotlib": Library("matplotlib", ">=3.6", "python3-matplotlib", "python3-matplotlib"),
     "mcap": Library("mcap", ">=1.1"),
     # rosdep knows python3-numba for older Ubuntus only.
+    "nidaqmx": Library("nidaqmx", ">=1.0", extra="hardware"),
     "numba": Library("numba", ">=0.59"),
     "numpy": Library("numpy", ">=1.26", "python3-numpy", "python3-numpy"),
     # Ubuntu 24.04 has version 1.10, to which the key python3-pydantic leads; the rig file needs version 2.
     "pydantic": Library("pydantic", ">=2.5"),
+    "pyuff": Library("pyuff", ">=2.4"),
     "rich": Library("rich", ">=13.7", apt="python3-rich"),
+    "pandas": Library("pandas", ">=2.0", apt="python3-pandas", extra="analysis"),
     # What is asked of its tables of types changes from version to version.
     "rosbags": Library("rosbags", "==0.11.9"),
     "ruamel": Library("ruamel.yaml", ">=0.17.21", "python3-ruamel.yaml", "python3-ruamel.yaml"),
     "scipy": Library("scipy", ">=1.11", "python3-scipy", "python3-scipy"),
     "sdypy": Library("sdypy-EMA", ">=0.31"),
+    "shtab": Library("shtab", ">=1.6", apt="python3-shtab", extra="completion"),
+    "sounddevice": Library("sounddevice", ">=0.4.6", extra="hardware"),
+    "xarray": Library("xarray", ">=2023.6", apt="python3-xarray", extra="analysis"),
     "yaml": Library("PyYAML", ">=6.0", "python3-yaml", "python3-yaml"),
     "zstandard": Library("zstandard", ">=0.22", apt="python3-zstandard"),
 }
@@ -72,12 +83,27 @@ WITH_ANOTHER = {"markupsafe": "jinja2", "pydantic_core": "pydantic"}
 """Modules that come with a library of another name."""
 
 ROS = frozenset(
-    {"diagnostic_msgs", "launch", "launch_ros", "nmt_msgs", "rcl_interfaces", "rclpy", "std_msgs", "std_srvs"}
+    {
+        "action_msgs",
+        "diagnostic_msgs",
+        "launch",
+        "launch_ros",
+        "nmt_msgs",
+        "rcl_interfaces",
+        "rclpy",
+        "std_msgs",
+        "std_srvs",
+        "unique_identifier_msgs",
+    }
 )
 """Packages of ROS 2, each its own rosdep key; in the wheel they are absent."""
 
+NOT_IN_THE_WHEELS = frozenset({"launch", "launch_ros"})
+"""Packages of ROS 2 that come from apt only; the launch file alone needs them."""
+
 KNOWN_KEYS = frozenset(
-    f"python3-{name}" for name in ("jinja2", "joblib", "matplotlib", "numpy", "pytest", "ruamel.yaml", "scipy", "yaml")
+    f"python3-{name}"
+    for name in ("aiohttp", "jinja2", "joblib", "matplotlib", "numpy", "pytest", "ruamel.yaml", "scipy", "yaml")
 )
 """Keys of rosdep/python.yaml for Ubuntu, read in ros/rosdistro at 000730dc5f916eb05b15d3f183bd1c17bf1b4722."""
 
@@ -116,7 +142,8 @@ def needs(package: str) -> tuple[str, ...]:
     Raises:
         SystemExit: an import is in no table.
     """
-    names = {WITH_ANOTHER.get(name, name) for name in imports_of(SOURCE / package / package)} - {package}
+    found = imports_of(SOURCE / package / package) | imports_of(SOURCE / package / "launch")
+    names = {WITH_ANOTHER.get(name, name) for name in found} - {package}
     unknown = names - set(LIBRARIES) - ROS - set(packages())
     if unknown:
         raise SystemExit(f"{package} imports {', '.join(sorted(unknown))}: say in requirements/packages.py where from")

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import settings
 
 from nmt_bench.orchestration.bench_domain import BenchDomain
-from nmt_bench.orchestration.shared_memory import remove_dead_segments
+from nmt_core.shared_memory import remove_dead_segments
 
 TESTS = Path(__file__).resolve().parent
 

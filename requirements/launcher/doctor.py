@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes.util
 import glob
 import os
 import re
@@ -135,6 +136,31 @@ def examine_machine(findings: Findings, source: str, state: dict[str, Any]) -> N
             findings.ok("no shared memory left by ended processes")
 
 
+def examine_hardware(findings: Findings) -> None:
+    """Whether processes may have real-time priority, and what hardware tests need besides."""
+    ask = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))"
+    if subprocess.run([sys.executable, "-c", ask], capture_output=True).returncode == 0:
+        findings.ok("real-time priority is allowed (tests on hardware)")
+    else:
+        findings.note(
+            "real-time priority is not allowed; tests on hardware want it: write '@audio - rtprio 95' and '@audio - "
+            "memlock unlimited' into /etc/security/limits.d/audio.conf, type 'sudo usermod -aG audio $USER', log in "
+            "again (containers: --cap-add=SYS_NICE --ulimit rtprio=95 --ulimit memlock=-1)"
+        )
+    missing = [
+        name
+        for name, found in (
+            ("libportaudio2", ctypes.util.find_library("portaudio")),
+            ("jackd2", shutil.which("jackd")),
+        )
+        if not found
+    ]
+    if missing:
+        findings.note(f"for sound cards and the simulated specimen: sudo apt install {' '.join(missing)}")
+    else:
+        findings.ok("PortAudio and JACK are installed (sound cards, simulated specimen)")
+
+
 def examine_network(findings: Findings) -> None:
     """Whether the package index answers; asked only when something must be fetched."""
     from urllib.error import HTTPError
@@ -219,8 +245,6 @@ def examine_ros(findings: Findings, state: dict[str, Any]) -> None:
 
 def examine_real_time(findings: Findings) -> None:
     """Hints for pacing by the clock; a simulated run in lockstep needs none of them."""
-    import resource
-
     cores = len(os.sched_getaffinity(0))
     (findings.ok if cores >= 2 else findings.note)(
         f"{cores} processor cores" + ("" if cores >= 2 else ": real-time pacing needs two")
@@ -232,10 +256,6 @@ def examine_real_time(findings: Findings) -> None:
     if governors - {"performance"}:
         findings.note(
             f"frequency governor {'/'.join(sorted(governors))}: 'performance' lowers the jitter of real-time pacing"
-        )
-    if resource.getrlimit(resource.RLIMIT_RTPRIO)[1] == 0:
-        findings.note(
-            "no permission for real-time priority (ulimit -r): not needed in lockstep, lowers jitter with hardware"
         )
 
 
@@ -254,5 +274,6 @@ def doctor(wanted: str | None) -> int:
     if examine_set_up(findings, state):
         examine_ros(findings, state)
     examine_real_time(findings)
+    examine_hardware(findings)
     sys.stdout.write("Everything is in order.\n" if not findings.bad else f"{findings.bad} to mend.\n")
     return FAILED if findings.bad else 0

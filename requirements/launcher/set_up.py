@@ -18,6 +18,7 @@ from .places import (
     BUILD,
     INSTALL,
     INSTALLED_LOCK,
+    MISUSED,
     ROOT,
     STATE_FILE,
     STATE_FOLDER,
@@ -50,7 +51,9 @@ def only_set_up() -> Iterator[int]:
     except OSError as error:
         if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
             raise SetupError(
-                f"The folder {ROOT} cannot be written: change its owner or clone it to a folder of yours."
+                f"The set-up in {ROOT} is not complete, and the folder cannot be written: have its owner run "
+                "'./nmt setup', or clone the project to a folder of yours.",
+                MISUSED,
             ) from None
         raise
     try:
@@ -77,6 +80,7 @@ def set_up(wanted: str | None) -> dict[str, Any]:
     source = choose_source(wanted, state)
     if state.get("source") == source and not pending_steps(state):
         return state
+    refuse_path(ROOT)
     with only_set_up() as guard:
         state = read_state()  # the other set-up may have done it all
         renewed = state.get("source") != source or not os.path.exists(VENV_PYTHON)
@@ -125,6 +129,21 @@ def set_up(wanted: str | None) -> dict[str, Any]:
                 progress.done()
         sys.stderr.write(f"Set up in {clock(time.monotonic() - begun)}.\n")
     return state
+
+
+def refuse_path(root: str) -> None:
+    """Refuse a folder whose name the tools that build the messages cannot read.
+
+    Raises:
+        SetupError: with the letter.
+    """
+    strange = next((letter for letter in root if not (letter.isascii() and letter.isprintable())), "")
+    if strange:
+        raise SetupError(
+            f"The folder {root} has '{strange}' in its name, which CMake and the generators of ROS 2 cannot read: move "
+            "the clone to a path of plain letters.",
+            MISUSED,
+        )
 
 
 def discard_set_up() -> None:

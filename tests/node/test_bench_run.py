@@ -199,7 +199,7 @@ def test_a_killed_node_ends_the_run(victim: str, tmp_path: Path) -> None:
 
 
 def test_real_time_keeps_the_clock() -> None:
-    with Bench("beam", [0.7], window_periods=20, pacing="realtime") as bench:
+    with Bench("beam", [0.7], window_periods=20, pacing="realtime", latency_blocks=10) as bench:
         result = bench.run()
     assert result.code == ResultCode.SUCCEEDED
     assert result.points[0].status == Status.OK

@@ -11,13 +11,16 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 
 from nmt_bench.harness import Bench, Progress
 from nmt_core.base_node import BenchNode
 from nmt_core.blocks import FloatArray
+from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_extract.modal_point import Status
+from nmt_msgs.msg import Drive
 from nmt_plant.device import DeviceFault
 from nmt_plant.loopback_device import LoopbackDevice
 from nmt_plant.plant_node import PlantNode
@@ -28,7 +31,7 @@ SIM_TIME = Parameter("use_sim_time", Parameter.Type.BOOL, True)
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    with Bench("beam", [0.3], out=tmp_path / "out", window_periods=30) as bench:
+    with Bench("beam", [0.3], out=tmp_path / "out", window_periods=600) as bench:
         yield bench
 
 
@@ -101,6 +104,8 @@ def test_a_failed_device_is_an_error_at_once_and_ends_the_run(bench: Bench, monk
     assert beats
     assert result.code == ResultCode.NODE_LOST
     assert "Node plant reports: The device failed: the amplifier is on fire" in result.message
+    late = Drive(waveform=Drive.SINE, frequency_hz=20.0, amplitude=0.1)
+    plant._on_drive(serialize_message(late), Source("", "/pll", alone=True))  # on its way when the device failed
     errors = [status for status in listener.heard if status.level == DiagnosticStatus.ERROR]
     assert errors
     assert "the amplifier is on fire" in errors[0].message
@@ -123,5 +128,5 @@ def test_warnings_and_margins_are_published(tmp_path: Path) -> None:
 def test_a_failure_of_the_run_before_does_not_end_the_next(bench: Bench) -> None:
     sequencer = bench.nodes["sequencer"]
     assert isinstance(sequencer, SequencerNode)
-    sequencer._failures["plant"] = "it was so before"
+    sequencer.company.failures["plant"] = "it was so before"
     assert bench.run().code == ResultCode.SUCCEEDED

@@ -152,6 +152,7 @@ def test_a_run_is_recorded_and_the_bag_closes_by_itself(stage):
         "state": "closed",
         "messages": sum(count for _, count in bag.topics.values()),
         "reason": "",
+        "goal": "",
     }
     assert bag.loss is None
     for topic in ("force", "acceleration"):

@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from nmt_bench.harness import Bench
-from nmt_core.vocabulary import RecordKind, ResultCode
-from nmt_core.wire import RUN_RECORD
+from nmt_core.vocabulary import RecordKind, ResultCode, RunPhase, SteeringAct
+from nmt_core.wire import RUN_RECORD, STEERING
 from nmt_record.bag_reader import Bag
+from nmt_sequencer.steering import SteeringRequest
 from nmt_session import Session, plan_test
 
 pytestmark = pytest.mark.node
@@ -92,6 +93,57 @@ def test_a_session_writes_the_bag_that_the_nodes_write(name: str, tmp_path: Path
     assert live.bag is not None
     assert alone.bag is not None
     compare(live.bag, alone.bag)
+
+
+STEERED = (
+    SteeringRequest(SteeringAct.PAUSE, at_sample=9_000, source="a test"),
+    SteeringRequest(SteeringAct.SKIP_LEVEL, 0, at_sample=12_000, source="a test"),
+    SteeringRequest(SteeringAct.CHANGE_LEVELS, levels=(0.45, 0.35, 0.9), at_sample=14_000, source="a test"),
+    SteeringRequest(SteeringAct.REPEAT_LEVEL, 1, at_sample=22_000, source="a test"),
+    SteeringRequest(SteeringAct.END, at_sample=70_000, source="a test"),
+)
+
+
+def test_nodes_and_a_session_that_are_steered_at_the_same_samples_write_the_same_bag(tmp_path: Path) -> None:
+    arguments = {"run_id": "steered", **TESTS["phase_resonance"]}
+    answers: list[str] = []
+
+    def steer_session(topic: str, record: Any) -> None:
+        if topic == "run_state" and record.phase == RunPhase.RUNNING and not answers:
+            answers.extend(session.steer(request) for request in STEERED)
+
+    def steer_bench(progress: Any) -> None:
+        if not asked:
+            asked.append(True)
+            futures.extend(bench.ask_to_steer(request) for request in STEERED)
+        if progress.sample >= 8_999:
+            futures.append(bench.ask_to_steer(SteeringRequest(SteeringAct.RESUME, source="the session")))
+
+    with Session(plan_test("beam", **arguments), tmp_path / "alone", listener=steer_session) as session:
+        alone = session.run()
+    assert answers == [""] * len(STEERED)
+    asked: list[bool] = []
+    futures: list[Any] = []
+    with Bench("beam", out=tmp_path / "live", **arguments) as bench:
+        live = bench.run(steer_bench)
+    assert alone.code == live.code == ResultCode.STOPPED
+    assert live.message == "Stopped by a test."
+    assert all(future.result().success for future in futures[: len(STEERED)])
+    there, here = messages(tmp_path / "live" / "bag"), messages(tmp_path / "alone" / "bag")
+    acts = [STEERING.read(raw) for raw in here["steering"]]
+    assert [act.act for act in acts] == [
+        SteeringAct.PAUSE,
+        SteeringAct.RESUME,
+        SteeringAct.SKIP_LEVEL,
+        SteeringAct.CHANGE_LEVELS,
+        SteeringAct.REPEAT_LEVEL,
+        SteeringAct.END,
+    ]
+    for topic in ("force", "acceleration", "voltage", "drive", "frequency", "level", "lock", "modal_point", "steering"):
+        assert len(there[topic]) == len(here[topic]), topic
+        if topic == "steering":  # when the pause ended is told by the sample, how long it was is not
+            continue
+        assert all(same(*pair) for pair in zip(there[topic], here[topic], strict=True)), topic
 
 
 def test_so_do_nodes_in_processes_of_their_own(tmp_path: Path) -> None:

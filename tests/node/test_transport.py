@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
 from nmt_bench.orchestration.bench_domain import bench_environment
 from nmt_core.dds_profile import PROFILE, two_host_profile
+from nmt_core.output_record import read_output
+from nmt_core.vocabulary import LoopState, ResultCode
+from nmt_record.bag_reader import Bag
+from nmt_session.node_plan import NODES, OUTPUT_RECORD, plan_nodes
+from nmt_session.plan_test import plan_test
 
 BENCH_ADDRESS, STRANGER_ADDRESS = "10.213.7.1", "10.213.7.2"
 DOMAIN = 87
-ATTACK = 3.0  # s of attack
+ATTACK = 4.0  # s of attack
 PATIENCE = 30.0
+LONGEST_RUN = 150.0
 
 # A node started by hand: nothing of the middleware is set but what base_node sets itself.
 LISTENER = """
@@ -217,7 +226,11 @@ def test_a_stranger_sees_and_reaches_nobody(wire, forms, start: str, form: str) 
 @pytest.mark.parametrize("form", ["static peers", "peer list in XML"])
 def test_without_the_profile_the_stranger_drives(wire, forms, form: str) -> None:
     """The attack works where nothing stops it, so the test above can fail."""
-    bench, stranger = attack(wire, {"NMT_TRANSPORT": "own", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, forms[form])
+    for _ in range(3):  # discovery between the hosts may take longer than one attack
+        open_to_all = {"NMT_TRANSPORT": "own", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        bench, stranger = attack(wire, open_to_all, forms[form])
+        if bench["heard"].get("5.0", 0) > 0:
+            break
     assert bench["heard"].get("5.0", 0) > 0
     assert stranger["nodes"] == ["listener", "pll"]
 
@@ -241,3 +254,139 @@ def test_two_hosts_that_name_each_other_meet(wire, tmp_path) -> None:
     assert bench["nodes"] == ["plant", "pll"]
     assert bench["heard"].get("0.3", 0) > 10
     assert [place for place in bench["sockets"] if place[0] == "00000000"] == []
+
+
+# One node of the bench by its class, as 'ros2 run' starts it.
+NODE = """
+import importlib, sys
+module, name, parameters = sys.argv[1:4]
+from nmt_core.base_node import spin_node
+kind = getattr(importlib.import_module(module), name)
+print("up", flush=True)
+sys.exit(spin_node(kind, args=["node", "--ros-args", "--params-file", parameters]))
+"""
+
+# Sends the goal and prints how the run ends; a line for every change of the loop's state.
+CLIENT = """
+import json, sys
+import rclpy
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from nmt_core.dds_profile import seal_transport
+from nmt_msgs.action import RunLevels
+
+seal_transport()
+rclpy.init()
+node = Node("operator")
+client = ActionClient(node, RunLevels, "run_levels")
+print("up", flush=True)
+client.wait_for_server()
+states = []
+def on_feedback(message):
+    if message.feedback.state not in states:
+        states.append(message.feedback.state)
+        print(json.dumps({"state": message.feedback.state}), flush=True)
+sent = client.send_goal_async(RunLevels.Goal(**json.loads(sys.argv[1])), feedback_callback=on_feedback)
+rclpy.spin_until_future_complete(node, sent)
+result = sent.result().get_result_async()
+rclpy.spin_until_future_complete(node, result)
+answer = result.result().result
+print(json.dumps({"code": answer.result_code, "message": answer.message}), flush=True)
+"""
+
+
+@contextlib.contextmanager
+def two_host_bench(wire: Wire, folder: Path, periods: int) -> Iterator[tuple[subprocess.Popen[str], dict]]:
+    """The plant on one host, all other nodes and the operator on the other; the operator's process and the plant's."""
+    late = {"sequencer": {"ready_timeout": 90.0}}
+    test = plan_test(
+        "beam", [0.3], pacing="realtime", latency_blocks=25, window_periods=periods, timeout=60.0, node_values=late
+    )
+    rig_file = folder / "rig.yaml"
+    rig_file.write_text(test.rig_yaml)
+    plan = plan_nodes(test, folder / "bag", rig_file)
+    plan.write_parameters(folder / "nodes.yaml")
+    profiles = {}
+    for own, peer in ((BENCH_ADDRESS, STRANGER_ADDRESS), (STRANGER_ADDRESS, BENCH_ADDRESS)):
+        profiles[own] = folder / f"{own}.xml"
+        profiles[own].write_text(two_host_profile(own, [peer]))
+    processes = []
+    try:
+        for name, (_, _, where) in NODES.items():
+            # The far end of the wire has its own shared memory for every process, so one node only can live there.
+            host, address = (wire.stranger, STRANGER_ADDRESS) if name == "plant" else (wire.bench, BENCH_ADDRESS)
+            module, _, kind = where.partition(":")
+            profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles[address])}
+            processes.append(wire.start(host, NODE, module, kind, str(folder / "nodes.yaml"), **profile))
+            up(processes[-1])
+        profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles[BENCH_ADDRESS])}
+        client = wire.start(wire.bench, CLIENT, json.dumps(plan.goal), **profile)
+        processes.append(client)
+        up(client)
+        yield client, dict(zip(NODES, processes, strict=False))
+    finally:
+        for process in reversed(processes):
+            process.terminate()
+        for process in reversed(processes):
+            try:
+                process.communicate(timeout=PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.communicate()
+
+
+def heard(client: subprocess.Popen[str], key: str, wanted: object = None) -> dict:
+    """The next line of the operator that has a key, and a value if one is wanted."""
+    assert client.stdout is not None
+    limit = threading.Timer(LONGEST_RUN, client.kill)
+    limit.start()
+    try:
+        for line in client.stdout:
+            words = json.loads(line)
+            if key in words and wanted in (None, words[key]):
+                return words
+    finally:
+        limit.cancel()
+    raise AssertionError("the operator has ended, or says nothing")
+
+
+def test_a_run_on_two_hosts_has_no_gap(wire: Wire, tmp_path: Path) -> None:
+    with two_host_bench(wire, tmp_path, 60) as (client, _):
+        answer = heard(client, "code")
+        end = time.monotonic() + PATIENCE
+        while not (tmp_path / "bag" / "metadata.yaml").exists() and time.monotonic() < end:
+            time.sleep(0.1)
+    assert answer["code"] == ResultCode.SUCCEEDED, answer
+    for topic in ("force", "acceleration", "voltage"):
+        blocks = list(Bag.open(tmp_path / "bag").blocks(topic))
+        assert [block.first_sample for block in blocks] == list(range(0, 200 * len(blocks), 200))
+        assert len(blocks) > 200
+
+
+def test_a_wire_that_is_cut_takes_the_drive_to_zero(wire: Wire, tmp_path: Path) -> None:
+    record = tmp_path / OUTPUT_RECORD
+    link = f"nmta{os.getpid() % 100000}"
+    with two_host_bench(wire, tmp_path, 5000) as (client, nodes):
+        heard(client, "state", LoopState.LOCKED)
+        before = len(read_output(record))
+        run_ip("-n", wire.bench, "link", "set", link, "down")
+        cut = time.monotonic()
+        try:
+            end = cut + PATIENCE
+            while not any(line.state == "HELD" for line in read_output(record)[before:]):
+                assert time.monotonic() < end
+                time.sleep(0.02)
+            time.sleep(2.0)
+            lines = read_output(record)
+            assert lines[-1].state == "HELD", "latched"
+            assert nodes["plant"].poll() is None, "the plant lives and measures on"
+        finally:
+            run_ip("-n", wire.bench, "link", "set", link, "up")
+            run_ip("-n", wire.bench, "route", "replace", "224.0.0.0/4", "dev", link)
+    following = [line for line in lines[:before] if line.state == "FOLLOWING"][-1]
+    held = lines[-1]
+    # Commands stop; and a plant whose middleware waits for the lost host is late for its own output. Either is enough.
+    assert held.reason.startswith(("watchdog: no drive command", "no block was there", "not fed for"))
+    # What the converter's clock lost on a busy machine is no time of the drive.
+    slip = (held.time - following.time) - (held.sample - following.sample) / 10_000.0
+    assert held.time - cut - max(slip, 0.0) <= 1.5

@@ -14,14 +14,17 @@ from rclpy.serialization import deserialize_message, serialize_message
 from unit.core.message_records import (
     RATE,
     blocks,
+    drive_stops,
     drives,
     levels,
     lock_events,
     modal_points,
+    monitors,
     run_records,
     run_states,
     same,
     statuses,
+    steerings,
     values_of,
 )
 
@@ -29,11 +32,14 @@ from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import bench_stamp
 from nmt_core.modal_point import COMPLEX
 from nmt_core.wire import (
+    DRIVE_STOP,
     LEVEL,
     LOCK_EVENT,
     MODAL_POINT,
+    MONITOR,
     RUN_RECORD,
     RUN_STATE,
+    STEERING,
     BlockReader,
     BlockWriter,
     LoopStatus,
@@ -44,7 +50,10 @@ from nmt_core.wire import (
 )
 from nmt_msgs import msg
 
-CODECS = {codec.name: codec for codec in (LEVEL, LOCK_EVENT, MODAL_POINT, RUN_RECORD, RUN_STATE)}
+CODECS = {
+    codec.name: codec
+    for codec in (DRIVE_STOP, LEVEL, LOCK_EVENT, MODAL_POINT, MONITOR, RUN_RECORD, RUN_STATE, STEERING)
+}
 WRITE = {name: codec.write for name, codec in CODECS.items()}
 WRITE.update(Drive=lambda drive: write_drive(drive, RATE), Frequency=lambda status: write_status(status, RATE))
 READ = {**{name: codec.read for name, codec in CODECS.items()}, "Drive": read_drive, "Frequency": read_status}
@@ -63,7 +72,8 @@ def rclpy_message(name: str, values: dict[str, Any]) -> Any:
         elif kind == "sequence<uint32>":
             setattr(message, field, array("I", value))
         else:
-            setattr(message, field, float(value) if kind == "double" else value if kind == "string" else int(value))
+            as_it_is = kind in ("string", "boolean")
+            setattr(message, field, float(value) if kind == "double" else value if as_it_is else int(value))
     return message
 
 
@@ -73,6 +83,9 @@ def rclpy_message(name: str, values: dict[str, Any]) -> Any:
         ("Level", levels),
         ("LockEvent", lock_events),
         ("RunState", run_states),
+        ("Steering", steerings),
+        ("DriveStop", drive_stops),
+        ("Monitor", monitors),
         ("RunRecord", run_records),
         ("ModalPoint", modal_points()),
         ("Drive", drives),
@@ -88,6 +101,8 @@ def test_records_are_what_rclpy_serialises_and_reads_back(name: str, strategy: A
     # Padding bytes are whatever the serialiser leaves there, and rclpy reserves some more for every empty sequence of
     # numbers of eight bytes; everything else must agree.
     empty = sum(getattr(record, item).size == 0 for item in COMPLEX) if name == "ModalPoint" else 0
+    empty += sum(not items for items in (record.peak, record.rms)) if name == "Monitor" else 0
+    empty += sum(not items for items in (record.levels, record.frequencies_hz)) if name == "Steering" else 0
     assert len(raw) <= len(expected) <= len(raw) + 8 * empty
     assert same(READ[name](expected), record)
     again = bytes(serialize_message(deserialize_message(raw, getattr(msg, name))))

@@ -10,6 +10,7 @@ setup(
         ("share/nmt_core", ["package.xml"]),
     ],
     install_requires=[
+        "h5py>=3.10",
         "numpy>=1.26",
         "PyYAML>=6.0",
     ],

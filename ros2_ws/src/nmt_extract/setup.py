@@ -12,6 +12,7 @@ setup(
     install_requires=[
         "numba>=0.59",
         "numpy>=1.26",
+        "pyuff>=2.4",
         "scipy>=1.11",
         "sdypy-EMA>=0.31",
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -12,8 +13,9 @@ import pytest
 from unit.bench.synthetic_bag import write_bag
 
 from nmt_bench import cli
-from nmt_bench.commands import output_folder
+from nmt_bench.commands import json_output, output_folder
 from nmt_core.errors import BenchError
+from nmt_rig.rig import rig_names
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -67,7 +69,6 @@ def test_runs_as_a_module() -> None:
         ("--nonsense",),
         ("no-such-command",),
         ("extract",),
-        ("extract", "bag"),
         ("extract", "--out", "x", "--harmonics", "many", "bag"),
         ("benchmark", "--part", "weather"),
         ("reference", "beam", "--out"),
@@ -78,6 +79,86 @@ def test_wrong_usage_is_one_sentence(capsys: pytest.CaptureFixture[str], words: 
     assert status == 2
     assert one_sentence(err)
     assert "--help" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (("exrtact", "bag"), "extract"),
+        (("extract", "bag", "--harmonic", "3", "--referense", "x"), "--reference"),
+        (("blind", "scroe"), "score"),
+        (("run", "baem"), "beam"),
+        (("help", "sewep"), "sweep"),
+    ],
+)
+def test_a_mistyped_word_gets_a_proposal(
+    capsys: pytest.CaptureFixture[str], words: tuple[str, ...], meant: str
+) -> None:
+    status, _, err = run(capsys, *words)
+    assert status == 2
+    assert one_sentence(err)
+    assert f"did you mean '{meant}'" in err
+
+
+def test_help_of_a_command_is_that_of_its_option(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "help", "extract") == run(capsys, "extract", "--help")
+    assert run(capsys, "help") == run(capsys, "--help")
+
+
+def test_rigs_are_listed_with_their_descriptions(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.yaml").write_text("description: a rig of one's own\n")
+    monkeypatch.setenv("NMT_RIG_PATH", str(tmp_path))
+    status, out, _ = run(capsys, "rigs")
+    assert status == 0
+    rows = {line.split()[0]: line for line in out.splitlines()}
+    assert set(rows) == {*rig_names()} >= {"beam", "mine"}
+    assert "a rig of one's own" in rows["mine"]
+
+
+def test_json_is_one_document_on_standard_output(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag")
+    out = tmp_path / "out"
+    status, text, err = run(capsys, "extract", str(tmp_path / "bag"), "--out", str(out), "--no-report", "--json")
+    document = json.loads(text)
+    assert (status, document["command"], document["exit_code"], document["out"]) == (0, "extract", 0, str(out))
+    assert document["files"] == sorted(path.name for path in out.iterdir())
+    assert document["results"] == json.loads((out / "modal.json").read_text())
+    assert "Modal properties" in err
+    status, text, err = run(capsys, "extract", str(tmp_path / "none"), "--json")
+    refusal = json.loads(text)
+    assert status == refusal["exit_code"] == 2
+    assert refusal["error"] in err
+    assert one_sentence(err)
+
+
+def test_tables_become_rows_of_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("# a comment\nlevel,state,frequency_hz\n1,ok,10.5\n2,,nan\n")
+    assert json_output._contents(path) == [
+        {"level": 1, "state": "ok", "frequency_hz": 10.5},
+        {"level": 2, "state": None, "frequency_hz": None},
+    ]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_completion_knows_every_command_and_its_options(capsys: pytest.CaptureFixture[str], shell: str) -> None:
+    status, out, _ = run(capsys, "completion", shell)
+    assert status == 0
+    for word in (*cli.COMMANDS, "--stop-on-lost-lock", "--harmonics"):
+        assert word in out
+    if shell == "bash":
+        subprocess.run(["bash", "-n"], input=out, text=True, check=True)
+
+
+def test_results_go_to_a_dated_folder_by_default(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = cli.build_parser("extract").parse_args(["extract", "bag"]).out
+    assert re.fullmatch(r"out/extract-\d{8}-\d{6}", str(out))
+    out.mkdir(parents=True)
+    (out / "file").touch()
+    assert output_folder.free_folder(out) == out.with_name(f"{out.name}-2")
 
 
 def test_nothing_typed_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shlex
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +13,15 @@ import numpy as np
 import pytest
 from unit.diagnose.evidence_bags import altered, record, rig_with_noise, with_data
 
-from nmt_bench.cli import main
+from nmt_bench.cli import build_parser, main
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.records import LockEvent
 from nmt_diagnose.effects.library import library
+from nmt_diagnose.evidence.read_evidence import read_evidence
+from nmt_diagnose.inference.next_test import proposals
+from nmt_record.bag_reader import Bag
 from nmt_rig.rig import find_rig, load_rig
+from nmt_session import Session, plan_test
 
 GAIN = 0.05
 KEPT = ("response_gain", "cubic_stiffness", "phase_offset")
@@ -112,6 +117,42 @@ def test_the_new_rig_file_leaves_no_gap(gain_bag: Path, tmp_path: Path, capsys: 
     assert found["verdict"] in ("none", "calibration")
     assert found["inputs"]["overrides"] == [f"sensors.3.gain={1.0 + GAIN}"]
     assert "lacks" not in capsys.readouterr().out
+
+
+def test_a_next_test_runs_the_recorded_rig_and_keeps_the_answer(
+    gain_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The proposed command, carried out as it stands, gives a recording of the real rig; the model's own is refused."""
+    real = Bag.open(gain_bag).rig_yaml
+    assert real
+    (tmp_path / "rig.yaml").write_text(real, encoding="utf-8")
+    levels = record(tmp_path / "bag", load_rig(tmp_path / "rig.yaml"), run={"device": "simulated rig"})
+    found = proposals(load_rig("beam"), read_evidence([levels], load_rig("beam")))
+    command = next(item.command for item in found if "--exciter 5" in item.command)
+    words = shlex.split(command)
+    assert words[0] == "./nmt"
+    asked = build_parser("run").parse_args(words[1:])
+    next_bag = tmp_path / "point5"
+    with Session(
+        plan_test(asked.rig, asked.levels, exciter=asked.exciter, window_periods=10), next_bag, extract=False
+    ) as session:
+        session.run()
+        assert session.levels_locked >= 3
+    out = tmp_path / "out"
+    assert diagnose("--model", "beam", "--real", levels, "--real", next_bag, *FEW, "--out", out) == 0
+    answer = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    assert answer["verdict"] == "effect"
+    head = answer["ranking"][0]
+    assert (head["effect"], head["detail"]) == ("response_gain", "x5")
+    assert head["probability"] > 0.7
+    assert [bag["origin"]["kind"] for bag in answer["inputs"]["bags"]] == ["simulated", "simulated"]
+    assert not any("contradict" in sentence for sentence in answer["warnings"])
+    assert "Each recording left out" in capsys.readouterr().out
+
+    with Session(plan_test("beam", [0.3], exciter=5, window_periods=5), tmp_path / "own", extract=False) as session:
+        session.run()
+    refusal = "own was simulated from the model itself (rig 'beam')"
+    assert refusal in refused(capsys, tmp_path / "no", "--model", "beam", "--real", levels, "--real", tmp_path / "own")
 
 
 # -- hostile real sides -----------------------------------------------------------------------------------------------

@@ -16,9 +16,9 @@ from unit.bench import diagnosis_fixture as fixture
 
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.evidence.observables import Part
-from nmt_diagnose.inference.diagnosis import Ranked, Share, Value, Verdict
+from nmt_diagnose.inference.diagnosis import Left, Ranked, Remainder, Share, Value, Verdict
 from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv
-from nmt_report.diagnosis_report import diagnosis_page
+from nmt_report.diagnosis_report import diagnosis_page, probability_shares
 from nmt_report.diagnosis_words import (
     class_text,
     effect_text,
@@ -31,6 +31,9 @@ from nmt_report.diagnosis_words import (
     value_text,
     verdict_text,
 )
+from nmt_report.figure_record import unpacked
+from nmt_report.rig_drawing import marked_places, rig_figure
+from nmt_report.svg import RED
 from nmt_rig.rig import load_rig
 
 _VOID = {"meta", "link", "br", "img", "hr", "input"}
@@ -260,3 +263,55 @@ def test_without_a_claim_the_rest_is_too_weak_to_see_and_not_unnamed() -> None:
     assert rest_text(quiet) == ("an effect too weak to see", pytest.approx(0.35))
     loud = replace(quiet, verdict=Verdict.UNKNOWN)
     assert rest_text(loud) == ("something not in the library", pytest.approx(0.3))
+
+
+def test_a_remainder_and_warnings_stand_in_the_verdict_and_on_the_page() -> None:
+    report = fixture.report(Verdict.EFFECT, fixture.one_test())
+    assert "warning" not in verdict_text(report.diagnosis)[0]
+    left = Left("backbone: frequency", "highest levels", 0.8, 3.1, 0.42, "%")
+    other = Left("backbone: amplitude of x5", "", 0.1, 1.2, 0.3, "%")
+    warning = "The fit moves structure.masses_kg.0 from 0.5 to 4.1 kg, 210 standard deviations of what is believed."
+    changed = replace(report.diagnosis, remainder=Remainder(0.06, 0.03, 0.1, (left, other)), warnings=(warning,))
+    text, kind = verdict_text(changed)
+    assert text.endswith("which explains 94 % of the gap and leaves 6 %; mind the warning")
+    assert kind == "partly"
+    page = text_of(diagnosis_page(replace(report, diagnosis=changed)))
+    assert warning in page
+    assert re.search(r"frequency\s+highest levels\s+80\s%\s+3\.10?\s+0\.420?\s%", page), page[
+        page.find("What is left") :
+    ][:400]
+    assert re.search(r"6 % \(3 to 10 %\) of the gap is left", page)
+    assert changed.to_mapping()["remainder"]["where"][0]["levels"] == "highest levels"
+    assert verdict_text(replace(changed, warnings=(warning, warning)))[0].endswith("mind the 2 warnings")
+
+
+@pytest.mark.parametrize("verdict", list(Verdict))
+def test_the_probability_bar_is_whole(verdict: Verdict) -> None:
+    shares = probability_shares(fixture.report(verdict).diagnosis)
+    assert sum(share for _, _, share, _ in shares) == pytest.approx(1.0, abs=5e-3)
+    assert len({colour for *_, colour in shares}) == len(shares)
+
+
+@pytest.mark.parametrize(
+    ("place", "detail", "points"),
+    [
+        ("structure", "5", [5]),
+        ("response_sensor", "x4", [4]),
+        ("response_sensor", "x4<6", [4]),
+        ("structure + force_sensor", "3 + f2", [3, 2]),
+        ("structure", "2-6", [2, 6]),
+        ("exciter", "", [2]),
+        ("joint", "joint", [3]),
+        ("boundary", "clamp", [None]),
+        ("time", "time", []),
+    ],
+)
+def test_the_drawing_marks_the_place(place: str, detail: str, points: list[int | None]) -> None:
+    rig = load_rig("beam")
+    marks = marked_places(rig, place, detail)
+    assert [point for point, _ in marks] == points
+    for words, count in (("", 0), ("somewhere", len(points))):
+        numbers = re.search(r"<script[^>]*>(.*?)</script>", rig_figure(rig, place, detail, words).svg)
+        assert numbers is not None
+        series = unpacked(numbers[1])["panels"][0]["series"]
+        assert sum(len(item["x"]) for item in series if item["colour"] == f"{RED}ff") == count

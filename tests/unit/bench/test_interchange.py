@@ -16,11 +16,14 @@ from unit.record.foreign_data import DAMPING, FREQUENCY_HZ, RATE, recording, sid
 from nmt_bench.cli import main
 from nmt_extract import extract_bag
 from nmt_extract.modal_point import Status
-from nmt_extract.modal_table import read_csv
+from nmt_extract.modal_table import read_csv, read_json
+from nmt_extract.mode_uff import linear_modes, write_mode_uff
 from nmt_record import Bag
 from nmt_record.observables import observable_tables
 from nmt_record.segments import read_signals, segments
-from nmt_rig.rig import find_rig
+from nmt_rig.linear_description import linear_description
+from nmt_rig.modal_files import read_uff55
+from nmt_rig.rig import find_rig, load_rig
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +54,8 @@ def refused(words: list[object], capsys: pytest.CaptureFixture[str]) -> str:
 
 @pytest.mark.parametrize(
     ("form", "tolerance"),
-    [(["uff"], 0.0), (["uff", "--ascii"], 1e-9), (["csv"], 0.0), (["npz"], 0.0)],
-    ids=["58b", "58 ascii", "csv", "npz"],
+    [(["uff"], 0.0), (["uff", "--ascii"], 1e-9), (["csv"], 0.0), (["npz"], 0.0), (["h5"], 0.0), (["mat"], 0.0)],
+    ids=["58b", "58 ascii", "csv", "npz", "h5", "mat"],
 )
 def test_export_import_extract_gives_the_same_table(
     form: list[str], tolerance: float, run: Path, tmp_path: Path
@@ -217,3 +220,34 @@ def test_an_import_that_is_refused_leaves_nothing(tmp_path: Path, capsys: pytest
     path = write(tmp_path / "in", sidecar(extraction={"harmonics": 0}))
     assert "harmonics" in refused(["import", path, "--out", tmp_path / "out"], capsys)
     assert [entry.name for entry in tmp_path.iterdir()] == ["in"]
+
+
+def test_levels_are_exported_as_complex_modes_with_geometry(run: Path, tmp_path: Path) -> None:
+    for name in ("modal.json", "modal.csv"):
+        shutil.copy(run / "results" / name, run / name)
+    done(["export", run, "--out", tmp_path / "out"])
+    points = [point for point in read_json(run / "modal.json")[0] if point.status == Status.OK]
+    nodes, line, *modes = pyuff.UFF(str(tmp_path / "out" / "modes.uff")).read_sets()
+    assert (nodes["type"], line["type"], {mode["type"] for mode in modes}) == (15, 82, {55})
+    assert len(modes) == len(points)
+    spacing = 0.7 / 7
+    np.testing.assert_allclose(nodes["x"], spacing * np.array(nodes["node_nums"]), rtol=1e-6)
+    for mode, point in zip(modes, points, strict=True):
+        assert list(mode["node_nums"]) == list(point.points) == [int(n) for n in line["nodes"]]
+        assert abs(mode["eig"]) == pytest.approx(point.omega_rad_s, rel=1e-5)
+        assert -mode["eig"].real / abs(mode["eig"]) == pytest.approx(point.damping_ratio, rel=1e-5)
+        np.testing.assert_allclose(mode["r3"], point.normalised_shape, rtol=2e-5, atol=1e-5)
+
+
+def test_linear_modes_come_back_through_a_universal_file(tmp_path: Path) -> None:
+    """The rig file's own reader of data set 55 shares no code with pyuff, which writes it."""
+    linear = linear_description(load_rig("beam"))
+    write_mode_uff(tmp_path / "modes.uff", linear_modes(linear))
+    points, modes = read_uff55(tmp_path / "modes.uff")
+    assert points == sorted(linear.points)
+    for number, mode in enumerate(modes):
+        assert 2 * math.pi * mode["frequency_hz"] == pytest.approx(linear.frequencies_rad_s[number], rel=1e-5)
+        assert mode["damping_ratio"] == pytest.approx(linear.damping_ratios[number], rel=1e-5)
+        own = [linear.shapes[linear.points.index(point)][number] for point in points]
+        scale = math.sqrt(mode.get("modal_mass_kg", 1.0))
+        np.testing.assert_allclose(np.array(mode["shape"]) / scale, own, rtol=1e-4, atol=1e-5)

@@ -11,15 +11,28 @@ from hypothesis import strategies as st
 from nmt_core.blocks import OscillatorPhase, SampleBlock
 from nmt_core.cdr import bench_time_ns
 from nmt_core.modal_point import COMPLEX, MEASURED, ModalPoint
-from nmt_core.records import DriveCommand, LevelCommand, LockEvent, LoopStatus, RunRecord, RunState
+from nmt_core.records import (
+    DriveCommand,
+    DriveStop,
+    LevelCommand,
+    LockEvent,
+    LoopStatus,
+    RunRecord,
+    RunState,
+    SignalLevels,
+    Steering,
+)
 from nmt_core.vocabulary import (
     ControlKind,
     LoopState,
+    OutputState,
     PointStatus,
     Quantity,
     RecordKind,
     ResultCode,
     RunPhase,
+    SteeringAct,
+    StopCause,
     TestKind,
     Waveform,
 )
@@ -74,6 +87,17 @@ run_states = st.builds(
     RunState, long_texts, st.sampled_from(RunPhase), uint32, uint32, floats, floats, uint64, uint64,
     st.sampled_from(ResultCode), long_texts, times,
 )  # fmt: skip
+steerings = st.builds(
+    Steering, uint32, long_texts, st.sampled_from(SteeringAct), uint32, uint64, uint64, st.booleans(),
+    st.lists(floats, max_size=5).map(tuple), st.lists(floats, max_size=5).map(tuple), texts, long_texts, times,
+)  # fmt: skip
+drive_stops = st.builds(
+    DriveStop, uint64, st.sampled_from(StopCause), st.sampled_from(OutputState), long_texts, times,
+)  # fmt: skip
+monitors = st.builds(
+    SignalLevels, uint64, floats, st.tuples(*[st.tuples(floats, floats)] * 6), long_texts,
+    st.lists(floats, max_size=5).map(tuple), st.lists(floats, max_size=5).map(tuple), uint8, times,
+)  # fmt: skip
 run_records = st.builds(RunRecord, st.sampled_from(RecordKind), long_texts, long_texts, times)
 drives = st.builds(
     DriveCommand, st.sampled_from([w for w in Waveform if w]), floats, floats, floats, st.integers(0, 2**40),
@@ -115,6 +139,9 @@ def values_of(record: Any) -> dict[str, Any]:
         for name in COMPLEX:
             array = values.pop(name).ravel()
             values[f"{name}_real"], values[f"{name}_imag"] = array.real, array.imag
+    if isinstance(record, SignalLevels):
+        for quantity, pair in zip(list(Quantity)[1:], values.pop("drive_point"), strict=True):
+            values.update(zip((f"{quantity.topic}_peak", f"{quantity.topic}_rms"), pair, strict=True))
     return {**values, "stamp": values.get("time_ns")}
 
 

@@ -15,14 +15,17 @@ from hypothesis import strategies as st
 from unit.core.message_records import (
     RATE,
     blocks,
+    drive_stops,
     drives,
     levels,
     lock_events,
     modal_points,
+    monitors,
     run_records,
     run_states,
     same,
     statuses,
+    steerings,
     texts,
     values_of,
 )
@@ -31,10 +34,21 @@ from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import BASE, bench_time_ns
 from nmt_core.errors import BenchError
 from nmt_core.modal_point import COMPLEX, ModalPoint
-from nmt_core.records import DriveCommand, LevelCommand, LockEvent, LoopStatus, RunRecord, RunState
+from nmt_core.records import (
+    DriveCommand,
+    DriveStop,
+    LevelCommand,
+    LockEvent,
+    LoopStatus,
+    RunRecord,
+    RunState,
+    SignalLevels,
+    Steering,
+)
 from nmt_core.vocabulary import (
     ControlKind,
     PointStatus,
+    Quantity,
     RecordKind,
     ResultCode,
     RunPhase,
@@ -42,11 +56,14 @@ from nmt_core.vocabulary import (
     Waveform,
 )
 from nmt_core.wire import (
+    DRIVE_STOP,
     LEVEL,
     LOCK_EVENT,
     MODAL_POINT,
+    MONITOR,
     RUN_RECORD,
     RUN_STATE,
+    STEERING,
     BlockReader,
     BlockWriter,
     read_drive,
@@ -57,7 +74,10 @@ from nmt_core.wire import (
 from nmt_record.message_definitions import local_definitions
 
 MESSAGES = Path(__file__).resolve().parents[3] / "ros2_ws" / "src" / "nmt_msgs" / "msg"
-CODECS = {codec.name: codec for codec in (LEVEL, LOCK_EVENT, MODAL_POINT, RUN_RECORD, RUN_STATE)}
+CODECS = {
+    codec.name: codec
+    for codec in (DRIVE_STOP, LEVEL, LOCK_EVENT, MODAL_POINT, MONITOR, RUN_RECORD, RUN_STATE, STEERING)
+}
 WRITE = {name: codec.write for name, codec in CODECS.items()}
 WRITE.update(Drive=lambda drive: write_drive(drive, RATE), Frequency=lambda status: write_status(status, RATE))
 READ = {**{name: codec.read for name, codec in CODECS.items()}, "Drive": read_drive, "Frequency": read_status}
@@ -83,6 +103,9 @@ def test_tables_of_fields_are_those_of_the_message_files(name):
         ("Level", LevelCommand, set()),
         ("LockEvent", LockEvent, {"stamp"}),
         ("RunState", RunState, {"stamp"}),
+        ("Steering", Steering, {"stamp"}),
+        ("DriveStop", DriveStop, {"stamp"}),
+        ("Monitor", SignalLevels, {"stamp", *(f"{q.topic}_{p}" for q in list(Quantity)[1:] for p in ("peak", "rms"))}),
         ("RunRecord", RunRecord, {"stamp"}),
         ("ModalPoint", ModalPoint, {"stamp", *(f"{n}_{p}" for n in COMPLEX for p in ("real", "imag"))}),
         (
@@ -96,7 +119,7 @@ def test_records_have_the_fields_of_their_message(name, record, elsewhere):
     names = {item.name for item in fields(record)} if is_dataclass(record) else set(record._fields)
     in_message = {field for field, _ in message_fields(name)}
     assert elsewhere <= in_message
-    assert in_message - elsewhere == names - {"time_ns", "oscillator", *COMPLEX}
+    assert in_message - elsewhere == names - {"time_ns", "oscillator", "drive_point", *COMPLEX}
 
 
 # --- the bytes -------------------------------------------------------------------------------------------------------
@@ -125,6 +148,9 @@ def rosbags_bytes(name: str, values: dict[str, Any]) -> bytes:
         ("Level", levels),
         ("LockEvent", lock_events),
         ("RunState", run_states),
+        ("Steering", steerings),
+        ("DriveStop", drive_stops),
+        ("Monitor", monitors),
         ("RunRecord", run_records),
         ("ModalPoint", modal_points()),
         ("Drive", drives),

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-PACKAGES = ("nmt_rig", "nmt_record", "nmt_extract", "nmt_diagnose", "nmt_report", "nmt_blind", "nmt_bench")
+PACKAGES = ("nmt_rig", "nmt_record", "nmt_extract", "nmt_diagnose", "nmt_report", "nmt_blind", "nmt_bench", "nmt")
 
 
 @pytest.mark.parametrize("name", PACKAGES)

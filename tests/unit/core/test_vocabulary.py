@@ -17,15 +17,18 @@ from nmt_core.vocabulary import (
     BlockFlag,
     ControlKind,
     LoopState,
+    OutputState,
     PointStatus,
     Quantity,
     RecordKind,
     ResultCode,
     RunPhase,
+    SteeringAct,
+    StopCause,
     TestKind,
     Waveform,
 )
-from nmt_record.import_sidecar import SignalSection, TableSection
+from nmt_record.import_sidecar import SignalSection
 
 ROOT = Path(__file__).resolve().parents[3]
 SOURCES = ROOT / "ros2_ws" / "src"
@@ -62,8 +65,10 @@ def members(kind: type[IntEnum] | type[IntFlag], prefix: str = "") -> dict[str, 
         ),
         ("msg/LockEvent.msg", members(TestKind, "TEST_")),
         ("msg/ModalPoint.msg", members(PointStatus, "STATUS_")),
+        ("msg/DriveStop.msg", {**members(StopCause, "CAUSE_"), **members(OutputState, "OUTPUT_")}),
         ("msg/RunRecord.msg", members(RecordKind)),
         ("msg/RunState.msg", members(RunPhase)),
+        ("msg/Steering.msg", members(SteeringAct)),
         (
             "action/RunLevels.action",
             {
@@ -84,7 +89,7 @@ def test_every_message_file_with_constants_is_compared_above():
     }
     assert with_constants == {
         "SampleBlock.msg", "Drive.msg", "Frequency.msg", "Level.msg", "LockEvent.msg", "ModalPoint.msg",
-        "RunRecord.msg", "RunState.msg", "RunLevels.action",
+        "RunRecord.msg", "RunState.msg", "Steering.msg", "DriveStop.msg", "RunLevels.action",
     }  # fmt: skip
 
 
@@ -110,9 +115,14 @@ def test_controls_by_name():
         ControlKind.named("unknown")
 
 
+def test_acts_of_steering_by_name():
+    assert [SteeringAct.named(act.label) for act in SteeringAct if act] == [act for act in SteeringAct if act]
+    with pytest.raises(BenchError, match="cannot be steered by 'unknown'"):
+        SteeringAct.named("unknown")
+
+
 def test_units_of_levels_in_a_sidecar_are_these():
     assert get_args(SignalSection.model_fields["level_unit"].annotation) == LEVEL_UNITS
-    assert get_args(TableSection.model_fields["level_unit"].annotation) == (*LEVEL_UNITS, "")
 
 
 # --- nobody else defines one of these --------------------------------------------------------------------------------
@@ -215,6 +225,7 @@ def test_drive_commands_are_made_from_a_loops_output_in_one_place():
     assert makers == {
         "nmt_core/nmt_core/wire.py",
         "nmt_plant/nmt_plant/benchmark.py",
+        "nmt_plant/nmt_plant/hardware_check.py",
         "nmt_plant/nmt_plant/output_faults.py",
         "nmt_pll/nmt_pll/loop_core.py",
     }

@@ -49,7 +49,7 @@ def made_up_table(rig: BlindRig) -> StrengthTable:
     curves: dict[str, dict[str, Any]] = {}
     for truth in TRUTHS.values():
         for spot in truth.spots(model, motion):
-            guess = min(truth.guess(model, motion, spot), 0.5 * truth.largest)
+            guess = min(truth.guess(model, motion, spot), 0.5 * truth.limit(model, motion, spot))
             curves[spot_key(truth, spot)] = {"points": [[guess, 64.0]], "trouble": ""}
     return StrengthTable(rig.name, motion, curves)
 

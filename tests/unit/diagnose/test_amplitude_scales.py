@@ -17,10 +17,16 @@ from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.evidence.conditions import BackboneTable, MeasuredChannel, RandomTest, RingDownTest
 from nmt_diagnose.evidence.observables import Evidence, Part, Rows
+from nmt_diagnose.evidence.settings import EvidenceSettings
+from nmt_diagnose.evidence.table_evidence import table_evidence
 from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_evidence
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.inference.fit import fit
+from nmt_diagnose.inference.motion_scale import covariance_with_scale
+from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
+from nmt_record.observables import ObservableTable
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 
@@ -205,3 +211,28 @@ def test_wider_parts_of_the_prior_are_as_much_less_probable() -> None:
     # Strengths only: the gap is a shape.
     assert wide.prior_std / plain.prior_std == pytest.approx([10.0, 100.0, 1.0])
     assert plain.log_prior - wide.log_prior == pytest.approx(np.log(1000.0))
+
+
+def test_a_gain_of_the_motion_is_part_of_the_uncertainty_of_a_cubic_stiffness() -> None:
+    """Amplitudes that are 1 % too small make k₃ = ω² f(k₃ a²)/a² too large by 2 %; no frequency shows it."""
+    rig, evidence = oscillator(), backbone(1.0)
+    evidence = replace(evidence, std=np.full(len(evidence.rows), 1e-5), floor=np.zeros(len(evidence.rows)))
+    operating = operating_range(rig, evidence.tests, evidence=evidence)
+    (cubic,) = [c for c in candidates(rig, operating) if c.effect.name == "cubic_stiffness"]
+    scale = cubic.site.scales["k"]
+    parametrisation = Parametrisation(rig, (), (cubic,), (100.0,))
+    problem = Problem(evidence, Forward(evidence.tests, evidence.rows))
+    found = fit(problem, parametrisation, np.array([SHARE * OMEGA**2 / TOP**2 / scale]))
+    whole = covariance_with_scale(problem, found)
+    added = np.sqrt(whole[0, 0] - found.covariance[0, 0]) / found.theta[0]
+    assert added == pytest.approx(2.0 * 0.01, rel=1e-2)
+
+
+def test_the_noise_of_a_table_without_level_counts() -> None:
+    frequency = np.linspace(120.0, 145.0, 12)
+    response = 1.0 / (OMEGA**2 - (2.0 * pi * frequency) ** 2 + 2j * RATIO * OMEGA * 2.0 * pi * frequency)
+    columns = {"frequency_hz": frequency, "real": response.real, "imag": response.imag}
+    table = ObservableTable("frf", columns, {}, Quantity.DISPLACEMENT, point=1, drive_point=1, noise=0.005)
+    found = table_evidence("table", table, oscillator(), EvidenceSettings())
+    assert np.allclose(found.std, 0.005)
+    assert not found.notes

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from unit.diagnose.blind_campaign import make
 
+from nmt_blind.campaign import frozen
 from nmt_blind.campaign.baselines import FeatureClassifier, bayesian_information, least_chi_square
 from nmt_blind.campaign.run import read_result, run_campaign
 from nmt_blind.campaign.score import compute_scores, score_campaign
@@ -94,6 +95,24 @@ def test_a_run_goes_on_where_it_stopped_and_a_failure_is_a_result(campaign: Path
     done = run_campaign(campaign, diagnose=fake)
     assert (done.new, done.done) == (2, 3)
     assert run_campaign(campaign, diagnose=fake, again=True).new == 3
+
+
+def test_a_run_takes_the_cases_that_are_made_and_one_program_for_all(
+    campaign: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noted = (campaign / "cases/0003/bags.json").read_bytes()
+    (campaign / "cases/0003/bags.json").unlink()
+    done = run_campaign(campaign, diagnose=fake)
+    assert (done.new, done.done, done.waiting) == (2, 2, 1)
+    (campaign / "cases/0003/bags.json").write_bytes(noted)
+    monkeypatch.setattr(frozen, "PACKAGES", ("nmt_core",))
+    with pytest.raises(BenchError, match="another version of the program"):
+        run_campaign(campaign, diagnose=fake)
+    assert run_campaign(campaign, diagnose=fake, again=True).new == 3
+    assert score_campaign(campaign).frozen == frozen.diagnosis_digest()
+    (campaign / "hashes.json").unlink()
+    with pytest.raises(BenchError, match="Not all cases"):
+        score_campaign(campaign, again=True)
 
 
 def test_discarded_bags_leave_their_hashes(campaign: Path) -> None:
@@ -295,3 +314,70 @@ def test_the_sheet_says_what_was_reached(tmp_path: Path) -> None:
     assert "66.7 % (21–94 %, 2 of 3)" in text
     assert page(scores).count("<svg") == 4
     assert any("missed" in line for line in print_scores(scores))
+
+
+def estimated(kind: str, effects: list[dict[str, Any]], said: dict[str, Any]) -> ScoredCase:
+    truth = {"case": "0001", "kind": kind, "shifted": False, "withheld": "", "effects": effects}
+    return scored_case(truth, {"diagnosis": said, "seconds": 1.0})
+
+
+def stop(sigma: float, gap: float = 1e-3) -> dict[str, Any]:
+    return {"name": "one_sided_stop", "place": "structure", "detail": "4 at 0.35", "sigma": sigma,
+            "figures": {"k": 100.0, "gap": gap}}  # fmt: skip
+
+
+def with_values(said: dict[str, Any], **values: tuple[float, float]) -> dict[str, Any]:
+    parameters = {name.replace("__", "."): {"value": v, "std": s, "unit": ""} for name, (v, s) in values.items()}
+    said["ranking"][0]["parameters"] = parameters
+    return said
+
+
+def test_coverage_counts_effects_with_all_their_parameters() -> None:
+    right = estimated("effect", [stop(64.0)], with_values(
+        diagnosis("effect", "one_sided_stop"), k=(102.0, 1.0), gap=(1.1e-3, 1e-4)))  # fmt: skip
+    assert right.covered == (True,)
+    off = estimated("effect", [stop(64.0)], with_values(
+        diagnosis("effect", "one_sided_stop"), k=(102.0, 1.0), gap=(1.4e-3, 1e-4)))  # fmt: skip
+    assert off.covered == (False,)
+    assert max(e.deviation for e in off.estimates) == pytest.approx(4.0)
+    # Another point is another parameter, another effect has none, and no uncertainty is none that covers.
+    elsewhere = with_values(diagnosis("effect", "one_sided_stop"), k=(100.0, 1.0))
+    elsewhere["ranking"][0]["detail"] = "7"
+    assert estimated("effect", [stop(64.0)], elsewhere).covered == ()
+    assert estimated("effect", [stop(64.0)], diagnosis("effect", "air_drag")).covered == ()
+    sure = estimated("effect", [stop(64.0)], with_values(diagnosis("effect", "one_sided_stop"), k=(101.0, 0.0)))
+    assert sure.covered == (False,)
+    said = diagnosis("effect", "one_sided_stop + response_gain")
+    said["ranking"][0]["parameters"] = {
+        "one_sided_stop@4.k": {"value": 100.0, "std": 1.0},
+        "one_sided_stop@4.gap": {"value": 1e-3, "std": 1e-5},
+        "response_gain@x2.g": {"value": 0.05, "std": 1e-3},
+    }
+    gain = {"name": "response_gain", "place": "response_sensor", "detail": "x2", "sigma": 16.0, "figures": {"g": 0.02}}
+    pair = estimated("compound", [stop(1024.0), gain], said)
+    assert sorted(pair.covered) == [False, True]
+
+
+def test_bands_go_to_the_strongest_effects() -> None:
+    def found(sigma: float, k: float, named: str = "one_sided_stop") -> ScoredCase:
+        said = with_values(diagnosis("effect", named), k=(k, 1.0), gap=(1e-3, 1e-4))
+        return estimated("effect", [stop(sigma)], said)
+
+    cases = [found(4096.0, 100.0), found(4096.0, 90.0), found(1024.0, 100.0), found(2.0, 100.0), found(8.0, 1.0, "x")]
+    scores = compute_scores(cases, ABOUT)
+    assert (scores.covered.hits, scores.covered.of) == (2, 3)
+    bands = {(band.low, band.high): band for band in scores.bands}
+    assert (bands[4096.0, 4096.0].covered.hits, bands[4096.0, 4096.0].covered.of) == (1, 2)
+    assert (bands[8.0, 16.0].first.hits, bands[8.0, 16.0].first.of) == (0, 1)
+    assert bands[1.0, 4.0].detected.of == 1
+    assert sum(band.detected.of for band in scores.bands) == len(cases)
+    assert "| 256 to 1024 | 100.0 %" in markdown(scores)
+
+
+def test_cases_that_did_not_lock_are_counted(campaign: Path) -> None:
+    path = campaign / "cases/0002/bags.json"
+    bags = json.loads(path.read_text())
+    bags["backbone"]["locked"] = 0
+    path.write_text(json.dumps(bags))
+    run_campaign(campaign, diagnose=fake)
+    assert score_campaign(campaign).stalled == ("0002",)

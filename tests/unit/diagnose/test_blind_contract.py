@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 SOURCES = ROOT / "ros2_ws" / "src"
-PACKAGES = tuple(sorted(path.name for path in SOURCES.glob("nmt_*") if (path / path.name / "__init__.py").is_file()))
+PACKAGES = tuple(sorted(path.name for path in SOURCES.glob("nmt*") if (path / path.name / "__init__.py").is_file()))
 
 pytest.importorskip("importlinter", reason="import-linter is not installed")
 

@@ -41,6 +41,11 @@ def test_a_campaign_goes_on_where_it_stopped(tmp_path: Path) -> None:
     again = make(tmp_path / "a")
     assert (again.new, again.trail) == (1, whole.trail)
     assert make(tmp_path / "a").new == 0
+    begun = make(tmp_path / "b", batch=1)
+    assert (begun.seal, begun.trail, begun.new, begun.left) == (whole.seal, "", 1, 1)
+    assert not (tmp_path / "b/hashes.json").exists()
+    ended = make(tmp_path / "b", batch=1)
+    assert (ended.trail, ended.new, ended.left) == (whole.trail, 1, 0)
 
 
 def test_the_truth_is_sealed_before_any_bag(tmp_path: Path) -> None:
@@ -77,7 +82,10 @@ def test_nothing_but_the_seal_tells_the_truth(tmp_path: Path) -> None:
             assert repr(edit["value"]).encode() not in data
 
 
-@pytest.mark.parametrize(("seed", "sealed", "word"), [(3, False, "odd"), (4, True, "even"), (-2, False, "negative")])
+@pytest.mark.parametrize(
+    ("seed", "sealed", "word"),
+    [(3, False, "odd"), (4, True, "even"), (3918, False, "reserved"), (-2, False, "negative")],
+)
 def test_seeds_of_the_wrong_kind_are_refused(tmp_path: Path, seed: int, sealed: bool, word: str) -> None:
     with pytest.raises(BenchError, match=word):
         make(tmp_path / "a", seed=seed, sealed=sealed)
@@ -112,7 +120,9 @@ def test_the_mixture_is_as_stated_and_cases_do_not_depend_on_their_number() -> N
     assert all(not case.edits for case in nulls if not case.shifted)
     singles = [case for case in cases if case.kind == "effect"]
     assert {effect.name for case in singles for effect in case.effects} == {truth.name for truth in KNOWN}
-    assert {case.effects[0].sigma for case in singles} == set(STRENGTHS)
+    assert {case.effects[0].asked for case in singles} == set(STRENGTHS)
+    # What the table does not reach is as strong as it gets, and says so.
+    assert all(case.effects[0].sigma == min(case.effects[0].asked, 64.0) for case in singles)
     for case in cases:
         names = [effect.name for effect in case.effects]
         assert case.kind != "withheld" or case.withheld.split(",")[0] == names[0]
@@ -122,6 +132,21 @@ def test_the_mixture_is_as_stated_and_cases_do_not_depend_on_their_number() -> N
     # A flag does not give its case away.
     flagged = [case.kind for case in cases if case.withheld]
     assert {"null", "effect", "withheld"} <= set(flagged)
+
+
+def test_air_drags_no_more_than_air_can() -> None:
+    limit = 0.5 * 1.2 * 10.0 * 0.7 * 0.00527668  # ½ ρ C_d A of the beam's face
+    plain = made_up_table(RIG)
+    heavy = {
+        key: {**curve, "points": [[0.9, 64.0]]} if key.startswith("air_drag") else curve
+        for key, curve in plain.curves.items()
+    }
+    for table, strengths in ((plain, set()), (replace(plain, curves=heavy), {1.0})):
+        cases = draw_cases(MODEL, table, 600, 6, ("effect",))
+        drags = [case.effects[0] for case in cases if case.effects[0].name == "air_drag"]
+        assert drags
+        assert all(abs(drag.value) <= limit for drag in drags)
+        assert not strengths or {drag.sigma for drag in drags} == strengths
 
 
 def test_shifts_stay_within_their_priors() -> None:
@@ -137,7 +162,7 @@ def test_shifts_stay_within_their_priors() -> None:
 def test_every_truth_is_a_rig_file(truth: object) -> None:
     chosen = TRUTHS[truth.name]  # type: ignore[attr-defined]
     for spot in chosen.spots(MODEL, operating()):
-        value = min(chosen.guess(MODEL, operating(), spot), 0.5 * chosen.largest)
+        value = min(chosen.guess(MODEL, operating(), spot), 0.5 * chosen.limit(MODEL, operating(), spot))
         rig = with_edits(MODEL, chosen.edits(MODEL, operating(), spot, value))
         assert rig != MODEL
         assert chosen.place_at(MODEL, spot)

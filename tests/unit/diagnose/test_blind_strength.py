@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from nmt_blind.cases import strength
+from nmt_blind.cases.laboratory import TrialError
 from nmt_blind.cases.strength import Observed, Sensitivity
 from nmt_blind.cases.truths import TRUTHS
 
@@ -78,15 +79,44 @@ def test_a_former_curve_is_where_the_search_starts(monkeypatch: pytest.MonkeyPat
     own = sensitivity()
     tried: list[float] = []
 
-    def sigma(edits: Any) -> float:
+    def sigmas(edits: Any, refine: bool) -> tuple[float, float, Any]:
         tried.append(edits)
-        return 4.0 * float(edits)
+        # Parameters take half of what a linear estimate says.
+        return (4.0 if refine else 8.0) * float(edits), 8.0 * float(edits), np.array([float(edits)])
 
     truth = TRUTHS["response_gain"]
-    monkeypatch.setattr(own, "sigma", sigma)
+    monkeypatch.setattr(own, "sigmas", sigmas)
     object.__setattr__(own, "operating", None)
     flat = replace(truth, edits=lambda rig, operating, spot, value: value, guess=lambda *_: 0.001, largest=math.inf)
     own.rig = type("R", (), {"caution": 1.0})()  # type: ignore[assignment]
-    curve = own.curve(flat, None, {"points": [[4.0, 16.0], [16.0, 64.0]], "proportional": True})  # type: ignore[arg-type]
+    curve, mark = own.curve(flat, None, {"points": [[4.0, 16.0], [16.0, 64.0]], "proportional": True})  # type: ignore[arg-type]
     assert tried[0] == pytest.approx(16.0)
-    assert [value for value, _ in curve["points"]] == pytest.approx([4.0, 16.0])
+    assert curve == {"points": [[16.0, 64.0], [1024.0, 4096.0]], "proportional": True, "trouble": ""}
+    # Of what grows in proportion the mark at 64 does; of others it may be another one.
+    assert mark == pytest.approx([16.0])
+    other = own.curve(replace(flat, proportional=False), None, {"points": [[16.0, 64.0]]})[1]  # type: ignore[arg-type]
+    assert other == pytest.approx([2.0])
+    monkeypatch.setattr(strength, "MARKED", 1.0)
+    assert own.curve(replace(flat, proportional=False), None, {"points": [[16.0, 64.0]]})[1] is None  # type: ignore[arg-type]
+
+
+def test_a_curve_ends_where_the_tests_end_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = sensitivity()
+
+    def sigmas(edits: Any, refine: bool) -> tuple[float, float, Any]:
+        if edits > 300.0:
+            raise TrialError("only 3 levels locked")
+        return 4.0 * float(edits), 4.0 * float(edits), np.zeros(1)
+
+    truth = TRUTHS["cubic_stiffness"]
+    monkeypatch.setattr(own, "sigmas", sigmas)
+    object.__setattr__(own, "operating", None)
+    flat = replace(truth, edits=lambda rig, operating, spot, value: value, guess=lambda *_: 10.0)
+    own.rig = type("R", (), {"caution": 1.0})()  # type: ignore[assignment]
+    curve, _ = own.curve(flat, None)  # type: ignore[arg-type]
+    assert "only 3 levels locked" in curve["trouble"]
+    values = [value for value, _ in curve["points"]]
+    assert 100.0 < max(values) <= 300.0
+    # What lies beyond is not made up.
+    assert strength.value_at(curve, 4096.0) is None
+    assert strength.value_at(curve, 64.0) == pytest.approx(16.0, rel=0.01)

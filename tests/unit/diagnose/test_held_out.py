@@ -86,6 +86,19 @@ def test_the_onset_of_slip_is_no_noise():
     assert noise_floor(evidence, noise + bend, everything) == pytest.approx(1.0, rel=0.3)
 
 
+def test_an_onset_in_few_levels_is_no_noise_either():
+    """Of five levels a run has three second differences; contact between the third and the fourth bends two of them."""
+    generator = np.random.default_rng(4)
+    levels, series = 5, 60
+    evidence = replace_rows(evidence_of(np.zeros(levels * series), 1.0, np.tile(np.arange(levels), series)), series)
+    noise = generator.standard_normal(levels * series)
+    bend = np.tile(np.maximum(np.arange(levels) - 2.3, 0.0), series) * 60.0
+    everything = np.ones(levels * series, dtype=bool)
+    assert noise_floor(evidence, noise, everything) == pytest.approx(1.0, rel=0.15)
+    # The clean third of them, by its upper quarter.
+    assert noise_floor(evidence, noise + bend, everything) < 4.0 < 0.1 * rms(bend)
+
+
 def replace_rows(evidence, series):
     """The rows as those of so many harmonics, one after the other."""
     size = len(evidence.rows) // series

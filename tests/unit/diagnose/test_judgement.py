@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,9 @@ from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.judgement import Judgement, judge, with_held_out, with_share_left
+from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
 from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.inference.scan import Direction, Score
 
 CUBIC = Candidate(effect_named("cubic_stiffness"), Site(Placement.at("structure", 2), {"k": 1.0}, 2))
 QUINTIC = Candidate(effect_named("quintic_stiffness"), Site(Placement.at("structure", 2), {"k": 1.0}, 2))
@@ -88,6 +91,27 @@ def test_noise_is_none_and_an_effect_is_one() -> None:
     assert found.classes[0].effects == (("air_drag",),)
     assert found.classes[0].probability > 0.99
     assert found.log_odds > 50.0
+
+
+def test_drag_that_no_air_has_is_not_named() -> None:
+    """Power-law damping that fits a little worse is; within what air can do the better fit is."""
+    law = Candidate(effect_named("power_law_damping"), Site(Placement.at("structure", 1), {"force": 1.0}, 1))
+    measured = 8.0 * B + NOISE
+    for limit, named in ((0.5, "power_law_damping"), (100.0, "air_drag")):
+        drag = replace(DRAG, site=replace(DRAG.site, limits={"c2": limit}))
+        fitted = contender(measured, (drag, B))
+        own = SimpleNamespace(
+            values=lambda theta, _: {"c2": float(theta[0])}, index_of=lambda _: slice(0, 1), prior_std=np.array([3.0])
+        )
+        fitted = replace(fitted, fit=replace(fitted.fit, parametrisation=own))
+        rivals = [fitted, contender(measured, (law, 0.95 * B + 0.05 * A))]
+        found = judge(contender(measured), rivals, (), (), (), (drag, law), PLAIN)
+        assert found.classes[0].head.effects == (named,)
+        assert beyond_limits(fitted.candidates, fitted.fit) == pytest.approx(
+            max(0.0, (fitted.fit.theta[0] - limit) / np.hypot(0.5 * limit, fitted.fit.std[0]))
+        )
+        score = Score(Direction(0, np.zeros(1), B, True), 8.0, 64.0, 4096.0, 8.0)
+        assert incredible(drag, score) == (named != "air_drag")
 
 
 def test_a_source_that_explains_more_than_all_names_is_unknown() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,16 +13,24 @@ from unit.diagnose.linear_problem import FunctionModel, evidence_of
 from unit.diagnose.twin_evidence import chain, evidence_of_twin
 
 from nmt_core.blocks import Quantity
-from nmt_diagnose.evidence.conditions import MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.evidence.conditions import (
+    MeasuredChannel,
+    PhaseResonanceTest,
+    RingDownTest,
+    Test,
+)
 from nmt_diagnose.evidence.drive_hold import hold_factor, image_responses, zero_order_images
 from nmt_diagnose.evidence.measuring_chain import ChannelTolerance, MeasuringChain, measuring_chain
 from nmt_diagnose.evidence.model_view import ModelView
-from nmt_diagnose.evidence.observables import Part
-from nmt_diagnose.inference.chain_errors import with_chain_errors
+from nmt_diagnose.evidence.observables import Evidence, Part, Rows
+from nmt_diagnose.inference.chain_errors import chain_errors, with_chain_errors
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.shared_errors import SharedErrors
 from nmt_diagnose.twin.forward import Forward
 from nmt_record.import_sidecar import ChannelSection
+from nmt_record.run_device import SIMULATED_RIG
+from nmt_rig.rig import Rig, validate_rig
+from nmt_rig.rig_file import RigDocument
 
 CHANNELS = {
     "force": MeasuredChannel("f1", Quantity.FORCE, 1),
@@ -52,6 +61,12 @@ def test_a_row_without_a_solution_does_not_spoil_the_others() -> None:
 
 def test_only_imports_have_tolerances() -> None:
     assert measuring_chain({"rig": "beam", "run_id": "x"}, CHANNELS, 1e4) is None
+    assert measuring_chain({"rig": "beam", "device": SIMULATED_RIG}, CHANNELS, 1e4) is None
+
+
+def test_a_device_has_ordinary_tolerances():
+    found = measuring_chain({"rig": "beam", "device": "soundcard"}, CHANNELS, 48_000.0)
+    assert found == MeasuringChain(hold_hz=48_000.0)
     stated = [
         {"column": "u", "quantity": "voltage", "gain_std": 2e-3, "delay_std_s": 5e-6},
         {"column": "f", "quantity": "force", "point": 1, "name": "force", "phase_std_deg": 1.0},
@@ -150,6 +165,111 @@ def test_errors_within_the_tolerances_are_noise_and_beyond_them_are_not() -> Non
     assert size(plain, 1.01, 80e-6) > 1e4
     assert size(problem, 1.01, 80e-6) < 5.0
     assert size(problem, 1.10, 80e-6) > 50.0
+
+
+def test_images_in_a_fundamental_change_the_harmonics_over_it() -> None:
+    """An acceleration with an image z of the held drive, at any angle: ln Y₁ moves by z, Y_n / |Y₁| by −Re z of it."""
+    model = chain()
+    evidence = evidence_of_twin(model, random=False)
+    tolerant = replace(evidence, chains=(MeasuringChain(hold_hz=250.0),))
+    forward, rows = Forward(evidence.tests, evidence.rows), evidence.rows
+    base = forward.predict(model)
+    columns = chain_errors(Problem(tolerant, forward), model, base)[1]
+    test = evidence.tests[0]
+    assert isinstance(test, PhaseResonanceTest)
+    channel = next(c for c in test.channels if c.quantity is Quantity.ACCELERATION)
+    mine = rows.channel == test.channels.index(channel)
+    size, phase = (np.flatnonzero(mine & (rows.part == part)) for part in (Part.LOG_MAGNITUDE, Part.PHASE))
+    view = ModelView.of(model, test.drive_point)
+    frequency = rows.frequency_hz[size]
+    plain = view.responses((channel,), frequency)[0]
+    assert np.abs(base.values[mine & np.isin(rows.part, (Part.REAL, Part.IMAG))]).max() > 0.01
+    for order in (-1, 1, 2):
+        image = zero_order_images(view, (channel,), frequency, 250.0, (order,))[0] / plain
+        for turned in (image, 1j * image):
+            own = next(c for c in columns.T if np.allclose(c[size] + 1j * c[phase], turned, rtol=1e-6))
+            for row, z in zip(size, turned, strict=True):
+                over = mine & (rows.level == rows.level[row]) & np.isin(rows.part, (Part.REAL, Part.IMAG))
+                assert own[over] == pytest.approx(-z.real * base.values[over], rel=1e-6)
+
+
+def test_a_high_pass_within_the_tolerance_is_noise_and_beyond_it_is_not() -> None:
+    """The corner of a conditioner at which a channel leads by 0.2° at resonance, and by more below it."""
+    model = chain()
+    evidence = evidence_of_twin(model)
+    tolerant = replace(evidence, chains=(MeasuringChain(),) * len(evidence.tests))
+    forward = Forward(evidence.tests, evidence.rows)
+    base = forward.predict(model)
+    problem = with_chain_errors(Problem(tolerant, forward), model, base)
+    locked = next(number for number, test in enumerate(evidence.tests) if isinstance(test, PhaseResonanceTest))
+    resonance = float(np.median(evidence.rows.frequency_hz[evidence.rows.test == locked]))
+
+    def size(kind: Problem, lead_deg: float) -> float:
+        corner = resonance * math.tan(math.radians(lead_deg))
+        sensors = [s.model_copy(update={"high_pass_hz": corner}) if s.quantity == "force" else s for s in model.sensors]
+        seen = forward.predict(model.model_copy(update={"sensors": sensors}), base)
+        residual = kind.whitened(forward.difference(seen.values, base.values))
+        return float(residual @ residual)
+
+    assert size(Problem(evidence, forward), 0.2) > 100.0
+    assert size(problem, 0.2) < 5.0
+    assert size(problem, 4.0) > 50.0
+
+
+def _rows(levels: int, parts: tuple[Part, ...], frequency_hz: float = 0.0, rate: float = 1.0) -> Rows:
+    count = levels * len(parts)
+    level = np.repeat(np.arange(levels), len(parts))
+    zero = np.zeros(count, dtype=np.int64)
+    part = np.tile([int(p) for p in parts], levels)
+    return Rows(zero, level, zero, zero + 1, part, level / rate, np.full(count, frequency_hz), np.ones(count))
+
+
+def oscillator(local_elements: list[dict[str, object]]) -> Rig:
+    """1 kg at 20 Hz, pushed by a force."""
+    values = {
+        "name": "oscillator",
+        "structure": {
+            "kind": "chain", "masses_kg": [1.0], "ground_springs_n_m": [16e3], "ground_dampers_ns_m": [2.0],
+        },
+        "exciter": {"kind": "force", "point": 1, "newton_per_volt": 1.0},
+        "sensors": [
+            {"quantity": "force", "point": "drive"}, {"quantity": "voltage"}, {"quantity": "displacement", "point": 1},
+        ],
+        "extraction": {"quantity": "displacement", "linear_modes": 1},
+        "local_elements": local_elements,
+    }  # fmt: skip
+    return validate_rig(RigDocument("test", values, {}))
+
+
+def _decay() -> tuple[Rig, RingDownTest, Rows]:
+    """A hardening oscillator seen by a laser that its rig file does not have."""
+    rig = oscillator([{"kind": "cubic_spring", "point": 1, "stiffness_n_m3": 2e10}])
+    laser = MeasuredChannel("v1", Quantity.VELOCITY, 1)
+    test = RingDownTest("decay", 1, laser, np.geomspace(1.0, 1e-2, 8), 27.0)
+    return rig, test, _rows(8, (Part.LOG_FREQUENCY, Part.DAMPING), 27.0)
+
+
+def _within(rig: Rig, test: Test, rows: Rows, change: Callable[[Forward, Rig], np.ndarray]) -> tuple[float, float]:
+    """Whitened size of a change of the observables, without and with tolerances."""
+    forward = Forward((test,), rows)
+    base = forward.predict(rig)
+    scale = np.where(rows.part == Part.SAMPLE, np.std(base.values), 1.0)
+    evidence = Evidence((test,), rows, base.values, 1e-4 * scale, 0.0 * scale, chains=(MeasuringChain(),))
+    plain = Problem(replace(evidence, chains=(None,)), forward)
+    problem = with_chain_errors(Problem(evidence, forward), rig, base)
+    moved = change(forward, rig) - base.values
+    return tuple(float(np.linalg.norm(kind.whitened(moved))) for kind in (plain, problem))  # type: ignore[return-value]
+
+
+def test_a_gain_within_the_tolerance_is_noise_in_a_decay() -> None:
+    """An amplitude that is 1 % off puts every frequency of a hardening decay off."""
+    rig, test, rows = _decay()
+    louder = replace(test, amplitudes=test.amplitudes / 1.01)
+    plain, tolerant = _within(rig, test, rows, lambda _, model: Forward((louder,), rows).predict(model).values)
+    assert plain > 20.0
+    assert tolerant < 1.5
+    far = replace(test, amplitudes=test.amplitudes / 1.1)
+    assert _within(rig, test, rows, lambda _, model: Forward((far,), rows).predict(model).values)[1] > 5.0
 
 
 def test_without_tolerances_the_problem_is_the_same() -> None:

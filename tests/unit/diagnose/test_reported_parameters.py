@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from unit.diagnose.test_twin_effects import candidate
+from unit.diagnose.test_twin_effects import candidate, surroundings
 
 from nmt_diagnose.effects.library import library
 from nmt_rig.rig import Rig
@@ -20,6 +20,21 @@ REPORTED = {
         "chain",
         {"kt": lambda rig: last(rig).tangential_stiffness_n_m, "slip_force": lambda rig: last(rig).slip_force_n},
     ),
+    "microslip@1-2": (
+        "plain chain",
+        {
+            "kt": lambda rig: -last(rig).stiffness_n_m,
+            "slip_force": lambda rig: rig.local_elements[-2].slip_force_n,
+            "chi": lambda rig: rig.local_elements[-2].exponent,
+        },
+    ),
+    "power_law_damping@2": (
+        "chain",
+        {
+            "force": lambda rig: last(rig).coefficient_n_sp_mp * fastest(2) ** last(rig).exponent,
+            "p": lambda rig: last(rig).exponent,
+        },
+    ),
     "microslip@2": (
         "chain",
         {
@@ -34,6 +49,11 @@ REPORTED = {
         {"low_pass_hz": lambda rig: next(s for s in rig.sensors if rig.sensor_channel(s) == "x1").low_pass_hz},
     ),
 }
+
+
+def fastest(point: int) -> float:
+    operating = surroundings("chain")[1]
+    return operating.omega * operating.displacement[point]
 
 
 def last(rig: Rig):

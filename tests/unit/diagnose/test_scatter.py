@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from unit.diagnose.test_amplitude_scales import backbone
 from unit.diagnose.twin_evidence import chain, evidence_of_twin
 
 from nmt_diagnose.evidence.measuring_chain import MeasuringChain
-from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.evidence.observables import Evidence, Part, Rows
 from nmt_diagnose.inference.scatter import scatter_floor
 
 
@@ -43,6 +44,22 @@ def test_scatter_that_is_not_ordinary_is_bounded(evidence: Evidence) -> None:
     magnitude = evidence.rows.part == Part.LOG_MAGNITUDE
     difference = 0.3 * np.random.default_rng(5).standard_normal(len(evidence.rows)) * magnitude
     assert np.max(scatter_floor(evidence, difference)) == 0.02
+
+
+def test_a_table_scatters_about_its_neighbours() -> None:
+    """Stated a tenth of what is there; a course that bends, as an effect that is not named yet would, is none."""
+    plain = backbone(1.0)
+    amplitudes = np.geomspace(1e-5, 1e-3, 24)
+    rows = Rows(*(np.resize(getattr(plain.rows, name), 24) for name in Rows.__dataclass_fields__))
+    rows = replace(rows, amplitude=amplitudes, level=np.arange(24))
+    evidence = Evidence(plain.tests, rows, np.zeros(24), np.full(24, 5e-4), np.zeros(24))
+    bend = 0.02 * (amplitudes / amplitudes.max()) ** 0.5
+    sizes = []
+    for seed in range(20):
+        scatter = 5e-3 * np.random.default_rng(seed).standard_normal(24)
+        sizes.append(float(np.max(scatter_floor(evidence, bend + scatter))))
+        assert not scatter_floor(evidence, bend + 0.1 * scatter).any()
+    assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(5e-3, rel=0.15)
 
 
 def test_the_own_simulator_has_none(evidence: Evidence) -> None:

@@ -17,11 +17,14 @@ from nmt_core.vocabulary import Waveform
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, effect_named, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.effects.rig_edit import value_at, with_value
 from nmt_diagnose.evidence.conditions import BackboneTable, MeasuredChannel, RecordTest, RingDownTest
 from nmt_diagnose.evidence.observables import Part
+from nmt_diagnose.twin import linear_model
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.influence import Source
 from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.twin.rig_parts import rig_parts
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.model.forced_response import ForcedProblem
@@ -525,3 +528,67 @@ def test_a_second_drive_point_moves_the_exciter_and_its_side():
     test, table = noise_test(there, 5.0, 300.0, 10)
     forward = Forward([test], rows_of(table))
     np.testing.assert_array_equal(forward.predict(here).values, forward.predict(there).values)
+
+
+@pytest.mark.parametrize("label", ["cubic_stiffness@1", "air_drag@2", "second_friction_contact@1", "preload_loss"])
+def test_jacobian_of_an_effect_that_the_solved_rig_lacks(label):
+    """Its coordinate, or its drift, appears with the step only; differences of solutions know nothing of that."""
+    rig = chain()
+    levels = [level(v, first_mode(rig) * 0.97, start=10.0 * k) for k, v in enumerate((0.5, 2.0))]
+    test, table = locked(rig, levels, "x1")
+    forward = Forward([test], rows_of(table), PLAIN)
+    own = next(c for c in candidates(rig, operating_range(rig, [test])) if c.label.startswith(label))
+    parametrisation = Parametrisation(rig, (), (own,))
+    start = forward.predict(rig)
+    assert not start.reasons
+    theta = parametrisation.zero
+    position = next(k for k, p in enumerate(own.effect.parameters) if p.kind == "strength")
+    jacobian = forward.jacobian(parametrisation, theta, start, [position])[:, 0]
+    h = 2e-3
+    one, two = theta.copy(), theta.copy()
+    one[position], two[position] = h, 2 * h
+    a, b = (forward.difference(forward.predict(parametrisation.rig(t), start).values, start.values) for t in (one, two))
+    # One-sided and of second order: many strengths cannot be negative.
+    expected = (4.0 * a - b) / (2.0 * h)
+    assert np.max(np.abs(expected)) > 0.0
+    np.testing.assert_allclose(jacobian, expected, atol=4e-3 * np.max(np.abs(expected)))
+
+
+@pytest.mark.parametrize("name", ["beam", "pair"])
+def test_poles_followed_to_first_order_miss_the_second_order_only(name, monkeypatch):
+    """Halving a change of the rig quarters what following its poles leaves of the new poles' transfer functions."""
+    # Overdamped poles lie close together; at steps a hundred times those of a fit they would be found again.
+    monkeypatch.setattr(linear_model, "_LARGEST_MIX", 0.1)
+    rig = load_rig("beam") if name == "beam" else chain()
+    channels = channels_of(rig)
+    basis = FourierBasis.up_to(3)
+    parts = rig_parts(rig, channels, basis, PLAIN)
+    structure = {"beam": ("youngs_modulus_pa", "density_kg_m3", "stiffness_damping_s"),
+                 "pair": ("masses_kg", "springs_n_m", "dampers_ns_m")}[name]  # fmt: skip
+    exciter = ("table_mass_kg", "table_stiffness_n_m", "table_damping_ns_m", "coil_mass_kg", "force_factor_n_a",
+               "resistance_ohm", "inductance_h")  # fmt: skip
+    paths = [*(("structure", key) for key in structure), *(("exciter", key) for key in exciter)]
+    points = 2j * np.pi * np.array([7.0, 23.0, 90.0, 300.0]) - 0.5
+    for path in paths:
+        left = []
+        for step in (2e-5, 1e-5):
+            value = value_at(rig, path)
+            grown = [v * (1 + step) for v in value] if isinstance(value, list) else value * (1 + step)
+            moved = with_value(rig, path, grown)
+            exact = rig_parts(moved, channels, basis, PLAIN)
+            followed = rig_parts(moved, channels, basis, PLAIN, near=parts)
+            assert followed.linear.frame is None, path
+            error = change = 0.0
+            for s in points:
+                wanted, got, was = (own.linear.at(s)[0] for own in (exact, followed, parts))
+                size = np.max(np.abs(wanted), axis=0)
+                error = max(error, float(np.max(np.abs(got - wanted) / size)))
+                change = max(change, float(np.max(np.abs(was - wanted) / size)))
+            left.append(error)
+        assert change > 0.0, path
+        assert left[0] < 2e-2 * change + 5e-10, path
+        assert left[1] < 0.35 * left[0] + 5e-10, path
+    monkeypatch.setattr(linear_model, "_LARGEST_MIX", 0.0)
+    again = rig_parts(moved, channels, basis, PLAIN, near=parts)
+    assert again.linear.frame is not None
+    np.testing.assert_array_equal(again.linear.poles, exact.linear.poles)

@@ -11,6 +11,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.linalg import eigvalsh
 from unit.diagnose.twin_tests import chain, channels_of, level, locked, rows_of
 from unit.plant.effect_rigs import harmonic, run
 
@@ -23,6 +24,7 @@ from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.rig import Rig, load_rig
+from nmt_rig.rig_model import build_elements, build_structure
 
 # label -> θ; strengths in scales, shapes as ln of scales.
 ON_THE_CHAIN = {
@@ -31,6 +33,9 @@ ON_THE_CHAIN = {
     "quintic_stiffness@2": (4.0,),
     "quadratic_stiffness@1": (2.0,),
     "air_drag@2": (6.0,),
+    "amplitude_damping@2": (4.0,),
+    "power_law_damping@2": (6.0, math.log(0.5)),
+    "power_law_damping@1-2": (4.0, math.log(1.7)),
     "structural_damping": (4.0,),
     "viscous_damping@1-2": (5.0,),
     "added_mass@2": (5.0,),
@@ -44,6 +49,7 @@ ON_THE_CHAIN = {
     "stinger_stiffness@lateral": (4.0,),
     "amplifier_saturation": (9.0,),
     "source_impedance": (4.0,),
+    "drive_hold@drive": (6.0,),
     "suspension_cubic": (8.0,),
     "force_factor_symmetric": (-3.0,),
     "force_factor_asymmetric": (3.0,),
@@ -66,6 +72,11 @@ ON_THE_BEAM = {
     "clamp_friction@lateral": (2.0, math.log(0.3)),
     "clamp_friction@rotation": (2.0, math.log(0.3)),
     "stinger_stiffness@rotation": (3.0,),
+    "shared_delay@displacement channels": (5.0,),
+}
+WITHOUT_FRICTION = {
+    "microslip@1-2": (6.0, math.log(0.5), 0.0),
+    "microslip@2": (3.0, math.log(0.4), math.log(0.6)),
 }
 # What no steady state of a channel shows: means over windows of a line of unknown phase, and the loop's own settings.
 ELSEWHERE = {"mains_hum", "phase_offset", "loop_latency"}
@@ -82,9 +93,9 @@ def the_beam() -> Rig:
 
 @cache
 def surroundings(name: str) -> tuple[Rig, OperatingRange]:
-    rig = chain() if name == "chain" else the_beam()
-    drive, hz = (CHAIN_DRIVE, 24.9) if name == "chain" else (BEAM_DRIVE, BEAM_HZ)
-    test, _ = locked(rig, [level(drive, hz)], "x1" if name == "chain" else "x2")
+    rig = {"chain": chain, "beam": the_beam, "plain chain": lambda: chain(local_elements=[])}[name]()
+    drive, hz = (BEAM_DRIVE, BEAM_HZ) if name == "beam" else (CHAIN_DRIVE, 24.9)
+    test, _ = locked(rig, [level(drive, hz)], "x2" if name == "beam" else "x1")
     return rig, operating_range(rig, [test])
 
 
@@ -142,6 +153,36 @@ def test_an_effect_on_the_beam(label):
     changed = parametrisation.rig(np.array(ON_THE_BEAM[label]))
     assert changed != rig
     compare(changed, "x2", BEAM_DRIVE, BEAM_HZ, 3.0, 2e-4)
+
+
+@pytest.mark.parametrize("label", WITHOUT_FRICTION)
+def test_a_joint_in_a_model_without_friction(label):
+    """It takes its stiffness from the model: stuck, it changes nothing; slipping, the plant moves as the twin says."""
+    rig, own = candidate("plain chain", label)
+    changed = Parametrisation(rig, (), (own,)).rig(np.array(WITHOUT_FRICTION[label]))
+    stuck, given = (eigvalsh(structure_stiffness(item), build_structure(item).mass) for item in (changed, rig))
+    np.testing.assert_allclose(stuck, given, rtol=1e-12)
+    compare(changed, "x1", CHAIN_DRIVE, CHAIN_HZ, 3.0, 2e-4)
+
+
+def structure_stiffness(rig: Rig) -> np.ndarray:
+    """Stiffness at rest, elements included."""
+    structure = build_structure(rig)
+    outer = [e.linear_stiffness * np.outer(e.direction, e.direction) for e in build_elements(rig, structure)]
+    return structure.stiffness + sum(outer)
+
+
+def test_a_model_with_friction_gets_no_joint_beside_it():
+    rig, operating = surroundings("chain")
+    assert [c.label for c in candidates(rig, operating) if c.effect.name == "microslip"] == ["microslip@2"]
+
+
+def test_air_gives_no_more_drag_than_its_density_and_the_area_allow():
+    """A plate of 0.7 m by 5.3 mm in air of 1.2 kg/m³, C_d at most 10; without a size the sheet that weighs as much."""
+    rig, own = candidate("beam", "air_drag@5")
+    assert own.site.limits["c2"] == pytest.approx(0.5 * 1.2 * 10.0 * 0.7 * rig.structure.width_m)
+    _, light = candidate("chain", "air_drag@2")
+    assert 0.0 < light.site.limits["c2"] <= 0.5 * 1.2 * 10.0 * 0.8 / 2.7
 
 
 def test_every_effect_is_compared():

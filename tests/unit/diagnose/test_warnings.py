@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from unit.diagnose.test_judgement import CUBIC, A, contender
 
+from nmt_diagnose.effects.effect import Candidate, Site
+from nmt_diagnose.effects.library import effect_named
+from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
 from nmt_diagnose.inference.warnings import warned
@@ -42,8 +46,26 @@ def test_a_fit_that_stopped_early() -> None:
 
 
 def test_an_explanation_that_is_not_the_whole() -> None:
-    left = replace(GAP, after=4.0, per_observable={"run: frequency": {"after": 2.0}, "run: phase": {"after": 6.0}})
+    left = replace(
+        GAP, closed=0.8, after=4.0, per_observable={"run: frequency": {"after": 2.0}, "run: phase": {"after": 6.0}}
+    )
     (sentence,) = warned(Verdict.EFFECT, best(), (MASS,), left)
     assert sentence.startswith("4.0 standard deviations (rms) are left on held-out data, most of it in run: phase")
     assert warned(Verdict.UNKNOWN, best(), (MASS,), left) == ()
+    # A remainder of some percent is told with the verdict.
+    assert warned(Verdict.EFFECT, best(), (MASS,), replace(left, closed=0.94)) == ()
     assert warned(Verdict.EFFECT, best(), (MASS,), replace(left, after=math.nan)) == ()
+
+
+def test_drag_that_no_air_has_is_told_beside_what_looks_alike() -> None:
+    drag = Candidate(effect_named("air_drag"), Site(Placement.at("structure", 1), {"c2": 1.0}, 1, limits={"c2": 0.02}))
+    found = contender(A, (drag, A))
+    own = SimpleNamespace(values=lambda theta, _: {"c2": float(theta[0])}, index_of=lambda _: slice(0, 1))
+    fitted = replace(found, fit=replace(found.fit, parametrisation=own))
+    (sentence,) = warned(Verdict.EFFECT, best(), (MASS,), GAP, (best(), fitted))
+    assert sentence.startswith("As air_drag@1 the gap would take c2 = ")
+    times = fitted.fit.theta[0] / 0.02
+    assert f"{times:.2g} times the largest that physics allows" in sentence
+    assert warned(Verdict.UNKNOWN, best(), (MASS,), GAP, (best(), fitted)) == ()
+    within = replace(fitted, candidates=(replace(drag, site=replace(drag.site, limits={"c2": 10.0})),))
+    assert warned(Verdict.EFFECT, best(), (MASS,), GAP, (best(), within)) == ()

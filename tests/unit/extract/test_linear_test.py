@@ -237,6 +237,7 @@ def _cut(signals: Signals, samples: int) -> Signals:
     [
         (lambda s: replace(s, flags=int(BlockFlag.OVERLOAD)), "overload"),
         (lambda s: replace(s, flags=int(BlockFlag.LIMIT)), "drive to zero"),
+        (lambda s: replace(s, flags=int(BlockFlag.STOP)), "drive was stopped"),
         (lambda s: replace(s, gaps=(("force", 5, 7),)), "7 samples of force are missing"),
         (lambda s: _changed(s, a2=np.clip(s.channels["a2"], -1.0, 1.0)), "a2 is clipped"),
         (lambda s: _changed(s, a1=np.full_like(s.channels["a1"], 3.0)), "a1 shows no signal"),

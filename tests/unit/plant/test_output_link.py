@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 
 from nmt_core.blocks import BlockFlag, FloatArray, Quantity, SampleBlock
+from nmt_core.errors import BenchError
 from nmt_core.records import DriveCommand
-from nmt_core.vocabulary import Waveform
+from nmt_core.vocabulary import OutputState, StopCause, Waveform
+from nmt_plant.converter import read_log
 from nmt_plant.device import DeviceFault
 from nmt_plant.loopback_device import LoopbackDevice
 from nmt_plant.output_faults import FAULTS, measure
 from nmt_plant.output_link import OutputLink
-from nmt_plant.output_owner import OutputState, OwnerSettings, read_log
+from nmt_plant.output_owner import OwnerSettings
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.rig import load_rig
 
@@ -30,9 +32,7 @@ SINE = DriveCommand(Waveform.SINE, 50.0, 1.0)
 
 
 def settings(**changes: float) -> OwnerSettings:
-    return OwnerSettings(
-        **{"sample_rate": RATE, "block_samples": BLOCK, "chunk_samples": 40, "deadline": 2.0, **changes}
-    )  # type: ignore[arg-type]
+    return OwnerSettings(**{"sample_rate": RATE, "block_samples": BLOCK, "deadline": 2.0, **changes})  # type: ignore[arg-type]
 
 
 def alive(process: int | None) -> bool:
@@ -65,10 +65,10 @@ def test_what_is_fed_is_put_out_logged_and_given_back(tmp_path: Path) -> None:
     assert link.state is OutputState.AT_ZERO
     for n in range(10):
         link.feed(fed[n * BLOCK : (n + 1) * BLOCK])
-    np.testing.assert_array_equal(link.collect(10 * BLOCK, 20.0), fed)
+    np.testing.assert_array_equal(link.collect(10 * BLOCK, 20.0).put_out[0], fed)
     assert link.close() is OutputState.ENDED
     assert not alive(process)
-    values = np.concatenate([values for _, values in read_log(log)])
+    values = np.concatenate([values[0] for _, values in read_log(log)])
     first = int(np.flatnonzero(values)[0])
     np.testing.assert_array_equal(values[first : first + fed.size], fed)
     assert values[-1] == 0.0
@@ -121,7 +121,7 @@ def test_an_owner_that_is_told_to_end_goes_to_zero_first(tmp_path: Path) -> None
     until(lambda: link.state is OutputState.ENDED)
     assert "told to end" in link.sentence
     link.close()
-    values = np.concatenate([values for _, values in read_log(log)])
+    values = np.concatenate([values[0] for _, values in read_log(log)])
     assert values[-1] == 0.0
     assert np.abs(np.diff(values[values.argmax() :])).max() < 0.01, "a ramp"
 
@@ -175,9 +175,7 @@ def test_an_owned_rig_measures_what_was_put_out_a_lead_later() -> None:
 
 def test_an_owned_device_says_when_its_output_was_stopped(tmp_path: Path) -> None:
     stop = tmp_path / "stop"
-    device = LoopbackDevice(
-        watchdog_blocks=0, owned=True, arguments={"sample_rate": RATE, "stop_file": str(stop)}, **PATIENT
-    )
+    device = LoopbackDevice(watchdog_blocks=0, owned=True, arguments={"stop_file": str(stop)}, **PATIENT)
     device.configure()
     device.start()
     try:
@@ -187,8 +185,12 @@ def test_an_owned_device_says_when_its_output_was_stopped(tmp_path: Path) -> Non
         stop.touch()
         until(lambda: bool(device.read()) and device.is_quiet)
         assert device.tripped == "output: the external stop input"
-        assert device.read()[0].flags & BlockFlag.WATCHDOG
+        assert device.stop_cause is StopCause.EXTERNAL_INPUT
+        assert device.read()[0].flags & BlockFlag.STOP
+        with pytest.raises(BenchError, match="the external stop input still asks for zero"):
+            device.reset()
         stop.unlink()
+        until(lambda: bool(device.read()) and not device._link.stop_is_set)  # type: ignore[union-attr]
         device.reset()
         assert device.tripped == ""
         device.write(SINE)
@@ -235,7 +237,9 @@ def test_is_ready_says_whether_a_read_would_wait() -> None:
     device.configure()
     device.start()
     try:
-        for _ in range(LEAD + 3):
+        assert device.is_ready, "the first read sets the clock going"
+        device.read()
+        for _ in range(LEAD + 2):
             until(lambda: device.is_ready)
             assert device._link is not None
             assert device._link.available >= BLOCK
@@ -258,3 +262,69 @@ def test_an_owned_device_starts_again_at_zero() -> None:
         device.stop()
         assert device.output_pid is None
     device.close()
+
+
+def test_a_full_duplex_converter_measures_what_acts_at_the_same_time() -> None:
+    """Whatever the converter's delay is, block by block the input is the output of the same samples."""
+    device = LoopbackDevice(watchdog_blocks=0, owned=True, newton_per_volt=2.0, arguments={"delay": 130}, **PATIENT)
+    device.configure()
+    device.start()
+    try:
+        device.write(SINE)
+        blocks = [device.read() for _ in range(LEAD + 6)]
+        drive = np.concatenate([voltage(block) for block in blocks])
+        force = np.concatenate([block[0].data[0] for block in blocks])
+        assert drive.any()
+        np.testing.assert_array_equal(force, 2.0 * drive)
+    finally:
+        device.close()
+
+
+def test_a_loss_of_the_converter_is_a_gap_of_one_block() -> None:
+    device = LoopbackDevice(watchdog_blocks=0, owned=True, arguments={"lost_at": 750}, **PATIENT)
+    device.configure()
+    device.start()
+    try:
+        firsts = [[block.first_sample for block in device.read()] for _ in range(12)]
+    finally:
+        device.close()
+    given = [first[0] for first in firsts if first]
+    assert len(given) == 11, "one block is not given"
+    assert sorted(set(range(0, 12 * BLOCK, BLOCK)) - set(given))[0] % BLOCK == 0
+    assert [len(first) for first in firsts if first] == [3] * 11
+
+
+def test_a_lead_that_is_shorter_than_the_delay_of_the_converter_is_refused() -> None:
+    device = LoopbackDevice(owned=True, lead_blocks=3, arguments={"delay": 450})
+    device.configure()
+    with pytest.raises(DeviceFault, match="450 samples after what is put out, so at least 4 blocks"):
+        device.start()
+    device.close()
+
+
+def test_the_rig_measures_the_ramp_of_an_output_that_was_not_fed() -> None:
+    """The structure moves with what was put out, not with what was commanded."""
+    rig = load_rig("beam")
+    device = SimulatedRig(rig, owned=True, lead_blocks=25)
+    device.configure()
+    device.start()
+    try:
+        device.write(DriveCommand(Waveform.SINE, 22.0, 0.5))
+        drive = [voltage(device.read()) for _ in range(30)]
+        assert drive[-1].any()
+        link = device._link
+        assert link is not None
+        until(lambda: link.state is OutputState.HELD)
+        while not device.is_quiet or not device.tripped:
+            drive.append(voltage(device.read()))
+        line = np.concatenate(drive)
+        assert device.stop_cause is StopCause.OUTPUT
+        assert "no block was there" in device.tripped or "not fed for" in device.tripped
+        last = int(np.flatnonzero(line)[-1])
+        length = round(rig.limits.ramp_s * RATE)
+        ramp = line[last - length + 1 : last + 2]  # from the last sample that was fed to the first zero
+        share = 0.5 * (1.0 + np.cos(np.pi * np.arange(length + 1) / length))
+        np.testing.assert_allclose(ramp, ramp[0] * share, atol=1e-9)
+        assert abs(ramp[0]) > 0.0
+    finally:
+        device.close()

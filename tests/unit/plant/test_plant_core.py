@@ -8,7 +8,7 @@ import pytest
 from nmt_core.command_judge import Refusal, Source
 from nmt_core.errors import BenchError
 from nmt_core.records import DriveCommand, RunState
-from nmt_core.vocabulary import Quantity, ResultCode, RunPhase, Waveform
+from nmt_core.vocabulary import BlockFlag, OutputState, Quantity, ResultCode, RunPhase, StopCause, Waveform
 from nmt_plant.loopback_device import LoopbackDevice
 from nmt_plant.plant_core import PlantCore
 
@@ -127,3 +127,79 @@ def test_a_new_run_accepts_a_loop_that_was_started_again() -> None:
     core.take_state(state(RunPhase.RUNNING))
     assert core.second_source == ""
     assert core.take_drive(sine(2 * BLOCK - 1), STRANGER) == ""
+
+
+def moving() -> PlantCore:
+    """A core whose drive is on; its ramp to zero takes two blocks and a half."""
+    core = PlantCore(LoopbackDevice(RATE, BLOCK, quiet_ramp=0.25))
+    core.take_state(state(RunPhase.RUNNING))
+    for number in range(4):
+        produce(core)
+        core.take_drive(sine((number + 1) * BLOCK - 1), LOOP)
+    assert core.stop() is None
+    return core
+
+
+def test_a_stop_is_told_when_it_begins_is_at_zero_and_is_released() -> None:
+    core = moving()
+    at = core.device.next_sample
+    blocks = []
+    told = []
+    for produced in core.stop_drive("emergency stop by /door", StopCause.EMERGENCY_STOP):
+        told.append(core.stop())
+        blocks.append(next(block for block in produced if block.quantity == Quantity.VOLTAGE))
+    events = [stop for stop in [*told, core.stop()] if stop is not None]
+    assert [(stop.cause, stop.output) for stop in events] == [
+        (StopCause.EMERGENCY_STOP, OutputState.RAMPING),
+        (StopCause.EMERGENCY_STOP, OutputState.HELD),
+    ]
+    assert events[0].sample == at + BLOCK, "told with the first block of the ramp"
+    assert {stop.reason for stop in events} == {"emergency stop by /door"}
+    assert events[1].time_ns == round(events[1].sample / RATE * 1e9)
+    assert all(block.flags & BlockFlag.STOP for block in blocks)
+    assert blocks[0].data.any()
+    assert not blocks[-1].data.any()
+    assert core.stop() is None, "once each"
+    core.device.reset()
+    released = core.stop()
+    assert released is not None
+    assert (released.cause, released.output, released.reason) == (StopCause.RELEASED, OutputState.AT_ZERO, "")
+    assert core.stop() is None
+
+
+def test_a_stop_before_a_run_is_latched_and_takes_no_block() -> None:
+    core = PlantCore(LoopbackDevice(RATE, BLOCK))
+    assert list(core.stop_drive("the service quiet", StopCause.QUIET)) == []
+    assert core.device.next_sample == 0
+    stop = core.stop()
+    assert stop is not None
+    assert (stop.cause, stop.output, stop.sample) == (StopCause.QUIET, OutputState.HELD, 0)
+    core.take_state(state(RunPhase.RUNNING))
+    produce(core)
+    core.take_drive(sine(BLOCK - 1), LOOP)
+    assert produce(core) == 0.0
+
+
+def test_the_first_stop_is_the_one_that_is_told() -> None:
+    core = moving()
+    list(core.stop_drive("the service quiet", StopCause.QUIET))
+    core.stop()
+    list(core.stop_drive("emergency stop by /door", StopCause.EMERGENCY_STOP))
+    assert core.stop() is None
+    assert core.device.stop_cause is StopCause.QUIET
+
+
+def test_a_failure_is_told_with_what_became_of_the_output() -> None:
+    core = moving()
+    core.device.close()
+    stop = core.failure("the amplifier is on fire")
+    assert (stop.cause, stop.output, stop.reason) == (StopCause.DEVICE, OutputState.ENDED, "the amplifier is on fire")
+
+
+def test_an_emergency_stop_does_not_wait_for_a_longer_ramp() -> None:
+    core = moving()
+    core.device.quiet("slowly", 2.0)
+    blocks = list(core.stop_drive("emergency stop by /door", StopCause.EMERGENCY_STOP))
+    assert len(blocks) <= 4
+    assert core.device.is_quiet
+    assert core.device.tripped == "slowly", "the first reason stays"

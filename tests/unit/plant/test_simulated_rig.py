@@ -11,7 +11,7 @@ from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_plant.benchmark import run_benchmark
+from nmt_plant.benchmark import owned_output_cost, run_benchmark
 from nmt_plant.simulated_rig import TICK_ORDER, SimulatedRig
 from nmt_rig.rig import load_rig
 
@@ -109,6 +109,13 @@ def test_overload_is_flagged_for_its_block_only():
         rig.write(DriveCommand(Waveform.OFF, ramp=0.1))
         last = rig.read()
     assert last[0].flags == 0
+
+
+def test_cost_of_an_owned_output_is_a_share_of_real_time(rig):
+    cost = owned_output_cost(rig, seconds=0.6)
+    assert 0.0 < cost.device < 5.0
+    assert 0.0 <= cost.owner < 5.0
+    assert cost.late > 0.0
 
 
 def test_benchmark_reports_positive_figures(rig):

@@ -18,10 +18,12 @@ from nmt_rig.model.assembly import (
 from nmt_rig.model.attachments import BoucWen
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.local_elements import (
+    AmplitudeDamper,
     CubicSpring,
     Jenkins,
     LinearDamper,
     LinearSpring,
+    PowerLawDamper,
     QuadraticDrag,
     QuadraticSpring,
     QuinticSpring,
@@ -96,6 +98,8 @@ def test_beam_with_joint_against_solve_ivp(beam_system):
         one(QuinticSpring, 1e16),
         one(QuadraticSpring, 8e5),
         one(QuadraticDrag, 40.0),
+        one(AmplitudeDamper, 4e7),
+        one(PowerLawDamper, 40.0, 1.5),
         one(TanhFriction, 0.5, 0.05),
         one(UnilateralStop, 50_000.0, 2e-4),
         one(TwoSidedGap, 50_000.0, 2e-4),

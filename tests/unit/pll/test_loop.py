@@ -210,7 +210,11 @@ def test_without_a_time_out_it_waits():
 
 @pytest.mark.parametrize(
     ("flag", "reason"),
-    [(BlockFlag.LIMIT, "a safety limit has tripped"), (BlockFlag.WATCHDOG, "the drive watchdog has tripped")],
+    [
+        (BlockFlag.LIMIT, "a safety limit has tripped"),
+        (BlockFlag.WATCHDOG, "the drive watchdog has tripped"),
+        (BlockFlag.STOP, "the drive was stopped at the plant"),
+    ],
 )
 @pytest.mark.parametrize("state", [LoopState.ACQUIRING, LoopState.LOCKED])
 def test_a_trip_of_the_plant_ends_the_level_in_the_same_block(flag, reason, state):

@@ -327,6 +327,13 @@ def test_malformed_tables_of_others(text: str, section: dict[str, object], sente
         read_import(path)
 
 
+def test_a_column_of_phases_may_say_degrees_in_its_name(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("frequency_hz,magnitude,phase_deg\n1,2,90\n")
+    path = write_sidecar(tmp_path, {"file": "t.csv", "segments": [{"kind": "frf", "unit": "m/N"}]})
+    (table,) = observable_tables(imported(path))
+    assert table.columns["real"] + 1j * table.columns["imag"] == pytest.approx([2j])
+
+
 def test_a_file_that_is_one_table(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("frequency_hz,amplitude\n21.5,2e-3\n")
     path = write_sidecar(tmp_path, {"file": "t.csv", "kind": "backbone", "unit": "m*sqrt(kg)"})

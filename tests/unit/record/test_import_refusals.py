@@ -277,7 +277,7 @@ CASES: dict[str, tuple[Case, str]] = {
         "called like an acceleration",
     ),
     "spreadsheet": (of_bytes("data.csv", b"PK\x03\x04" + bytes(100)), "spreadsheet.*save the table as CSV"),
-    "matlab": (of_bytes("data.mat", b"MATLAB 5.0 MAT-file" + bytes(100)), "MATLAB file"),
+    "matlab": (of_bytes("data.mat", b"MATLAB 5.0 MAT-file" + bytes(100)), "cut off or damaged"),
     "unknown ending": (of_bytes("data.wav", b"RIFF" + bytes(100)), "unknown ending '.wav'"),
     "binary csv": (of_bytes("data.csv", bytes(range(256)) * 9), "zero bytes"),
     # NPZ and UFF

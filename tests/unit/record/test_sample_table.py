@@ -120,6 +120,7 @@ def test_the_block_that_ends_the_window_may_show_the_next_level(sample, spoils):
 FAULTY = {
     Fault.LIMIT: flagged({8}),
     Fault.WATCHDOG: flagged({8}, BlockFlag.WATCHDOG),
+    Fault.STOPPED: flagged({8}, BlockFlag.STOP),
     Fault.OVERLOAD: flagged({8}, BlockFlag.OVERLOAD),
     Fault.MISSING: [block for number, block in enumerate(FORCE) if number != 8],
     Fault.REPEATED: [*FORCE[:9], FORCE[8], *FORCE[9:]],

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import gamma
 
 from nmt_core.errors import BenchError
 from nmt_rig.model.aft import LocalForces
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements import (
+    AmplitudeDamper,
     CubicSpring,
     Jenkins,
     LinearDamper,
     LinearSpring,
     LocalElement,
+    PowerLawDamper,
     QuadraticDrag,
     QuadraticSpring,
     QuinticSpring,
@@ -114,6 +117,24 @@ def test_smooth_springs_against_closed_forms() -> None:
     assert force(QuadraticDrag(D, 2.0), 1) == pytest.approx(2j * (OMEGA * a) ** 2 * 8.0 / (3.0 * np.pi), rel=1e-6)
 
 
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.0, 2.7, 5.0])
+def test_energy_that_dampers_take_a_cycle(exponent: float) -> None:
+    """Of w = a cos θ: π/4 c ω a⁴ for c w² ẇ; c ωᵖ aᵖ⁺¹ ∫|sin θ|ᵖ⁺¹ dθ for c |ẇ|ᵖ, 2√π Γ(p/2 + 1)/Γ(p/2 + 3/2)."""
+    basis = FourierBasis.up_to(5)
+    a = 0.8
+
+    def dissipated(element: LocalElement) -> float:
+        force = LocalForces.gather([element], basis).forces(pure_cosine(basis, a), OMEGA)[0]
+        return float(np.pi * a * harmonic(basis, force, 1).imag)
+
+    assert dissipated(AmplitudeDamper(D, 2.5)) == pytest.approx(np.pi / 4 * 2.5 * OMEGA * a**4, rel=1e-13)
+    integral = 2.0 * np.sqrt(np.pi) * gamma(0.5 * exponent + 1.0) / gamma(0.5 * exponent + 1.5)
+    expected = 2.5 * OMEGA**exponent * a ** (exponent + 1.0) * integral
+    assert dissipated(PowerLawDamper(D, 2.5, exponent)) == pytest.approx(expected, rel=1e-6)
+    third = LocalForces.gather([AmplitudeDamper(D, 2.5)], basis).forces(pure_cosine(basis, a), OMEGA)[0]
+    assert harmonic(basis, third, 3) == pytest.approx(0.25j * 2.5 * OMEGA * a**3, rel=1e-13)
+
+
 def test_stops_against_closed_forms() -> None:
     basis = FourierBasis.up_to(3)
     a, gap, k = 2.0, 0.7, 5.0
@@ -144,8 +165,9 @@ def test_preloaded_stop_in_full_contact_is_a_spring_with_an_offset() -> None:
         [CubicSpring(D, 2.0), QuinticSpring(D, 1.0), QuadraticSpring(D, 0.5)],
         [QuadraticDrag(D, 1.5), LinearDamper(D, 0.3)],
         [TanhFriction(D, 1.0, 0.5)],
+        [AmplitudeDamper(D, 1.5), PowerLawDamper(D, 0.7, 2.6)],
     ],
-    ids=["jenkins", "two jenkins", "stops", "springs", "drag", "tanh"],
+    ids=["jenkins", "two jenkins", "stops", "springs", "drag", "tanh", "dampers"],
 )
 @pytest.mark.parametrize("odd_only", [False, True])
 def test_derivatives_against_finite_differences(elements: list[LocalElement], odd_only: bool) -> None:
@@ -175,6 +197,8 @@ def test_derivatives_against_finite_differences(elements: list[LocalElement], od
         (UnilateralStop(D, 3.0, 0.2), 0.0),
         (QuinticSpring(D, 3.0), 1e-13),
         (QuadraticDrag(D, 3.0), 1e-6),
+        (AmplitudeDamper(D, 3.0), 1e-13),
+        (PowerLawDamper(D, 3.0, 1.5), 1e-6),
         (TanhFriction(D, 3.0, 0.1), 1e-6),
     ],
 )

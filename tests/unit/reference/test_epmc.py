@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.linalg import eigh
 from scipy.special import ellipk
 
@@ -11,7 +12,7 @@ from nmt_core.errors import BenchError
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.epmc import EpmcProblem, epmc_backbone
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.local_elements import CubicSpring, Jenkins
+from nmt_rig.model.local_elements import AmplitudeDamper, CubicSpring, Jenkins, PowerLawDamper
 from nmt_rig.model.structure import Structure
 
 ONE = np.array([1.0])
@@ -54,6 +55,23 @@ def test_duffing_one_harmonic_closed_form() -> None:
     omega = np.sqrt((k + 0.75 * k3 * amplitude**2) / m)
     np.testing.assert_allclose(result.omega_rad_s, omega, rtol=1e-10)
     np.testing.assert_allclose(result.damping_ratio, c / m / (2.0 * omega), rtol=1e-9)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.0, 3.0])
+def test_dampers_that_grow_with_amplitude_one_harmonic_closed_form(exponent: float) -> None:
+    """ζ from the energy of a cycle: E = 2π ζ m ω² a² for the viscous damping that stands for it."""
+    m, k, c = 2.0, 50.0, 0.3
+    structure = lumped_chain([m], [], None, [k], [0.0])
+    q = np.geomspace(1e-2, 2.0, 6)
+    a, omega = q / np.sqrt(m), np.sqrt(k / m)
+    result = epmc_backbone(structure, [AmplitudeDamper(ONE, c)], q, FourierBasis.up_to(1))
+    energy = 0.25 * np.pi * c * omega * a**4
+    np.testing.assert_allclose(result.omega_rad_s, omega, rtol=1e-10)
+    np.testing.assert_allclose(result.damping_ratio, energy / (2.0 * np.pi * m * omega**2 * a**2), rtol=1e-9)
+    result = epmc_backbone(structure, [PowerLawDamper(ONE, c, exponent)], q, FourierBasis.up_to(1))
+    cycle, _ = quad(lambda angle: abs(np.sin(angle)) ** (exponent + 1.0), 0.0, 2.0 * np.pi)
+    energy = c * omega**exponent * a ** (exponent + 1.0) * cycle
+    np.testing.assert_allclose(result.damping_ratio, energy / (2.0 * np.pi * m * omega**2 * a**2), rtol=1e-6)
 
 
 def test_undamped_duffing_converges_to_the_elliptic_integral() -> None:

@@ -9,8 +9,8 @@ from unit.sequencer.bench import status
 
 from nmt_core.command_judge import Source
 from nmt_core.parameters import check_values
-from nmt_core.records import LoopStatus
-from nmt_core.vocabulary import LoopState, ResultCode, RunPhase
+from nmt_core.records import DriveStop, LoopStatus
+from nmt_core.vocabulary import BlockFlag, LoopState, OutputState, ResultCode, RunPhase, StopCause
 from nmt_sequencer.run_core import PARAMETERS, RunCore
 from nmt_sequencer.run_machine import RunPlan
 
@@ -91,3 +91,50 @@ def test_a_new_run_begins_with_a_clean_slate() -> None:
     assert core.take_status(fixed(60 * BLOCK - 1, 10), STRANGER) == ""
     assert core.machine.active
     assert core.judge.second_source == ""
+
+
+@pytest.mark.parametrize(
+    ("cause", "code"),
+    [
+        (StopCause.QUIET, ResultCode.STOPPED),
+        (StopCause.EMERGENCY_STOP, ResultCode.STOPPED),
+        (StopCause.EXTERNAL_INPUT, ResultCode.STOPPED),
+        (StopCause.OUTPUT, ResultCode.NODE_LOST),
+    ],
+)
+def test_a_stop_at_the_plant_ends_the_run_with_its_reason(cause: StopCause, code: ResultCode) -> None:
+    core = running()
+    feed(core, 0, 3)
+    core.take_stop(DriveStop(310, cause, OutputState.RAMPING, "somebody said so."))
+    for number in range(3, 40):
+        core.take_status(fixed((number + 1) * BLOCK - 1, 10)._replace(flags=int(BlockFlag.STOP)), LOOP)
+    assert core.machine.phase == RunPhase.DONE
+    assert core.machine.code == code
+    assert core.machine.reason == "The drive was stopped at sample 310: somebody said so."
+
+
+@pytest.mark.parametrize(
+    "cause", [StopCause.LIMIT, StopCause.WATCHDOG, StopCause.NODE, StopCause.DEVICE, StopCause.RELEASED]
+)
+def test_other_stops_are_told_otherwise(cause: StopCause) -> None:
+    core = running()
+    feed(core, 0, 3)
+    core.take_stop(DriveStop(310, cause, OutputState.RAMPING, "somebody said so."))
+    feed(core, 3, 12)
+    assert core.machine.phase == RunPhase.RUNNING
+
+
+def test_a_flag_without_its_message_ends_the_run_too() -> None:
+    core = running()
+    for number in range(40):
+        core.take_status(fixed((number + 1) * BLOCK - 1, 10)._replace(flags=int(BlockFlag.STOP)), LOOP)
+    assert (core.machine.code, core.machine.reason) == (ResultCode.STOPPED, "The drive was stopped at the plant.")
+
+
+def test_a_limit_during_a_stop_that_was_asked_for_is_a_limit() -> None:
+    core = running()
+    feed(core, 0, 3)
+    core.machine.stop(ResultCode.STOPPED, "Stopped by the stop service.")
+    for number in range(3, 40):
+        core.take_status(fixed((number + 1) * BLOCK - 1, 10)._replace(flags=int(BlockFlag.LIMIT)), LOOP)
+    assert core.machine.code == ResultCode.LIMIT

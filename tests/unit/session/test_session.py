@@ -21,6 +21,7 @@ from nmt_plant.simulated_rig import SimulatedRig
 from nmt_record.bag_reader import Bag
 from nmt_rig.rig import load_rig
 from nmt_session import Progress, Session, TestPlan, plan_test
+from nmt_session.node_plan import plan_nodes
 
 
 def one_level(**changes: Any) -> TestPlan:
@@ -202,3 +203,20 @@ def test_refusals(tmp_path: Path) -> None:
         session.run()
         with pytest.raises(BenchError, match="runs once"):
             session.run()
+
+
+@pytest.mark.parametrize(
+    ("pacing", "latency", "lead"),
+    [
+        ("lockstep", 0, 0),
+        ("lockstep", 2, 2),
+        ("realtime", 0, 6),
+        ("realtime", 2, 3),
+        ("realtime", 4, 4),
+        ("realtime", 9, 9),
+    ],
+)
+def test_all_nodes_reckon_with_the_blocks_that_wait_at_the_output(pacing: str, latency: int, lead: int) -> None:
+    values = plan_nodes(one_level(pacing=pacing, latency_blocks=latency), Path("bag"), Path("rig.yaml")).values
+    assert [values[name]["latency_blocks"] for name in ("plant", "pll", "sequencer")] == [lead] * 3
+    assert ("output_record" in values["plant"]) == (pacing == "realtime")

@@ -10,6 +10,8 @@ Exit codes: 0 done, 1 unexpected error (its traceback is in a log file), 2 a mis
 from __future__ import annotations
 
 import argparse
+import contextlib
+import errno
 import importlib
 import os
 import sys
@@ -17,16 +19,16 @@ import tempfile
 import time
 import traceback
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import NoReturn
 
+from nmt_bench.command_parser import EXIT_USER, CommandParser, Refusal, leaf_parsers
 from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
 
 EXIT_DONE = 0
 EXIT_UNEXPECTED = 1
-EXIT_USER = 2
 EXIT_INTERRUPTED = 130
 
 PROGRAM = "nmt" if Path(sys.argv[0]).name == "nmt" else "./nmt"
@@ -35,10 +37,19 @@ PROGRAM = "nmt" if Path(sys.argv[0]).name == "nmt" else "./nmt"
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("nmt_bench.commands.demo_command", "the paper's virtual experiment, from the first node to the report"),
     "run": ("nmt_bench.commands.run_command", "one test of a rig: step the level, lock, record, extract, report"),
+    "page": ("nmt_bench.commands.page_command", "live page in the browser: watch, steer and stop a test; replay a bag"),
     "extract": ("nmt_bench.commands.extract_command", "modal properties from a recorded bag; equal to the live ones"),
     "linear": (
         "nmt_bench.commands.linear_command",
         "linear modal test: random drive, frequency responses, fitted modes",
+    ),
+    "check": (
+        "nmt_bench.commands.check_command",
+        "low-level check of every channel and of the loop before a test on hardware",
+    ),
+    "specimen": (
+        "nmt_bench.commands.specimen_command",
+        "the simulated rig behind a converter's ports, in real time: hardware to try without hardware",
     ),
     "sweep": ("nmt_bench.commands.sweep_command", "sine sweep or stepped sine with a held force; frequency responses"),
     "synthesis": (
@@ -51,7 +62,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "import": ("nmt_bench.commands.import_command", "data measured elsewhere (CSV, NPZ, UFF58, tables) as a bag"),
     "repair": ("nmt_bench.commands.repair_command", "what can be saved of a damaged or cut bag, and what was lost"),
-    "export": ("nmt_bench.commands.export_command", "a recording as UFF58, CSV or NPZ, ready for './nmt import'"),
+    "export": ("nmt_bench.commands.export_command", "a recording as UFF58, CSV, NPZ, HDF5 or MATLAB; modes as UFF55"),
+    "figures": (
+        "nmt_bench.commands.figures_command",
+        "figures of a report as SVG, PDF and PNG for a paper, each with its table",
+    ),
     "reference": (
         "nmt_bench.commands.reference_command",
         "computed backbone of a rig's model (EPMC, harmonic balance)",
@@ -61,8 +76,12 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "nmt_bench.commands.blind_command",
         "blind check of the diagnosis: make sealed cases, diagnose, score",
     ),
+    "stop": ("nmt_bench.commands.stop_command", "emergency stop of the benches of this host"),
+    "rigs": ("nmt_bench.commands.rigs_command", "the rigs that can be given by name"),
     "params": ("nmt_bench.commands.params_command", "parameter file of a rig for starting the nodes with 'ros2 run'"),
     "benchmark": ("nmt_bench.commands.benchmark_command", "speed of this machine beside limits and peers"),
+    "completion": ("nmt_bench.commands.completion_command", "completion of commands and options for bash or zsh"),
+    "help": ("nmt_bench.commands.help_command", "the commands, or the options of one"),
 }
 """Module and one line of help of each command; ``test``, ``doctor`` and ``setup`` belong to the launcher."""
 
@@ -74,16 +93,30 @@ also, from the launcher:
 """
 
 _ROS_MODULES = frozenset(
-    {"builtin_interfaces", "diagnostic_msgs", "nmt_msgs", "rcl_interfaces", "rclpy", "std_msgs", "std_srvs"}
+    {
+        "action_msgs",
+        "builtin_interfaces",
+        "diagnostic_msgs",
+        "nmt_msgs",
+        "rcl_interfaces",
+        "rclpy",
+        "std_msgs",
+        "std_srvs",
+        "unique_identifier_msgs",
+    }
 )
 
 
-class _Parser(argparse.ArgumentParser):
-    """An argument parser whose refusal is one sentence."""
-
-    def error(self, message: str) -> NoReturn:
-        sentence = message[:1].upper() + message[1:].rstrip(".")
-        self.exit(EXIT_USER, f"{self.prog}: {sentence}; see '{self.prog} --help'.\n")
+_REASONS = {
+    errno.ENOSPC: "the disk is full; make room or choose another folder with --out",
+    errno.EDQUOT: "the disk quota is used up; make room or choose another folder with --out",
+    errno.EROFS: "this cannot be written; choose another folder with --out",
+    errno.EACCES: "access is denied; choose another file or folder, or change its owner",
+    errno.EPERM: "access is denied; choose another file or folder, or change its owner",
+    errno.EMFILE: "this shell allows too few open files; type 'ulimit -n 1024' and the command again",
+    errno.ENFILE: "this computer has no file handles left; end other programs",
+}
+"""What the user can mend where the operating system refuses."""
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
@@ -95,7 +128,9 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     Raises:
         BenchError: the command's module is not installed.
     """
-    parser = _Parser(
+    from nmt_bench.commands.json_output import add_json_option
+
+    parser = CommandParser(
         prog=PROGRAM,
         description="A test bench for nonlinear modal testing, on simulated rigs and on hardware.",
         epilog=_LAUNCHER_COMMANDS if PROGRAM == "./nmt" else None,
@@ -106,8 +141,25 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     for name, (module, summary) in COMMANDS.items():
         if name == command:
             _load(name, module).add_parser(subparsers)
+            for leaf in leaf_parsers(subparsers.choices[name]):
+                add_json_option(leaf)
         else:
             subparsers.add_parser(name, help=summary, add_help=False)
+    return parser
+
+
+def build_whole_parser() -> argparse.ArgumentParser:
+    """The parser with the options of every command.
+
+    Raises:
+        BenchError: a command's module is not installed.
+    """
+    parser = build_parser()
+    commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    for name in COMMANDS:
+        whole = build_parser(name)
+        group = next(action for action in whole._actions if isinstance(action, argparse._SubParsersAction))
+        commands.choices[name] = group.choices[name]
     return parser
 
 
@@ -121,7 +173,52 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code.
     """
     words = list(sys.argv[1:] if argv is None else argv)
-    command = next((word for word in words if not word.startswith("-")), None)
+    end = _End()
+    try:
+        if "--json" in words and "benchmark" not in words:
+            with contextlib.redirect_stdout(sys.stderr):
+                status = _run(words, end)
+            sys.stdout.write(_document(words, end, status))
+        else:
+            status = _run(words, end)
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        # The reader of our output has gone (``| head``): nobody is left to tell. Python would complain at
+        # exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_UNEXPECTED
+
+
+@dataclass
+class _End:
+    """How a command ended, beside its exit code.
+
+    Attributes:
+        arguments: as parsed; None where they were refused.
+        sentence: of a refusal or failure; None where there was none.
+    """
+
+    arguments: argparse.Namespace | None = None
+    sentence: str | None = None
+
+
+def _document(words: Sequence[str], end: _End, status: int) -> str:
+    """What ``--json`` prints."""
+    from nmt_bench.commands.json_output import json_document, json_refusal
+
+    if end.arguments is None or end.sentence is not None:
+        return json_refusal(_command_of(words), status, end.sentence)
+    module = _load(end.arguments.command, COMMANDS[end.arguments.command][0])
+    return json_document(end.arguments, module, status)
+
+
+def _command_of(words: Sequence[str]) -> str | None:
+    return next((word for word in words if not word.startswith("-")), None)
+
+
+def _run(words: list[str], end: _End) -> int:
+    command = _command_of(words)
     try:
         parser = build_parser(command)
         if not words:
@@ -130,31 +227,37 @@ def main(argv: Sequence[str] | None = None) -> int:
         for word in words:
             if word.startswith("--") and word.endswith("=--"):  # argparse would make an empty list of it
                 parser.error(f"argument {word[:-3]}: expected a value, got '--'")
-        arguments = parser.parse_args(words)
-        if arguments.command is None:
+        end.arguments = parser.parse_args(words)
+        if end.arguments.command is None:
             parser.error("a command is missing")
-        return run_parsed(arguments)
+        return run_parsed(end.arguments)
+    except Refusal as refusal:
+        end.sentence = refusal.sentence
+        return EXIT_USER
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else EXIT_DONE if stop.code is None else EXIT_USER
     except BenchError as error:
-        _complain(command, str(error))
+        end.sentence = _complain(command, str(error))
         return EXIT_USER
     except ModuleNotFoundError as error:
         library = (error.name or "nmt_").partition(".")[0]
         if library.startswith("nmt_") and library not in _ROS_MODULES:
-            return _unexpected(command, error, words)
-        _complain(command, _missing_module(library))
+            return _unexpected(command, error, words, end)
+        end.sentence = _complain(command, _missing_module(library))
         return EXIT_USER
     except KeyboardInterrupt:
-        _complain(command, "Stopped on request (Ctrl-C).")
+        end.sentence = _complain(command, "Stopped on request (Ctrl-C).")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output has gone (``| head``): nobody is left to tell. Python would complain at
-        # exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_UNEXPECTED
+        raise
+    except OSError as error:
+        if error.errno not in _REASONS:
+            return _unexpected(command, error, words, end)
+        where = f"{error.filename}: " if error.filename else ""
+        end.sentence = _complain(command, f"{where}{_REASONS[error.errno]}.")
+        return EXIT_USER
     except Exception as error:
-        return _unexpected(command, error, words)
+        return _unexpected(command, error, words, end)
 
 
 def run_parsed(arguments: argparse.Namespace) -> int:
@@ -211,18 +314,20 @@ def _missing_module(name: str) -> str:
     return f"'{library}' is not installed, although nmt needs it; type: pip install --force-reinstall nmt."
 
 
-def _unexpected(command: str | None, error: Exception, words: Sequence[str]) -> int:
+def _unexpected(command: str | None, error: Exception, words: Sequence[str], end: _End) -> int:
     """Say that something failed which should not, and where the details are."""
     log = write_error_log(words)
     sentence = f"This should not have happened ({type(error).__name__}: {_first_line(error)}); details are in {log}."
-    _complain(command, sentence)
+    end.sentence = _complain(command, sentence)
     return EXIT_UNEXPECTED
 
 
-def _complain(command: str | None, sentence: str) -> None:
+def _complain(command: str | None, sentence: str) -> str:
+    """Write a sentence to standard error; returns it."""
     sys.stdout.flush()
     name = f"{PROGRAM} {command}" if command in COMMANDS else PROGRAM
     sys.stderr.write(f"{name}: {sentence}\n")
+    return sentence
 
 
 def _first_line(error: Exception) -> str:

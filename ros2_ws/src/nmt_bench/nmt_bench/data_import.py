@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 
 from nmt_core.errors import BenchError
@@ -11,9 +12,12 @@ from nmt_extract.settings import ExtractionSettings
 from nmt_record.import_sidecar import Sidecar
 from nmt_record.imported_run import ImportedRun, read_import, write_import
 from nmt_rig.linear_description import linear_description
-from nmt_rig.rig import find_rig, load_rig
+from nmt_rig.rig import Rig, ShakingTableSection, find_rig, load_rig
 from nmt_rig.rig_snapshot import rig_text
 from nmt_session.node_plan import versions
+
+_SAME_MODE = 0.2
+_NODE = 0.02
 
 
 def import_data(sidecar: Path | str, bag: Path | str) -> ImportedRun:
@@ -41,7 +45,7 @@ def read_data(sidecar: Path) -> tuple[ImportedRun, RigOfImport]:
         BenchError: the sidecar, the rig it names or the data are wrong.
     """
     rig = RigOfImport(sidecar)
-    imported = read_import(sidecar, rig.describe)
+    imported = read_import(sidecar, rig.describe, rig.shape_sign)
     rig.resolve(imported.sidecar)
     imported.notes += rig.notes
     if imported.sidecar.extraction is not None:
@@ -65,6 +69,7 @@ class RigOfImport:
         self._folder = sidecar.parent
         self._resolved = False
         self._linear: LinearDescription | None = None
+        self._rig: Rig | None = None
         self.name = ""
         self.text = ""
         self.notes: list[str] = []
@@ -73,6 +78,29 @@ class RigOfImport:
         """Linear modes of the rig's model at the points that were measured."""
         self.resolve(sidecar)
         return self._linear
+
+    def shape_sign(self, point: int, drive_point: int, frequency_hz: float) -> float:
+        """Sign of a response at a resonance, from the nearest mode of the rig's model; 0 without one.
+
+        Args:
+            point: of the response; 0 = that of the exciter.
+            drive_point: of the force; 0 = that of the exciter.
+            frequency_hz: of the resonance.
+        """
+        if self._rig is None:
+            return 0.0
+        linear = linear_description(self._rig)
+        at, driven = (value or self._rig.drive_point for value in (point, drive_point))
+        if isinstance(self._rig.exciter, ShakingTableSection) or not {at, driven} <= set(linear.points):
+            return 0.0
+        frequencies = [abs(omega) / (2.0 * math.pi) for omega in linear.frequencies_rad_s]
+        nearest = min(range(len(frequencies)), key=lambda mode: abs(frequencies[mode] - frequency_hz))
+        if abs(frequencies[nearest] / frequency_hz - 1.0) > _SAME_MODE:
+            return 0.0
+        product = linear.shapes[linear.points.index(at)][nearest] * linear.shapes[linear.points.index(driven)][nearest]
+        largest = max(abs(row[nearest]) for row in linear.shapes) ** 2
+        # Near a node the model does not know the sign.
+        return math.copysign(1.0, product) if abs(product) > _NODE * largest else 0.0
 
     def resolve(self, sidecar: Sidecar) -> None:
         """Find and load the rig file.
@@ -95,6 +123,7 @@ class RigOfImport:
             overrides = [f"exciter.point={points.pop()}"]
             rig = load_rig(path, overrides)
             self.notes.append(f"The force was measured at point {rig.drive_point}; the rig's exciter was put there.")
+        self._rig = rig
         self.name, self.text = rig.name, rig_text(rig, path, overrides)
         if sidecar.linear is None and sidecar.channels:
             self._linear = self._measured(linear_description(rig), sidecar)

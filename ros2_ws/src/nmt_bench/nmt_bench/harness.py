@@ -20,6 +20,7 @@ import os
 import shutil
 import tempfile
 import time
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -27,35 +28,54 @@ from types import TracebackType
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from action_msgs.msg import GoalStatusArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.qos import qos_profile_action_status_default
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from unique_identifier_msgs.msg import UUID
 
 from nmt_bench.orchestration.bench_domain import BenchDomain, bench_environment
+from nmt_bench.orchestration.interrupts import deferred_interrupts
 from nmt_bench.orchestration.node_processes import NodeProcesses
-from nmt_bench.orchestration.shared_memory import remove_dead_segments
+from nmt_bench.orchestration.surroundings import check_surroundings
 from nmt_core.base_node import STATE_QOS, calm_collector
+from nmt_core.company import Company
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.modal_point import ModalPoint
+from nmt_core.output_record import drive_sentence
+from nmt_core.run_announcement import BAG_TOPIC, BagState
+from nmt_core.shared_memory import remove_dead_segments
 from nmt_core.vocabulary import ResultCode, RunPhase
 from nmt_core.wire import MODAL_POINT, RUN_STATE
 from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import RunState
+from nmt_msgs.srv import Steer
+from nmt_record.bag_reader import Bag
+from nmt_record.run_device import SIMULATED_RIG, converter_name
+from nmt_rig.device_sections import SPECIMEN
 from nmt_rig.rig import Rig
+from nmt_sequencer.steering import SteeringRequest
 from nmt_session.node_plan import NODES, NodePlan, plan_nodes
 from nmt_session.plan_test import plan_test
 from nmt_session.run_result import Progress, RunResult
 
-START_TIMEOUT = 60.0
+START_TIMEOUT = 120.0  # s; on a busy computer the plant compiles and loads for a minute
 _POLL = 0.02
+_RESEND = 3.0  # s without an answer after which the goal, or the wish for its result, is sent again
+_SILENCE = 3.0  # s without a heartbeat after which a node that runs as a process is lost
 _LAST_WRITES = 0.5  # s that the recorder gets for what is on its way to it
+_LAST_MEMORY = 1.5  # s that shared memory of a killed node is waited for, to be cleared away
+_LATE_DEATH = 1.5  # s after a result of a lost node in which that may be seen here, too
 
 
 class Bench:
@@ -81,6 +101,7 @@ class Bench:
         strategy: ``stepped`` or ``ramp``, see :class:`nmt_session.node_plan.TestPlan`.
         test, frequencies_hz, band_hz, rate_hz_s, frequency_end_hz, duration: kind of test and its settings, see there.
             A stepped sine with several frequencies and one level is run at that level at each of them.
+        device, device_address: what is driven, see there; a converter is always in real time.
 
     Raises:
         BenchError: the rig, the levels or a setting is refused; nothing has been started then.
@@ -114,6 +135,8 @@ class Bench:
         rate_hz_s: float = 0.0,
         frequency_end_hz: float = 0.0,
         duration: float = 0.0,
+        device: str = "",
+        device_address: str = "",
     ) -> None:
         self.test = plan_test(
             rig,
@@ -138,6 +161,8 @@ class Bench:
             rate_hz_s=rate_hz_s,
             frequency_end_hz=frequency_end_hz,
             duration=duration,
+            device=device,
+            device_address=device_address,
         )
         self.rig = self.test.rig
         self.use_processes = processes
@@ -157,7 +182,8 @@ class Bench:
         try:
             self._start()
         except BaseException:
-            self._cleanup.close()
+            with deferred_interrupts(patient=True):
+                self._cleanup.close()
             raise
         return self
 
@@ -169,17 +195,20 @@ class Bench:
                 with contextlib.suppress(Exception):
                     self.stop()
         finally:
-            self._cleanup.close()
+            with deferred_interrupts(patient=True):
+                self._cleanup.close()
 
     def _start(self) -> None:
         if self._out is None:
+            check_surroundings(Path(tempfile.gettempdir()) / "nmt")
             self.out = Path(tempfile.mkdtemp(prefix="nmt-"))
             self._cleanup.callback(shutil.rmtree, self.out, ignore_errors=True)
         else:
             self.out = self._out
+            check_surroundings(self.out)
             self.out.mkdir(parents=True, exist_ok=True)
         if self.use_processes:
-            self._cleanup.callback(remove_dead_segments)
+            self._cleanup.callback(remove_dead_segments, patience=_LAST_MEMORY, ending=True)
         domain = BenchDomain(self._domain_id)
         self._cleanup.callback(domain.close)
         self.domain_id = domain.id
@@ -189,7 +218,7 @@ class Bench:
 
         rig_file = self.out / "rig.yaml"
         rig_file.write_text(self.test.rig_yaml, encoding="utf-8")
-        self.plan: NodePlan = plan_nodes(self.test, self.out / "bag", rig_file.resolve())
+        self.plan: NodePlan = plan_nodes(self.test, self.out / "bag", rig_file.resolve(), self._device_name)
         (self.out / "run.json").write_text(json.dumps(self.plan.run, indent=2) + "\n", encoding="utf-8")
 
         self.context = Context()
@@ -207,12 +236,20 @@ class Bench:
                 kind = getattr(importlib.import_module(module), attribute)
                 node = kind(values=self.plan.values[name], context=self.context)
                 self._add(name, node)
-        self.client = _RunClient(self.context)
+        self.client = _RunClient(self.context, tuple(self.plan.values))
         self._add("client", self.client)
         thresholds = gc.get_threshold()
         calm_collector()
         self._cleanup.callback(gc.set_threshold, *thresholds)
         self._cleanup.callback(gc.unfreeze)
+
+    @property
+    def _device_name(self) -> str:
+        """What the bag says of the device."""
+        if not self.test.is_on_hardware:
+            return SIMULATED_RIG
+        own = self.rig.device is not None and self.rig.device.kind == self.test.device
+        return converter_name(self.test.device, "" if own else SPECIMEN)
 
     def _add(self, name: str, node: Node) -> None:
         self.nodes[name] = node
@@ -250,27 +287,37 @@ class Bench:
             raise BenchError("A bench runs once; make a new one for another run.")
         self._ran = True
         self._spin_until(lambda: self.client.server_is_ready(), START_TIMEOUT, "the sequencer's action server")
-        handle = self._await(self.client.send_goal(self.plan.goal, on_progress), START_TIMEOUT, "the goal's answer")
+        self._spin_until(
+            lambda: not self.client.company.unheard, START_TIMEOUT, "the first heartbeat of every node of the bench"
+        )
+        handle = self._send_goal(on_progress)
         if not handle.accepted:
             raise BenchError("The sequencer refused the plan; its log says why.")
         self._goal_handle = handle
         began = time.monotonic()
         try:
-            message, lost, interrupted = self._await_result(handle.get_result_async())
+            message, lost, interrupted = self._await_result(handle)
         finally:
             self._goal_handle = None
+        if message is not None and message.result_code == ResultCode.NODE_LOST and not lost:
+            lost = self._late_death()
         wall_time = max(0.0, (self.client.last_progress or time.monotonic()) - (self.client.started or began))
-        bag_state = self._await_bag(lost)
-        if message is not None and message.result_code == ResultCode.LIMIT:
-            self._spin_while(lambda: not self.client.plant_trip, 1.0)  # the plant's next heartbeat says which
         points: tuple[ModalPoint, ...] = ()
+        obituary = self._obituary(lost)  # before what is left of the nodes is ended
+        with deferred_interrupts() as deferred:
+            bag_state = self._await_bag(lost)
+            if lost and lost != "plant":
+                self._spin_while(lambda: not self.client.drive_is_at_zero, 3.0)
+            if message is not None and message.result_code == ResultCode.LIMIT:
+                self._spin_while(lambda: not self.client.plant_trip, 1.0)  # the plant's next heartbeat says which
         if message is None:
-            code, text = ResultCode.NODE_LOST, self._obituary(lost)
+            code, text = ResultCode.NODE_LOST, obituary
+            points = self._recorded_points()
         else:
             code, text = ResultCode(message.result_code), message.message
             points = tuple(MODAL_POINT.read(serialize_message(point)) for point in message.points)
             if lost:
-                code, text = ResultCode.NODE_LOST, self._obituary(lost)
+                code, text = ResultCode.NODE_LOST, obituary
         return RunResult(
             code=code,
             message=text,
@@ -280,7 +327,7 @@ class Bench:
             wall_time=wall_time,
             bench_time=(self.client.newest_sample + 1) / self.rig.sample_rate_hz,
             lost_node=lost,
-            interrupted=interrupted,
+            interrupted=interrupted or deferred.came,
             remarks=tuple(self.client.remarks(self.test.pacing)),
         )
 
@@ -296,6 +343,19 @@ class Bench:
         """Go on after a pause; False if nothing is paused."""
         return self._call("resume")
 
+    def ask_to_steer(self, request: SteeringRequest) -> Any:
+        """Ask the sequencer to steer the run, without waiting: for callbacks of :meth:`run`.
+
+        Returns:
+            A future of the answer of ``nmt_msgs/Steer``: ``success``, and ``message``, one sentence.
+
+        Raises:
+            BenchError: the sequencer's service is not there.
+        """
+        if not self.client.steer.service_is_ready():
+            raise BenchError("The sequencer does not answer to 'steer'; it may have died.")
+        return self.client.steer.call_async(Steer.Request(**request.fields))
+
     def cancel(self) -> None:
         """Cancel the goal without waiting; :meth:`run` returns when the drive is at zero."""
         if self._goal_handle is not None:
@@ -305,7 +365,8 @@ class Bench:
         """Let in-process nodes work for a while of wall time."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=min(_POLL, max(0.0, end - time.monotonic())))
+            # spin_once serves no timers while no message comes.
+            self.executor.spin_until_future_complete(Future(), timeout_sec=min(0.1, max(0.0, end - time.monotonic())))
 
     # -- waiting -------------------------------------------------------------------------------------------------
 
@@ -317,6 +378,30 @@ class Bench:
             return bool(answer.success)
         finally:
             self.client.destroy_client(client)
+
+    def _send_goal(self, on_progress: Callable[[Progress], None] | None) -> Any:
+        """Send the goal until it is answered; returns its handle.
+
+        The server may answer before it has found the reader of its answers, which then never comes. A goal that is sent
+        again keeps its name: a server that knows it refuses to begin it twice, and lists it in its status.
+        """
+        goal_id = self.client.new_goal_id()
+        end = time.monotonic() + START_TIMEOUT
+        while True:
+            future = self.client.send_goal(self.plan.goal, on_progress, goal_id)
+            patience = min(time.monotonic() + _RESEND, end)
+            while not future.done() and not self.client.is_known(goal_id) and time.monotonic() < patience:
+                self._check_start()
+                self.executor.spin_once(timeout_sec=_POLL)
+            if future.done() and (future.result().accepted or not self.client.is_known(goal_id)):
+                return future.result()
+            if self.client.is_known(goal_id):
+                return self.client.handle_of(goal_id)
+            if time.monotonic() >= end:
+                raise BenchError(
+                    f"Waited {START_TIMEOUT:g} s in vain for the goal's answer; the logs in {self.out / 'log'} may say "
+                    "why."
+                )
 
     def _spin_until(self, done: Callable[[], bool], timeout: float, what: str) -> None:
         end = time.monotonic() + timeout
@@ -336,9 +421,11 @@ class Bench:
         if dead:
             raise BenchError(f"Node {dead} ended at once{self._last_words(dead)}.")
 
-    def _await_result(self, future: Any) -> tuple[Any, str, bool]:
-        """The action's result (None if the sequencer died), the name of a node that died, and whether Ctrl-C came."""
+    def _await_result(self, handle: Any) -> tuple[Any, str, bool]:
+        """The action's result (None if the sequencer is lost), the name of a lost node, and whether Ctrl-C came."""
+        future = handle.get_result_async()
         lost, deadline, interrupted = "", math.inf, False
+        asked = time.monotonic()
         while not future.done():
             try:
                 if self.use_processes:
@@ -350,17 +437,46 @@ class Bench:
                     raise
                 interrupted = True
                 self.cancel()
-            dead = self.processes.first_dead() if self.processes else ""
-            if dead and not lost:
-                lost = dead
-                deadline = time.monotonic() + (2.0 if lost == "sequencer" else 15.0)
+            now = time.monotonic()
+            gone = self._lost_node(now)
+            if gone and not lost:
+                lost = gone
+                deadline = now + (2.0 if lost == "sequencer" else 15.0)
                 self.cancel()
-            if time.monotonic() > deadline:
+            if now > deadline:
                 return None, lost, interrupted
+            if self.client.run_is_over and now - asked > _RESEND:
+                asked, future = now, handle.get_result_async()
         return future.result().result, lost, interrupted
 
+    def _lost_node(self, now: float) -> str:
+        """Name of a node whose process has ended, or which gives no sign of life; empty if all are well."""
+        if self.processes is None:
+            return ""
+        self.client.company.listened(now)
+        return self.processes.first_dead() or self.client.company.silent(now)
+
+    def _late_death(self) -> str:
+        """Name of a node that is seen to be lost only after the run that it broke; empty if none is."""
+        end = time.monotonic() + _LATE_DEATH
+        while self.processes is not None and time.monotonic() < end:
+            lost = self._lost_node(time.monotonic())
+            if lost:
+                return lost
+            self.executor.spin_once(timeout_sec=_POLL)
+        return ""
+
+    def _recorded_points(self) -> tuple[ModalPoint, ...]:
+        """The modal points in the bag, where the result of the action is lost."""
+        with contextlib.suppress(BenchError):
+            return tuple(Bag.open(self.out / "bag").records("modal_point", MODAL_POINT))
+        return ()
+
     def _obituary(self, lost: str) -> str:
-        drive = "the plant's output ended with it" if lost == "plant" else "the drive was taken to zero"
+        said = self.client.plant_said
+        drive = drive_sentence(said or None, alive=lost != "plant", lockstep=self.test.pacing == "lockstep")
+        if self.processes is not None and self.processes.is_alive(lost):
+            return f"Node {lost} gives no sign of life (it is stopped or hangs); the run was ended and {drive}."
         return f"Node {lost} has died{self._last_words(lost)}; the run was ended and {drive}."
 
     def _await_bag(self, lost: str) -> str:
@@ -388,32 +504,64 @@ class Bench:
 class _RunClient(Node):  # type: ignore[misc]
     """Action client and listener of the harness."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Context, nodes: Sequence[str]) -> None:
         super().__init__("bench_client", context=context, enable_rosout=False, start_parameter_services=False)
         self._client = ActionClient(self, RunLevels, "run_levels")
+        self.steer = self.create_client(Steer, "steer")
+        self.company = Company(nodes, _SILENCE)
         self.bag_state = "open"
+        self.run_is_over = False
         self.started: float | None = None
         self.last_progress: float | None = None
         self.newest_sample = -1
+        self._known_goals: set[bytes] = set()
         self._counters: dict[str, dict[str, str]] = {}
-        self.create_subscription(String, "bag", self._on_bag, STATE_QOS)
+        self.create_subscription(String, BAG_TOPIC, self._on_bag, STATE_QOS)
         self.create_subscription(RunState, "run_state", self._on_state, STATE_QOS, raw=True)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self.create_subscription(
+            GoalStatusArray, "run_levels/_action/status", self._on_goals, qos_profile_action_status_default
+        )
+
+    def destroy_node(self) -> None:
+        """Release the node; with a client of an action left, its participant would stay."""
+        self._client.destroy()
+        super().destroy_node()
 
     def server_is_ready(self) -> bool:
-        return bool(self._client.server_is_ready())
+        """Whether the services and topics of the action are there, those of its answers included."""
+        return bool(self._client.server_is_ready()) and self.count_publishers("run_levels/_action/status") > 0
 
-    def send_goal(self, goal: Mapping[str, Any], on_progress: Callable[[Progress], None] | None) -> Any:
+    @staticmethod
+    def new_goal_id() -> UUID:
+        return UUID(uuid=list(uuid.uuid4().bytes))
+
+    def send_goal(
+        self, goal: Mapping[str, Any], on_progress: Callable[[Progress], None] | None, goal_id: UUID | None = None
+    ) -> Any:
         def on_feedback(message: Any) -> None:
             if on_progress is not None:
                 feedback = message.feedback
                 on_progress(Progress(*(getattr(feedback, item.name) for item in fields(Progress))))
 
-        return self._client.send_goal_async(RunLevels.Goal(**goal), feedback_callback=on_feedback)
+        return self._client.send_goal_async(
+            RunLevels.Goal(**goal), feedback_callback=on_feedback, goal_uuid=goal_id or self.new_goal_id()
+        )
+
+    def is_known(self, goal_id: UUID) -> bool:
+        """Whether the server lists a goal, which it does from its acceptance on."""
+        return bytes(goal_id.uuid) in self._known_goals
+
+    def handle_of(self, goal_id: UUID) -> ClientGoalHandle:
+        """Handle of a goal whose answer was lost."""
+        return ClientGoalHandle(self._client, goal_id, RunLevels.Impl.SendGoalService.Response(accepted=True))
+
+    def _on_goals(self, message: GoalStatusArray) -> None:
+        self._known_goals.update(bytes(status.goal_info.goal_id.uuid) for status in message.status_list)
 
     def _on_bag(self, message: String) -> None:
-        with contextlib.suppress(ValueError, TypeError, KeyError):
-            self.bag_state = json.loads(message.data)["state"]
+        with contextlib.suppress(ValueError):
+            self.bag_state = BagState.from_json(message.data).state
 
     def _on_state(self, raw: bytes) -> None:
         try:
@@ -421,6 +569,7 @@ class _RunClient(Node):  # type: ignore[misc]
         except ValueError:
             return
         now = time.monotonic()
+        self.run_is_over = state.phase == RunPhase.DONE
         if state.phase == RunPhase.RUNNING:
             self.started = self.started or now
         if state.sample > self.newest_sample:
@@ -428,12 +577,19 @@ class _RunClient(Node):  # type: ignore[misc]
             self.last_progress = now
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        now = time.monotonic()
         for status in message.status:
+            failed = status.level == DiagnosticStatus.ERROR
+            self.company.hear(status.name, status.hardware_id, status.message, failed, now)
             self._counters[status.name] = {item.key: item.value for item in status.values}
 
     @property
+    def plant_said(self) -> dict[str, str]:
+        return self._counters.get("plant", {})
+
+    @property
     def plant_trip(self) -> str:
-        return self._counters.get("plant", {}).get("tripped", "")
+        return self.plant_said.get("tripped", "")
 
     @property
     def drive_is_at_zero(self) -> bool:
@@ -454,6 +610,17 @@ class _RunClient(Node):  # type: ignore[misc]
                 f"{plant['jitter_max_ms']} ms (worst); {plant['overruns']} by more than a block; margin "
                 f"{100 * float(plant['real_time_margin']):.1f} % of the block time is left."
             )
+        if "converter_delay" in plant:
+            stated = plant.get("converter_stated", "-1")
+            said = "" if stated.startswith("-") else f" (the driver says {stated})"
+            lines.append(
+                f"Converter: round trip {plant['converter_round_trip']} samples{said}, moved by "
+                f"{plant['converter_drift']}; clock {plant['converter_clock_ppm']} ppm; samples lost in "
+                f"{plant['converter_lost_turns']} turns; priority: converter {plant['converter_priority']}, plant "
+                f"{plant['plant_priority']}; lateness {plant.get('lateness_histogram', 'not counted')}."
+            )
+        if plant.get("warnings"):
+            lines.append(f"Warnings: {plant['warnings']}.")
         if plant.get("tripped"):
             lines.append(f"Plant: {plant['tripped']}.")
         return lines

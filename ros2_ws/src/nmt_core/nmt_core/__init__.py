@@ -1,8 +1,30 @@
-"""Sample blocks, error type, ramps, parameter tables and the node base shared by the bench's nodes."""
+"""Sample blocks, error type, ramps, parameter tables and the node base shared by the bench's nodes.
 
-from nmt_core.blocks import OscillatorPhase, SampleBlock
-from nmt_core.errors import BenchError
-from nmt_core.parameters import Parameter
-from nmt_core.vocabulary import BlockFlag, Quantity
+Public names, each loaded when it is asked for, so that a command line that only prints its help loads no numpy.
+"""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from nmt_core.public_names import loaded
+
+if TYPE_CHECKING:
+    from nmt_core.blocks import OscillatorPhase, SampleBlock
+    from nmt_core.errors import BenchError
+    from nmt_core.parameters import Parameter
+    from nmt_core.vocabulary import BlockFlag, Quantity
+
+_HOMES = {
+    "BenchError": "nmt_core.errors",
+    "BlockFlag": "nmt_core.vocabulary",
+    "OscillatorPhase": "nmt_core.blocks",
+    "Parameter": "nmt_core.parameters",
+    "Quantity": "nmt_core.vocabulary",
+    "SampleBlock": "nmt_core.blocks",
+}
 __all__ = ["BenchError", "BlockFlag", "OscillatorPhase", "Parameter", "Quantity", "SampleBlock"]
+
+
+def __getattr__(name: str) -> Any:
+    return loaded(__name__, name, _HOMES)

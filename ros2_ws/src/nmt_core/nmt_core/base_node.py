@@ -4,27 +4,37 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import itertools
+import os
+import signal
+import socket
 import sys
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from nmt_core.command_judge import Source
+from nmt_core.company import HUNG, READY, Company
 from nmt_core.dds_profile import check_ports, seal_transport
 from nmt_core.errors import BenchError
+from nmt_core.launcher_watch import LauncherWatch
 from nmt_core.parameters import Parameter, ParameterValue, check_values
+from nmt_core.shared_memory import remove_dead_segments
 
 RCLError = rclpy_implementation.RCLError
 
@@ -40,9 +50,14 @@ STATE_QOS = QoSProfile(
 )
 
 
-_SPIN_LIMIT = 1.0  # s
+_SPIN_LIMIT = 0.1  # s; a request to end waits so long
 HEARTBEAT_PERIOD = 0.25  # s of wall time
-READY = "ready"
+_BUSY = 2.5 * HEARTBEAT_PERIOD  # s without a heartbeat of the working thread after which another one speaks for it
+_END_GRACE = 4.0  # s that a node gets to take its part of a run to an end
+_LAST_WORDS = 1.0  # s
+_LAST_MEMORY = 1.5  # s that shared memory of killed nodes is waited for, to be cleared away
+_HURRY = 1.0  # s after which a second request to end is not the echo of the first
+_INSTANCES = itertools.count(1)
 COMMON_PARAMETERS = (
     Parameter(
         "expected_peers",
@@ -57,7 +72,14 @@ COMMON_PARAMETERS = (
         "Nodes whose heartbeat this node watches, in its own namespace unless they begin with a slash; empty = none.",
     ),
     Parameter(
-        "silence_timeout", 3.0, "s", "Wall time without a heartbeat after which a watched node is lost.", low=0.5
+        "silence_timeout", 2.0, "s", "Wall time without a heartbeat after which a watched node is lost.", low=0.5
+    ),
+    Parameter(
+        "hang_timeout",
+        10.0,
+        "s",
+        "Wall time that the node may be at one piece of work; beyond it the node calls itself hung.",
+        low=1.0,
     ),
 )
 
@@ -90,7 +112,7 @@ class BenchNode(Node):  # type: ignore[misc]
         **kwargs: Any,
     ) -> None:
         kwargs.setdefault("start_parameter_services", True)
-        kwargs.setdefault("enable_rosout", False)
+        kwargs.setdefault("enable_rosout", True)
         super().__init__(name, **kwargs)
         self.values = self._declare((*table, *COMMON_PARAMETERS), dict(values or {}))
         self.counters: dict[str, int | float | str] = {}
@@ -99,17 +121,23 @@ class BenchNode(Node):  # type: ignore[misc]
         self._endpoints: dict[str, list[Any]] = {}
         self._sources: dict[str, tuple[int, Source]] = {}
         self._command_types: dict[str, str] = {}
+        self._own_topics: list[str] = []
+        self._own_services: list[str] = []
+        self._bench_publishers: list[Any] = []
         # Guard, heartbeat and tick must go on whatever becomes of ROS time.
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         watched: Any = self.values["watched_nodes"]
         self.watched_nodes: list[str] = [self._in_own_namespace(name) for name in watched if name]
         silence: Any = self.values["silence_timeout"]
-        self._silence_timeout = float(silence)
-        self._heard: dict[str, tuple[float, str]] = {}
-        self._failures: dict[str, str] = {}
+        self.instance = f"{socket.gethostname()} process {os.getpid()} node {next(_INSTANCES)}"
+        self.company = Company(self.watched_nodes, float(silence), self.heartbeat_name, self.instance)
+        self._intruder = ""
+        self._told = ""
         if self.watched_nodes:
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._newest = DiagnosticStatus(name=self.heartbeat_name, message="starting", hardware_id=self.instance)
+        self._worked = time.monotonic()
         self._heartbeat = self.steady_timer(HEARTBEAT_PERIOD, self._beat)
 
     def _declare(self, table: Sequence[Parameter], values: dict[str, Any]) -> dict[str, ParameterValue]:
@@ -139,6 +167,8 @@ class BenchNode(Node):  # type: ignore[misc]
     def bench_publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Any:
         """A publisher that counts among the node's endpoints."""
         publisher = self.create_publisher(kind, topic, qos)
+        self._bench_publishers.append(publisher)
+        self.claim(topic)
         self._endpoints.setdefault(topic, []).append(publisher.get_subscription_count)
         return publisher
 
@@ -191,8 +221,50 @@ class BenchNode(Node):  # type: ignore[misc]
         self._sources[topic] = (count, source)
         return source
 
+    def claim(self, topic: str) -> None:
+        """Watch that nobody else publishes on a topic that is this node's own."""
+        self._own_topics.append(topic)
+
+    def bench_service(self, kind: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
+        """A service that nobody else may serve on this bench."""
+        self._own_services.append(name)
+        return self.create_service(kind, name, callback)
+
+    def look_for_intruders(self) -> None:
+        """Look whether somebody else does the work of this node; `second_publisher` says so then."""
+        self._intruder = self._found_intruders()
+
+    def _found_intruders(self) -> str:
+        for service in self._own_services:
+            name = self.resolve_service_name(service)
+            if self.count_services(name) < 2:
+                continue
+            # The servers of a service are the publishers of its answers.
+            servers = self.get_publishers_info_by_topic(f"rr{name}Reply", no_mangle=True)
+            names = sorted({_full_name(info.node_namespace, info.node_name) for info in servers})
+            return f"service {service} has several servers: {' and '.join(names)}"
+        for topic in self._own_topics:
+            name = self.resolve_topic_name(topic)
+            if self.count_publishers(name) < 2:
+                continue
+            found = {
+                bytes(info.endpoint_gid): _full_name(info.node_namespace, info.node_name)
+                for info in self.get_publishers_info_by_topic(name)
+                if info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT  # those do not match
+            }
+            if len(found) > 1:
+                return f"topic {topic} has several publishers: {' and '.join(sorted(found.values()))}"
+        return ""
+
     def second_publisher(self) -> str:
-        """A sentence that names the publishers of a commanded topic that has several; empty if none has."""
+        """A sentence that names who does the same work on this bench; empty if nobody does.
+
+        Another publisher of a commanded topic or of a topic of this node, or a node with the name of this one or of
+        one that it watches.
+        """
+        company = self._intruder or self.company.twice(time.monotonic())
+        if company:
+            return company
         for topic in self._command_types:
             source = self.source(topic)
             if not source.alone and self._sources[topic][0] > 1:
@@ -214,36 +286,47 @@ class BenchNode(Node):  # type: ignore[misc]
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for status in message.status:
-            self._heard[status.name] = (now, status.message)
-            if status.level == DiagnosticStatus.ERROR and status.name in self.watched_nodes:
-                self._failures[status.name] = status.message
+            failed = status.level == DiagnosticStatus.ERROR
+            self.company.hear(status.name, status.hardware_id, status.message, failed, now)
 
     def unready_nodes(self) -> dict[str, str]:
         """Watched nodes that have not called themselves ready, each with what it waits for."""
-        states = {name: self._heard.get(name, (0.0, "not heard of"))[1] for name in self.watched_nodes}
-        return {name: state for name, state in states.items() if state != READY}
+        return self.company.unready(time.monotonic())
+
+    def silent_nodes(self) -> list[str]:
+        """Watched nodes that were heard once and have fallen silent, or whose work stands still."""
+        return self.company.all_silent(time.monotonic())
 
     def silent_node(self) -> str:
-        """A watched node that was heard once and has fallen silent; empty if none."""
-        limit = time.monotonic() - self._silence_timeout
-        return next((n for n in self.watched_nodes if n in self._heard and self._heard[n][0] < limit), "")
+        """The first of `silent_nodes`; empty if none has."""
+        return self.company.silent(time.monotonic())
 
     def forget_failures(self) -> None:
         """Begin anew: what a watched node reported before a run does not end it."""
-        self._failures.clear()
+        self.company.failures.clear()
 
     def failed_node(self) -> tuple[str, str]:
         """A watched node that reports an error, and its words; empty if none does."""
-        return next(iter(self._failures.items()), ("", ""))
+        return next(iter(self.company.failures.items()), ("", ""))
 
     def _beat(self) -> None:
+        self.company.listened(time.monotonic())
         missing = self.missing_peers()
         for topic in self._command_types:
             self._look_for_publishers(topic, max(connected() for connected in self._endpoints[topic]))
+        self.look_for_intruders()
         second = self.second_publisher()
         self.update_counters()
-        message = f"waiting for {', '.join(missing)}" if missing else second or READY
-        self.publish_diagnostics(message=message)
+        waiting = f"waiting for {', '.join(missing)}" if missing else ""
+        message = waiting or second or self.why_not_ready() or READY
+        if message != self._told:
+            self._told = message
+            self.get_logger().info(message[:1].upper() + message[1:])
+        self.publish_diagnostics(DiagnosticStatus.ERROR if second and not waiting else DiagnosticStatus.OK, message)
+
+    def why_not_ready(self) -> str:
+        """Why the node could not take part in a run now, for its heartbeat; empty if it could."""
+        return ""
 
     def update_counters(self) -> None:
         """Called before each heartbeat; nodes fill :attr:`counters` here."""
@@ -259,11 +342,66 @@ class BenchNode(Node):  # type: ignore[misc]
 
     def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
         """Publish the counters under the node's name."""
-        status = DiagnosticStatus(level=level, name=self.heartbeat_name, message=message, hardware_id="")
+        status = DiagnosticStatus(level=level, name=self.heartbeat_name, message=message, hardware_id=self.instance)
         status.values = [KeyValue(key=key, value=str(value)) for key, value in self.counters.items()]
+        self._newest, self._worked = status, time.monotonic()
+        self._publish_status(status)
+
+    def _publish_status(self, status: DiagnosticStatus) -> None:
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
+
+    @contextlib.contextmanager
+    def watched_work(self) -> Iterator[None]:
+        """Have a thread beside the working one that says on ``/diagnostics`` how long the work takes, if it is long.
+
+        The node is ``busy`` then and stays alive to others; beyond ``hang_timeout`` it is ``hung``, which is an error.
+        """
+        over = threading.Event()
+        limit: Any = self.values["hang_timeout"]
+
+        def watch() -> None:
+            while not over.wait(HEARTBEAT_PERIOD):
+                since = time.monotonic() - self._worked
+                if since < _BUSY:
+                    continue
+                status = DiagnosticStatus(name=self.heartbeat_name, hardware_id=self.instance)
+                status.values = self._newest.values
+                status.level, status.message = self._newest.level, f"busy for {since:.1f} s"
+                if since > limit:
+                    status.level = DiagnosticStatus.ERROR
+                    status.message = f"{HUNG}: nothing has been done for {since:.1f} s"
+                with contextlib.suppress(RCLError):
+                    self._publish_status(status)
+
+        thread = threading.Thread(target=watch, name="heartbeat", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
+    def told_to_end(self) -> None:
+        """Called once when the process is told to end; the node goes on until :meth:`may_end`, for some seconds."""
+        self.get_logger().info("Told to end")
+        self.publish_diagnostics(DiagnosticStatus.ERROR, "it was told to end")
+
+    def may_end(self, since: float) -> bool:
+        """Whether a node that was told to end ``since`` s ago has done its part, such as the ramp to zero."""
+        return True
+
+    def deliver(self, patience: float = _LAST_WORDS) -> None:
+        """Wait until all that was published has arrived, since what is on its way goes with its node.
+
+        Args:
+            patience: s, the longest wait; a stopped receiver takes nothing.
+        """
+        end = time.monotonic() + patience
+        for publisher in self._bench_publishers:
+            with contextlib.suppress(RCLError):
+                publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
     def shut_down(self) -> None:
         """Called once before the node is destroyed, whatever ended it; nodes quiet the drive and close files here."""
@@ -310,8 +448,45 @@ def calm_collector() -> None:
     gc.set_threshold(50_000, 50, 100)
 
 
-def spin_for_ever(executor: Any, node: BenchNode) -> None:
-    """Spin until the node's context is shut down.
+class EndRequest:
+    """SIGINT, SIGTERM and SIGHUP as a wish to end that a node fulfils when it can; whatever is ignored stays so.
+
+    The handlers of rclpy would shut the context down at once, and with it the topics that the ramp to zero needs.
+
+    Attributes:
+        since: when the first one came, s of the steady clock; None = none came.
+        hurry: whether another one came that is no echo of the first.
+    """
+
+    _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+    def __init__(self) -> None:
+        self.since: float | None = None
+        self.hurry = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> EndRequest:
+        for number in self._SIGNALS:
+            before = signal.getsignal(number)
+            if before is not signal.SIG_IGN:
+                self._before[number] = before
+                signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, before in self._before.items():
+            signal.signal(number, before if before is not None else signal.SIG_DFL)
+
+    def _on_signal(self, *_: object) -> None:
+        now = time.monotonic()
+        if self.since is None:
+            self.since = now
+        elif now - self.since > _HURRY:
+            self.hurry = True
+
+
+def spin_for_ever(executor: Any, node: BenchNode, request: EndRequest | None = None) -> None:
+    """Spin until the node's context is shut down, or the node has fulfilled a request to end.
 
     ``EventsExecutor.spin()`` without a time limit burns a core, serves nothing and does not see signals; with a limit
     it waits as it should. A node with a ``BURST_PERIOD`` sleeps so long and then works off all that has come: waking
@@ -319,7 +494,15 @@ def spin_for_ever(executor: Any, node: BenchNode) -> None:
     """
     context, burst_period = node.context, node.BURST_PERIOD
     never = Future()
+    told = False
     while context.ok():
+        if request is not None and request.since is not None:
+            if not told:
+                told = True
+                node.told_to_end()
+            since = time.monotonic() - request.since
+            if request.hurry or since > _END_GRACE or node.may_end(since):
+                return
         if burst_period <= 0.0:
             executor.spin_until_future_complete(never, timeout_sec=_SPIN_LIMIT)
             continue
@@ -333,6 +516,8 @@ def spin_for_ever(executor: Any, node: BenchNode) -> None:
 def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -> int:
     """Run one node until it is told to end: the shared ``main`` of all executables.
 
+    SIGINT, SIGTERM and SIGHUP let the node end its part of a run first: the drive goes to zero and the bag gets it.
+
     Args:
         factory: makes the node after rclpy has been initialised.
         args: command line, None = ``sys.argv``.
@@ -345,30 +530,32 @@ def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -
     except BenchError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    rclpy.init(args=args)
     node: BenchNode | None = None
-    try:
-        node = factory()
-        check_ports(node.context.get_domain_id())
-        executor = EventsExecutor()
-        executor.add_node(node)
-        calm_collector()
-        with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-            spin_for_ever(executor, node)
-        return 0
-    except BenchError as error:
-        sys.stderr.write(f"{error}\n")
-        return 2
-    except KeyboardInterrupt:
-        return 0
-    except RCLError:
-        if rclpy.ok():
-            raise
-        return 0  # a callback was about to publish when the signal came
-    finally:
-        if node is not None:
-            with contextlib.suppress(KeyboardInterrupt, RCLError):
+    executor: Any = None
+    with EndRequest() as request:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            node = factory()
+            check_ports(node.context.get_domain_id())
+            executor = EventsExecutor()
+            executor.add_node(node)
+            calm_collector()
+            node.get_logger().info(f"Started in ROS domain {node.context.get_domain_id()} as {node.instance}")
+            with contextlib.suppress(ExternalShutdownException), node.watched_work():
+                spin_for_ever(executor, node, request)
+            return 0
+        except BenchError as error:
+            sys.stderr.write(f"{error}\n")
+            return 2
+        finally:
+            if node is not None:
                 node.shut_down()
-            with contextlib.suppress(KeyboardInterrupt, RCLError):
+                node.deliver()
+                if executor is not None:
+                    # An executor that goes while it has a node aborts the process.
+                    executor.remove_node(node)
+                    executor.shutdown()
                 node.destroy_node()
-        rclpy.try_shutdown()
+            rclpy.try_shutdown()
+            # Where a program has started the nodes and lives, it clears away what they leave.
+            remove_dead_segments(patience=0.0 if LauncherWatch().lives else _LAST_MEMORY, ending=True)

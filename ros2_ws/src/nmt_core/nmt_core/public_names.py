@@ -13,7 +13,7 @@ def loaded(package: str, name: str, homes: Mapping[str, str]) -> Any:
     Args:
         package: the package that was asked.
         name: what for.
-        homes: the module that each public name comes from.
+        homes: the module that each public name comes from; ``module:name`` where it has another name there.
 
     Raises:
         AttributeError: the package has no such public name.
@@ -21,4 +21,5 @@ def loaded(package: str, name: str, homes: Mapping[str, str]) -> Any:
     home = homes.get(name)
     if home is None:
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(home), name)
+    module, _, own = home.partition(":")
+    return getattr(importlib.import_module(module), own or name)

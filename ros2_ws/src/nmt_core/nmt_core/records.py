@@ -8,7 +8,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from nmt_core.vocabulary import RecordKind, ResultCode, RunPhase, TestKind, Waveform
+from nmt_core.vocabulary import (
+    OutputState,
+    RecordKind,
+    ResultCode,
+    RunPhase,
+    SteeringAct,
+    StopCause,
+    TestKind,
+    Waveform,
+)
 
 
 class DriveCommand(NamedTuple):
@@ -146,6 +155,83 @@ class RunState:
     horizon_sample: int
     result_code: ResultCode
     reason: str
+    time_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Steering:
+    """An act of steering, taken into a run or refused when its time came; ``nmt_msgs/Steering``.
+
+    Attributes:
+        sequence: counts the acts of a run from 1.
+        run_id: run that was steered.
+        act: what was asked for.
+        level_index: level it is about, from 0.
+        sample: first sample after those that were known when it was decided.
+        apply_at_sample: samples before this one are not affected by it.
+        taken: False if it came too late and changed nothing.
+        levels: levels of the whole plan after the act, in the unit of the plan's control.
+        frequencies_hz: one per level, Hz; empty = the plan gives none.
+        source: who asked.
+        reason: why it was not taken; empty if it was.
+        time_ns: bench time of ``sample``, ns.
+    """
+
+    sequence: int
+    run_id: str
+    act: SteeringAct
+    level_index: int
+    sample: int
+    apply_at_sample: int
+    taken: bool
+    levels: tuple[float, ...]
+    frequencies_hz: tuple[float, ...]
+    source: str
+    reason: str
+    time_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class DriveStop:
+    """A stop of the drive, its arrival at zero, or its release; ``nmt_msgs/DriveStop``.
+
+    Attributes:
+        sample: first sample of the next block when this was said.
+        cause: what stopped the drive; RELEASED: it is not stopped any more.
+        output: what the output does as far as the plant knows.
+        reason: one sentence; empty for RELEASED.
+        time_ns: bench time of ``sample``, ns.
+    """
+
+    sample: int
+    cause: StopCause
+    output: OutputState
+    reason: str = ""
+    time_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SignalLevels:
+    """Levels of the signals over a tenth of a second; ``nmt_msgs/Monitor``.
+
+    Attributes:
+        last_sample: last of the samples that the numbers are about.
+        frequency_hz: of the excitation, Hz; 0 = none, NaN = not known.
+        drive_point: peak and rms at the drive point for each quantity from FORCE on; NaN where the rig has none.
+        channels: names of all channels, separated by commas, in the order of the quantities.
+        peak: largest magnitude of each channel in its unit.
+        rms: of each channel in its unit.
+        flags: of all blocks that the numbers are about, see :class:`nmt_core.blocks.BlockFlag`.
+        time_ns: bench time of ``last_sample``, ns.
+    """
+
+    last_sample: int
+    frequency_hz: float
+    drive_point: tuple[tuple[float, float], ...]
+    channels: str
+    peak: tuple[float, ...]
+    rms: tuple[float, ...]
+    flags: int = 0
     time_ns: int = 0
 
 

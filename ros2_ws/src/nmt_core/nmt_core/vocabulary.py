@@ -52,6 +52,54 @@ class BlockFlag(IntFlag):
     OVERLOAD = 1
     LIMIT = 2
     WATCHDOG = 4
+    STOP = 8
+
+
+class StopCause(IntEnum):
+    """What stopped the drive; the values are those of ``nmt_msgs/DriveStop``.
+
+    Attributes:
+        LIMIT: a limit of the output or of something measured.
+        WATCHDOG: drive commands stopped arriving.
+        QUIET: the service ``quiet``.
+        EMERGENCY_STOP: the topic ``emergency_stop``.
+        EXTERNAL_INPUT: the external stop input of the device.
+        OUTPUT: the process that owns the output was not fed, or was fed what it does not put out.
+        NODE: another node has gone, a commanded topic has several publishers, or the plant ends.
+        DEVICE: the device failed.
+        RELEASED: no stop any more; the operator called ``reset``.
+    """
+
+    UNKNOWN = 0
+    LIMIT = 1
+    WATCHDOG = 2
+    QUIET = 3
+    EMERGENCY_STOP = 4
+    EXTERNAL_INPUT = 5
+    OUTPUT = 6
+    NODE = 7
+    DEVICE = 8
+    RELEASED = 9
+
+
+class OutputState(IntEnum):
+    """What is known of an output; the values are those of ``nmt_msgs/DriveStop``.
+
+    Attributes:
+        NOT_KNOWN: nobody can tell.
+        AT_ZERO: at zero, ready to follow.
+        FOLLOWING: follows what it is fed.
+        RAMPING: on its way to zero.
+        HELD: at zero until it is released.
+        ENDED: at zero and given back.
+    """
+
+    NOT_KNOWN = 0
+    AT_ZERO = 1
+    FOLLOWING = 2
+    RAMPING = 3
+    HELD = 4
+    ENDED = 5
 
 
 class Waveform(IntEnum):
@@ -232,6 +280,44 @@ class RunPhase(IntEnum):
     PAUSED = 3
     STOPPING = 4
     DONE = 5
+
+
+class SteeringAct(IntEnum):
+    """How a run can be steered; the values are those of ``nmt_msgs/Steering``.
+
+    Attributes:
+        PAUSE: the present level is held; in lockstep bench time stands still.
+        RESUME: goes on after a pause.
+        SKIP_LEVEL: the level is given up and the next one begins.
+        REPEAT_LEVEL: the level is measured again after the present one, which is given up if it is that level.
+        CHANGE_LEVELS: the levels after the present one are replaced.
+        END: the run ends by a ramp to zero.
+    """
+
+    UNKNOWN = 0
+    PAUSE = 1
+    RESUME = 2
+    SKIP_LEVEL = 3
+    REPEAT_LEVEL = 4
+    CHANGE_LEVELS = 5
+    END = 6
+
+    @classmethod
+    def named(cls, name: str) -> SteeringAct:
+        """Act by its name in small letters, such as ``skip_level``.
+
+        Raises:
+            BenchError: no such act.
+        """
+        acts = {act.label: act for act in cls if act is not cls.UNKNOWN}
+        if name not in acts:
+            raise BenchError(f"A run cannot be steered by '{name}'; use {', '.join(acts)}.")
+        return acts[name]
+
+    @property
+    def label(self) -> str:
+        """Name in small letters."""
+        return self.name.lower()
 
 
 class ResultCode(IntEnum):

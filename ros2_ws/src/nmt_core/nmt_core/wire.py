@@ -34,15 +34,39 @@ from nmt_core.cdr import (
 )
 from nmt_core.errors import BenchError
 from nmt_core.modal_point import COMPLEX, MEASURED, ComplexArray, ModalPoint
-from nmt_core.records import DriveCommand, LevelCommand, LockEvent, LoopStatus, RunRecord, RunState
-from nmt_core.vocabulary import PointStatus, Quantity, RecordKind, ResultCode, RunPhase, TestKind, Waveform
+from nmt_core.records import (
+    DriveCommand,
+    DriveStop,
+    LevelCommand,
+    LockEvent,
+    LoopStatus,
+    RunRecord,
+    RunState,
+    SignalLevels,
+    Steering,
+)
+from nmt_core.vocabulary import (
+    OutputState,
+    PointStatus,
+    Quantity,
+    RecordKind,
+    ResultCode,
+    RunPhase,
+    SteeringAct,
+    StopCause,
+    TestKind,
+    Waveform,
+)
 
 __all__ = [
+    "DRIVE_STOP",
     "LEVEL",
     "LOCK_EVENT",
     "MODAL_POINT",
+    "MONITOR",
     "RUN_RECORD",
     "RUN_STATE",
+    "STEERING",
     "BlockHead",
     "BlockReader",
     "BlockWriter",
@@ -475,6 +499,86 @@ def _state_record(values: dict[str, Any]) -> RunState:
 
 RUN_STATE: MessageCodec[RunState] = MessageCodec("RunState", _STATE_FIELDS, _plain_values(_STATE_FIELDS), _state_record)
 """``nmt_msgs/RunState``."""
+
+_STEERING_FIELDS = (
+    ("stamp", TIME),
+    ("sequence", "uint32"),
+    ("run_id", "string"),
+    ("act", "uint8"),
+    ("level_index", "uint32"),
+    ("sample", "uint64"),
+    ("apply_at_sample", "uint64"),
+    ("taken", "bool"),
+    ("source", "string"),
+    ("reason", "string"),
+    ("levels", "float64[]"),
+    ("frequencies_hz", "float64[]"),
+)
+
+
+def _steering_record(values: dict[str, Any]) -> Steering:
+    levels, frequencies = (tuple(values.pop(name).tolist()) for name in ("levels", "frequencies_hz"))
+    act = SteeringAct(values.pop("act"))
+    return Steering(time_ns=values.pop("stamp"), act=act, levels=levels, frequencies_hz=frequencies, **values)
+
+
+STEERING: MessageCodec[Steering] = MessageCodec(
+    "Steering", _STEERING_FIELDS, _plain_values(_STEERING_FIELDS), _steering_record
+)
+"""``nmt_msgs/Steering``."""
+_STOP_FIELDS = (("stamp", TIME), ("sample", "uint64"), ("cause", "uint8"), ("output", "uint8"), ("reason", "string"))
+DRIVE_STOP: MessageCodec[DriveStop] = MessageCodec(
+    "DriveStop",
+    _STOP_FIELDS,
+    _plain_values(_STOP_FIELDS),
+    lambda values: DriveStop(
+        values["sample"],
+        StopCause(values["cause"]),
+        OutputState(values["output"]),
+        values["reason"],
+        values["stamp"],
+    ),
+)
+"""``nmt_msgs/DriveStop``."""
+
+_LEVEL_PAIRS = tuple(
+    f"{quantity.topic}_{what}" for quantity in Quantity if quantity is not Quantity.UNKNOWN for what in ("peak", "rms")
+)
+_MONITOR_FIELDS = (
+    ("stamp", TIME),
+    ("last_sample", "uint64"),
+    ("frequency_hz", "float64"),
+    *((name, "float64") for name in _LEVEL_PAIRS),
+    ("channels", "string"),
+    ("peak", "float64[]"),
+    ("rms", "float64[]"),
+    ("flags", "uint8"),
+)
+
+
+def _monitor_values(levels: SignalLevels) -> dict[str, Any]:
+    pairs = [value for pair in levels.drive_point for value in pair]
+    return {
+        "stamp": levels.time_ns,
+        "last_sample": levels.last_sample,
+        "frequency_hz": levels.frequency_hz,
+        **dict(zip(_LEVEL_PAIRS, pairs, strict=True)),
+        "channels": levels.channels,
+        "peak": np.array(levels.peak),
+        "rms": np.array(levels.rms),
+        "flags": levels.flags,
+    }
+
+
+def _monitor_record(values: dict[str, Any]) -> SignalLevels:
+    pairs = [values.pop(name) for name in _LEVEL_PAIRS]
+    peak, rms = (tuple(values.pop(name).tolist()) for name in ("peak", "rms"))
+    drive_point = tuple(zip(pairs[::2], pairs[1::2], strict=True))
+    return SignalLevels(time_ns=values.pop("stamp"), drive_point=drive_point, peak=peak, rms=rms, **values)
+
+
+MONITOR: MessageCodec[SignalLevels] = MessageCodec("Monitor", _MONITOR_FIELDS, _monitor_values, _monitor_record)
+"""``nmt_msgs/Monitor``."""
 
 _RECORD_FIELDS = (("stamp", TIME), ("kind", "uint8"), ("run_json", "string"), ("rig_yaml", "string"))
 RUN_RECORD: MessageCodec[RunRecord] = MessageCodec(

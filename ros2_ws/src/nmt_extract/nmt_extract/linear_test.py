@@ -308,6 +308,8 @@ def _check_samples(signals: Signals, channels: _Channels) -> None:
         raise BenchError("A converter was driven beyond its range (overload); lower the level or widen the range.")
     if signals.flags & (BlockFlag.LIMIT | BlockFlag.WATCHDOG):
         raise BenchError("A limit or the watchdog took the drive to zero within the record; lower the level.")
+    if signals.flags & BlockFlag.STOP:
+        raise BenchError("The drive was stopped within the record; record again.")
     for name in _unique(channels.force, *channels.responses, channels.drive, *filter(None, [channels.voltage])):
         values = signals.channels[name]
         if not np.all(np.isfinite(values)):

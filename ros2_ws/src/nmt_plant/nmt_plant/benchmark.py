@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,8 @@ from nmt_rig.model.local_elements import JENKINS
 from nmt_rig.model.propagator import state_space
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_system
+
+_LOOK = 1e-3  # s, as often as the plant node looks in real time
 
 
 @dataclass(frozen=True)
@@ -158,3 +162,55 @@ def run_benchmark(rig: Rig, seconds: float = 10.0, peer_seconds: float = 0.3) ->
         peer=peer_seconds / peer_wall,
         peer_seconds=peer_seconds,
     )
+
+
+@dataclass(frozen=True)
+class OwnedOutputCost:
+    """Processor time that an output in a process of its own takes, as a share of real time.
+
+    Attributes:
+        device: thread that reads the device in real time, its rig included.
+        owner: the process that owns the output.
+        late: longest time in s from a block put out to its `read`.
+    """
+
+    device: float
+    owner: float
+    late: float
+
+
+def owned_output_cost(rig: Rig, seconds: float = 2.0, lead_blocks: int = 25) -> OwnedOutputCost:
+    """Run the rig in real time with an output that a process of its own owns.
+
+    Args:
+        rig: the rig.
+        seconds: how long.
+        lead_blocks: blocks that wait at the output; many, so that a busy machine stops nothing.
+    """
+    device = SimulatedRig(rig, owned=True, lead_blocks=lead_blocks)
+    device.configure()
+    device.start()
+    try:
+        command = DriveCommand(Waveform.SINE, linear_description(rig).frequency_hz, 1.0, 0.1)
+        device.write(command)
+        device.read()
+        process = device.output_pid
+        blocks = max(round(seconds * rig.sample_rate_hz / rig.block_samples), 1)
+        duration = blocks * rig.block_samples / rig.sample_rate_hz
+        own, owner, late = time.thread_time(), _process_time(process), 0.0
+        for _ in range(blocks):
+            device.write(command)
+            while not device.is_ready:
+                time.sleep(_LOOK)
+            late = max(late, device.lateness)
+            device.read()
+        own, owner = time.thread_time() - own, _process_time(process) - owner
+    finally:
+        device.close()
+    return OwnedOutputCost(own / duration, owner / duration, late)
+
+
+def _process_time(process: int | None) -> float:
+    """Processor time of another process so far, s."""
+    words = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")

@@ -16,10 +16,10 @@ import math
 from abc import ABC, abstractmethod
 from enum import Enum
 
-from nmt_core.blocks import SampleBlock
+from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.records import DriveCommand
-from nmt_core.vocabulary import Waveform
+from nmt_core.vocabulary import OutputState, StopCause, Waveform
 
 
 def check_drive(command: DriveCommand) -> None:
@@ -103,6 +103,11 @@ class Device(ABC):
 
     @property
     @abstractmethod
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What is measured, in the order of the blocks."""
+
+    @property
+    @abstractmethod
     def next_sample(self) -> int:
         """Index of the first sample of the next block."""
 
@@ -110,6 +115,16 @@ class Device(ABC):
     @abstractmethod
     def tripped(self) -> str:
         """Why the drive was taken to zero and held there; empty if it was not."""
+
+    @property
+    @abstractmethod
+    def stop_cause(self) -> StopCause:
+        """What took the drive to zero; UNKNOWN while nothing has."""
+
+    @property
+    @abstractmethod
+    def output_state(self) -> OutputState:
+        """What the output does, as far as anybody knows."""
 
     @property
     @abstractmethod
@@ -131,6 +146,8 @@ class Device(ABC):
     def read(self) -> list[SampleBlock]:
         """The next block: one SampleBlock for each quantity, all with one first sample and oscillator phase.
 
+        Empty where samples of the block were lost: `next_sample` goes on, and the gap is marked by it.
+
         Raises:
             DeviceFault: the device failed.
         """
@@ -147,13 +164,17 @@ class Device(ABC):
         check_drive(command)
         self._write(command)
 
-    def quiet(self, reason: str, ramp: float | None = None) -> None:
+    def quiet(self, reason: str, ramp: float | None = None, cause: StopCause = StopCause.QUIET) -> None:
         """Emergency ramp: drive to zero within `ramp` s (the device's own when None), latched until reset."""
         self._require("quiet", DeviceState.RUNNING)
-        self._quiet(reason, ramp)
+        self._quiet(reason, ramp, cause)
 
     def reset(self) -> None:
-        """Clear a latched trip; the drive stays at zero until the next command."""
+        """Clear a latched trip; the drive stays at zero until the next command.
+
+        Raises:
+            BenchError: the external stop input still asks for zero, or the output is not released.
+        """
         self._require("reset", DeviceState.RUNNING)
         self._reset()
 
@@ -189,7 +210,7 @@ class Device(ABC):
     def _write(self, command: DriveCommand) -> None: ...
 
     @abstractmethod
-    def _quiet(self, reason: str, ramp: float | None) -> None: ...
+    def _quiet(self, reason: str, ramp: float | None, cause: StopCause) -> None: ...
 
     @abstractmethod
     def _reset(self) -> None: ...

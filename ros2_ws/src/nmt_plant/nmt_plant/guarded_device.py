@@ -12,7 +12,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -20,24 +20,34 @@ from nmt_core.blocks import BlockFlag, FloatArray, OscillatorPhase, Quantity, Sa
 from nmt_core.errors import BenchError
 from nmt_core.ramp import half_cosine
 from nmt_core.records import DriveCommand
-from nmt_core.vocabulary import Waveform
-from nmt_plant.device import Device, DeviceFault
+from nmt_core.vocabulary import OutputState, StopCause, Waveform
+from nmt_plant.device import Device, DeviceFault, DeviceState
 from nmt_plant.limits import ChannelLimit, LimitGuard, OpenLoop, watch_rows
-from nmt_plant.oscillator import PEAK_FACTOR, Oscillator, OscillatorBlock, check_command
+from nmt_plant.oscillator import PEAK_FACTOR, Oscillator, OscillatorBlock, check_command, load_filters
 from nmt_plant.output_guard import OutputGuard, default_slew
 from nmt_plant.output_link import OutputLink
-from nmt_plant.output_owner import OutputState, OwnerSettings
+from nmt_plant.output_owner import OwnerSettings
 from nmt_plant.watchdog import DriveWatchdog
 
 # The order in which `tick` works; tests hold it to this.
 TICK_ORDER = ("commands", "drive", "measure", "compute", "safety", "actuate", "publish")
 
-_CHUNK_TIME = 0.004  # s, how often the process that owns an output looks at everything
+LEAST_LEAD = 3
+"""Blocks that wait at an output in a process of its own, at least: one that is put out, and two that may be late."""
 _RISE_SHARE = 0.05  # of the voltage limit: what may be put out before any response has been seen
 
 # More than these waiting for their sample, or one that waits longer than these seconds, are refused.
 _MOST_PENDING = 1000
 _LONGEST_WAIT = 60.0
+
+
+_FLAGS = {
+    StopCause.LIMIT: BlockFlag.LIMIT,
+    StopCause.WATCHDOG: BlockFlag.WATCHDOG,
+    StopCause.OUTPUT: BlockFlag.WATCHDOG,
+    StopCause.NODE: BlockFlag.WATCHDOG,
+}
+"""Flag of the blocks after a stop; STOP where none is named."""
 
 
 class ChannelGroup(NamedTuple):
@@ -110,8 +120,11 @@ def owned_output(
     sample_rate: float,
     block_samples: int,
     settings: GuardSettings,
-    lead_blocks: int = 2,
-    deadline_blocks: float = 3.0,
+    lead_blocks: int = LEAST_LEAD,
+    deadline_blocks: float | None = None,
+    inputs: int = 0,
+    record: str = "",
+    probe: Mapping[str, Any] | None = None,
     **link: Any,
 ) -> OutputLink:
     """An output in a process of its own, with the limits of a device.
@@ -121,20 +134,24 @@ def owned_output(
         block_samples: samples in a block.
         settings: limits and ramps of the device.
         lead_blocks: blocks that wait at the output, so that one may be late.
-        deadline_blocks: blocks without a new one after which the output goes to zero.
+        deadline_blocks: blocks without a new one after which the output goes to zero; None = as many as wait.
+        inputs: channels that the converter measures.
+        record: file for what the output does, see `nmt_core.output_record`; empty = none.
+        probe: the settings of `output_owner.OwnerSettings` whose names begin with probe; None = no probe.
         **link: converter, arguments and stop_input of `output_link.OutputLink`.
     """
-    most = max(1, int(_CHUNK_TIME * sample_rate))
-    chunk = next(size for size in range(min(most, block_samples), 0, -1) if block_samples % size == 0)
+    deadline = lead_blocks if deadline_blocks is None else deadline_blocks
     owner = OwnerSettings(
         sample_rate=float(sample_rate),
         block_samples=block_samples,
-        chunk_samples=chunk,
         lead_blocks=lead_blocks,
-        deadline=deadline_blocks * block_samples / sample_rate,
+        deadline=deadline * block_samples / sample_rate,
         ramp=settings.limit_ramp,
         limit=settings.voltage,
         slew=settings.slew_at(sample_rate),
+        inputs=inputs,
+        record=record,
+        **(probe or {}),
     )
     return OutputLink(owner, **link)
 
@@ -154,9 +171,6 @@ class GuardedDevice(Device):
         output: process that owns the output, see `owned_output`; None = the samples go to `_measure` directly. With it
             a block is put out ``lead_blocks`` after it was made, and commands act that much later at the earliest.
     """
-
-    QUIET_FLAG: ClassVar[BlockFlag] = BlockFlag.NONE
-    """Flag of the blocks after `quiet`."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -205,9 +219,14 @@ class GuardedDevice(Device):
         self._reached = 0.0  # V, amplitude of the drive in the block made last
         still = OscillatorBlock(np.zeros(self._block_samples + 1), OscillatorPhase(0.0, 0.0, 0.0))
         self._made = deque([(still, 0.0)] * self._lead)
+        self._fed = False
+        self._lost = False
+        self._last = 0.0  # V, put out last in the block read last
+        self.measured: FloatArray = np.zeros((0, self._block_samples))
         self._share = 1.0  # of the drive wanted that its rise lets through
         self._pending: list[DriveCommand] = []
         self._reason = ""
+        self._cause = StopCause.UNKNOWN
         self._flags = BlockFlag.NONE
         self._quiet_ramp = 0.0
         self._next_sample = 0
@@ -223,6 +242,11 @@ class GuardedDevice(Device):
         return self._block_samples
 
     @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What the device measures, in the order of its blocks."""
+        return tuple(group.quantity for group in self._groups)
+
+    @property
     def next_sample(self) -> int:
         """Index of the first sample of the next block."""
         return self._next_sample
@@ -231,6 +255,23 @@ class GuardedDevice(Device):
     def tripped(self) -> str:
         """Why the drive was taken to zero and held there; empty if it was not."""
         return self._reason
+
+    @property
+    def stop_cause(self) -> StopCause:
+        """What took the drive to zero; UNKNOWN while nothing has."""
+        return self._cause
+
+    @property
+    def output_state(self) -> OutputState:
+        """What the output does, as far as anybody knows."""
+        if self._link is not None:
+            state = self._link.state
+            return OutputState.RAMPING if state is OutputState.HELD and self._last != 0.0 else state
+        if self.state is DeviceState.CLOSED:
+            return OutputState.ENDED
+        if self._reason:
+            return OutputState.HELD if self._at_zero else OutputState.RAMPING
+        return OutputState.AT_ZERO if self._at_zero else OutputState.FOLLOWING
 
     @property
     def is_quiet(self) -> bool:
@@ -243,8 +284,10 @@ class GuardedDevice(Device):
         """Whether the next sample put out is zero, and all that follow without a new command."""
         if self._link is not None:
             state = self._link.state
-            waiting = state is OutputState.FOLLOWING and any(block.voltage.any() for block, _ in self._made)
-            if waiting or state in (OutputState.RAMPING, OutputState.NOT_KNOWN):
+            if state in (OutputState.RAMPING, OutputState.NOT_KNOWN):
+                return False
+            follows = state in (OutputState.FOLLOWING, OutputState.AT_ZERO)
+            if self._last != 0.0 or (follows and any(block.voltage.any() for block, _ in self._made)):
                 return False
         return self._oscillator.is_quiet and self._output.reaches_zero
 
@@ -255,13 +298,32 @@ class GuardedDevice(Device):
 
     @property
     def is_ready(self) -> bool:
-        """Whether `read` returns at once: always without a process that owns the output, else when a block is out."""
-        return self._link is None or self._link.available >= self._block_samples or self._link.has_ended
+        """Whether `read` returns at once: always without a process that owns the output, else when a block is out.
+
+        The first `read` sets the clock of the samples going and waits for its block.
+        """
+        link = self._link
+        return link is None or not self._fed or link.available >= self._block_samples or link.has_ended
+
+    @property
+    def lateness(self) -> float:
+        """s since the block that `read` gives next was put out; 0 without a process that owns the output."""
+        return 0.0 if self._link is None or not self._fed else self._link.lateness
+
+    @property
+    def is_owned(self) -> bool:
+        """Whether a process of its own owns the output."""
+        return self._link is not None
 
     @property
     def output_pid(self) -> int | None:
         """Process that owns the output; None without one."""
         return None if self._link is None else self._link.pid
+
+    @property
+    def output_record(self) -> str:
+        """File in which that process says what the output does; empty where there is none."""
+        return "" if self._link is None else self._link.settings.record
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -284,9 +346,8 @@ class GuardedDevice(Device):
         watch_rows(np.zeros((1, 1)), 0.0, np.ones((4, 1)), np.zeros((4, 1)))
         self._prepare()
         if self._link is not None:
+            load_filters()
             self._link.start()
-            for block, _ in self._made:
-                self._link.feed(block.voltage[:-1])
 
     @final
     def _read(self) -> list[SampleBlock]:
@@ -297,8 +358,10 @@ class GuardedDevice(Device):
         """One block, in the order of TICK_ORDER; `read` calls it.
 
         Commands that are due act on this block's drive. A sample beyond the output's limit acts at that sample, a
-        measured violation from the next block on; one that can be predicted acts before.
+        measured violation from the next block on; one that can be predicted acts before. Of a block in which samples
+        measured were lost nothing is given: the gap shows in the first sample of the next one.
         """
+        self._look_at_stop_line()
         self._take_commands()
         drive = self._put_out(self._drive())
         true_values = self._measure(drive)
@@ -307,6 +370,18 @@ class GuardedDevice(Device):
         self._safety(blocks)
         self._actuate()
         return self._publish(blocks, overload)
+
+    def _stop_requested(self) -> bool:
+        """Whether the device's external stop input asks for zero, where no process owns the output.
+
+        Where one does, its converter is asked (`converter.Converter.stop_requested`).
+        """
+        return False
+
+    @final
+    def _look_at_stop_line(self) -> None:
+        if self._link is None and not self._reason and self._stop_requested():
+            self._quiet("the external stop input", None, StopCause.EXTERNAL_INPUT)
 
     @final
     def _take_commands(self) -> None:
@@ -332,7 +407,7 @@ class GuardedDevice(Device):
             share = 1.0 if wanted <= allowed else allowed / wanted
         reached = share * wanted
         if not self._reason and self._oscillator.is_periodic and self._guard.predict(reached):
-            self._trip(self._guard.reason, BlockFlag.LIMIT, self._settings.limit_ramp)
+            self._trip(self._guard.reason, StopCause.LIMIT, self._settings.limit_ramp)
             self._output.to_zero()
             self._quiet_link(None)
         block = self._oscillator.block(n)
@@ -347,7 +422,7 @@ class GuardedDevice(Device):
                     f"output limit: the drive would have reached {value:.4g} V at sample "
                     f"{self._next_sample + self._lead * n + index}, "
                     f"limit {self._voltage_limit or math.inf:g} V",
-                    BlockFlag.LIMIT,
+                    StopCause.LIMIT,
                     0.0,
                 )
         return block if final_samples is block.voltage else replace(block, voltage=final_samples)
@@ -363,14 +438,20 @@ class GuardedDevice(Device):
             self._seen = self._reached
             return block
         n = self._block_samples
+        if not self._fed:
+            self._fed = True
+            for still, _ in self._made:
+                self._link.feed(still.voltage[:n])
         self._link.feed(block.voltage[:n])
         self._made.append((block, self._reached))
         made, self._seen = self._made.popleft()
-        values = self._link.collect(n, 1.0 + 4.0 * self._lead * n / self._sample_rate)
+        put_out, self.measured, self._lost = self._link.collect(n, 1.0 + 4.0 * self._lead * n / self._sample_rate)
+        values = put_out[0]
+        self._last = float(values[-1])
         if self._link.is_tripped and not self._reason:
             if self._link.state is OutputState.NOT_KNOWN:
                 raise DeviceFault(self._link.sentence)
-            self._trip(f"output: {self._link.reason}", BlockFlag.WATCHDOG, 0.0)
+            self._trip(f"output: {self._link.reason}", self._link.cause or StopCause.OUTPUT, 0.0)
         following = values[-1] if self._reason else self._made[0][0].voltage[0]
         return replace(made, voltage=np.append(values, following))
 
@@ -392,7 +473,9 @@ class GuardedDevice(Device):
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
         """True values of all channels under the drive of this block, shape (channels, samples), SI.
 
-        ``drive.voltage`` holds the final samples: a converter puts out these and no others.
+        ``drive.voltage`` holds the final samples: a converter puts out these and no others. Where a process owns the
+        output, they are those that were put out, and ``self.measured``, shape (inputs, samples), is what its converter
+        took in at the same time, in the converter's own unit.
         """
 
     def _compute(self, true_values: FloatArray) -> tuple[FloatArray, bool]:
@@ -419,12 +502,12 @@ class GuardedDevice(Device):
         if self._reason:
             return
         if self._guard.check(blocks, self._seen):
-            self._trip(self._guard.reason, BlockFlag.LIMIT, self._settings.limit_ramp)
+            self._trip(self._guard.reason, StopCause.LIMIT, self._settings.limit_ramp)
             self._quiet_link(self._quiet_ramp)
         elif self._watchdog.block(not self._oscillator.is_quiet):
             self._trip(
                 f"watchdog: no drive command for {self._watchdog.missed} blocks",
-                BlockFlag.WATCHDOG,
+                StopCause.WATCHDOG,
                 self._settings.watchdog_ramp,
             )
             self._quiet_link(self._quiet_ramp)
@@ -439,14 +522,17 @@ class GuardedDevice(Device):
     def _publish(self, blocks: Sequence[SampleBlock], overload: bool) -> list[SampleBlock]:
         flags = int(self._flags | (BlockFlag.OVERLOAD if overload else BlockFlag.NONE))
         self._next_sample += self._block_samples
+        if self._lost:
+            return []
         if not flags:
             return list(blocks)
         return [replace(block, flags=flags) for block in blocks]
 
     @final
-    def _trip(self, reason: str, flag: BlockFlag, ramp: float) -> None:
+    def _trip(self, reason: str, cause: StopCause, ramp: float) -> None:
         self._reason = reason
-        self._flags |= flag
+        self._cause = cause
+        self._flags |= _FLAGS.get(cause, BlockFlag.STOP)
         self._quiet_ramp = ramp
 
     def _check(self, command: DriveCommand) -> None:
@@ -510,26 +596,29 @@ class GuardedDevice(Device):
             raise BenchError(f"{len(self._pending)} drive commands wait for their sample; no more are taken.")
 
     @final
-    def _quiet(self, reason: str, ramp: float | None) -> None:
+    def _quiet(self, reason: str, ramp: float | None, cause: StopCause) -> None:
         wanted = self._settings.limit_ramp if ramp is None else ramp
         if not self._reason:
-            self._trip(reason, self.QUIET_FLAG, wanted)
+            self._trip(reason, cause, wanted)
         self._quiet_ramp = min(self._quiet_ramp, wanted)
         self._oscillator.ramp_to_zero(self._quiet_ramp)
         self._quiet_link(self._quiet_ramp)
 
     @final
     def _reset(self) -> None:
+        if self._stop_requested() if self._link is None else self._link.stop_is_set:
+            raise BenchError("the external stop input still asks for zero; release it first")
+        if self._link is not None and not self._link.reset():
+            raise BenchError(f"the output is not released: {self._link.sentence}")
         # The tripped drive must be at rest before anybody takes over again.
         self._oscillator.ramp_to_zero(0.0)
         self._pending.clear()
         self._output.release()
         self._guard.reset()
         self._seen, self._share = 0.0, 1.0
-        if self._link is not None:
-            self._link.reset()
         self._watchdog.command()
         self._reason = ""
+        self._cause = StopCause.UNKNOWN
         self._flags = BlockFlag.NONE
 
     def _stop(self) -> None:

@@ -6,6 +6,7 @@ acceleration channel records the same in m/s². For checking cabling, sequencing
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,8 @@ class LoopbackDevice(GuardedDevice):
         watchdog_blocks: blocks without a command that trip; 0 = off.
         quiet_ramp: s, ramp to zero after a trip.
         point: measurement point of both channels.
-        owned: whether a process of its own owns the output, for real time.
+        owned: whether a process of its own owns the converter, for real time; what is put out comes back through it.
+        arguments: further ones of `converter.LoopbackConverter`, which that process then has.
         **output: settings of `guarded_device.owned_output`.
     """
 
@@ -42,6 +44,7 @@ class LoopbackDevice(GuardedDevice):
         quiet_ramp: float = 0.1,
         point: int = 1,
         owned: bool = False,
+        arguments: Mapping[str, Any] | None = None,
         **output: Any,
     ) -> None:
         channels = (
@@ -50,6 +53,12 @@ class LoopbackDevice(GuardedDevice):
             (Quantity.VOLTAGE, "u", 0),
         )
         settings = GuardSettings({Quantity.VOLTAGE: voltage_limit}, quiet_ramp, watchdog_blocks, quiet_ramp)
+        output = {
+            "converter": "nmt_plant.converter:LoopbackConverter",
+            "arguments": {"sample_rate": sample_rate, **(arguments or {})},
+            "inputs": 1,
+            **output,
+        }
         super().__init__(
             sample_rate,
             int(block_samples),
@@ -78,7 +87,7 @@ class LoopbackDevice(GuardedDevice):
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
         n = self._block_samples
         voltage = drive.voltage[:n]
-        line = np.concatenate([self._delayed, voltage])
+        line = np.concatenate([self._delayed, self.measured[0] if self.is_owned else voltage])
         delayed, self._delayed = self._gain * line[:n], line[n:]
         return np.stack([delayed, delayed, voltage])
 

@@ -12,7 +12,6 @@ from functools import lru_cache
 
 import numpy as np
 from numba import njit
-from scipy.signal import butter, sosfilt, sosfreqz
 
 from nmt_core.blocks import FloatArray, OscillatorPhase
 from nmt_core.errors import BenchError
@@ -132,9 +131,16 @@ def check_command(command: DriveCommand, sample_rate: float) -> None:
         raise BenchError(f"the drive reaches {highest:g} Hz; it must stay below half the sample rate, {nyquist:g} Hz.")
 
 
+def load_filters() -> None:
+    """Load what noise needs, which takes a second of processor time: before a run in real time, not in it."""
+    import scipy.signal  # noqa: F401
+
+
 @lru_cache(maxsize=16)
 def _band_filter(low_hz: float, high_hz: float, sample_rate: float) -> tuple[FloatArray, float]:
     """Second-order sections of the band-pass, and the gain that gives unit variance."""
+    from scipy.signal import butter, sosfreqz
+
     sections = butter(4, [low_hz, high_hz], "bandpass", fs=sample_rate, output="sos")
     _, response = sosfreqz(sections, worN=1 << 16)
     return sections, float(1.0 / np.sqrt(np.mean(np.abs(response) ** 2)))
@@ -155,6 +161,8 @@ class BandNoise:
         self._next = self._draw(1)
 
     def _draw(self, count: int) -> FloatArray:
+        from scipy.signal import sosfilt
+
         values, self._memory = sosfilt(self._filter, self._generator.standard_normal(count), zi=self._memory)
         return np.asarray(self._gain * values, dtype=np.float64)
 

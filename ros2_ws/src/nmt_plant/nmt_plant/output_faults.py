@@ -28,8 +28,9 @@ import numpy as np
 
 from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import Waveform
+from nmt_plant.converter import read_log
+from nmt_plant.guarded_device import LEAST_LEAD
 from nmt_plant.loopback_device import LoopbackDevice
-from nmt_plant.output_owner import read_log
 
 FAULTS = ("hung read", "SIGSTOP", "blocked interpreter", "SIGKILL")
 """What the process that feeds suffers: a call that never returns, a stop, a call that locks the interpreter, a kill."""
@@ -37,8 +38,8 @@ FAULTS = ("hung read", "SIGSTOP", "blocked interpreter", "SIGKILL")
 _RATE = 10_000.0
 _BLOCK = 200
 _RAMP = 0.1
-DEADLINE_BLOCKS = 3.0
-LEAD_BLOCKS = 2
+LEAD_BLOCKS = LEAST_LEAD
+DEADLINE_BLOCKS = float(LEAST_LEAD)
 
 _MOST_TRIALS = 20
 
@@ -61,7 +62,8 @@ class FaultOutcome:
 
     Attributes:
         fault: which of `FAULTS`.
-        seconds: from the fault to the first of the zeros that follow for good.
+        seconds: from the fault to the first of the zeros that follow for good, by the samples put out; those of the
+            call during which the fault came are counted as after it.
         largest_step: V, largest change between two samples after the fault.
         amplitude: V, largest magnitude before the fault.
         left: processes that were left behind, and files in shared memory that the owner used.
@@ -84,7 +86,7 @@ def feed(fault: str, log: str, lead_blocks: int, deadline_blocks: float) -> None
         owned=True,
         lead_blocks=lead_blocks,
         deadline_blocks=deadline_blocks,
-        arguments={"sample_rate": _RATE, "log": log},
+        arguments={"log": log},
     )
     device.configure()
     device.start()
@@ -173,14 +175,13 @@ def measure(
             time.sleep(seconds)
         left = _left(int(owner)) + shared
         calls = read_log(log)
-    times = np.concatenate([end - (values.size - 1 - np.arange(values.size)) / _RATE for end, values in calls])
-    values = np.concatenate([values for _, values in calls])
+    times = np.concatenate([np.full(values.shape[1], end) for end, values in calls])
+    values = np.concatenate([values[0] for _, values in calls])
     first = max(int(np.argmax(times > at)), 1)
     last = int(np.flatnonzero(values)[-1])
-    watched = times[-1] if last == values.size - 1 else times[last + 1]
     return FaultOutcome(
         fault,
-        float(watched - at) if last < values.size - 1 else float("inf"),
+        (last + 2 - first) / _RATE if last < values.size - 1 else float("inf"),
         float(np.abs(np.diff(values[first - 1 :])).max()),
         float(np.abs(values[:first]).max()),
         left,

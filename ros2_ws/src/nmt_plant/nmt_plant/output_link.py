@@ -5,25 +5,53 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import select
 import socket
-import struct
 import subprocess
 import sys
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nmt_core.blocks import FloatArray
+from nmt_core.vocabulary import OutputState, StopCause
 from nmt_plant.device import DeviceFault
-from nmt_plant.output_owner import MESSAGE_BYTES, OutputState, OwnerMessage, OwnerSettings, read_report
+from nmt_plant.output_owner import (
+    MESSAGE_BYTES,
+    OwnerMessage,
+    OwnerReport,
+    OwnerSettings,
+    feed_message,
+    quiet_message,
+    read_report,
+)
+from nmt_plant.shared_samples import SharedSamples
 
 _SILENT = 0.5  # s without a report after which the state of the output is unknown
-_START_TIME = 30.0
+_START_TIME = 90.0  # s; drivers load for long on a busy computer
+_EXCEPTION = re.compile(r"^(?:\w+\.)*\w*(?:Error|Exception): ")
+_NOTHING = OwnerReport(
+    OutputState.NOT_KNOWN, StopCause.UNKNOWN, 0, 0, (0, 0), (0, 0), 0.0, 0, False, -1, 0, 0.0, 0.0, 0, ""
+)
+
+
+class Collected(NamedTuple):
+    """What the converter did during some samples.
+
+    Attributes:
+        put_out: (outputs, n) V.
+        measured: (inputs, n), at the same time.
+        lost: whether samples measured are missing among them; what is in their place means nothing.
+    """
+
+    put_out: FloatArray
+    measured: FloatArray
+    lost: bool
 
 
 class OutputLink:
@@ -39,7 +67,7 @@ class OutputLink:
     def __init__(
         self,
         settings: OwnerSettings,
-        converter: str = "nmt_plant.output_owner:SteadyClockConverter",
+        converter: str = "nmt_plant.converter:SteadyClockConverter",
         arguments: Mapping[str, Any] | None = None,
         stop_input: int | None = None,
     ) -> None:
@@ -49,17 +77,16 @@ class OutputLink:
         self._stop_input = stop_input
         self._channel: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None
+        self._samples: SharedSamples | None = None
         self._forget()
 
     def _forget(self) -> None:
-        self._sequence = 0
-        self._state = OutputState.NOT_KNOWN
+        self._fed = self._position = 0
+        self._last = _NOTHING
         self._heard = 0.0
         self._gone = False
-        self.reason = ""
-        self._values: list[FloatArray] = []
-        self._available = 0
-        self._position = 0
+        self._holes: list[tuple[int, int]] = []
+        self._losses: list[tuple[int, int]] = []
 
     def __enter__(self) -> OutputLink:
         self.start()
@@ -83,11 +110,13 @@ class OutputLink:
         """
         self.close()
         self._forget()
+        settings = self.settings
+        samples = SharedSamples(settings.outputs, settings.inputs, settings.ring_samples)
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        descriptors = [theirs.fileno(), *([] if self._stop_input is None else [self._stop_input])]
-        command = [sys.executable, "-m", "nmt_plant.output_owner", str(descriptors[0])]
-        command += [json.dumps(asdict(self.settings)), self._converter, json.dumps(self._arguments)]
-        command += [str(number) for number in descriptors[1:]]
+        descriptors = [theirs.fileno(), samples.descriptor, *([] if self._stop_input is None else [self._stop_input])]
+        command = [sys.executable, "-m", "nmt_plant.output_owner", *(str(number) for number in descriptors[:2])]
+        command += [json.dumps(asdict(settings)), self._converter, json.dumps(self._arguments)]
+        command += [str(number) for number in descriptors[2:]]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
         self._process = subprocess.Popen(
             command,
@@ -99,31 +128,46 @@ class OutputLink:
             stderr=subprocess.PIPE,
         )
         theirs.close()
-        self._channel = ours
+        self._channel, self._samples = ours, samples
         end = time.monotonic() + _START_TIME
-        while self._state is OutputState.NOT_KNOWN:
-            if self._process.poll() is not None or time.monotonic() > end:
+        while self._last.state is OutputState.NOT_KNOWN:
+            if self._process.poll() is not None or time.monotonic() > end or self._gone:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self._process.wait(2.0)
                 words = self._last_words()
                 self.close()
-                raise DeviceFault(f"the process that owns the output did not start: {words}")
+                raise DeviceFault(f"the process that owns the output did not start: {words}.")
             self._listen(0.1)
+        least = 2 + self._last.delay // settings.block_samples
+        if settings.inputs and settings.lead_blocks < least:
+            self.close()
+            raise DeviceFault(
+                f"what is measured comes {self._last.delay} samples after what is put out, so at least {least} blocks "
+                f"must wait at the output; lead_blocks is {settings.lead_blocks}."
+            )
 
     def _last_words(self) -> str:
         process = self._process
         if process is None or process.stderr is None or process.poll() is None:
             return "it does not answer"
         lines = process.stderr.read().decode(errors="replace").strip().splitlines()
-        return lines[-1] if lines else f"exit code {process.returncode}"
+        return _EXCEPTION.sub("", lines[-1]).rstrip(".") if lines else f"exit code {process.returncode}"
 
     def feed(self, values: FloatArray) -> None:
-        """Hand over the next block, V.
+        """Hand over the next samples, V, shape (outputs, n), or (n,) for one output.
 
         Raises:
-            DeviceFault: the owner does not take it; the state of the output is unknown.
+            DeviceFault: the owner does not take them; the state of the output is unknown.
         """
-        message = struct.pack("<BQ", OwnerMessage.FEED, self._sequence) + np.ascontiguousarray(values).tobytes()
-        self._send(message)
-        self._sequence += 1
+        line = np.atleast_2d(values)
+        samples = self._samples
+        if samples is None or self._fed + line.shape[1] - self._last.put_out > self.settings.ring_samples:
+            self._listen(0.0)
+            if samples is None or self._fed + line.shape[1] - self._last.put_out > self.settings.ring_samples:
+                raise DeviceFault(f"the output does not take what it is fed: {self.sentence}")
+        samples.fed.write(self._fed, line)
+        self._send(feed_message(self._fed, line.shape[1]))
+        self._fed += line.shape[1]
 
     def _send(self, message: bytes) -> None:
         try:
@@ -133,28 +177,37 @@ class OutputLink:
         except OSError as error:
             raise DeviceFault(f"the output cannot be fed: {self.sentence}") from error
 
-    def collect(self, samples: int, timeout: float = 1.0) -> FloatArray:
-        """The next samples that were put out in place of those fed, V, shape (samples,); waits for them.
-
-        Reports that were lost while nobody listened belong to an output held at zero, and count as zero.
+    def collect(self, samples: int, timeout: float = 1.0) -> Collected:
+        """What was put out and measured during the next samples; waits for them.
 
         Raises:
             DeviceFault: they do not come; the state of the output is unknown.
         """
         end = time.monotonic() + timeout
-        while self._available < samples:
+        while self._complete < samples:
             remaining = end - time.monotonic()
             if remaining <= 0.0 or not self._listen(remaining):
                 raise DeviceFault(f"no samples come back from the output: {self.sentence}")
-        line = np.concatenate(self._values)
-        self._values, self._available = [line[samples:]], line.size - samples
-        return line[:samples]
+        memory = self._samples
+        assert memory is not None
+        first, last = self._position, self._position + samples
+        put_out = memory.put_out.read(first, samples)
+        for start, stop in self._holes:
+            put_out[:, max(start - first, 0) : max(stop - first, 0)] = 0.0
+        delay = self._last.delay
+        measured = memory.measured.read(first + delay, samples)
+        lost = any(start < last + delay and stop > first + delay for start, stop in self._losses)
+        self._holes = [hole for hole in self._holes if hole[1] > last]
+        self._losses = [loss for loss in self._losses if loss[1] > last + delay]
+        self._position = last
+        return Collected(put_out, measured, lost)
 
     def _listen(self, timeout: float) -> bool:
         """Take what has been reported; waits for the first report. False when the owner has ended."""
         if self._channel is None:
             return False
-        select.select([self._channel], [], [], timeout)
+        if timeout > 0.0:
+            select.select([self._channel], [], [], timeout)
         while True:
             try:
                 message = self._channel.recv(MESSAGE_BYTES, socket.MSG_DONTWAIT)
@@ -165,20 +218,41 @@ class OutputLink:
             if not message:
                 self._gone = True
                 return False
-            self._state, first, values, self.reason = read_report(message)
+            self._last = read_report(message)
             self._heard = time.monotonic()
-            lost = first - self._position
-            for part in (np.zeros(max(lost, 0)), values):
-                if part.size:
-                    self._values.append(part)
-                    self._available += part.size
-            self._position = first + values.size
+            if self._last.hole[1]:
+                self._holes.append(self._last.hole)
+            if self._last.lost[1]:
+                self._losses.append(self._last.lost)
+
+    @property
+    def _complete(self) -> int:
+        """Samples of which everything has come back."""
+        end = self._last.put_out
+        if self.settings.inputs:
+            end = min(end, self._last.taken - self._last.delay)
+        return end - self._position
 
     @property
     def available(self) -> int:
         """Samples that `collect` gives without waiting."""
         self._listen(0.0)
-        return self._available
+        return self._complete
+
+    @property
+    def lateness(self) -> float:
+        """s since the last of the samples that are available now was put out; of the block after `collect`'s last."""
+        return (
+            time.monotonic()
+            - self._last.time
+            + (self._complete - self.settings.block_samples) / (self.settings.sample_rate)
+        )
+
+    @property
+    def last_report(self) -> OwnerReport:
+        """What the owner said last."""
+        self._listen(0.0)
+        return self._last
 
     @property
     def has_ended(self) -> bool:
@@ -187,14 +261,30 @@ class OutputLink:
         return self._gone or self._process is None
 
     @property
-    def state(self) -> OutputState:
-        """What the output does; UNKNOWN where the owner has died or does not report."""
+    def reason(self) -> str:
+        """Why the output was taken to zero; empty while it follows."""
+        return self._last.reason
+
+    @property
+    def cause(self) -> StopCause:
+        """EXTERNAL_INPUT or OUTPUT where the owner took the output to zero of itself; else UNKNOWN."""
+        return self._last.cause
+
+    @property
+    def stop_is_set(self) -> bool:
+        """Whether the external stop input asks for zero now."""
         self._listen(0.0)
-        if self._state is OutputState.ENDED:
-            return self._state
+        return self._last.stop_is_set
+
+    @property
+    def state(self) -> OutputState:
+        """What the output does; NOT_KNOWN where the owner has died or does not report."""
+        self._listen(0.0)
+        if self._last.state is OutputState.ENDED:
+            return OutputState.ENDED
         if self._gone or self._process is None or time.monotonic() - self._heard > _SILENT:
             return OutputState.NOT_KNOWN
-        return self._state
+        return self._last.state
 
     @property
     def is_tripped(self) -> bool:
@@ -204,9 +294,10 @@ class OutputLink:
     @property
     def sentence(self) -> str:
         """What is known of the output, for people."""
-        state = self.state
+        state, reason = self.state, self.reason
         if state is OutputState.NOT_KNOWN:
-            return "the state of the output is UNKNOWN: the process that owns it has died or does not report."
+            why = f" ({reason})" if self._last.state is OutputState.NOT_KNOWN and reason else ""
+            return f"the state of the output is UNKNOWN: the process that owns it has died or does not report{why}."
         words = {
             OutputState.AT_ZERO: "the output is at zero",
             OutputState.FOLLOWING: "the output follows what it is fed",
@@ -214,7 +305,7 @@ class OutputLink:
             OutputState.HELD: "the output is held at zero",
             OutputState.ENDED: "the output is at zero and released",
         }[state]
-        return f"{words}: {self.reason}." if self.reason else f"{words}."
+        return f"{words}: {reason}." if reason else f"{words}."
 
     def quiet(self, reason: str, ramp: float | None = None) -> None:
         """Take the output to zero within ``ramp`` s (the owner's own when None), latched until `reset`.
@@ -222,25 +313,32 @@ class OutputLink:
         Raises:
             DeviceFault: the owner cannot be reached; the state of the output is unknown.
         """
-        self._send(struct.pack("<Bd", OwnerMessage.QUIET, -1.0 if ramp is None else ramp) + reason.encode()[:500])
+        self._send(quiet_message(reason, ramp))
 
-    def reset(self) -> None:
-        """Clear a latched stop; refused by the owner unless the output is at zero and the external stop is not set.
+    def reset(self, timeout: float = 1.0) -> bool:
+        """Clear a latched stop; what was fed before is not put out any more.
+
+        Returns:
+            False where the owner does not: the output is not at zero, or the external stop is set.
 
         Raises:
             DeviceFault: the owner cannot be reached.
         """
         self._send(bytes([OwnerMessage.RESET]))
+        end = time.monotonic() + timeout
+        while self.is_tripped and time.monotonic() < end:
+            self._listen(0.02)
+        return not self.is_tripped
 
     def close(self, timeout: float = 10.0) -> OutputState:
         """Take the output to zero, end the owner and wait for it.
 
         Returns:
-            ENDED where the owner said that the output is at zero, otherwise UNKNOWN.
+            ENDED where the owner said that the output is at zero, otherwise NOT_KNOWN.
         """
-        process, channel = self._process, self._channel
-        if process is None or channel is None:
-            return self._state
+        process, channel, samples = self._process, self._channel, self._samples
+        if process is None or channel is None or samples is None:
+            return self._last.state
         with contextlib.suppress(DeviceFault):
             self._send(bytes([OwnerMessage.STOP]))
         end = time.monotonic() + timeout
@@ -251,10 +349,11 @@ class OutputLink:
         if process.poll() is None:
             process.kill()
             process.wait()
-        if self._state is not OutputState.ENDED:
-            self._state = OutputState.NOT_KNOWN
+        if self._last.state is not OutputState.ENDED:
+            self._last = self._last._replace(state=OutputState.NOT_KNOWN)
         channel.close()
+        samples.close()
         if process.stderr is not None:
             process.stderr.close()
-        self._process = self._channel = None
-        return self._state
+        self._process = self._channel = self._samples = None
+        return self._last.state

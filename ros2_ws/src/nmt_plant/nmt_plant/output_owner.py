@@ -1,24 +1,28 @@
 """The process that owns a converter: it puts out what it is fed, and goes to zero by itself when it is not.
 
 The process that makes the samples (the plant node) can hang in a driver, be stopped, hold its interpreter in one call
-or die. The owner shares nothing with it but a socket: every block comes with a sequence number, and a block that is
-late, missing or out of sequence, an end of the socket, a stop request or the external stop input take the output to
-zero along a half-cosine, latched until ``reset``. Samples pass the same guard as in the device once more.
+or die. The owner shares nothing with it but memory for samples and a socket: what is late, missing or out of sequence,
+an end of the socket, a stop request or the external stop input take the output to zero along a half-cosine, latched
+until ``reset``. Samples pass the same guard as in the device once more.
+
+The converter's samples are the clock. It begins when ``lead_blocks`` have been fed; from then on every sample that the
+converter takes has the next index, fed or not, and what was put out with it is given back. A side that feeds and is
+late finds that its samples' time has passed: zeros were put out in their place.
 
 What it cannot do: if the owner itself is killed or stopped, the converter keeps what its hardware does without it. The
 feeding side says then that the state of the output is unknown (see `output_link`).
 
-    python -m nmt_plant.output_owner DESCRIPTOR SETTINGS CONVERTER ARGUMENTS [STOP_DESCRIPTOR]
+    python -m nmt_plant.output_owner SOCKET MEMORY SETTINGS CONVERTER ARGUMENTS [STOP_DESCRIPTOR]
 
-is how `output_link.OutputLink` starts it. No named shared memory, no files: nothing is left behind by any end.
+is how `output_link.OutputLink` starts it. No named shared memory; the only file is the record, where one is asked for.
 """
 
 from __future__ import annotations
 
 import contextlib
 import gc
-import importlib
 import json
+import math
 import os
 import select
 import signal
@@ -26,23 +30,32 @@ import socket
 import struct
 import sys
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from pathlib import Path
-from typing import Any, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.output_record import BEAT as RECORD_BEAT
+from nmt_core.output_record import OutputRecord
+from nmt_core.vocabulary import OutputState, StopCause
+from nmt_plant.converter import Converter, Taken, load_converter
+from nmt_plant.delay_probe import Delay, DelayProbe
 from nmt_plant.output_guard import OutputGuard
+from nmt_plant.shared_samples import SharedSamples
 
-MESSAGE_BYTES = 1 << 17
-_MOST_QUEUED_BLOCKS = 64
+MESSAGE_BYTES = 4096
+_MOST_LEAD = 128
+_MOST_MESSAGES = 200  # taken in one turn
 _BEAT = 0.05  # s, longest time between two reports
-_RESYNCHRONISE = 0.5  # s a clock may be behind before it starts anew
+_PRIORITY = 10  # of a real-time process, where the system allows one
+_HINT = "the feeding process is hung, or the computer too busy for so few blocks of latency"
+_FEED = struct.Struct("<BQQ")
+_QUIET = struct.Struct("<Bd")
+_REPORT = struct.Struct("<BB6QdQ?qQddQ")
 
 
 class OwnerMessage(IntEnum):
@@ -54,17 +67,6 @@ class OwnerMessage(IntEnum):
     STOP = 4
 
 
-class OutputState(IntEnum):
-    """What is known of an output."""
-
-    NOT_KNOWN = 0
-    AT_ZERO = 1
-    FOLLOWING = 2
-    RAMPING = 3
-    HELD = 4
-    ENDED = 5
-
-
 @dataclass(frozen=True)
 class OwnerSettings:
     """How an output is owned.
@@ -72,12 +74,18 @@ class OwnerSettings:
     Attributes:
         sample_rate: Hz.
         block_samples: samples in a block.
-        chunk_samples: samples handed to the converter at a time; the owner looks at everything once a chunk.
         lead_blocks: blocks that are fed before the first is put out; what may be late.
-        deadline: s without a block after which the output goes to zero.
+        deadline: s of samples put out without a new block, after which the output goes to zero.
         ramp: s, half-cosine to zero.
         limit: V, largest magnitude; None = none.
         slew: V/s, largest rate of change; None = none.
+        outputs: channels that are put out.
+        inputs: channels that are measured.
+        record: file for what the output does, see `nmt_core.output_record`; empty = none.
+        probe: V, amplitude of the signal that finds the delay before the first block; 0 = the converter's own figure.
+        probe_input: row of the inputs that measures the output.
+        probe_settling: s of zeros before that signal.
+        probe_needed: whether an output that is not seen at that input is a fault; else the converter's figure is taken.
 
     Raises:
         BenchError: a number out of its range.
@@ -85,172 +93,225 @@ class OwnerSettings:
 
     sample_rate: float
     block_samples: int
-    chunk_samples: int
     lead_blocks: int = 2
     deadline: float = 0.06
     ramp: float = 0.1
     limit: float | None = None
     slew: float | None = None
+    outputs: int = 1
+    inputs: int = 0
+    record: str = ""
+    probe: float = 0.0
+    probe_input: int = 0
+    probe_settling: float = 0.2
+    probe_needed: bool = True
 
     def __post_init__(self) -> None:
-        if not 1 <= self.chunk_samples <= self.block_samples or self.block_samples % self.chunk_samples:
+        if self.block_samples < 1:
+            raise BenchError(f"output owner: block_samples must be at least 1, got {self.block_samples}.")
+        if not 1 <= self.lead_blocks <= _MOST_LEAD or not 0.0 < self.deadline < 60.0:
             raise BenchError(
-                f"output owner: chunk_samples must divide block_samples ({self.block_samples}), got "
-                f"{self.chunk_samples}."
-            )
-        if 8 * self.block_samples > MESSAGE_BYTES - 64:
-            raise BenchError(f"output owner: a block of {self.block_samples} samples does not fit into one message.")
-        if not 1 <= self.lead_blocks <= _MOST_QUEUED_BLOCKS // 2 or not self.deadline > 0.0:
-            raise BenchError(
-                f"output owner: lead_blocks must be 1 to {_MOST_QUEUED_BLOCKS // 2} and deadline positive, got "
+                f"output owner: lead_blocks must be 1 to {_MOST_LEAD} and deadline positive and below 60 s, got "
                 f"{self.lead_blocks} and {self.deadline} s."
             )
+        if self.outputs < 1 or self.inputs < 0:
+            raise BenchError(f"output owner: it needs an output, got {self.outputs} and {self.inputs} inputs.")
+        if not 0.0 <= self.probe < math.inf or (self.probe and not 0 <= self.probe_input < self.inputs):
+            raise BenchError(
+                f"output owner: a probe of {self.probe} V at input {self.probe_input} of {self.inputs} is not possible."
+            )
+
+    @property
+    def ring_samples(self) -> int:
+        """Samples of history: enough for the whole way to zero of an output that nobody feeds any more."""
+        blocks = math.ceil((2.0 * (self.deadline + self.ramp) + 1.0) * self.sample_rate / self.block_samples)
+        return self.block_samples * (blocks + 4 * self.lead_blocks)
 
 
-class Converter(Protocol):
-    """What puts samples out. ``write`` waits until the device takes the samples, which paces the owner."""
+class OwnerReport(NamedTuple):
+    """What the owner says, once a block and at every change.
 
-    def write(self, values: FloatArray) -> None:
-        """Put out the next samples, V."""
-
-    def stop_requested(self) -> bool:
-        """Whether the device's external stop input asks for zero."""
-
-    def close(self) -> None:
-        """Release the device, its output at zero."""
-
-
-class SteadyClockConverter:
-    """Takes samples when they are due on the steady clock; stands for a converter where there is none.
-
-    Args:
-        sample_rate: Hz.
-        log: file for the time and the values of every call, see `read_log`; empty = none.
-        stop_file: path whose existence is the external stop input; empty = none.
+    Attributes:
+        state: of the output.
+        cause: EXTERNAL_INPUT or OUTPUT where the owner took the output to zero of itself; else UNKNOWN.
+        put_out: index after the last sample put out.
+        taken: index after the last sample measured.
+        hole: indices (first, end) of samples put out of which no history was kept: zeros at rest.
+        lost: indices (first, end) of samples measured that were lost or may be.
+        time: s on the steady clock, when ``put_out`` was reached.
+        delay: of the converter, samples: measured where a probe was asked for, else the converter's own figure.
+        stop_is_set: whether the external stop input asks for zero now.
+        stated: round trip as the converter's driver says it, samples; negative = it says nothing.
+        lost_turns: turns of the converter in which samples were lost, since the clock began.
+        monitor_gain: V measured per V put out, from the probe; 0 = not measured or not seen.
+        clearness: of the probe, see `delay_probe.Delay`.
+        turn: samples of the converter's last turn; delay + turn is the round trip.
+        reason: why the output was taken to zero.
     """
 
-    def __init__(self, sample_rate: float, log: str = "", stop_file: str = "") -> None:
-        self._rate = sample_rate
-        self._log = Path(log).open("wb", buffering=0) if log else None  # noqa: SIM115 - open as long as the output
-        self._stop_file = stop_file
-        self._due = time.monotonic()
-
-    def write(self, values: FloatArray) -> None:
-        """Wait until the samples are due."""
-        self._due = max(self._due, time.monotonic() - _RESYNCHRONISE) + values.size / self._rate
-        time.sleep(max(0.0, self._due - time.monotonic()))
-        if self._log is not None:
-            self._log.write(struct.pack("<dq", time.monotonic(), values.size) + values.tobytes())
-
-    def stop_requested(self) -> bool:
-        """Whether the stop file exists."""
-        return bool(self._stop_file) and os.path.exists(self._stop_file)
-
-    def close(self) -> None:
-        """Close the log."""
-        if self._log is not None:
-            self._log.close()
-
-
-def read_log(path: str | Path) -> list[tuple[float, FloatArray]]:
-    """Calls of a `SteadyClockConverter`: end of each on the steady clock (s), and its values (V)."""
-    raw, position, calls = Path(path).read_bytes(), 0, []
-    while position + 16 <= len(raw):
-        at, size = struct.unpack_from("<dq", raw, position)
-        if position + 16 + 8 * size > len(raw):
-            break
-        calls.append((at, np.frombuffer(raw, np.float64, size, position + 16)))
-        position += 16 + 8 * size
-    return calls
+    state: OutputState
+    cause: StopCause
+    put_out: int
+    taken: int
+    hole: tuple[int, int]
+    lost: tuple[int, int]
+    time: float
+    delay: int
+    stop_is_set: bool
+    stated: int
+    lost_turns: int
+    monitor_gain: float
+    clearness: float
+    turn: int
+    reason: str
 
 
 class OutputOwner:
-    """The owner's work, chunk by chunk; `run` repeats it until the end.
+    """The owner's work, turn by turn; `run` leaves it to the converter to ask for the turns.
 
     Args:
         settings: how the output is owned.
         channel: socket (SOCK_SEQPACKET) to the side that feeds.
+        samples: the shared memory.
         converter: what puts the samples out.
         stop_input: descriptor of an external stop line: a byte on it, or its end, stops for good; None = none.
-        clock: steady clock, s.
         parent: process that feeds; its end is seen even where a copy of its socket lives on. None = not watched.
+        clock: steady clock, s; only for how often reports are sent.
     """
 
     def __init__(
         self,
         settings: OwnerSettings,
         channel: socket.socket,
+        samples: SharedSamples,
         converter: Converter,
         stop_input: int | None = None,
-        clock: Callable[[], float] = time.monotonic,
         parent: int | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        if (converter.outputs, converter.inputs) != (settings.outputs, settings.inputs):
+            raise BenchError(
+                f"output owner: the converter has {converter.outputs} outputs and {converter.inputs} inputs, the "
+                f"device wants {settings.outputs} and {settings.inputs}."
+            )
         self._settings = settings
         self._channel = channel
+        self._samples = samples
         self._converter = converter
         self._stop_input = stop_input
-        self._clock = clock
         self._parent = parent
-        self._guard = OutputGuard(settings.sample_rate, settings.limit, settings.slew, settings.ramp)
-        self._queue: deque[FloatArray] = deque()
-        self._queued = 0
-        self._sequence = -1
-        self._fed_at = clock()
-        self._reported_at = -1.0
-        self._reported_state = OutputState.NOT_KNOWN
-        self._echo: list[FloatArray] = []
-        self._echoed = 0
-        self._consumed = 0
-        self._playing = False
-        self._ending = False
-        self._stopped = False
+        self._clock = clock
+        self._record = OutputRecord(settings.record) if settings.record else None
+        self._guards = [
+            OutputGuard(settings.sample_rate, settings.limit, settings.slew, settings.ramp)
+            for _ in range(settings.outputs)
+        ]
+        self._deadline = settings.deadline * settings.sample_rate
+        self._probe: DelayProbe | None = None
+        if settings.probe:
+            self._probe = DelayProbe(settings.probe, settings.sample_rate, settings.probe_settling)
+        self._delay: Delay | None = None
+        self._lost_turns = self._turn_samples = 0
+        self._begun = False
+        self._fed = self._next = self._taken = 0
+        self._void = 0  # what was fed before this index is not put out any more
+        self._since_feed = 0
+        self._moving = False
+        self._hole = self._lost = (0, 0)
+        self._told: tuple[OutputState, bool, int, int] | None = None
+        self._told_at = self._touched_at = -math.inf
+        self._recorded: tuple[OutputState, str] | None = None
+        self._ending = self._told_to_end = self._stopped = self._stop_is_set = False
+        self.cause = StopCause.UNKNOWN
         self.reason = ""
 
     @property
     def state(self) -> OutputState:
         """What the output does."""
-        if self._guard.held:
-            return OutputState.HELD if self._guard.last == 0.0 else OutputState.RAMPING
-        return OutputState.FOLLOWING if self._playing else OutputState.AT_ZERO
+        if self._guards[0].held:
+            return OutputState.RAMPING if self._on else OutputState.HELD
+        return OutputState.FOLLOWING if self._moving else OutputState.AT_ZERO
+
+    @property
+    def _on(self) -> bool:
+        """Whether the sample put out last was not zero."""
+        return any(guard.last != 0.0 for guard in self._guards)
 
     def run(self) -> None:
         """Work until the side that feeds has ended or asks for the end, and the output is at zero."""
         try:
-            while self.step():
-                pass
+            self._converter.run(self.turn)
+            if not self._ending:
+                raise RuntimeError("it ended by itself")
+        except Exception as error:
+            self.reason = f"the converter failed: {error}"
+            self._report(OutputState.NOT_KNOWN)
+            raise
         finally:
             self._converter.close()
+            if self._record is not None:
+                self._record.close()
 
-    def step(self) -> bool:
-        """One chunk: messages, checks, output, report. False when the output is at zero for good."""
+    def turn(self, samples: int, taken: Taken | None = None) -> FloatArray | None:
+        """One turn of the converter: messages, checks, what to put out, report.
+
+        Args:
+            samples: how many the converter wants.
+            taken: what it has measured since the turn before.
+
+        Returns:
+            (outputs, samples) V; None when the output is at zero for good.
+        """
+        self._turn_samples = samples
+        if self._probe is not None:
+            self._look_for_delay(self._probe, taken)
+        self._keep(taken)
         self._take_messages()
         self._watch()
-        fed = self._guard.block(self._next_samples())
-        missing = self._settings.chunk_samples - fed.size
-        if missing and self._guard.last != 0.0:
-            self._to_zero("no block was there to be put out")
-        values = np.concatenate([fed, self._guard.block(np.zeros(missing))]) if missing else fed
-        if self._guard.violation is not None and not self.reason:
-            self.reason = (
-                f"a sample of {self._guard.violation[1]:.4g} V is beyond the limit of {self._settings.limit} V"
+        if self._ending and self.state is OutputState.HELD:
+            self._report(OutputState.ENDED)
+            return None
+        values = self._next_samples(samples)
+        self._moving = bool(values.any())
+        self._report(self.state)
+        return values
+
+    def _look_for_delay(self, probe: DelayProbe, taken: Taken | None) -> None:
+        if taken is not None:
+            probe.take(taken.values[self._settings.probe_input], taken.lost)
+        if not (probe.done or probe.failed):
+            return
+        self._probe = None
+        if probe.failed:
+            raise RuntimeError("it loses samples again and again; give it a larger block, or real-time priority")
+        found = self._delay = probe.delay()
+        if found.is_clear:
+            return
+        self._delay = found._replace(samples=max(self._converter.delay, 0), gain=0.0)
+        if self._settings.probe_needed:
+            raise RuntimeError(
+                f"the output of {self._settings.probe:.3g} V is not seen at the drive's monitor input; check cables, "
+                "ports and the monitor's sensitivity, './nmt check' looks at every channel"
             )
-        self._converter.write(values)
-        over = self._ending and self.state is OutputState.HELD
-        self._report(fed, OutputState.ENDED if over else self.state)
-        return not over
+
+    @property
+    def _delay_samples(self) -> int:
+        return max(self._converter.delay, 0) if self._delay is None else self._delay.samples
 
     def terminate(self) -> None:
-        """Take the output to zero and end, as when the feeding side ends."""
-        self._ending = True
-        self._to_zero("the process that owns the output was told to end")
+        """Take the output to zero and end, as when the feeding side ends; may be called by a signal's handler."""
+        self._told_to_end = True
 
-    def _to_zero(self, reason: str, ramp: float | None = None) -> None:
+    def _to_zero(self, reason: str, ramp: float | None = None, cause: StopCause = StopCause.OUTPUT) -> None:
         if not self.reason:
-            self.reason = reason
-        self._guard.to_zero(ramp)
+            self.reason, self.cause = reason, cause
+        for guard in self._guards:
+            guard.to_zero(ramp)
+
+    # -- what comes in -------------------------------------------------------------------------------------------
 
     def _take_messages(self) -> None:
-        for _ in range(2 * _MOST_QUEUED_BLOCKS):
+        for _ in range(_MOST_MESSAGES):
             try:
                 message = self._channel.recv(MESSAGE_BYTES, socket.MSG_DONTWAIT)
             except BlockingIOError:
@@ -258,129 +319,226 @@ class OutputOwner:
             except OSError:
                 message = b""
             if not message:
-                self._end_with_feeder()
+                self._end("the process that fed the output has ended")
                 return
             self._take(message)
 
-    def _end_with_feeder(self) -> None:
+    def _end(self, reason: str) -> None:
         if not self._ending:
             self._ending = True
-            self._to_zero("the process that fed the output has ended")
+            self._to_zero(reason)
 
     def _take(self, message: bytes) -> None:
         kind = message[0]
-        if kind == OwnerMessage.FEED and len(message) > 9 and len(message) % 8 == 1:
-            (sequence,) = struct.unpack_from("<Q", message, 1)
-            values = np.frombuffer(message, np.float64, offset=9)
-            if sequence != self._sequence + 1:
-                self._to_zero(f"block {sequence} was fed after block {self._sequence}")
-            self._sequence = sequence
-            self._fed_at = self._clock()
-            if self._queued > _MOST_QUEUED_BLOCKS * self._settings.block_samples:
-                self._to_zero("blocks are fed faster than they can be put out")
-                return
-            self._queue.append(values)
-            self._queued += values.size
-        elif kind == OwnerMessage.QUIET and len(message) >= 9:
-            (ramp,) = struct.unpack_from("<d", message, 1)
-            self._to_zero(message[9:].decode(errors="replace") or "quiet", ramp if 0.0 <= ramp < 1e6 else None)
-        elif kind == OwnerMessage.RESET:
+        if kind == OwnerMessage.FEED and len(message) == _FEED.size:
+            self._take_feed(*_FEED.unpack(message)[1:])
+        elif kind == OwnerMessage.QUIET and len(message) >= _QUIET.size:
+            _, ramp = _QUIET.unpack_from(message)
+            reason = message[_QUIET.size :].decode(errors="replace") or "quiet"
+            self._to_zero(reason, ramp if 0.0 <= ramp < 1e6 else None, StopCause.UNKNOWN)
+        elif kind == OwnerMessage.RESET and len(message) == 1:
             if self.state is OutputState.HELD and not self._stopped and not self._ending:
-                self._guard.release()
-                self.reason = ""
-                self._fed_at = self._clock()
-        elif kind == OwnerMessage.STOP:
-            self._ending = True
-            self._to_zero("the output is closed")
+                for guard in self._guards:
+                    guard.release()
+                self._void, self._since_feed = self._fed, 0
+                self.reason, self.cause = "", StopCause.UNKNOWN
+        elif kind == OwnerMessage.STOP and len(message) == 1:
+            self._end("the output is closed")
         else:
             self._to_zero("a message that is none was fed")
 
+    def _take_feed(self, first: int, count: int) -> None:
+        settings = self._settings
+        if first != self._fed:
+            self._to_zero(f"samples from {first} on were fed after those to {self._fed}")
+            return
+        if not 0 < count <= settings.ring_samples or first + count - self._next > settings.ring_samples:
+            self._to_zero("blocks are fed faster than they can be put out")
+            return
+        self._fed = first + count
+        self._since_feed = 0
+        late = min(self._fed, self._next) - max(first, self._void)
+        if late > 0 and self._samples.fed.read(max(first, self._void), late).any():
+            milliseconds = 1e3 * (self._next - first) / settings.sample_rate
+            self._to_zero(f"a block came {milliseconds:.0f} ms too late; {_HINT}")
+        if not self._begun and self._fed >= settings.lead_blocks * settings.block_samples:
+            self._begun = True
+
     def _watch(self) -> None:
         """External stop, deadline, and whether the process that feeds is still there."""
+        if self._told_to_end:
+            self._end("the process that owns the output was told to end")
         if self._parent is not None and os.getppid() != self._parent:
-            self._end_with_feeder()
-        asked = self._converter.stop_requested()
+            self._end("the process that fed the output has ended")
         if self._stop_input is not None and not self._stopped:
             self._stopped = bool(select.select([self._stop_input], [], [], 0.0)[0])
-        if asked or self._stopped:
-            self._to_zero("the external stop input")
-        late = self._clock() - self._fed_at
-        if self._playing and late > self._settings.deadline and self._guard.last != 0.0:
-            self._to_zero(f"not fed for {1e3 * late:.0f} ms")
+        self._stop_is_set = self._stopped or self._converter.stop_requested()
+        if self._stop_is_set:
+            self._to_zero("the external stop input", cause=StopCause.EXTERNAL_INPUT)
+        if self._since_feed > self._deadline and self._on:
+            self._to_zero(f"not fed for {1e3 * self._since_feed / self._settings.sample_rate:.0f} ms; {_HINT}")
 
-    def _next_samples(self) -> FloatArray:
-        """The samples to put out next, as far as they have been fed; at most a chunk of them."""
-        size = self._settings.chunk_samples
-        if self._guard.held:
-            self._playing = self._queued > 0
-        elif not self._playing:
-            self._playing = self._queued >= self._settings.lead_blocks * self._settings.block_samples
-        parts: list[FloatArray] = []
-        while self._playing and size and self._queue:
-            block = self._queue.popleft()
-            if block.size > size:
-                self._queue.appendleft(block[size:])
-            parts.append(block[:size])
-            size -= parts[-1].size
-        values = np.concatenate(parts) if parts else np.zeros(0)
-        self._queued -= values.size
-        self._consumed += values.size
-        self._playing = self._playing and size == 0
+    def _keep(self, taken: Taken | None) -> None:
+        """Hand on what was measured; what comes before the clock has begun is thrown away."""
+        if taken is None or not self._begun:
+            return
+        count = taken.values.shape[1]
+        end = self._taken + count
+        self._lost_turns += taken.lost
+        if taken.lost or end - self._needed > self._settings.ring_samples:
+            self._lost = _together(self._lost, (self._taken, end))
+        else:
+            self._samples.measured.write(self._taken, taken.values)
+        self._taken = end
+
+    @property
+    def _needed(self) -> int:
+        """First index of which the feeding side may still want to know."""
+        return self._fed - (self._settings.lead_blocks + 1) * self._settings.block_samples
+
+    # -- what goes out -------------------------------------------------------------------------------------------
+
+    def _next_samples(self, count: int) -> FloatArray:
+        """The samples to put out next: what was fed for their indices, zero where nothing was."""
+        wanted = np.zeros((self._settings.outputs, count))
+        if self._probe is not None and not self._ending:
+            wanted[0] = self._probe.next(count)
+        if not self._begun:
+            return self._guarded(wanted)
+        first = self._next
+        fed = min(max(self._fed - first, 0), count)
+        if fed:
+            wanted[:, :fed] = self._samples.fed.read(first, fed)
+            wanted[:, : max(min(self._void - first, fed), 0)] = 0.0
+        if fed == count:
+            values = self._guarded(wanted)
+        else:
+            head = self._guarded(wanted[:, :fed])
+            if self._on:
+                self._to_zero(f"no block was there to be put out; {_HINT}")
+            values = np.concatenate([head, self._guarded(wanted[:, fed:])], axis=1)
+        end = first + count
+        if end - self._needed > self._settings.ring_samples:
+            self._hole = _together(self._hole, (first, end))
+        else:
+            self._samples.put_out.write(first, values)
+        self._next = end
+        self._since_feed += count
         return values
 
-    def _report(self, values: FloatArray, state: OutputState) -> None:
-        """Tell the feeding side what was put out; a side that does not listen costs nothing."""
-        if values.size:
-            self._echo.append(values)
-            self._echoed += values.size
+    def _guarded(self, wanted: FloatArray) -> FloatArray:
+        values = np.stack([guard.block(row) for guard, row in zip(self._guards, wanted, strict=True)])
+        violation = next((guard.violation for guard in self._guards if guard.violation is not None), None)
+        if violation is not None:
+            self._to_zero(f"a sample of {violation[1]:.4g} V is beyond the limit of {self._settings.limit} V")
+        return values
+
+    def _report(self, state: OutputState) -> None:
+        """Tell the feeding side; one that does not listen costs nothing. Write the record where something changed."""
         now = self._clock()
-        changed = state is not self._reported_state
-        if not changed and self._echoed < self._settings.block_samples and now - self._reported_at < _BEAT:
+        if self._probe is not None and state is not OutputState.NOT_KNOWN and not self._ending:
+            return  # the feeding side waits until the delay is known
+        if self._record is not None:
+            self._write_record(self._record, state, now)
+        block = self._settings.block_samples
+        told = (state, self._stop_is_set, self._next // block, (self._taken - self._delay_samples) // block)
+        if told == self._told and now - self._told_at < _BEAT:
             return
-        echo = np.concatenate(self._echo) if self._echo else np.zeros(0)
-        head = struct.pack("<BQI", int(state), self._consumed - echo.size, echo.size)
-        with contextlib.suppress(OSError):
-            self._channel.send(head + echo.tobytes() + self.reason.encode()[:500], socket.MSG_DONTWAIT)
-        self._echo, self._echoed = [], 0
-        self._reported_state, self._reported_at = state, now
+        ranges = (*self._hole, *self._lost)
+        head = _REPORT.pack(
+            state,
+            self.cause,
+            self._next,
+            self._taken,
+            *ranges,
+            now,
+            self._delay_samples,
+            self._stop_is_set,
+            self._converter.stated,
+            self._lost_turns,
+            0.0 if self._delay is None else self._delay.gain,
+            0.0 if self._delay is None else self._delay.clearness,
+            self._turn_samples,
+        )
+        try:
+            self._channel.send(head + self.reason.encode()[:500], socket.MSG_DONTWAIT)
+        except OSError:
+            return
+        self._hole = self._lost = (0, 0)
+        self._told, self._told_at = told, now
+
+    def _write_record(self, record: OutputRecord, state: OutputState, now: float) -> None:
+        with contextlib.suppress(OSError):  # a full disk must not stop the output
+            if self._recorded != (state, self.reason):
+                self._recorded = (state, self.reason)
+                record.write(self._next, state, self._next - self._since_feed, self.reason)
+            elif now - self._touched_at >= RECORD_BEAT:
+                self._touched_at = now
+                record.touch()
 
 
-def read_report(message: bytes) -> tuple[OutputState, int, FloatArray, str]:
-    """State, index of the first sample, the samples put out (V), and why the output was taken to zero."""
-    state, first, size = struct.unpack_from("<BQI", message)
-    values = np.frombuffer(message, np.float64, size, 13)
-    return OutputState(state), first, values, message[13 + 8 * size :].decode(errors="replace")
+def _together(one: tuple[int, int], other: tuple[int, int]) -> tuple[int, int]:
+    """The range (first, end) that holds both; (0, 0) is empty."""
+    return other if one == (0, 0) else (min(one[0], other[0]), max(one[1], other[1]))
 
 
-def load_converter(name: str, arguments: dict[str, Any]) -> Converter:
-    """Make a converter from ``module:class`` and its keyword arguments.
+def feed_message(first: int, count: int) -> bytes:
+    """The message that samples ``first`` to ``first + count`` are there."""
+    return _FEED.pack(OwnerMessage.FEED, first, count)
 
-    Raises:
-        BenchError: there is none of that name.
-    """
-    module, _, attribute = name.partition(":")
-    try:
-        factory = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise BenchError(f"output owner: there is no converter {name}: {error}.") from error
-    made: Converter = factory(**arguments)
-    return made
+
+def quiet_message(reason: str, ramp: float | None = None) -> bytes:
+    """The message that takes the output to zero within ``ramp`` s; the owner's own when None."""
+    return _QUIET.pack(OwnerMessage.QUIET, -1.0 if ramp is None else ramp) + reason.encode()[:500]
+
+
+def read_report(message: bytes) -> OwnerReport:
+    """A report of the owner."""
+    state, cause, put_out, taken, *rest = _REPORT.unpack_from(message)
+    ranges, (at, delay, stop_is_set, stated, lost_turns, gain, clearness, turn) = rest[:4], rest[4:]
+    reason = message[_REPORT.size :].decode(errors="replace")
+    hole, lost = (ranges[0], ranges[1]), (ranges[2], ranges[3])
+    return OwnerReport(
+        OutputState(state),
+        StopCause(cause),
+        put_out,
+        taken,
+        hole,
+        lost,
+        at,
+        delay,
+        stop_is_set,
+        stated,
+        lost_turns,
+        gain,
+        clearness,
+        turn,
+        reason,
+    )
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Own a converter until the side that feeds ends."""
     given = sys.argv[1:] if arguments is None else arguments
-    descriptor, settings, name, options = given[:4]
+    descriptor, memory, options, name, converter_options = given[:5]
+    parent = os.getppid()
     channel = socket.socket(fileno=int(descriptor))
-    converter = load_converter(name, json.loads(options))
-    stop_input = int(given[4]) if len(given) > 4 else None
-    owner = OutputOwner(OwnerSettings(**json.loads(settings)), channel, converter, stop_input, parent=os.getppid())
+    settings = OwnerSettings(**json.loads(options))
+    samples = SharedSamples(settings.outputs, settings.inputs, settings.ring_samples, int(memory))
+    owners: list[OutputOwner] = []
     # A terminal's signals reach the feeding side, which ends in order; its end is seen here.
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: owner.terminate())
+    signal.signal(signal.SIGTERM, lambda *_: owners[0].terminate() if owners else sys.exit(1))
     with contextlib.suppress(OSError):
         os.nice(-10)
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+    # After the priority, which the threads of its driver inherit.
+    converter = load_converter(name, json.loads(converter_options))
+    stop_input = int(given[5]) if len(given) > 5 else None
+    owner = OutputOwner(settings, channel, samples, converter, stop_input, parent)
+    owners.append(owner)
     gc.collect()
     gc.freeze()
     gc.disable()

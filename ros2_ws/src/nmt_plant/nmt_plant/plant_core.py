@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Sequence
 
 from nmt_core.blocks import SampleBlock
+from nmt_core.cdr import bench_time_ns
 from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge
-from nmt_core.records import DriveCommand, RunState
-from nmt_core.vocabulary import Quantity, RunPhase
+from nmt_core.records import DriveCommand, DriveStop, RunState, SignalLevels
+from nmt_core.vocabulary import OutputState, Quantity, RunPhase, StopCause
 from nmt_plant.device import Device, DeviceState, check_drive
 from nmt_plant.lockstep import LockstepGate
+from nmt_plant.signal_levels import LevelMeter
 
 _ACTIVE = (RunPhase.RUNNING, RunPhase.PAUSED, RunPhase.STOPPING, RunPhase.DONE)
 _LONGEST_RAMP = 60.0  # s of bench time
@@ -40,6 +42,8 @@ class PlantCore:
         self.lockstep = lockstep
         self.phase = RunPhase.UNKNOWN
         self.running = False
+        self._told: DriveStop | None = None
+        self._meter = LevelMeter(device.sample_rate, device.block_samples)
         self._gate = LockstepGate(device.block_samples, latency_blocks)
         block_rate = device.sample_rate / device.block_samples
         self.judge = CommandJudge(
@@ -47,11 +51,7 @@ class PlantCore:
             horizon=round(LONGEST_AHEAD * device.sample_rate),
             most_missing=latency_blocks if lockstep else round(_LONGEST_STALL * block_rate),
         )
-        device.configure()
-        device.start()
-        # One block for the list of quantities; the device starts again from sample 0.
-        self.quantities: tuple[Quantity, ...] = tuple(block.quantity for block in device.read())
-        device.stop()
+        self.quantities: tuple[Quantity, ...] = device.quantities
         device.configure()
         device.start()
 
@@ -123,7 +123,40 @@ class PlantCore:
         """
         return self.device.read()
 
-    def quiet_down(self, reason: str) -> Iterator[list[SampleBlock]]:
+    def levels(self, blocks: Sequence[SampleBlock]) -> SignalLevels | None:
+        """Levels of the signals, if these blocks complete a tenth of a second; to be asked with every block once."""
+        return self._meter.add(blocks)
+
+    def stop(self) -> DriveStop | None:
+        """What is to be told of a stop of the drive: when it begins, is at zero, or is released; else None.
+
+        To be asked after every block and after everything that may stop or release the drive.
+        """
+        cause = self.device.stop_cause
+        told = self._told
+        if cause is StopCause.UNKNOWN:
+            if told is None:
+                return None
+            self._told, reason = None, ""
+            cause, output = StopCause.RELEASED, OutputState.AT_ZERO
+        else:
+            output, reason = self.device.output_state, self.device.tripped
+            if told is not None and (told.cause, told.output, told.reason) == (cause, output, reason):
+                return None
+        sample = self.device.next_sample
+        stop = DriveStop(sample, cause, output, reason, bench_time_ns(sample, self.device.sample_rate))
+        if cause is not StopCause.RELEASED:
+            self._told = stop
+        return stop
+
+    def failure(self, reason: str) -> DriveStop:
+        """What is to be told when the device has failed and is closed."""
+        sample = self.device.next_sample
+        time_ns = bench_time_ns(sample, self.device.sample_rate)
+        self._told = DriveStop(sample, StopCause.DEVICE, self.device.output_state, reason, time_ns)
+        return self._told
+
+    def quiet_down(self, reason: str, cause: StopCause = StopCause.NODE) -> Iterator[list[SampleBlock]]:
         """Emergency ramp to zero: the blocks of the ramp, since in lockstep nobody else moves bench time on.
 
         The last block shows the drive at zero. In real time the blocks come by themselves and none is given.
@@ -133,9 +166,17 @@ class PlantCore:
         """
         if self.device.is_quiet or self.device.state is not DeviceState.RUNNING:
             return
-        if not self.device.tripped:
-            self.device.quiet(reason)
-        if not self.lockstep:
+        yield from self.stop_drive(reason, cause)
+
+    def stop_drive(self, reason: str, cause: StopCause) -> Iterator[list[SampleBlock]]:
+        """As `quiet_down`, but latched at zero also where the drive was there already; a longer ramp is cut short.
+
+        Raises:
+            DeviceFault: the device failed.
+        """
+        if not self.device.tripped or cause is not StopCause.NODE:
+            self.device.quiet(reason, cause=cause)
+        if not self.lockstep or not self.running or self.device.is_quiet:
             return
         yield from self._ramp_blocks()
         yield self.produce()
@@ -152,7 +193,7 @@ class PlantCore:
         device = self.device
         try:
             if device.state is DeviceState.RUNNING and not device.is_quiet:
-                device.quiet(reason)
+                device.quiet(reason, cause=StopCause.NODE)
                 blocks = int(_LONGEST_END * device.sample_rate / device.block_samples)
                 while blocks > 0 and not device.is_quiet:
                     device.read()

@@ -4,27 +4,34 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import time
+from collections.abc import Iterator
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
+from nmt_core.base_node import READY, SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.blocks import SampleBlock
 from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
-from nmt_core.vocabulary import RunPhase
-from nmt_core.wire import RUN_STATE, BlockWriter, read_drive
-from nmt_msgs.msg import Drive, RunState
+from nmt_core.vocabulary import OutputState, RunPhase, StopCause
+from nmt_core.wire import DRIVE_STOP, MONITOR, RUN_STATE, BlockWriter, read_drive
+from nmt_msgs.msg import Drive, DriveStop, Monitor, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 from nmt_plant.device import Device, DeviceFault, DeviceState
-from nmt_plant.guarded_device import GuardedDevice
+from nmt_plant.guarded_device import LEAST_LEAD, GuardedDevice
+from nmt_plant.hardware_rig import HardwareRig, device_of
 from nmt_plant.plant_core import PlantCore
+from nmt_plant.real_time import LatenessHistogram, priority_of, real_time_priority
 from nmt_plant.simulated_rig import SimulatedRig
-from nmt_rig.rig import load_rig
+from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS
+from nmt_rig.rig import Rig, load_rig
 
 PARAMETERS = (
     Parameter("rig_file", "", "", "Rig file to simulate: a path, or the name of a rig that comes with the bench."),
@@ -32,10 +39,34 @@ PARAMETERS = (
         "pacing",
         "lockstep",
         "",
-        "lockstep: every block waits for the drive computed from the one before; realtime: paced by the steady clock.",
+        "lockstep: every block waits for the drive computed from the one before; realtime: paced by the converter.",
         choices=("lockstep", "realtime"),
     ),
-    Parameter("latency_blocks", 0, "blocks", "Blocks of buffering between command and excitation.", low=0, high=100),
+    Parameter(
+        "latency_blocks",
+        0,
+        "blocks",
+        f"Blocks of buffering between command and excitation; in real time at least the {LEAST_LEAD} that wait at the "
+        "output.",
+        low=0,
+        high=100,
+    ),
+    Parameter(
+        "output_record",
+        "",
+        "",
+        "Real time: file in which the process that owns the output says what the output does; empty = none.",
+    ),
+    Parameter("stop_file", "", "", "File whose existence is the simulated rig's external stop input; empty = none."),
+    Parameter(
+        "device",
+        "",
+        "",
+        "What is driven: simulated (also when empty), or the converter of the rig file's section device, or a kind of "
+        "it with the simulated specimen's ports: portaudio, nidaqmx.",
+        choices=("", *SIMULATED_OR_CONVERTERS),
+    ),
+    Parameter("device_address", "", "", "host:port of NI's gRPC device server; empty = as the rig file says."),
     Parameter(
         "command_timeout",
         10.0,
@@ -45,8 +76,19 @@ PARAMETERS = (
     ),
 )
 
+# Whoever publishes an emergency stop is heard, whatever quality of service was asked for; the first of these also hears
+# a stop that was latched before the plant came up.
+_EMERGENCY_QOS = (
+    STATE_QOS,
+    QoSProfile(depth=10),
+    QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE),
+)
 _GUARD_PERIOD = 0.05
 _LATE_LIMIT = 5.0  # s a real-time plant may fall behind before it gives up
+_MOST_AT_ONCE = 20  # blocks in real time before other messages are looked at
+
+_NAME_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+"""What rcl gives for the name of a node that it has not discovered."""
 
 
 class PlantNode(BenchNode):
@@ -65,38 +107,72 @@ class PlantNode(BenchNode):
         super().__init__("plant", PARAMETERS, values, **kwargs)
         self._refuse_simulated_time()
         self._frame = "rig"
+        self._priority: contextlib.ExitStack | None = None
+        self._kind = str(self.values["device"]).removeprefix(SIMULATED)
         if device is None:
             if not self.values["rig_file"]:
                 raise BenchError("The plant node needs the parameter 'rig_file': a path or the name of a rig.")
             rig = load_rig(str(self.values["rig_file"]))
             self._frame = rig.name
-            device = SimulatedRig(rig)
+            device = self._converter(rig) if self._kind else self._simulated(rig)
         if not isinstance(device, GuardedDevice):
             raise BenchError(
                 "The plant drives devices with an output guard only; derive "
                 f"{type(device).__name__} from GuardedDevice."
+            )
+        if self.values["pacing"] == "realtime" and not device.is_owned:
+            raise BenchError(
+                "The plant runs in real time only where a process of its own owns the output; give "
+                f"{type(device).__name__} an 'output' (guarded_device.owned_output)."
             )
         self.device: GuardedDevice = device
         self.core = PlantCore(device, int(self.values["latency_blocks"]), self.values["pacing"] == "lockstep")
         self._lockstep = self.core.lockstep
         self._period = device.block_samples / device.sample_rate
         self._failed = self._second = ""
+        self._quiet_sample: int | None = None
+        self._told_trip = ""
         self._last_command = time.monotonic()
-        self._next_due = 0.0
         self._commands = self._refused = self._overruns = 0
         self._worst_lateness = self._busy = self._started = 0.0
         self._jitter: list[float] = []
+        self._histogram = LatenessHistogram(self._period)
 
         self._publishers_by_quantity: dict[int, tuple[Any, BlockWriter]] = {}
         for quantity in self.core.quantities:
             publisher = self.bench_publisher(SampleBlockMessage, quantity.topic, SAMPLES_QOS)
             self._publishers_by_quantity[int(quantity)] = (publisher, BlockWriter(self._frame))
+        self._monitor = self.bench_publisher(Monitor, "monitor", SAMPLES_QOS)
         self.command_subscription(Drive, "drive", self._on_drive, SAMPLES_QOS)
         self.bench_subscription(RunState, "run_state", self._on_run_state, STATE_QOS, raw=True)
-        self.create_service(Trigger, "reset", self._reset)
+        self._stops = self.create_publisher(DriveStop, "drive_stop", STATE_QOS)
+        self.claim("drive_stop")
+        for service in _EMERGENCY_QOS:
+            self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, service)
+        self.bench_service(Trigger, "quiet", self._quiet)
+        self.bench_service(Trigger, "reset", self._reset)
         self._guard_timer = self.steady_timer(_GUARD_PERIOD, self._guard)
         if not self._lockstep:
             self._tick_timer = self.steady_timer(min(1.0e-3, self._period / 8.0), self._tick)
+
+    def _simulated(self, rig: Rig) -> SimulatedRig:
+        stop_file = str(self.values["stop_file"])
+        if self.values["pacing"] != "realtime":
+            return SimulatedRig(rig, stop_file=stop_file)
+        lead = max(LEAST_LEAD, int(str(self.values["latency_blocks"])))
+        record = str(self.values["output_record"])
+        return SimulatedRig(rig, stop_file=stop_file, owned=True, lead_blocks=lead, record=record)
+
+    def _converter(self, rig: Rig) -> HardwareRig:
+        if self.values["pacing"] != "realtime":
+            raise BenchError("A converter's samples are the clock; give the plant the pacing realtime.")
+        section = device_of(rig, self._kind, str(self.values["device_address"]))
+        lead = max(LEAST_LEAD, int(str(self.values["latency_blocks"])))
+        # For the life of the process: a block that comes late stops a real test.
+        stack = contextlib.ExitStack()
+        stack.enter_context(real_time_priority())
+        self._priority = stack
+        return HardwareRig(rig, section, lead_blocks=lead, record=str(self.values["output_record"]))
 
     def _refuse_simulated_time(self) -> None:
         """Refuse ``use_sim_time``, now and whenever it is set: a shaker moves in real time.
@@ -131,10 +207,11 @@ class PlantNode(BenchNode):
     def _begin(self) -> None:
         self._last_command = time.monotonic()
         self._started = time.monotonic()
-        self._next_due = self._started + self._period
 
     def _on_drive(self, raw: bytes, source: Source) -> None:
         self._commands += 1
+        if self._failed:
+            return  # the device is closed; what failed has been said
         try:
             why = self.core.take_drive(read_drive(raw), source)
         except (BenchError, ValueError) as error:
@@ -173,29 +250,36 @@ class PlantNode(BenchNode):
         self._busy += time.perf_counter() - began
 
     def _publish(self, blocks: list[SampleBlock]) -> None:
+        self._publish_stop()
         for block in blocks:
             publisher, writer = self._publishers_by_quantity[int(block.quantity)]
             publisher.publish(writer.write(block))
+        levels = self.core.levels(blocks)
+        if levels is not None:
+            self._monitor.publish(MONITOR.write(levels))
+
+    def _publish_stop(self) -> None:
+        stop = self.core.stop()
+        if stop is not None:
+            self._stops.publish(DRIVE_STOP.write(stop))
 
     # -- real time -----------------------------------------------------------------------------------------------
 
     def _tick(self) -> None:
-        """Produce the blocks whose last sample has come to pass on the steady clock."""
-        if not self.core.running or self._failed:
-            return
-        now = time.monotonic()
-        if now - self._next_due > _LATE_LIMIT:
-            self._fail(f"The plant fell {now - self._next_due:.1f} s behind real time.")
-            return
-        while now >= self._next_due:
-            lateness = now - self._next_due
+        """Produce the blocks that the converter has put out."""
+        for _ in range(_MOST_AT_ONCE):
+            if not self.core.running or self._failed or not self.device.is_ready:
+                break
+            lateness = self.device.lateness
+            if lateness > _LATE_LIMIT:
+                self._fail(f"The plant fell {lateness:.1f} s behind real time.")
+                return
             self._worst_lateness = max(self._worst_lateness, lateness)
             self._jitter.append(lateness)
+            self._histogram.add(lateness)
             if lateness > self._period:
                 self._overruns += 1
             self._produce()
-            self._next_due += self._period
-            now = time.monotonic()
         if len(self._jitter) > 100_000:
             del self._jitter[:50_000]
 
@@ -203,8 +287,15 @@ class PlantNode(BenchNode):
 
     def _guard(self) -> None:
         """Quiet the drive when the nodes that command it have gone; in lockstep blocks go on until it is at zero."""
-        if self._failed or not self.core.running:
+        if self._failed:
             return
+        if self.device.output_state is OutputState.NOT_KNOWN:
+            self._fail(f"The device failed: {self.device.output_sentence}")
+            return
+        self._publish_stop()
+        if not self.core.running:
+            return
+        self._tell_trip()
         second = self.second_publisher()
         if second:
             self._end_for_second_source(second)
@@ -218,21 +309,69 @@ class PlantNode(BenchNode):
         elif self.core.phase == RunPhase.DONE and starved and not self.device.is_quiet:
             self._quiet_down("the run is over")
 
+    def _tell_trip(self) -> None:
+        """One line for every stop of the drive, and one when it is over."""
+        told, now = self._told_trip, self.device.tripped
+        if now and self.device.is_quiet:
+            now = f"{now}. The drive is at zero"
+        if now == told:
+            return
+        self._told_trip = now
+        if now:
+            self.get_logger().warning(f"The output has tripped: {now}.")
+        else:
+            self.get_logger().info("The output is armed again")
+
     def _quiet_down(self, reason: str) -> None:
         """Emergency ramp to zero; in lockstep produced right away, since nobody else moves bench time on."""
         if not self.device.is_quiet and self.device.state is DeviceState.RUNNING and not self.device.tripped:
             self.get_logger().error(f"Drive goes to zero: {reason}.")
+        self._publish_ramp(self.core.quiet_down(reason))
+
+    def _publish_ramp(self, ramp: Iterator[list[SampleBlock]]) -> None:
         try:
-            for blocks in self.core.quiet_down(reason):
+            for blocks in ramp:
                 self._publish(blocks)
+            self._publish_stop()
         except DeviceFault as error:
             self._fail(f"The device failed: {error}")
+
+    def _on_emergency_stop(self, message: Any) -> None:
+        """Anybody may stop; that a stop is over is nobody's to say but the operator's, by `reset`."""
+        if message.data and self.device.stop_cause is not StopCause.EMERGENCY_STOP:
+            found = self.get_publishers_info_by_topic(self.resolve_topic_name("emergency_stop"))
+            # A publisher may be matched before its node's name has come.
+            names = {
+                "a node that has not told its name yet"
+                if _NAME_UNKNOWN in info.node_name
+                else f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                for info in found
+            }
+            self._stop_drive(
+                f"emergency stop by {' or '.join(sorted(names)) or 'a node that has gone'}", StopCause.EMERGENCY_STOP
+            )
+
+    def _quiet(self, _: Any, response: Any) -> Any:
+        response.success = self._stop_drive("the service quiet", StopCause.QUIET)
+        response.message = "the drive goes to zero and is held there" if response.success else self._failed
+        return response
+
+    def _stop_drive(self, reason: str, cause: StopCause) -> bool:
+        """Ramp to zero and hold; blocks go on. False where the device has failed and is closed."""
+        if self._failed or self.device.state is not DeviceState.RUNNING:
+            return False
+        if not self.device.tripped:
+            self.get_logger().warning(f"Drive goes to zero: {reason}.")
+        self._publish_ramp(self.core.stop_drive(reason, cause))
+        self.publish_diagnostics()
+        return not self._failed
 
     def _fail(self, reason: str) -> None:
         self._failed = reason
         self.get_logger().error(reason)
         self.publish_diagnostics()
         self.device.close()
+        self._stops.publish(DRIVE_STOP.write(self.core.failure(reason)))
 
     def _reset(self, _: Any, response: Any) -> Any:
         if self._failed:
@@ -240,8 +379,14 @@ class PlantNode(BenchNode):
         elif not self.device.is_quiet:
             response.success, response.message = False, "the drive is not at zero yet"
         else:
-            self.device.reset()
+            try:
+                self.device.reset()
+            except (BenchError, DeviceFault) as error:
+                response.success, response.message = False, str(error)
+                return response
             self._second = ""
+            self.get_logger().info("Drive released by the service reset.")
+            self._publish_stop()
             response.success, response.message = True, "limits are armed again"
         return response
 
@@ -249,7 +394,6 @@ class PlantNode(BenchNode):
         """Counters for the heartbeat; in real time also jitter and margin."""
         elapsed = time.monotonic() - self._started if self._started else 0.0
         bench_time = self.device.next_sample / self.device.sample_rate if not self._failed else 0.0
-        owned = self.device.output_pid is not None
         self.counters.update(
             next_sample=self.device.next_sample,
             commands=self._commands,
@@ -260,7 +404,7 @@ class PlantNode(BenchNode):
             margins=json.dumps({name: round(value, 3) for name, value in self.device.margins.items()}),
             spread_samples=self.device.spread_samples,
             drive_at_zero=int(self.device.is_quiet),
-            **({"output": self.device.output_sentence, "output_pid": self.device.output_pid} if owned else {}),
+            **self._output_counters(),
             real_time_factor=round(bench_time / elapsed, 2) if elapsed > 0 else 0.0,
         )
         if not self._lockstep and self._jitter:
@@ -270,22 +414,73 @@ class PlantNode(BenchNode):
                 jitter_p50_ms=round(1e3 * ordered[len(ordered) // 2], 3),
                 jitter_p99_ms=round(1e3 * ordered[int(0.99 * (len(ordered) - 1))], 3),
                 jitter_max_ms=round(1e3 * self._worst_lateness, 3),
+                lateness_histogram=self._histogram.text,
                 real_time_margin=round(1.0 - self._busy / max(bench_time, self._period), 4),
             )
+
+    def _output_counters(self) -> dict[str, int | float | str]:
+        device = self.device
+        if not device.is_owned:
+            return {}
+        return {
+            "output": device.output_sentence,
+            **self._converter_counters(),
+            "output_pid": device.output_pid or 0,
+            "output_record": device.output_record,
+        }
+
+    def _converter_counters(self) -> dict[str, int | float | str]:
+        """Delay, clock, losses and priority of a converter, for the bag and the report."""
+        if not isinstance(self.device, HardwareRig):
+            return {}
+        figures = self.device.figures
+        return {
+            "converter_delay": figures.delay,
+            "converter_round_trip": figures.round_trip,
+            "converter_stated": figures.stated,
+            "converter_drift": round(figures.drift, 3),
+            "converter_clock_ppm": round(figures.clock_ppm, 1),
+            "converter_monitor_gain": round(figures.monitor_gain, 6),
+            "converter_lost_turns": figures.lost_turns,
+            "converter_priority": priority_of(self.device.output_pid),
+            "plant_priority": priority_of(os.getpid()),
+            "overloaded": ", ".join(self.device.overloaded),
+        }
 
     def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
         """Publish the counters; a failed device or a second publisher is an error, a warning level a warning."""
         if self._failed or self._second:
             self.update_counters()
             level, message = DiagnosticStatus.ERROR, self._failed or self._second
-        elif self.device.warnings or self.device.tripped:
+        elif level == DiagnosticStatus.OK and (self.device.warnings or self.device.tripped):
             level = DiagnosticStatus.WARN
+            if self.device.tripped and message == READY and not self.core.in_run:
+                message = f"the drive is held at zero ({self.device.tripped}) until the service 'reset' is called"
         super().publish_diagnostics(level, message)
+
+    def told_to_end(self) -> None:
+        """Take the drive to zero while others still hear of it: the ramp belongs into the bag."""
+        super().told_to_end()
+        if self.core.running and not self._failed:
+            self._quiet_down("the plant node was told to end")
+
+    def may_end(self, since: float) -> bool:
+        """When a block with the drive at zero has been published."""
+        if self._failed or not self.core.running or self.device.state is not DeviceState.RUNNING:
+            return True
+        if not self.device.is_quiet:
+            self._quiet_sample = None
+            return False
+        if self._quiet_sample is None:
+            self._quiet_sample = self.device.next_sample
+        return self._lockstep or self.device.next_sample > self._quiet_sample
 
     def shut_down(self) -> None:
         """Take the drive to zero along its ramp and release the device."""
         with contextlib.suppress(Exception):
             self.core.shut_down("the plant node ends")
+        if self._priority is not None:
+            self._priority.close()
 
 
 def main(args: list[str] | None = None) -> int:

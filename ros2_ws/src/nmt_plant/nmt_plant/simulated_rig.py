@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import BlockFlag, FloatArray, Quantity
+from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity
 from nmt_plant.device import DeviceFault
 from nmt_plant.guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings, owned_output
 from nmt_plant.limits import ChannelLimit, OpenLoop
@@ -28,7 +29,15 @@ from nmt_rig.rig import Rig, ShakerSection
 from nmt_rig.rig_model import build_system, input_per_volt
 from nmt_rig.sensors import Sensor, SensorChannel
 
-__all__ = ["TICK_ORDER", "SimulatedRig", "guard_settings", "rig_sensors", "sensor_output", "sensor_row"]
+__all__ = [
+    "TICK_ORDER",
+    "SimulatedRig",
+    "channel_groups",
+    "guard_settings",
+    "rig_sensors",
+    "sensor_output",
+    "sensor_row",
+]
 
 
 def rig_sensors(rig: Rig) -> tuple[Sensor, ...]:
@@ -96,7 +105,8 @@ def sensor_row(system: ElectromechanicalSystem, rig: Rig, index: int, volts_to_i
     return row
 
 
-def _channel_groups(sensors: Sequence[Sensor]) -> list[ChannelGroup]:
+def channel_groups(sensors: Sequence[Sensor]) -> list[ChannelGroup]:
+    """The channels of each quantity, in the order of the sensors."""
     groups = []
     for quantity in Quantity:
         rows = [row for row, sensor in enumerate(sensors) if sensor.quantity == quantity]
@@ -149,19 +159,23 @@ class SimulatedRig(GuardedDevice):
         rig: validated rig.
         block_samples: overrides the rig's.
         owned: whether a process of its own owns the output, for real time: it goes to zero when this one hangs or dies.
+        stop_file: path whose existence is the rig's external stop input; empty = none.
         **output: settings of `guarded_device.owned_output`.
     """
 
-    QUIET_FLAG = BlockFlag.WATCHDOG
-
-    def __init__(self, rig: Rig, block_samples: int | None = None, owned: bool = False, **output: Any) -> None:
+    def __init__(
+        self, rig: Rig, block_samples: int | None = None, owned: bool = False, stop_file: str = "", **output: Any
+    ) -> None:
         self.rig = rig
+        self._stop_file = stop_file
         self.sensors = rig_sensors(rig)
         block, settings = block_samples or rig.block_samples, guard_settings(rig)
+        if owned:
+            output.setdefault("arguments", {"sample_rate": float(rig.sample_rate_hz), "stop_file": stop_file})
         super().__init__(
             rig.sample_rate_hz,
             block,
-            _channel_groups(self.sensors),
+            channel_groups(self.sensors),
             settings,
             rig.seed,
             owned_output(rig.sample_rate_hz, block, settings, **output) if owned else None,
@@ -192,6 +206,9 @@ class SimulatedRig(GuardedDevice):
         if self._integrator is None:
             raise AttributeError("configure the rig first")
         return self._integrator
+
+    def _stop_requested(self) -> bool:
+        return bool(self._stop_file) and os.path.exists(self._stop_file)
 
     def _configure(self) -> None:
         self._volts_to_input = input_per_volt(self.rig)
@@ -228,6 +245,21 @@ class SimulatedRig(GuardedDevice):
         if self._saturation is not None:
             values[self._voltage_rows] = drive.voltage[:-1]  # measured before the amplifier
         return values
+
+    def respond(self, voltage: FloatArray) -> FloatArray:
+        """What the sensors record while a voltage acts, beside the device's own clock; needs a configured rig.
+
+        Args:
+            voltage: (n + 1,) V, the last one where the next call begins.
+
+        Returns:
+            (channels, n), SI.
+
+        Raises:
+            DeviceFault: a motion that is not finite.
+        """
+        still = OscillatorPhase(0.0, 0.0, 0.0)
+        return self._compute(self._measure(OscillatorBlock(voltage, still)))[0]
 
     def _compute(self, true_values: FloatArray) -> tuple[FloatArray, bool]:
         if self._plain_sensors:

@@ -195,6 +195,8 @@ class LevelLoop(ABC):
             return "a safety limit has tripped"
         if flags & BlockFlag.WATCHDOG:
             return "the drive watchdog has tripped"
+        if flags & BlockFlag.STOP:
+            return "the drive was stopped at the plant"
         return ""
 
     def _give_up(self, end: int, reason: str) -> None:

@@ -15,6 +15,8 @@ from nmt_core.wire import LEVEL, LOCK_EVENT, BlockReader, write_drive, write_sta
 from nmt_msgs import msg
 from nmt_pll.loop_core import PARAMETERS, LoopCore
 
+_LONGEST_END = 2.0  # s that the loop waits for the ramp to zero when it is told to end
+
 
 class PllNode(BenchNode):
     """Closes the phase loop block by block; one Drive and one Frequency message answer each block.
@@ -65,6 +67,10 @@ class PllNode(BenchNode):
             self._reported = ""
             if not self.core.at_work:
                 self.core.judge.release()  # another sequencer may begin the next run
+
+    def may_end(self, since: float) -> bool:
+        """When no level is at work any more, since the sequencer takes the drive to zero through this node."""
+        return not self.core.at_work or since > _LONGEST_END
 
     def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
         """Publish the counters; a second publisher of levels makes an error of it."""

@@ -11,7 +11,7 @@ import io
 import json
 import struct
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -95,7 +95,7 @@ class BagWriter:
         self.state = "open"
         self.failure: str | None = None
         self.counts: dict[str, int] = {}
-        self._run = _parse_run(run_json)
+        self._run = parse_run(run_json)
         self._custom = {RUN_JSON_KEY: run_json, RIG_YAML_KEY: rig_yaml, REPAIR_KEY: repair_json}
         self._custom = {key: text for key, text in self._custom.items() if text}
         self._records = records
@@ -291,6 +291,11 @@ class BagWriter:
         if self.state == "open":
             with contextlib.suppress(BenchError):
                 self.close("failed")
+
+    def discard(self) -> None:
+        """Remove a bag that is still open: nothing worth keeping was written."""
+        if self.state == "open":
+            self._remove()
 
     @property
     def file_path(self) -> Path:
@@ -506,7 +511,12 @@ class _ChunkFile:
         self._position = self._whole
 
 
-def _parse_run(run_json: str) -> Mapping[str, Any]:
+def parse_run(run_json: str) -> dict[str, Any]:
+    """Read the self-description of a run; empty text = none.
+
+    Raises:
+        BenchError: it is not a JSON object.
+    """
     if not run_json:
         return {}
     try:

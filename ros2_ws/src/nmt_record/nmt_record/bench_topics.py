@@ -44,8 +44,12 @@ BENCH_TOPICS: tuple[BenchTopic, ...] = (
     BenchTopic("level", "nmt_msgs/msg/Level", Service.SAMPLES),
     BenchTopic("lock", "nmt_msgs/msg/LockEvent", Service.SAMPLES),
     BenchTopic("modal_point", "nmt_msgs/msg/ModalPoint", Service.SAMPLES),
+    BenchTopic("steering", "nmt_msgs/msg/Steering", Service.SAMPLES),
     BenchTopic("run_state", RUN_STATE, Service.STATE),
     BenchTopic("run_record", RUN_RECORD, Service.STATE),
+    BenchTopic("drive_stop", "nmt_msgs/msg/DriveStop", Service.STATE),
+    BenchTopic("monitor", "nmt_msgs/msg/Monitor", Service.SAMPLES),
+    BenchTopic("emergency_stop", "std_msgs/msg/Bool", Service.DEFAULT),
     BenchTopic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Service.DEFAULT),
 )
 

@@ -25,7 +25,7 @@ from nmt_record.frf_table import read_frf_table
 from nmt_record.segments import Segment, Signals, read_signals, sample_topics, segments
 from nmt_record.side_tables import BlockRow, write_block_table, write_loop_table
 
-FORMATS = ("uff", "csv", "npz")
+FORMATS = ("uff", "csv", "npz", "h5", "mat")
 LATERAL = 3
 """Direction of every channel with a point: +z."""
 
@@ -38,6 +38,7 @@ _SPECIFIC = {
     Quantity.CURRENT: (uff.GENERAL, "Current"),
 }
 _CSV_ROWS = 50_000
+_LARGEST_MAT = 2**31
 
 
 @dataclass(frozen=True)
@@ -219,7 +220,7 @@ def export_bag(
     Args:
         bag: the bag.
         folder: exists.
-        form: ``uff``, ``csv`` or ``npz``.
+        form: one of ``FORMATS``.
         extent: the stretch.
         ascii_uff: UFF in ASCII (13 digits) instead of 58b (all bits).
         rig: text of the rig file; empty = none.
@@ -249,6 +250,10 @@ def export_bag(
         write_time_uff(folder / "data.uff", signals, not ascii_uff)
     elif form == "npz":
         _write_npz(folder / "data.npz", signals)
+    elif form == "h5":
+        _write_hdf5(folder / "data.h5", signals)
+    elif form == "mat":
+        _write_mat(folder / "data.mat", signals)
     else:
         _write_csv(folder / "data.csv", signals)
     files.append(sidecar["file"])
@@ -373,6 +378,35 @@ def _write_npz(path: Path, signals: Signals) -> None:
     arrays: dict[str, Any] = {**signals.channels, "sample_rate": np.array(signals.sample_rate)}
     try:
         np.savez(path, **arrays)
+    except OSError as error:
+        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
+
+
+def _write_hdf5(path: Path, signals: Signals) -> None:
+    """One data set a channel, with unit and point as attributes."""
+    import h5py
+
+    try:
+        with h5py.File(path, "w") as file:
+            file.attrs["sample_rate_hz"] = signals.sample_rate
+            file.attrs["first_sample"] = signals.first_sample
+            for name, values in signals.channels.items():
+                data = file.create_dataset(name, data=values)
+                data.attrs["unit"] = signals.units[name]
+                data.attrs["quantity"] = signals.quantities[name].topic
+                data.attrs["point"] = signals.points[name]
+    except OSError as error:
+        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
+
+
+def _write_mat(path: Path, signals: Signals) -> None:
+    """MATLAB's format 5: one column vector a channel, and ``sample_rate``."""
+    from scipy.io import savemat
+
+    if any(values.nbytes >= _LARGEST_MAT for values in signals.channels.values()):
+        raise BenchError(f"{path.name}: a channel is larger than a MATLAB file of version 5 can hold; export h5.")
+    try:
+        savemat(path, {**signals.channels, "sample_rate": signals.sample_rate}, oned_as="column")
     except OSError as error:
         raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
 

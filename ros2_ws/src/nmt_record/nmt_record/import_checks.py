@@ -95,7 +95,7 @@ def check_names(channels: Sequence[ChannelSection], table: SourceTable, places: 
             )
         if isinstance(channel.column, int):
             continue
-        hinted = _hinted(split_name(name)[0], channel.point)
+        hinted = hinted_quantity(split_name(name)[0], channel.point)
         if hinted not in (Quantity.UNKNOWN, channel.measures):
             raise BenchError(
                 f"{place}: {shown} is called like {_article(hinted)}, but the sidecar says {channel.quantity}; "
@@ -109,7 +109,7 @@ def _article(quantity: Quantity) -> str:
     return f"an {name}" if name[0] in "aeiou" else f"a {name}"
 
 
-def _hinted(name: str, point: int) -> Quantity:
+def hinted_quantity(name: str, point: int) -> Quantity:
     """Quantity that a name tells of; UNKNOWN unless it does so clearly."""
     plain = name.strip().lower()
     for quantity, words in _WORDS:

@@ -119,7 +119,7 @@ def _time_axis(table: SourceTable, sidecar: Sidecar, place: str) -> tuple[FloatA
     candidates = [
         index
         for index, name in enumerate(table.names)
-        if index not in used and name and _names_time(split_name(name)[0].strip(), table.columns[index])
+        if index not in used and name and names_time(bare_name(table, index), table.columns[index])
     ]
     if sidecar.time is not None:
         chosen = table.index(sidecar.time, f"{place}: time")
@@ -138,7 +138,14 @@ def _time_axis(table: SourceTable, sidecar: Sidecar, place: str) -> tuple[FloatA
     return table.columns[chosen] * factor, f"column {table.names[chosen] or chosen + 1}"
 
 
-def _names_time(name: str, column: FloatArray) -> bool:
+def bare_name(table: SourceTable, index: int) -> str:
+    """Name of a column without its unit; of a member of a struct the last part."""
+    name = split_name(table.names[index])[0].strip()
+    last = name.rpartition(".")[2]
+    return name if table.lines or last.isdigit() else last
+
+
+def names_time(name: str, column: FloatArray) -> bool:
     """Whether a column is a clock by its name; t1 may be a temperature too, unless it only rises."""
     found = _TIME_NAME.match(name)
     if not found:

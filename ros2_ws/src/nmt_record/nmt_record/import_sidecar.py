@@ -127,13 +127,21 @@ class TableSection(_Section):
             magnitude and phase, [level], […_std]).
         file: left out = the sidecar's file.
         columns: column of the file for each name, if it is called otherwise.
-        unit: of the amplitude (m, mm, m/s^2, g, … or m*sqrt(kg) for a modal amplitude) or of the frequency response
-            (m/s^2/N).
+        unit: of the amplitude (m, mm, m/s^2, g, … or m*sqrt(kg) for a modal amplitude) or of the frequency response:
+            per force (m/s^2/N), per acceleration of the base (m/s^2/(m/s^2), g/g, m/(m/s^2)) or per drive (m/s^2/V).
         units: of other columns, if not Hz, 1, rad: ``{frequency_hz: rad/s, damping_ratio: '%', phase: deg}``.
         point: point of the response.
         drive_point: point of the force.
-        level: of the whole table, if it has no such column.
-        level_unit: unit of the level.
+        level: of the whole table, if it has no such column. Of a frequency response: the amplitude (peak) that was held
+            while the frequency was stepped; left out for random excitation.
+        level_unit: unit of the level: of a force, a motion or a voltage (N, g, m/s^2, mm, V).
+        held: what had that amplitude: force, response, base or voltage; left out = by the unit of the level.
+        direction: up or down, the way the frequency was stepped.
+        noise: relative standard uncertainty of every line, %.
+        per: column that every line is divided by, where the file holds response and force (or acceleration of the base)
+            side by side; ``unit`` is that of the quotient, or of the response if the column is in N.
+        scale: factor of the values before the unit applies; −1 for a sensor the other way round.
+        conjugate: whether the phase is that of the convention exp(−iωt).
         name: for reports.
     """
 
@@ -145,8 +153,30 @@ class TableSection(_Section):
     point: Annotated[int, Field(ge=0)] = 0
     drive_point: Annotated[int, Field(ge=0)] = 0
     level: float | None = None
-    level_unit: Literal["V", "N", "m", "m/s", "m/s^2", ""] = ""
+    level_unit: str = ""
+    held: Literal["force", "response", "base", "voltage"] | None = None
+    direction: Literal["up", "down"] | None = None
+    noise: Positive | None = None
+    per: str | int | None = None
+    scale: float = 1.0
+    conjugate: bool = False
     name: str = ""
+
+
+class RepeatabilitySection(_Section):
+    """By how much repeats of the test differ, one standard deviation; for the diagnosis.
+
+    Attributes:
+        frequency: of a resonance or a decay, relative.
+        damping: of a damping ratio, relative.
+        amplitude: of fundamentals and frequency responses, relative.
+        phase_deg: of their phases.
+    """
+
+    frequency: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    damping: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    amplitude: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    phase_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
 
 
 class Sidecar(_Section):
@@ -165,6 +195,7 @@ class Sidecar(_Section):
         oscillator: table of the excitation's phase block by block.
         loop: table of the loop's state block by block.
         first_sample: index of the first sample of the file.
+        repeatability: by how much repeats of the tests differ.
         run_id: of the run it was exported from.
         note: anything.
     """
@@ -181,6 +212,7 @@ class Sidecar(_Section):
     oscillator: str | None = None
     loop: str | None = None
     first_sample: Annotated[int, Field(ge=0)] = 0
+    repeatability: RepeatabilitySection | None = None
     run_id: str | None = None
     note: str = ""
 

@@ -1,4 +1,4 @@
-"""Columns of numbers from CSV, NPZ and UFF files, strictly: what cannot be read for certain is refused by line."""
+"""Columns of numbers from CSV, NPZ, MATLAB, HDF5 and UFF files: what cannot be read for certain is refused by line."""
 
 from __future__ import annotations
 
@@ -6,27 +6,30 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.hardened import LARGEST_TABLE, open_regular, read_arrays
+from nmt_core.mat_file import MAT5, is_hdf5, read_mat
 from nmt_record import uff
 from nmt_record.unit_table import plain_unit, quantity_of_unit
 
 LARGEST_DATA = 2**29  # bytes of a file of columns
+_MOST_COLUMNS = 64  # of one matrix
 
 _SUFFIXES = {
     ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv", ".asc": "csv",
     ".npz": "npz",
+    ".mat": "mat", ".h5": "mat", ".hdf5": "mat",
     ".uff": "uff", ".unv": "uff", ".uf": "uff", ".ufb": "uff", ".58": "uff",
 }  # fmt: skip
 _FOREIGN = (
     (b"PK\x03\x04", "a zip archive or spreadsheet", "save the table as CSV"),
     (b"\xd0\xcf\x11\xe0", "an old spreadsheet", "save the table as CSV"),
-    (b"\x89HDF", "an HDF5 or MATLAB 7.3 file", "save the columns as NPZ or CSV"),
-    (b"MATLAB 5.0", "a MATLAB file", "save the columns as NPZ or CSV"),
     (b"\x93NUMPY", "a single NumPy array", "save the columns with numpy.savez"),
     (b"\x1f\x8b", "a gzip archive", "unpack it"),
     (b"TDSm", "a TDMS file", "save the columns as CSV"),
@@ -118,18 +121,25 @@ class SourceTable:
         raise BenchError(f"{where}: {self.file} has no column {column}; it has {has}.")
 
 
-def read_table(path: Path) -> SourceTable:
+def read_table(path: Path, wanted: Sequence[str | int] = ()) -> SourceTable:
     """Read a file of columns by the kind that its name and first bytes say.
+
+    Args:
+        path: the file.
+        wanted: names of columns that are needed: of a MATLAB or HDF5 file, which may hold arrays of many lengths, those
+            as long as they are read; without any, those of the largest set.
 
     Raises:
         BenchError: not there, of another kind, or malformed.
     """
     kind = kind_of(path)
+    if kind == "mat":
+        return _read_mat(path, wanted)
     return {"csv": _read_csv, "npz": _read_npz, "uff": _read_uff}[kind](path)
 
 
 def kind_of(path: Path) -> str:
-    """``csv``, ``npz`` or ``uff``.
+    """``csv``, ``npz``, ``mat`` (HDF5 too) or ``uff``.
 
     Raises:
         BenchError: not there, empty, or a file of another kind.
@@ -138,7 +148,7 @@ def kind_of(path: Path) -> str:
         if path.is_dir():
             raise BenchError(f"{path} is a folder; name the file with the data.")
         with open_regular(path, "data file", LARGEST_DATA) as file:
-            head = file.read(512)
+            head = file.read(520)
     except OSError as error:
         raise BenchError(f"The data file {path} cannot be read: {(error.strerror or str(error)).lower()}.") from error
     if not head.strip():
@@ -149,10 +159,16 @@ def kind_of(path: Path) -> str:
             raise BenchError(f"{path.name} is {what}; {mend}.")
     if uff.is_universal_file(head):
         kind = "uff"
-    elif not kind or (kind == "npz" and not head.startswith(b"PK")) or kind == "uff":
-        wanted = {"npz": "an NPZ file (numpy.savez)", "uff": "a universal file (it does not begin with '    -1')"}
+    elif is_hdf5(head) or head.startswith(MAT5):
+        kind = "mat"
+    elif not kind or (kind == "npz" and not head.startswith(b"PK")) or kind in ("uff", "mat"):
+        wanted = {
+            "npz": "an NPZ file (numpy.savez)",
+            "uff": "a universal file (it does not begin with '    -1')",
+            "mat": "a MATLAB file of version 5 or later, nor HDF5 (save it with 'save -v7')",
+        }
         what = f"is not {wanted[kind]}" if kind else f"has the unknown ending '{path.suffix}'"
-        raise BenchError(f"{path.name} {what}; import csv, npz or uff.")
+        raise BenchError(f"{path.name} {what}; import csv, npz, mat, h5 or uff.")
     return kind
 
 
@@ -397,6 +413,60 @@ def _read_npz(path: Path) -> SourceTable:
                 f"values are missing."
             )
     return SourceTable(name, tuple(columns), tuple(columns.values()), sample_rate=rate)
+
+
+_RATES = ("sample_rate", "fs", "Fs", "sampling_rate", "SampleRate")
+
+
+def _read_mat(path: Path, wanted: Sequence[str | int]) -> SourceTable:
+    name = path.name
+    arrays = read_mat(path, "data file")
+    rates = [key for key, array in arrays.items() if key.rpartition(".")[2] in _RATES and array.size == 1]
+    rate = float(np.real(arrays[rates[0]].reshape(-1)[0])) if len(rates) == 1 else None
+    columns: dict[str, FloatArray] = {}
+    for key, array in arrays.items():
+        if array.size > 1:
+            columns |= _columns_of(key, array)
+    if not columns:
+        raise BenchError(f"{name} has no arrays of numbers; save the columns as numeric arrays.")
+    lengths = {key: column.shape[0] for key, column in columns.items()}
+    needed = {column: lengths[column] for column in wanted if isinstance(column, str) and column in lengths}
+    if len(set(needed.values())) > 1:
+        listed = ", ".join(f"{key} {length}" for key, length in needed.items())
+        raise BenchError(f"The columns of {name} have unequal lengths ({listed}); save those of one recording.")
+    if needed:
+        length = next(iter(needed.values()))
+    else:
+        every = list(lengths.values())
+        length = max(set(every), key=lambda own: (own * every.count(own), own))
+    kept = {key: column for key, column in columns.items() if column.shape[0] == length}
+    for key, column in kept.items():
+        if np.isinf(column).any():
+            raise BenchError(
+                f"Array {key} of {name} is infinite at sample {int(np.argmax(np.isinf(column)))}; use NaN."
+            )
+    others = len(columns) - len(kept)
+    notes = [f"{others} arrays of {name} have other lengths than {length} and are left out."] if others else []
+    return SourceTable(name, tuple(kept), tuple(kept.values()), notes=notes, sample_rate=rate)
+
+
+def _columns_of(key: str, array: NDArray[Any]) -> dict[str, FloatArray]:
+    """Columns of one array: ``x``, or ``x.1``, ``x.2`` … along its shorter side; of complex ones real and imag."""
+    flat = array.reshape(-1) if array.ndim < 2 or 1 in array.shape else array
+    if flat.ndim > 2 or (flat.ndim == 2 and min(flat.shape) > _MOST_COLUMNS):
+        return {}
+    if flat.ndim == 2:
+        long = flat if flat.shape[0] >= flat.shape[1] else flat.T
+        parts = {f"{key}.{number + 1}": long[:, number] for number in range(long.shape[1])}
+    else:
+        parts = {key: flat}
+    result: dict[str, FloatArray] = {}
+    for own, values in parts.items():
+        if np.iscomplexobj(values):
+            result |= {f"{own}.real": values.real.astype(np.float64), f"{own}.imag": values.imag.astype(np.float64)}
+        else:
+            result[own] = values.astype(np.float64)
+    return result
 
 
 _UFF_QUANTITIES = {

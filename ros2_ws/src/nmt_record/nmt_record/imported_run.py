@@ -22,6 +22,7 @@ from nmt_core.wire import LEVEL, LOCK_EVENT, BlockWriter, write_status
 from nmt_core.yaml_document import YamlDocument
 from nmt_record.bag_writer import BagWriter
 from nmt_record.bench_topics import BENCH_TOPICS
+from nmt_record.frf_checks import ShapeSign, check_responses
 from nmt_record.import_checks import ImportedChannel, check_columns, check_names, check_physics
 from nmt_record.import_clock import Clock, find_clock
 from nmt_record.import_continuity import STEADY_KINDS, doubled_blocks, phase_jump
@@ -100,13 +101,16 @@ class ImportedRun:
 
 
 def read_import(
-    path: Path, describe: Callable[[Sidecar], LinearDescription | None] = lambda sidecar: None
+    path: Path,
+    describe: Callable[[Sidecar], LinearDescription | None] = lambda sidecar: None,
+    shape_sign: ShapeSign = lambda point, drive_point, frequency_hz: 0.0,
 ) -> ImportedRun:
     """Read a sidecar and everything that it names, and check all of it.
 
     Args:
         path: of the sidecar.
         describe: gives the linear modes if the sidecar names no ``linear.json``; None = not known.
+        shape_sign: sign of a response away from the drive point at a resonance; asked after ``describe``.
 
     Raises:
         BenchError: the first thing that is wrong, where, and how to mend it.
@@ -127,6 +131,8 @@ def read_import(
             place = document.place(("segments", number))
             file = _beside(path, section.file or sidecar.file, place)
             tables = read_observables(section, file, place)
+            for table in tables:
+                check_responses(section, table, place, shape_sign)
             run.tables += tables
             run.notes += [note for table in tables for note in table.notes]
             run.files.append(_digest(file))
@@ -196,7 +202,8 @@ def _description(run: ImportedRun, rig: str, versions: dict[str, str]) -> dict[s
 def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
     sidecar = run.sidecar
     file = _beside(run.path, sidecar.file, document.place(("file",)))
-    table = read_table(file)
+    names = [channel.column for channel in sidecar.channels]
+    table = read_table(file, [*names, *([] if sidecar.time is None else [sidecar.time])])
     run.files.append(_digest(file))
     places = [document.place(("channels", number)) for number in range(len(sidecar.channels))]
     factors = [

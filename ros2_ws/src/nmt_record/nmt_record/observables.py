@@ -18,7 +18,16 @@ from nmt_record import uff
 from nmt_record.bag_reader import Bag
 from nmt_record.import_sidecar import TableSection
 from nmt_record.import_table import SourceTable, kind_of, read_table, split_name
-from nmt_record.unit_table import other_factor, plain_unit, response_per_force, response_unit
+from nmt_record.unit_table import (
+    REFERENCE_UNITS,
+    factor_to_si,
+    other_factor,
+    plain_unit,
+    quantity_of_unit,
+    response_over_reference,
+    response_per_force,
+    response_unit,
+)
 
 OBSERVABLES_TOPIC = "observables"
 OBSERVABLES_TYPE = "std_msgs/msg/String"
@@ -27,7 +36,7 @@ FORMAT = "nmt observable table 1"
 _REQUIRED = {"backbone": ("frequency_hz", "amplitude"), "frf": ("frequency_hz",)}
 _OPTIONAL = {
     "backbone": ("damping_ratio", "level", "force_n", "phase"),
-    "frf": ("real", "imag", "magnitude", "phase", "level", "coherence"),
+    "frf": ("real", "imag", "magnitude", "phase", "level", "force_n", "coherence"),
 }
 _KINDS = {"frequency_hz": "frequency", "damping_ratio": "ratio", "phase": "phase", "coherence": "ratio"}
 
@@ -39,7 +48,8 @@ class ObservableTable:
     Attributes:
         kind: ``backbone`` or ``frf``.
         columns: name -> values, all of one length. Backbone: frequency_hz, amplitude, and as far as given
-            damping_ratio, level, force_n, phase; frf: frequency_hz, real, imag, and as far as given level, coherence.
+            damping_ratio, level, force_n, phase; frf: frequency_hz, real, imag, and as far as given level, force_n (N,
+            measured at each line), coherence.
             ``<name>_std`` is a standard uncertainty.
         units: name -> unit, SI (Hz for frequencies).
         quantity: of the response; UNKNOWN for a modal amplitude.
@@ -49,6 +59,12 @@ class ObservableTable:
         drive_point: point of the force; 0 = not given.
         name: what it was called.
         source: file it came from.
+        reference: what frequency responses are divided by: ``force``, ``base`` (acceleration of a shaking table) or
+            ``voltage``.
+        held: what had the level's amplitude while the frequency was stepped: one of these or ``response``; empty = by
+            the unit of the level.
+        direction: ``up`` or ``down``, the way the frequency was stepped; empty = not known.
+        noise: relative standard uncertainty of every line; NaN if not given.
     """
 
     kind: str
@@ -62,6 +78,10 @@ class ObservableTable:
     name: str = ""
     source: str = ""
     notes: tuple[str, ...] = field(default=())
+    reference: str = "force"
+    held: str = ""
+    direction: str = ""
+    noise: float = math.nan
 
     @property
     def rows(self) -> int:
@@ -81,6 +101,10 @@ class ObservableTable:
                 "level_unit": self.level_unit,
                 "point": self.point,
                 "drive_point": self.drive_point,
+                "reference": self.reference,
+                "held": self.held,
+                "direction": self.direction,
+                "noise": None if math.isnan(self.noise) else self.noise,
                 "units": self.units,
                 "columns": {
                     key: [float(value) if math.isfinite(value) else None for value in column]
@@ -114,6 +138,10 @@ class ObservableTable:
                 drive_point=int(values["drive_point"]),
                 name=values["name"],
                 source=values["source"],
+                reference=values.get("reference", "force"),
+                held=values.get("held", ""),
+                direction=values.get("direction", ""),
+                noise=math.nan if values.get("noise") is None else float(values["noise"]),
             )
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise BenchError(
@@ -141,32 +169,94 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
     Raises:
         BenchError: the file or a column is missing, malformed, without unit or implausible.
     """
+    if section.kind == "backbone" and (section.per is not None or section.conjugate):
+        raise BenchError(f"{place}: 'per' and 'conjugate' belong to a table of kind frf; take them out.")
+    if section.scale == 0.0:
+        raise BenchError(f"{place}: the scale is zero; give the factor or leave it out.")
     if kind_of(path) == "uff":
         return _from_uff(section, path, place)
-    table = read_table(path)
+    table = read_table(path, [*section.columns.values(), *([] if section.per is None else [section.per])])
     columns = _columns(section, table, place)
     units = {name: "Hz" if name.startswith("frequency") else "1" for name in columns}
-    quantity = Quantity.UNKNOWN
+    quantity, reference = Quantity.UNKNOWN, "force"
     notes = list(table.notes)
     if section.kind == "backbone":
         quantity, factor, unit = _amplitude_unit(section, table, place)
         for name in ("amplitude", "amplitude_std"):
             if name in columns:
-                columns[name], units[name] = columns[name] * factor, unit
+                columns[name], units[name] = columns[name] * factor * abs(section.scale), unit
     else:
-        quantity, factor = response_per_force(section.unit or _own_unit(table, section, "real", "magnitude"), place)
+        unit = section.unit or _own_unit(table, section, "real", "magnitude")
+        if section.per is not None and quantity_of_unit(unit) is not Quantity.UNKNOWN:
+            unit = f"{unit}/N"
+        quantity, factor, reference = response_over_reference(unit, place)
+        factor *= section.scale
         columns = _complex(section, columns, table, place)
-        unit = f"{quantity.unit}/N"
+        if section.per is not None:
+            columns = _divided(section, columns, table, reference, unit, place)
+        if section.conjugate:
+            columns["imag"] = -columns["imag"]
+        unit = (
+            f"{quantity.unit}/({REFERENCE_UNITS[reference]})"
+            if reference == "base"
+            else (f"{quantity.unit}/{REFERENCE_UNITS[reference]}")
+        )
         for name in ("real", "imag", "real_std", "imag_std"):
             if name in columns:
-                columns[name], units[name] = columns[name] * factor, unit
+                own = abs(factor) if name.endswith("_std") else factor
+                columns[name], units[name] = columns[name] * own, unit
     units = {name: units.get(name, "1") for name in columns}
-    if "level" in units:
-        units["level"] = section.level_unit or "1"
+    level, level_factor, level_unit = _level(section, place)
+    if "level" in columns:
+        columns["level"], units["level"] = columns["level"] * level_factor, level_unit or "1"
     if "phase" in units:
         units["phase"] = "rad"
+    if "force_n" in units:
+        units["force_n"] = "N"
     _plausible(columns, table, place)
-    return [_table(section, columns, units, quantity, path.name, tuple(notes))]
+    return [
+        _table(
+            section, columns, units, quantity, path.name, tuple(notes), level=level, level_unit=level_unit,
+            reference=reference,
+        )
+    ]  # fmt: skip
+
+
+def _divided(
+    section: TableSection, columns: dict[str, FloatArray], table: SourceTable, reference: str, unit: str, place: str
+) -> dict[str, FloatArray]:
+    """Response columns over the one that ``per`` names; a force is kept, in N."""
+    assert section.per is not None
+    divisor = table.columns[table.index(section.per, f"{place}: per")]
+    good = np.isfinite(divisor) & (divisor > 0.0)
+    if not good.all():
+        row = int(np.argmin(good))
+        raise BenchError(
+            f"{place}: column {section.per} is {divisor[row]:g} at {table.place(row)}; an amplitude that responses are "
+            "divided by is positive."
+        )
+    result = {
+        name: values / divisor if name in ("real", "imag", "real_std", "imag_std") else values
+        for name, values in columns.items()
+    }
+    if reference == "force" and "force_n" not in result:
+        below = plain_unit(unit).rpartition("/")[2]
+        result["force_n"] = divisor * factor_to_si(Quantity.FORCE, below, f"{place}: per")
+    return result
+
+
+def _level(section: TableSection, place: str) -> tuple[float, float, str]:
+    """Level of the whole table in SI units (NaN if not given), factor of a column of levels, and the SI unit."""
+    factor, unit = 1.0, ""
+    if section.level_unit:
+        quantity = quantity_of_unit(section.level_unit)
+        if quantity is Quantity.UNKNOWN or quantity is Quantity.CURRENT:
+            raise BenchError(
+                f"{place}: the unit of the level, '{section.level_unit}', is not known; use one of a force, a motion "
+                "or a voltage, such as N, g, m/s^2, mm or V."
+            )
+        factor, unit = factor_to_si(quantity, section.level_unit, f"{place}: level"), quantity.unit
+    return math.nan if section.level is None else section.level * factor, factor, unit
 
 
 def _table(
@@ -179,10 +269,15 @@ def _table(
     **values: Any,
 ) -> ObservableTable:
     values = {"point": section.point, "drive_point": section.drive_point, "name": section.name, **values}
-    level = math.nan if section.level is None else section.level
+    noise = math.nan if section.noise is None else 0.01 * section.noise
     return ObservableTable(
-        section.kind, columns, units, quantity, level, section.level_unit, source=source, notes=notes, **values
-    )
+        section.kind, columns, units, quantity, source=source, notes=notes, held=section.held or "",
+        direction=section.direction or "", noise=noise, **values,
+    )  # fmt: skip
+
+
+# Columns that say their unit in their name.
+_WITH_UNIT = {"phase": ("phase_deg", "deg"), "phase_std": ("phase_deg_std", "deg")}
 
 
 def _known(kind: str) -> list[str]:
@@ -201,10 +296,14 @@ def _columns(section: TableSection, table: SourceTable, place: str) -> dict[str,
     found: dict[str, FloatArray] = {}
     names = [split_name(name)[0] for name in table.names]
     for name in known:
+        unit_of_name = ""
         if name in section.columns:
             index = table.index(section.columns[name], f"{place}: {name}")
         elif name in names:
             index = table.index(name, place)
+        elif name in _WITH_UNIT and _WITH_UNIT[name][0] in names:
+            index = names.index(_WITH_UNIT[name][0])
+            unit_of_name = _WITH_UNIT[name][1]
         elif name in _REQUIRED[section.kind]:
             has = ", ".join(filter(None, table.names)) or "no names"
             raise BenchError(
@@ -216,7 +315,7 @@ def _columns(section: TableSection, table: SourceTable, place: str) -> dict[str,
         values = table.columns[index]
         if base in _KINDS:
             default = {"frequency": "Hz", "ratio": "1", "phase": "rad"}[_KINDS[base]]
-            own = plain_unit(table.units[index]) if table.units[index] else ""
+            own = plain_unit(table.units[index] or unit_of_name) if table.units[index] or unit_of_name else ""
             given = section.units.get(name, section.units.get(base, ""))
             if given and own and plain_unit(given) != own:
                 raise BenchError(
@@ -225,6 +324,11 @@ def _columns(section: TableSection, table: SourceTable, place: str) -> dict[str,
             values = values * other_factor(_KINDS[base], given or own or default, f"{place}: {name}")
         found[name] = values
     return found
+
+
+def _plain_name(column: str) -> str:
+    """Name of a column without its unit."""
+    return split_name(column)[0]
 
 
 def _own_unit(table: SourceTable, section: TableSection, *names: str) -> str:
@@ -252,13 +356,18 @@ def _complex(
         what = (
             "both real and imag and magnitude and phase" if polar else "neither real and imag nor magnitude and phase"
         )
-        raise BenchError(f"{place}: {table.file} has {what}; one of the two is needed.")
+        has = ", ".join(filter(None, table.names)) or "no names"
+        raise BenchError(
+            f"{place}: {table.file} has {what} (its columns are {has}); one of the two is needed; name columns that "
+            "are called otherwise, columns: {phase: …}."
+        )
     if plain:
         return columns
     if (columns["magnitude"] < 0.0).any():
         row = int(np.argmax(columns["magnitude"] < 0.0))
         raise BenchError(f"{place}: the magnitude is negative at {table.place(row)}; is it in dB? give it linear.")
-    unstated = "phase" not in section.units and not _own_unit(table, section, "phase")
+    named = "phase" not in section.columns and "phase" not in map(_plain_name, table.names)
+    unstated = not named and "phase" not in section.units and not _own_unit(table, section, "phase")
     if unstated and np.nanmax(np.abs(columns["phase"])) > 7.0:
         raise BenchError(
             f"{place}: the phase reaches {np.nanmax(np.abs(columns['phase'])):.4g}, more than a turn in rad; say "
@@ -310,6 +419,7 @@ def _from_uff(section: TableSection, path: Path, place: str) -> list[ObservableT
     if not functions:
         raise BenchError(f"{place}: {path.name} has no frequency response (function type 4).")
     tables = []
+    level, _, level_unit = _level(section, place)
     for function in functions:
         where = f"{place}: dataset {function.number} of {path.name}"
         quantity, factor = response_per_force(section.unit, where)
@@ -318,7 +428,8 @@ def _from_uff(section: TableSection, path: Path, place: str) -> list[ObservableT
             raise BenchError(f"{where} holds {own.name.lower()} per force, but the sidecar says {section.unit}.")
         if function.denominator_axis.data_type not in (0, uff.GENERAL, uff.FORCE, 9):
             raise BenchError(f"{where} is not referred to a force; leave it out.")
-        values = np.asarray(function.values, dtype=np.complex128) * factor
+        values = np.asarray(function.values, dtype=np.complex128) * (factor * section.scale)
+        values = values.conj() if section.conjugate else values
         if not np.isfinite(values).all() or not np.isfinite(function.x).all():
             raise BenchError(f"{where} holds values that are not finite; export it again.")
         columns = {"frequency_hz": function.x, "real": values.real, "imag": values.imag}
@@ -334,6 +445,8 @@ def _from_uff(section: TableSection, path: Path, place: str) -> list[ObservableT
                 point=function.response_node,
                 drive_point=function.reference_node,
                 name=function.name or section.name,
+                level=level,
+                level_unit=level_unit,
             )
         )
     return tables

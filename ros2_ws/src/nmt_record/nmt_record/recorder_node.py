@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import importlib
-import json
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -14,9 +14,11 @@ from std_msgs.msg import String
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.errors import BenchError
+from nmt_core.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, BagState, RunAnnouncement
+from nmt_record.bag_writer import BagWriter
 from nmt_record.bench_topics import Service, parse_topic
 from nmt_record.message_definitions import local_definitions
-from nmt_record.run_recorder import PARAMETERS, RunRecorder
+from nmt_record.run_recorder import PARAMETERS, RunRecorder, described_run, free_path, why_unwritable
 
 _QOS = {
     Service.SAMPLES: SAMPLES_QOS,
@@ -31,18 +33,18 @@ _LONGEST_RAMP = 6.0  # s
 
 
 class RecorderNode(BenchNode):
-    """Records until the run is done, the node is told to end, or the disk is full.
+    """Records every run into a bag of its own, until the node is told to end.
 
-    The bag exists, with the run's start record in it, when the constructor returns. Its state is published,
-    latched, on ``bag`` as JSON: ``{"path", "state": "open" | "closed" | "failed", "messages", "reason"}``.
+    The first bag exists, with the run's start record in it, when the constructor returns. A bag closes when its run is
+    over and the drive at zero; the next one is opened when the sequencer announces a run on ``run_plan``. What the node
+    does is published, latched, on ``bag``, see :class:`nmt_core.run_announcement.BagState`.
 
     Args:
         values: parameters by name, see ``PARAMETERS``.
         **kwargs: forwarded to :class:`rclpy.node.Node` (``context``, ``namespace``, …).
 
     Attributes:
-        writer: the bag being written.
-        core: what it does with messages.
+        core: what it does with the messages of the newest bag.
 
     Raises:
         BenchError: a parameter is wrong, a message type is not installed, or the bag cannot be created.
@@ -60,6 +62,11 @@ class RecorderNode(BenchNode):
             raise
 
     @property
+    def writer(self) -> BagWriter:
+        """The newest bag."""
+        return self.core.writer
+
+    @property
     def state(self) -> str:
         """``open``, ``closed`` or ``failed``."""
         return self.writer.state
@@ -69,6 +76,7 @@ class RecorderNode(BenchNode):
         if self.writer.state != "open":
             return
         reason = self.core.close(exit_state, reason)
+        self.get_logger().info(f"Bag {self.writer.path} closed with {self.writer.messages} messages")
         self._publish_state(reason)
 
     def update_counters(self) -> None:
@@ -85,11 +93,23 @@ class RecorderNode(BenchNode):
     def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
         """Publish the counters; a gap makes a warning of it, a bag that could not be written an error."""
         self.update_counters()
-        if self.writer.failure:
-            level, message = DiagnosticStatus.ERROR, self.writer.failure
-        elif self.core.gaps.gaps:
+        failure = self._refusal or self.writer.failure
+        if failure:
+            level, message = DiagnosticStatus.ERROR, failure
+        elif level == DiagnosticStatus.OK and self.core.gaps.gaps:
             level = DiagnosticStatus.WARN
         super().publish_diagnostics(level, message)
+
+    def why_not_ready(self) -> str:
+        """Why no run could be recorded now; empty if one could, or is."""
+        if self.writer.state == "open" and self.core.begun:
+            return ""
+        why = why_unwritable(Path(self._recorder_values["output"]), int(self._recorder_values["least_free_mb"]))
+        return f"cannot record: {why}" if why else ""
+
+    def may_end(self, since: float) -> bool:
+        """When the drive is at zero in the bag: whoever is told that the recorder ends takes it there."""
+        return self.writer.state != "open" or not self.core.begun or self.core.drive_at_zero
 
     def shut_down(self) -> None:
         """Close the bag before the node is destroyed."""
@@ -97,7 +117,7 @@ class RecorderNode(BenchNode):
 
     def destroy_node(self) -> None:
         """Close the bag and release the node."""
-        if hasattr(self, "writer"):
+        if hasattr(self, "core"):
             self.close("the recorder was told to end")
         super().destroy_node()
 
@@ -108,9 +128,13 @@ class RecorderNode(BenchNode):
         self._patience: float = values["patience"]
         self._end_time: float | None = None
         self._last_time = time.monotonic()
+        self._recorder_values = values
+        self._announced = RunAnnouncement()
+        self._goal = ""  # of the run that the newest bag is for
+        self._refusal = ""  # why no bag was opened for it
         self.core = RunRecorder(values)
-        self.writer = self.core.writer
-        self._state_publisher = self.create_publisher(String, "bag", STATE_QOS)
+        self._state_publisher = self.create_publisher(String, BAG_TOPIC, STATE_QOS)
+        self.claim(BAG_TOPIC)
         for topic in self.core.topics:
             self.bench_subscription(
                 types[topic.message_type],
@@ -120,17 +144,65 @@ class RecorderNode(BenchNode):
                 _QOS[topic.service],
                 raw=True,
             )
+        self._announcement_subscription = self.create_subscription(
+            String, ANNOUNCEMENT_TOPIC, self._on_announcement, STATE_QOS
+        )
         self.steady_timer(min(0.1, values["flush_interval"] / 2.0), self._watch)
+        self.get_logger().info(f"Bag {self.writer.path} opened")
         self._publish_state("")
 
-    def _recording(self, topic: str) -> Callable[[bytes], None]:
-        record = self.core.callback(topic)
+    # -- one bag a run -------------------------------------------------------------------------------------------
 
+    def _on_announcement(self, message: Any) -> None:
+        try:
+            self._announced = RunAnnouncement.from_json(message.data)
+        except ValueError as error:
+            self.get_logger().error(f"Announcement of a run refused: {error}", throttle_duration_sec=1.0)
+            return
+        self._open_for_announced()
+
+    def _open_for_announced(self) -> None:
+        """Have a bag open for the run that is about to begin, and say so; after a failure say why."""
+        announced = self._announced
+        if not announced.goal or announced.goal == self._goal:
+            return
+        if self.writer.state == "open" and self.core.begun:
+            if self.core.end_sample is not None:
+                return  # the bag of the run before closes soon
+            self.close("another run was announced before the end of this one", "incomplete")
+        try:
+            self._open_bag(announced)
+        except BenchError as error:
+            self._refusal = str(error)
+            self.get_logger().error(self._refusal)
+        self._goal = announced.goal
+        self._publish_state(self._refusal)
+
+    def _open_bag(self, announced: RunAnnouncement) -> None:
+        """Open the bag of an announced run; one that is open for it already stays.
+
+        Raises:
+            BenchError: it cannot be opened.
+        """
+        self._refusal = ""
+        values, output = self._recorder_values, Path(self._recorder_values["output"])
+        why = why_unwritable(output, int(values["least_free_mb"]))
+        if why:
+            raise BenchError(f"The recorder cannot record: {why}.")
+        if self.writer.state == "open":
+            if self.core.run_id == announced.run_id:
+                return
+            self.writer.discard()  # it says what another run would have been
+        self.core = RunRecorder(values, path=free_path(output), run_json=described_run(values, announced))
+        self.get_logger().info(f"Bag {self.writer.path} opened for run {announced.run_id}")
+        self._end_time = None
+
+    def _recording(self, topic: str) -> Callable[[bytes], None]:
         def on_message(raw: bytes) -> None:
             if topic != "diagnostics":
                 self._last_time = time.monotonic()
             try:
-                record(raw)
+                self.core.callback(topic)(raw)
             except BenchError as error:
                 self._failed(error)
             if self._end_time is None and self.core.end_sample is not None:
@@ -139,7 +211,11 @@ class RecorderNode(BenchNode):
         return on_message
 
     def _watch(self) -> None:
-        """Flush what has waited long enough, and close the bag when the run is over."""
+        """Flush what has waited long enough, close the bag when the run is over, and open the next one."""
+        self._close_when_over()
+        self._open_for_announced()
+
+    def _close_when_over(self) -> None:
         if self.writer.state != "open":
             return
         try:
@@ -167,13 +243,9 @@ class RecorderNode(BenchNode):
     def _publish_state(self, reason: str) -> None:
         if not self.context.ok():
             return
-        state = {
-            "path": str(self.writer.path),
-            "state": self.writer.state,
-            "messages": self.writer.messages,
-            "reason": reason,
-        }
-        self._state_publisher.publish(String(data=json.dumps(state)))
+        state = "failed" if self._refusal else self.writer.state
+        text = BagState(str(self.writer.path), state, self.writer.messages, reason, self._goal).to_json()
+        self._state_publisher.publish(String(data=text))
 
 
 def _message_class(message_type: str) -> Any:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import datetime
 import json
+import os
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,15 +15,21 @@ from nmt_core.cdr import read_stamp
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_text
 from nmt_core.parameters import Parameter
+from nmt_core.run_announcement import RunAnnouncement
 from nmt_core.vocabulary import ResultCode, RunPhase
 from nmt_core.wire import RUN_STATE, BlockReader
-from nmt_record.bag_writer import COMPRESSIONS, BagWriter
+from nmt_record.bag_writer import COMPRESSIONS, BagWriter, parse_run
 from nmt_record.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, parse_topic
 from nmt_record.gap_counter import GapCounter
 from nmt_record.message_definitions import local_definitions
 
 PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("output", "", "", "Folder of the bag to create; must not exist."),
+    Parameter(
+        "output",
+        "",
+        "",
+        "Folder of the first bag, which must not exist; the bags of further runs get '-2', '-3', … added.",
+    ),
     Parameter(
         "topics",
         [topic.name for topic in BENCH_TOPICS],
@@ -34,8 +43,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("chunk_messages", 500, "", "Messages after which a chunk is written.", low=1),
     Parameter("flush_interval", 0.5, "s", "Wall time after which a chunk is written.", low=0.01),
     Parameter("compression", "none", "", "Compression of the chunks.", choices=tuple(COMPRESSIONS)),
-    Parameter("split_bytes", 0, "byte", "Size after which the bag goes on in another file; 0 = one file.", low=0),
+    Parameter("split_bytes", 2**30, "byte", "Size after which the bag goes on in another file; 0 = one file.", low=0),
     Parameter("split_duration", 0.0, "s", "Wall time after which it does so; 0 = one file.", low=0.0),
+    Parameter("least_free_mb", 16, "MB", "Space on the disk without which no run can begin.", low=0),
     Parameter("settle_time", 0.25, "s", "Silence before the bag of a done run closes.", low=0.0),
     Parameter("patience", 2.0, "s", "Silence after which missing blocks are given up.", low=0.1),
 )
@@ -49,6 +59,8 @@ class RunRecorder:
     Args:
         values: parameters of the node, complete; see ``PARAMETERS``.
         clock: time in ns at which messages are received; None = wall time.
+        path: folder of the bag; None = that of the parameters.
+        run_json: self-description of the run; None = that of the parameters.
 
     Attributes:
         topics: what is recorded.
@@ -56,13 +68,22 @@ class RunRecorder:
         gaps: continuity of the sample topics.
         malformed: messages that could not be understood; they are recorded as they came.
         late: messages after the end of the bag.
+        run_id: name of the run as the bag gives it; empty if it gives none.
+        begun: whether the run has begun.
         end_sample: sample at which the run ended; None before.
 
     Raises:
         BenchError: a parameter is wrong, or the bag cannot be created.
     """
 
-    def __init__(self, values: Mapping[str, Any], clock: Callable[[], int] | None = None) -> None:
+    def __init__(
+        self,
+        values: Mapping[str, Any],
+        clock: Callable[[], int] | None = None,
+        *,
+        path: Path | None = None,
+        run_json: str | None = None,
+    ) -> None:
         if not values["output"]:
             raise BenchError("Parameter 'output' of recorder must name the folder of the bag to create.")
         self.topics: list[BenchTopic] = [parse_topic(text) for text in values["topics"]]
@@ -70,9 +91,9 @@ class RunRecorder:
         self.malformed = 0
         self.late = 0
         self.end_sample: int | None = None
-        run_json = _text(values, "run_json", "run_file")
+        run_json = described_run(values) if run_json is None else run_json
         self.writer = BagWriter(
-            str(values["output"]),
+            path or str(values["output"]),
             run_json=run_json,
             rig_yaml=_text(values, "rig_yaml", "rig_file"),
             chunk_messages=values["chunk_messages"],
@@ -82,9 +103,11 @@ class RunRecorder:
             split_duration=values["split_duration"],
             clock=clock,
         )
-        self._run_id = str(json.loads(run_json).get("run_id", "")) if run_json else ""
+        self.run_id = _run_id(run_json)
         self._seen_running = False
+        self.begun = False
         self._ended_well = False
+        self._end_reason = ""
         self._newest_voltage: bytes | None = None
         self._callbacks: dict[str, Callable[[bytes], None]] = {}
         for topic in self.topics:
@@ -104,6 +127,8 @@ class RunRecorder:
         Returns:
             The reason, or why the bag could not be closed.
         """
+        if exit_state == "incomplete" and self._end_reason:
+            reason = f"{reason}; the run ended with: {self._end_reason}"
         with contextlib.suppress(BenchError):
             self.writer.close(
                 exit_state,
@@ -117,12 +142,17 @@ class RunRecorder:
     @property
     def awaits_ramp(self) -> bool:
         """Whether the run ended early and the newest block of the voltage, if there is any, is not at zero yet."""
-        if self.end_sample is None or self._ended_well or self._newest_voltage is None:
-            return False
+        return self.end_sample is not None and not self._ended_well and not self.drive_at_zero
+
+    @property
+    def drive_at_zero(self) -> bool:
+        """Whether the newest block of the voltage is zero, or there is none."""
+        if self._newest_voltage is None:
+            return True
         try:
-            return bool(BlockReader().read(self._newest_voltage).data.any())
+            return not BlockReader().read(self._newest_voltage).data.any()
         except ValueError:
-            return False  # malformed; nothing can be told from it
+            return True  # malformed; nothing can be told from it
 
     def _callback(self, topic: BenchTopic) -> Callable[[bytes], None]:
         name = topic.name
@@ -154,10 +184,12 @@ class RunRecorder:
             return
         if state.phase != RunPhase.DONE:
             self._seen_running = True
-        elif self._seen_running or (state.run_id and state.run_id == self._run_id):
+            self.begun = self.begun or state.phase in (RunPhase.RUNNING, RunPhase.PAUSED, RunPhase.STOPPING)
+        elif self._seen_running or (state.run_id and state.run_id == self.run_id):
             # Otherwise it is the latched end of an earlier run.
             self.end_sample = state.sample
             self._ended_well = state.result_code == ResultCode.SUCCEEDED
+            self._end_reason = state.reason
 
     def _write(self, topic: str, stamped: bool, raw: bytes) -> None:
         if self.writer.state != "open":
@@ -170,6 +202,56 @@ class RunRecorder:
             except ValueError:
                 self.malformed += 1
         self.writer.write(topic, raw, None, stamp)
+
+
+def described_run(values: Mapping[str, Any], announced: RunAnnouncement | None = None) -> str:
+    """Self-description of a run, a JSON text.
+
+    Args:
+        values: parameters of the node; their description holds for the run that it names.
+        announced: another run on the same nodes, whose name and plan take the place of those of the parameters.
+
+    Raises:
+        BenchError: the description in the parameters cannot be read.
+    """
+    text = _text(values, "run_json", "run_file")
+    if announced is None or (text and _run_id(text) == announced.run_id):
+        return text
+    run = parse_run(text)
+    plan = run.get("plan")
+    run["run_id"] = announced.run_id
+    run["plan"] = {**(plan if isinstance(plan, dict) else {}), **announced.plan}
+    run["started"] = datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds")
+    return json.dumps(run)
+
+
+def free_path(path: Path) -> Path:
+    """The folder itself, or the first of ``path-2``, ``path-3`` … that does not exist."""
+    candidate, number = path, 1
+    while candidate.exists():
+        number += 1
+        candidate = path.with_name(f"{path.name}-{number}")
+    return candidate
+
+
+def why_unwritable(path: Path, least_free_mb: int) -> str:
+    """Why no bag can be recorded beside ``path``: folder or space; empty if one can."""
+    folder = path.absolute().parent
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        return f"the folder {folder} cannot be written"
+    try:
+        free = shutil.disk_usage(folder).free / 1e6
+    except OSError as error:
+        return f"the folder {folder} cannot be examined ({error.strerror or error})"
+    if free < least_free_mb:
+        return f"{free:.1f} MB are free in {folder}, less than {least_free_mb} MB (parameter 'least_free_mb')"
+    return ""
+
+
+def _run_id(run_json: str) -> str:
+    return str(parse_run(run_json).get("run_id", ""))
 
 
 def _text(values: Mapping[str, Any], text: str, file: str) -> str:

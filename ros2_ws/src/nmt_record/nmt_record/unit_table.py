@@ -152,6 +152,39 @@ def response_per_force(unit: str, where: str) -> tuple[Quantity, float]:
     return quantity, _FACTORS[quantity][numerator] / _FACTORS[Quantity.FORCE][denominator]
 
 
+REFERENCE_UNITS = {"force": "N", "base": "m/s^2", "voltage": "V"}
+"""What frequency responses may be divided by, and its SI unit."""
+
+
+def response_over_reference(unit: str, where: str) -> tuple[Quantity, float, str]:
+    """Response quantity, factor to SI and reference of the unit of a frequency response.
+
+    ``m/s^2/N`` and ``g/N`` are over a force, ``g/g``, ``m/(m/s^2)`` and ``m/s^2/g`` over the acceleration of a base,
+    ``m/s^2/V`` over a voltage; ``1`` is a motion over that of the base, whichever.
+
+    Raises:
+        BenchError: not a response over one of these.
+    """
+    plain = plain_unit(unit)
+    if plain in ("1", "m/m"):
+        return Quantity.ACCELERATION, 1.0, "base"
+    for split in (match.start() for match in re.finditer("/", plain)):
+        above, below = (part[1:-1] if part[:1] == "(" and part[-1:] == ")" else part for part in _halves(plain, split))
+        quantity, reference = quantity_of_unit(above), quantity_of_unit(below)
+        known = {Quantity.FORCE: "force", Quantity.ACCELERATION: "base", Quantity.VOLTAGE: "voltage"}.get(reference)
+        if known and quantity in (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION):
+            return quantity, _FACTORS[quantity][above] / _FACTORS[reference][below], known
+    given = f"'{unit.strip()}' is not" if unit.strip() else "it is missing"
+    raise BenchError(
+        f"{where}: the unit must be a response per force, such as m/N or m/s^2/N or g/N, per acceleration of the base, "
+        f"such as g/g or m/(m/s^2), or per voltage, such as m/s^2/V; {given}."
+    )
+
+
+def _halves(text: str, split: int) -> tuple[str, str]:
+    return text[:split], text[split + 1 :]
+
+
 def _close(unit: str, known: dict[str, float]) -> str:
     close = difflib.get_close_matches(unit, known, n=1, cutoff=0.6)
     return f" (did you mean {close[0]}?)" if close else ""

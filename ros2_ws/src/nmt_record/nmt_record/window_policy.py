@@ -49,6 +49,7 @@ class Fault(Enum):
     OVERLOAD = "a converter reached its end"
     LIMIT = "a safety limit had tripped"
     WATCHDOG = "the drive watchdog had tripped"
+    STOPPED = "the drive had been stopped"
     SILENT = "the excitation is not periodic"
     PHASE_JUMP = "the phase of the excitation jumps, or runs backwards"
     UNIT = "a quantity that is not its topic's, or a unit that is not SI"
@@ -96,6 +97,7 @@ FLAG_FAULTS = (
     (BlockFlag.OVERLOAD, Fault.OVERLOAD, "a converter was overloaded"),
     (BlockFlag.LIMIT, Fault.LIMIT, "a safety limit had tripped"),
     (BlockFlag.WATCHDOG, Fault.WATCHDOG, "the drive watchdog had tripped"),
+    (BlockFlag.STOP, Fault.STOPPED, "the drive had been stopped"),
 )
 
 _CHANNEL_FAULTS = {Fault.UNIT: Effect.CHANNELS, Fault.VALUE: Effect.CHANNELS}
@@ -116,6 +118,7 @@ _EXCEPTIONS: dict[TestKind, dict[Fault, Effect]] = {
                 Fault.OVERLOAD,
                 Fault.LIMIT,
                 Fault.WATCHDOG,
+                Fault.STOPPED,
                 Fault.PHASE_JUMP,
             ),
             Effect.REST,
@@ -138,6 +141,7 @@ _EXCEPTIONS: dict[TestKind, dict[Fault, Effect]] = {
                 Fault.OVERLOAD,
                 Fault.LIMIT,
                 Fault.WATCHDOG,
+                Fault.STOPPED,
             ),
             Effect.CHANNELS,
         ),

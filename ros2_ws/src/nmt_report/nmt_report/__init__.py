@@ -11,6 +11,7 @@ from nmt_core.public_names import loaded
 
 if TYPE_CHECKING:
     from nmt_report.diagnosis_files import write_diagnosis
+    from nmt_report.figure_files import report_figures, write_figures
     from nmt_report.linear_report import exact_modes, linear_page
     from nmt_report.run_data import read_reference
     from nmt_report.run_report import report_data_from_bag, write_report
@@ -19,8 +20,10 @@ _HOMES = {
     "exact_modes": "nmt_report.linear_report",
     "linear_page": "nmt_report.linear_report",
     "read_reference": "nmt_report.run_data",
+    "report_figures": "nmt_report.figure_files",
     "report_data_from_bag": "nmt_report.run_report",
     "write_diagnosis": "nmt_report.diagnosis_files",
+    "write_figures": "nmt_report.figure_files",
     "write_report": "nmt_report.run_report",
 }
 __all__ = [
@@ -28,7 +31,9 @@ __all__ = [
     "linear_page",
     "read_reference",
     "report_data_from_bag",
+    "report_figures",
     "write_diagnosis",
+    "write_figures",
     "write_report",
 ]
 

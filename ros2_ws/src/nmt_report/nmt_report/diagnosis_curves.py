@@ -17,6 +17,7 @@ from nmt_diagnose.evidence.conditions import (
     RandomTest,
     RecordTest,
     RingDownTest,
+    SteppedSineTest,
     Test,
 )
 from nmt_diagnose.evidence.observables import Evidence, Part
@@ -105,7 +106,7 @@ def drive_label(test: Test) -> str:
     """What the abscissa of a test is."""
     if isinstance(test, PhaseResonanceTest):
         return "drive voltage / V" if test.held == "voltage" else "force / N"
-    if isinstance(test, RandomTest):
+    if isinstance(test, RandomTest | SteppedSineTest):
         return "frequency / Hz"
     if isinstance(test, RecordTest):
         return "time / s"
@@ -134,7 +135,7 @@ def _course(evidence: Evidence, models: Models, test: int, which: np.ndarray, pa
     computed = [values[which] for values in (models.as_given, models.refitted, models.final)]
     channel = int(rows.channel[which[0]])
     own = channels_of(kind)[channel] if channel >= 0 else None
-    if isinstance(kind, RandomTest):
+    if isinstance(kind, RandomTest | SteppedSineTest):
         x = rows.frequency_hz[which]
     elif isinstance(kind, RecordTest):
         x = rows.time_s[which]
@@ -165,7 +166,7 @@ def _course(evidence: Evidence, models: Models, test: int, which: np.ndarray, pa
     else:
         unit = own.quantity.unit if own is not None else ""
         deviation_unit, factor = unit, 1.0
-    joined = not isinstance(kind, RandomTest) or x.size >= _FEW_LINES
+    joined = not isinstance(kind, RandomTest | SteppedSineTest) or x.size >= _FEW_LINES
     exponent = engineering_exponent(measured) if logarithmic or part in (Part.SAMPLE, Part.LINE) else 0
     if exponent:
         unit = f"{power_of_ten(exponent)} {unit}"
@@ -183,6 +184,8 @@ def _magnitude_unit(kind: Test, channel: MeasuredChannel | None) -> str:
     unit = channel.quantity.unit.replace("m/s^2", "m/s²")
     if isinstance(kind, RandomTest):
         return f"{unit} / {'V' if kind.reference == 'voltage' else 'N'}"
+    if isinstance(kind, SteppedSineTest):
+        return f"{unit} / {({'force': 'N', 'base': '(m/s²)'}).get(kind.reference, 'V')}"
     return unit
 
 

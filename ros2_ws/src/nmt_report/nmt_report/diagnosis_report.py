@@ -9,9 +9,9 @@ from typing import Any
 
 from markupsafe import Markup
 
-from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest, RecordTest
+from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest, RecordTest, SteppedSineTest
 from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Verdict
+from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Remainder, Verdict
 from nmt_diagnose.inference.hypotheses import NULL, UNKNOWN
 from nmt_report.diagnosis_curves import Models, courses, drive_label, harmonic_courses
 from nmt_report.diagnosis_figures import Shown, course_figure, harmonic_figure, residual_figure
@@ -35,7 +35,8 @@ from nmt_report.diagnosis_words import (
 from nmt_report.html_page import Column, Row, Table, part
 from nmt_report.quantity_format import plain, significant
 from nmt_report.response_page import ResponsePage
-from nmt_report.svg import ReportFigure, figure_style
+from nmt_report.rig_drawing import rig_figure
+from nmt_report.svg import BLUE, GREEN, MUTED, ORANGE, ReportFigure, figure_style
 from nmt_rig.rig import Rig
 
 _LEFT_OVER = 0.01
@@ -74,6 +75,7 @@ def diagnosis_page(report: DiagnosisReport) -> str:
             for number, name in enumerate(dict.fromkeys(group.test for group in d.residual_map))
         ]
         curves = _curves(report)
+        drawing = _drawing(d, report.rig)
     page = ResponsePage(
         kicker="Diagnosis of the gap between model and rig",
         heading=report.rig.name,
@@ -81,7 +83,7 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         verdict=_verdict(d),
         answers=_answers(d),
         cards=_cards(d),
-        notices=d.notes,
+        notices=(*d.warnings, *d.notes),
         footer="Residual: (measured − model) / standard deviation of the measurement, so noise alone gives a root mean "
         "square of 1. ± standard uncertainty. Model as given: the rig file; re-fitted: its own parameters adjusted to "
         "these tests within what is known of them beforehand; with the effect: re-fitted with the effect added. SI "
@@ -90,6 +92,8 @@ def diagnosis_page(report: DiagnosisReport) -> str:
     claimed = d.verdict in (Verdict.EFFECT, Verdict.CALIBRATION)
     return page.html(
         "diagnosis_report.html",
+        drawing=[drawing],
+        shares=probability_shares(d),
         ranking=_ranking(d),
         place_table=_places(d),
         placed_by_calibration=d.verdict is Verdict.CALIBRATION,
@@ -97,6 +101,7 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         closed=closed_text(d.gap) if claimed and math.isfinite(d.gap.closed) else "",
         gap_table=_gap(d),
         observable_table=_per_observable(d.gap, d.verdict),
+        remainder_table=_remainder(d.remainder),
         next_table=_next(d),
         could_do_better=d.verdict not in (Verdict.NONE, Verdict.CALIBRATION),
         maps=maps,
@@ -110,10 +115,39 @@ def diagnosis_page(report: DiagnosisReport) -> str:
     )
 
 
+def _drawing(d: Diagnosis, rig: Rig) -> ReportFigure:
+    if d.verdict is Verdict.EFFECT and d.ranking:
+        head = d.ranking[0]
+        return rig_figure(rig, head.place, head.detail, place_text(head.place, head.detail))
+    if d.verdict is Verdict.UNKNOWN and d.where:
+        first = d.where[0]
+        return rig_figure(rig, first.place, first.detail, place_text(first.place, first.detail))
+    return rig_figure(rig)
+
+
+_LARGEST_SHARES = 4
+_SHARE_COLOURS = (BLUE, ORANGE, GREEN, "#7a5195")
+
+
+def probability_shares(d: Diagnosis) -> list[tuple[str, str, float, str]]:
+    """Explanations whose probabilities add to 1: label, probability in words, share, colour; the last is the rest."""
+    named = [(class_text(item), item.probability) for item in d.ranking]
+    rest, p_rest = rest_text(d)
+    named += [(effect_text(NULL), d.probabilities.get(NULL, 0.0)), (rest, p_rest)]
+    largest = sorted(((text, p) for text, p in named if p > 0.0), key=lambda item: -item[1])[:_LARGEST_SHARES]
+    shares = [
+        (text, probability_text(p), p, colour) for (text, p), colour in zip(largest, _SHARE_COLOURS, strict=False)
+    ]
+    left = 1.0 - sum(p for _, _, p, _ in shares)
+    if left > 0.005:
+        shares.append(("all other explanations", probability_text(left), left, MUTED))
+    return shares
+
+
 def _level_label(evidence: Evidence, test: str) -> str:
     """What the columns of a test's residual map are."""
     kind = next((kind for kind in evidence.tests if kind.name == test), None)
-    if isinstance(kind, RandomTest):
+    if isinstance(kind, RandomTest | SteppedSineTest):
         return "middle of the band / Hz"
     return "segment" if kind is None or isinstance(kind, RecordTest) else drive_label(kind)
 
@@ -290,6 +324,26 @@ def _per_observable(gap: Gap, verdict: Verdict) -> Table | None:
     return Table([*head, Column("Values")], rows, note, "By observable, on held-out data")
 
 
+def _remainder(rest: Remainder | None) -> Table | None:
+    """What the explanation leaves, observable by observable."""
+    if rest is None or not rest.where:
+        return None
+    rows = []
+    for item in rest.where:
+        test, _, what = item.observable.rpartition(": ")
+        value = f"{significant(item.rms_unit, 3)} {item.unit.replace('deg', '°')}"
+        cells = [test, _observable_text(what), item.levels or "spread", _with_bar(item.share, percent(item.share))]
+        rows.append(Row([*cells, significant(item.rms, 3), value]))
+    head = [Column(name, kind="text") for name in ("Test", "Observable", "Levels", "Share of the rest")]
+    head += [Column("Left", "noise = 1"), Column("Left", "rms")]
+    interval = f" ({percent(rest.low)[:-2]} to {percent(rest.high)})" if math.isfinite(rest.low) else ""
+    note = (
+        f"{percent(rest.share)}{interval} of the gap is left. A laboratory's rig differs from its model by more than "
+        "one thing; a smooth error of some percent of what the effect does is expected."
+    )
+    return Table(head, rows, note, "What is left")
+
+
 def _observable_text(text: str) -> str:
     """``amplitude of displacement at point 4`` for ``amplitude of x4``."""
     words, _, channel = text.rpartition(" ")
@@ -310,7 +364,7 @@ def _next(d: Diagnosis) -> Table | None:
             item.test[:1].upper() + item.test[1:],
             ", ".join(effect_text(name) for name in item.separates),
             sigma_text(item.expected_sigma),
-            item.command,
+            item.command or "measure it on the rig",
         ))
         for item in d.next_test
     ]  # fmt: skip
@@ -409,15 +463,25 @@ def _residual_tests(d: Diagnosis) -> Table | None:
 def _input_tables(d: Diagnosis) -> list[Table]:
     inputs = d.inputs
     files = [
-        (str(bag.get("path", "")), str(bag.get("sha256", "")), str(bag.get("role", "real side")))
+        (
+            str(bag.get("path", "")),
+            str(bag.get("sha256", "")),
+            str(bag.get("role", "real side")),
+            str(bag.get("origin", {}).get("text", "—")),
+        )
         for bag in inputs.get("bags", ())
     ]
     model = inputs.get("model_file")
     if isinstance(model, Mapping):
-        files.append((str(model.get("path", "")), str(model.get("sha256", "")), "model"))
+        files.append((str(model.get("path", "")), str(model.get("sha256", "")), "model", "—"))
     tables = []
     if files:
-        head = (Column("File", kind="text"), Column("SHA-256", kind="text mono"), Column("As", kind="text"))
+        head = (
+            Column("File", kind="text"),
+            Column("SHA-256", kind="text mono"),
+            Column("As", kind="text"),
+            Column("What made it", kind="text wrap"),
+        )
         tables.append(Table(head, [Row(cells) for cells in files]))
     tests = [
         (
@@ -433,6 +497,25 @@ def _input_tables(d: Diagnosis) -> list[Table]:
         names = ("Kind", "Driven at", "Levels or lines", "Observables")
         columns = (Column("Test found", kind="text"), *(Column(name) for name in names))
         tables.append(Table(columns, [Row(cells) for cells in tests], heading="Tests found in them"))
+    if len(d.left_out) > 1:
+        each = [
+            (
+                item.recording,
+                effect_text(item.leader),
+                f"{item.probability:.0%}",
+                sigma_text(item.left),
+                "—" if math.isnan(item.closed) else f"{item.closed:.0%}",
+            )
+            for item in d.left_out
+        ]
+        columns = (
+            Column("Without", kind="text"),
+            Column("The others say", kind="text"),
+            Column("Probability"),
+            Column("Left of them", "standard deviations"),
+            Column("Of its own gap", "closed"),
+        )
+        tables.append(Table(columns, [Row(cells) for cells in each], heading="Each recording left out"))
     return tables
 
 
@@ -452,6 +535,7 @@ def _settings(d: Diagnosis) -> list[tuple[str, str]]:
 _KINDS = {
     "PhaseResonanceTest": "phase resonance, locked levels",
     "RandomTest": "random, frequency response",
+    "SteppedSineTest": "frequency response at a held amplitude",
     "RingDownTest": "ring-down",
     "RecordTest": "record, driven by the measured input",
     "BackboneTable": "backbone table",
@@ -512,7 +596,7 @@ def _curves(report: DiagnosisReport) -> list[ReportFigure]:
             if found:
                 result.append(course_figure(f"{key}-{number}", title + tail, _BELOW, found, shown))
 
-        if isinstance(test, RandomTest):
+        if isinstance(test, RandomTest | SteppedSineTest):
             add("frf", "Frequency responses: magnitude", Part.LOG_MAGNITUDE)
             add("frf-phase", "Frequency responses: phase", Part.PHASE)
         elif isinstance(test, PhaseResonanceTest):

@@ -103,10 +103,48 @@ def next_table(diagnosis: Diagnosis) -> Table | None:
     table.add_column("test", overflow="fold")
     table.add_column("tells apart", overflow="fold")
     table.add_column("expected\nstd. dev.", justify="right", no_wrap=True)
-    table.add_column("command", overflow="fold")
+    if any(item.command for item in diagnosis.next_test):
+        table.add_column("command", overflow="fold")
     for item in diagnosis.next_test:
         names = ", ".join(effect_text(name) for name in item.separates)
-        table.add_row(Text(item.test), Text(names), sigma_text(item.expected_sigma), Text(item.command))
+        cells = Text(item.test), Text(names), sigma_text(item.expected_sigma), Text(item.command)
+        table.add_row(*cells[: len(table.columns)])
+    return table
+
+
+def recordings_table(diagnosis: Diagnosis) -> Table | None:
+    """The recordings, and what made each."""
+    bags = [bag for bag in diagnosis.inputs.get("bags", ()) if "origin" in bag]
+    if not bags:
+        return None
+    table = _new("Recordings")
+    table.add_column("recording", overflow="fold")
+    table.add_column("what made it", overflow="fold")
+    for bag in bags:
+        table.add_row(Text(str(bag["path"])), Text(str(bag["origin"]["text"])))
+    return table
+
+
+def left_out_table(diagnosis: Diagnosis) -> Table | None:
+    """Each recording left out: what the others say without it."""
+    if len(diagnosis.left_out) < 2:
+        return None
+    table = _new("Each recording left out")
+    table.add_column("without", overflow="fold")
+    table.add_column("the others say", overflow="fold")
+    table.add_column("probability", justify="right", no_wrap=True)
+    table.add_column("left of them\nstd. dev.", justify="right", no_wrap=True)
+    table.add_column("of its own gap\nclosed", justify="right", no_wrap=True)
+    for item in diagnosis.left_out:
+        closed = "—" if math.isnan(item.closed) else f"{item.closed:.0%}"
+        cells = (
+            Text(item.recording),
+            Text(effect_text(item.leader)),
+            f"{item.probability:.0%}",
+            sigma_text(item.left),
+            closed,
+        )
+        table.add_row(*cells)
     return table
 
 

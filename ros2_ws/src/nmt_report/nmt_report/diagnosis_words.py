@@ -32,7 +32,13 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
     text, kind = VERDICTS[diagnosis.verdict]
     if diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
         head = diagnosis.ranking[0]
-        return f"the model lacks {class_text(head)} ({place_text(head.place, head.detail)})", kind
+        text = f"the model lacks {class_text(head)} ({place_text(head.place, head.detail)})"
+        if diagnosis.remainder is not None:
+            share = 100.0 * diagnosis.remainder.share
+            text += f", which explains {max(0.0, 100.0 - share):.0f} % of the gap and leaves {share:.0f} %"
+    if diagnosis.warnings:
+        count = len(diagnosis.warnings)
+        return f"{text}; mind the {'warning' if count == 1 else f'{count} warnings'}", "partly"
     return text, kind
 
 

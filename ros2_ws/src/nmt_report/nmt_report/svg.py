@@ -13,6 +13,14 @@ import matplotlib
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
+from nmt_report.figure_record import packed, record
+
+FIGURE_TYPE = "application/x-nmt-figure"
+"""Kind of the element that holds a figure's numbers; nothing that a browser would run."""
+
+_HALF_PAGE = 600.0
+"""Points: a wider figure takes the whole page."""
+
 INK = "#22272e"
 MUTED = "#6b7480"
 GRID = "#e3e7ec"
@@ -77,7 +85,8 @@ def svg_text(figure: Figure, name: str, label: str, tips: Mapping[str, str] | No
         tips: hover text by artist ``gid``.
 
     Returns:
-        The element, scaled by its container; the same text for the same figure.
+        The element, scaled by its container, and behind it the figure's numbers, from which a page saves a table and
+        ``./nmt figures`` draws the figure anew; the same text for the same figure.
     """
     buffer = StringIO()
     with matplotlib.rc_context({"svg.hashsalt": name}):
@@ -97,7 +106,9 @@ def svg_text(figure: Figure, name: str, label: str, tips: Mapping[str, str] | No
     width, height = figure.get_size_inches() * 72.0
     words = label.striptags() if isinstance(label, Markup) else label
     head = f'<svg class="plot" role="img" aria-label="{escape(words)}" viewBox="0 0 {width:g} {height:g}"'
-    return Markup(re.sub(r"<svg\b[^>]*", lambda _: head, text, count=1).strip())
+    text = re.sub(r"<svg\b[^>]*", lambda _: head, text, count=1).strip()
+    numbers = packed(record(figure, name, words, bool(width > _HALF_PAGE)))
+    return Markup(f'{text}<script type="{FIGURE_TYPE}">{numbers}</script>')
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ def linear_description(rig: Rig) -> LinearDescription:
     with all friction sticking: the smallest levels of a test scale by them.
 
     Raises:
-        BenchError: the target mode is a rigid-body mode, or there is no such mode.
-        ValueError: the plant has no oscillating mode.
+        BenchError: the target mode is a rigid-body mode, or there is no such mode, or nothing oscillates.
     """
     structure = build_structure(rig)
     elements = build_resting_elements(rig, structure)
@@ -41,7 +40,10 @@ def linear_description(rig: Rig) -> LinearDescription:
     system = build_system(rig)
     plant = damped_modes(system)
     if plant.frequencies.size == 0:
-        raise ValueError("structure and exciter together have no oscillating mode")
+        raise BenchError(
+            f"Structure and exciter of rig {rig.name} together have no oscillating mode: all are overdamped; lower the "
+            "damping of the structure or of the exciter."
+        )
     shape = modes.shapes[:, target]
     overlap = np.abs(shape @ plant.shapes) ** 2 / np.sum(np.abs(plant.shapes) ** 2, axis=0)
     # Few points cannot tell the mode from one of the exciter's own: of those that look alike, the nearest.

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,21 @@ class Reference:
     harmonics: int
     single_valued: bool
     backbone: EpmcBackbone
+
+
+@dataclass(frozen=True)
+class PointShapes:
+    """Shapes of a nonlinear mode at the structure's points.
+
+    Attributes:
+        points: (p,) point numbers, ascending.
+        orders: (m,) harmonic orders.
+        shape: (k, m, p) φ̃_n, 1/√kg, complex, for every modal amplitude.
+    """
+
+    points: tuple[int, ...]
+    orders: tuple[int, ...]
+    shape: NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -127,6 +143,20 @@ def compute_reference(
         backbone.single_valued,
         backbone,
     )
+
+
+def point_shapes(rig: Rig, reference: Reference) -> PointShapes:
+    """Lateral displacement of every point in the shapes of a computed backbone.
+
+    Args:
+        rig: the rig of :func:`compute_reference`.
+        reference: what it returned.
+    """
+    structure = build_structure(rig)
+    backbone = reference.backbone
+    selectors = np.array([structure.selector(point) for point in structure.point_numbers])
+    orders = tuple(int(order) for order in backbone.orders)
+    return PointShapes(structure.point_numbers, orders, backbone.normalised_shape @ selectors.T)
 
 
 def default_amplitudes(rig: Rig, points: int = 100) -> FloatArray:
@@ -250,15 +280,52 @@ def convergence_table(
     ]
 
 
-def write_reference_csv(reference: Reference, path: str | Path) -> Path:
+class Backbone(Protocol):
+    """A backbone as a table: q (m√kg), ω̃ (rad/s) and δ̃, each of shape (k,)."""
+
+    @property
+    def modal_amplitude(self) -> FloatArray:
+        """q, m√kg."""
+        ...
+
+    @property
+    def omega_rad_s(self) -> FloatArray:
+        """ω̃, rad/s."""
+        ...
+
+    @property
+    def damping_ratio(self) -> FloatArray:
+        """δ̃."""
+        ...
+
+
+def write_reference_csv(reference: Backbone, path: str | Path) -> Path:
     """Write ``reference.csv`` (columns modal_amplitude, omega_rad_s, damping_ratio), complete or not at all.
 
     Raises:
         BenchError: the file cannot be written.
     """
-    target = Path(path)
     rows = np.column_stack([getattr(reference, column) for column in REFERENCE_COLUMNS])
     lines = [",".join(REFERENCE_COLUMNS), *(",".join(f"{value:.12g}" for value in row) for row in rows)]
+    return _write_lines(lines, path)
+
+
+def write_shapes_csv(reference: Backbone, shapes: PointShapes, path: str | Path) -> Path:
+    """Write ``shapes.csv``: a row for every amplitude, harmonic order and point, with real and imaginary part (1/√kg).
+
+    Raises:
+        BenchError: the file cannot be written.
+    """
+    lines = ["modal_amplitude,order,point,real,imaginary"]
+    for q, amplitude in zip(reference.modal_amplitude, shapes.shape, strict=True):
+        for order, harmonic in zip(shapes.orders, amplitude, strict=True):
+            for point, value in zip(shapes.points, harmonic, strict=True):
+                lines.append(f"{q:.12g},{order},{point},{value.real:.9g},{value.imag:.9g}")
+    return _write_lines(lines, path)
+
+
+def _write_lines(lines: Sequence[str], path: str | Path) -> Path:
+    target = Path(path)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         write_whole(target, "\n".join(lines) + "\n")

@@ -13,7 +13,13 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.proposal import did_you_mean
 from nmt_core.validation_sentence import validation_sentence
+from nmt_rig.device_sections import AnyDevice
+from nmt_rig.device_sections import InputPortSection as InputPortSection
+from nmt_rig.device_sections import NiDaqmxSection as NiDaqmxSection
+from nmt_rig.device_sections import OutputPortSection as OutputPortSection
+from nmt_rig.device_sections import PortAudioSection as PortAudioSection
 from nmt_rig.rig_file import KeyPath, RigDocument, apply_overrides, read_document
 from nmt_rig.rig_section import Name, NotNegative, Point, Positive
 from nmt_rig.rig_section import Section as Section
@@ -110,6 +116,21 @@ class QuadraticDragSection(ElementSection):
 
     kind: Literal["quadratic_drag"]
     drag_ns2_m2: float
+
+
+class AmplitudeDamperSection(ElementSection):
+    """g = c w² v."""
+
+    kind: Literal["amplitude_damper"]
+    damping_ns_m3: float
+
+
+class PowerLawDamperSection(ElementSection):
+    """g = c |v|ᵖ sgn v."""
+
+    kind: Literal["power_law_damper"]
+    coefficient_n_sp_mp: float
+    exponent: Annotated[float, Field(ge=1, le=10)]
 
 
 class LinearSpringSection(ElementSection):
@@ -226,6 +247,8 @@ AnyElement = Annotated[
     | UnilateralStopSection
     | TwoSidedGapSection
     | QuadraticDragSection
+    | AmplitudeDamperSection
+    | PowerLawDamperSection
     | LinearSpringSection
     | LinearDamperSection
     | TanhFrictionSection
@@ -488,6 +511,7 @@ class Rig(Section):
     pll: Annotated[dict[str, Annotated[Any, AfterValidator(_plain_setting)]], Field(default_factory=dict)]
     clock_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
     drift: DriftSection = DriftSection()
+    device: Annotated[AnyDevice, Field(discriminator="kind")] | None = None
 
     @property
     def drive_point(self) -> int:
@@ -601,6 +625,7 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
     if isinstance(rig.exciter, ShakingTableSection):
         _check_table(rig, rig.exciter, document)
     _check_hysteresis(rig, document)
+    _check_device(rig, document, seen)
 
 
 def _check_table(rig: Rig, table: ShakingTableSection, document: RigDocument) -> None:
@@ -630,6 +655,33 @@ def _check_table(rig: Rig, table: ShakingTableSection, document: RigDocument) ->
                     f"{document.place(('sensors', index))}: sensors.{index} measures an absolute {sensor.quantity}, "
                     "which needs the table's position: give exciter.suspension_hz, or write responses: relative."
                 )
+
+
+def _check_device(rig: Rig, document: RigDocument, channels: dict[str, int]) -> None:
+    """Every sensor but a drive voltage has a port, every port a sensor, and the drive's limit is within its range."""
+    device = rig.device
+    if device is None:
+        return
+    for index, entry in enumerate(device.inputs):
+        if entry.channel not in channels:
+            path: KeyPath = ("device", "inputs", index, "channel")
+            raise BenchError(
+                f"{document.place(path)}: {_dotted(path)} is {entry.channel}, but there is no such sensor; the sensors "
+                f"are {', '.join(channels)}."
+            )
+    mapped = {entry.channel for entry in device.inputs}
+    for name, row in channels.items():
+        if name not in mapped and rig.sensors[row].quantity != "voltage":
+            raise BenchError(
+                f"{document.place(('device', 'inputs'))}: device.inputs has no port for sensor {name}; add one, or "
+                "remove the sensor."
+            )
+    limit, output = rig.limits.voltage_v, device.output
+    if limit is None or limit > abs(output.amplifier_gain) * output.range_v * (1.0 + 1e-9):
+        raise BenchError(
+            f"{document.place(('limits',))}: limits.voltage_v must be there for hardware and at most "
+            f"{abs(output.amplifier_gain) * output.range_v:g} V, what the output reaches (range_v, amplifier_gain)."
+        )
 
 
 def _check_hysteresis(rig: Rig, document: RigDocument) -> None:
@@ -728,8 +780,11 @@ def find_rig(path_or_name: str | Path) -> Path:
             candidate = folder / f"{path_or_name}.yaml"
             if candidate.is_file():
                 return candidate
-    known = ", ".join(rig_names()) or "none"
-    raise BenchError(f"there is no rig {path_or_name}; give the path of a rig file or one of: {known}.")
+    known = rig_names()
+    raise BenchError(
+        f"there is no rig {path_or_name}; give the path of a rig file or one of: {', '.join(known) or 'none'}"
+        f"{did_you_mean(str(path_or_name), known)}."
+    )
 
 
 def load_rig(path_or_name: str | Path, overrides: Sequence[str] = ()) -> Rig:

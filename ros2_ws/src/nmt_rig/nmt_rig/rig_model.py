@@ -14,6 +14,7 @@ from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.iwan import IwanJoint
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.model.local_elements import (
+    AmplitudeDamper,
     BacklashDamper,
     CubicSpring,
     EddyBrake,
@@ -21,6 +22,7 @@ from nmt_rig.model.local_elements import (
     LinearDamper,
     LinearSpring,
     LocalElement,
+    PowerLawDamper,
     QuadraticDrag,
     QuadraticSpring,
     QuinticSpring,
@@ -34,6 +36,7 @@ from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.shaking_table import ShakingTable, effective_mass
 from nmt_rig.model.structure import Array, Structure
 from nmt_rig.rig import (
+    AmplitudeDamperSection,
     BacklashDamperSection,
     BeamSection,
     BoucWenSection,
@@ -49,6 +52,7 @@ from nmt_rig.rig import (
     LuGreSection,
     MatricesSection,
     ModalSection,
+    PowerLawDamperSection,
     QuadraticDragSection,
     QuadraticSpringSection,
     QuinticSpringSection,
@@ -182,6 +186,10 @@ def build_element(section: ElementSection, structure: Structure) -> LocalElement
         return TwoSidedGap(direction, section.stiffness_n_m, section.gap_m)
     if isinstance(section, QuadraticDragSection):
         return QuadraticDrag(direction, section.drag_ns2_m2)
+    if isinstance(section, AmplitudeDamperSection):
+        return AmplitudeDamper(direction, section.damping_ns_m3)
+    if isinstance(section, PowerLawDamperSection):
+        return PowerLawDamper(direction, section.coefficient_n_sp_mp, section.exponent)
     if isinstance(section, LinearSpringSection):
         return LinearSpring(direction, section.stiffness_n_m)
     if isinstance(section, LinearDamperSection):
@@ -413,13 +421,17 @@ def build_table(rig: Rig, structure: Structure) -> ShakingTable | None:
     )
 
 
-def build_system(rig: Rig) -> ElectromechanicalSystem:
+def build_system(rig: Rig, structure: Structure | None = None) -> ElectromechanicalSystem:
     """Structure, local elements and exciter of a rig as one system.
+
+    Args:
+        rig: the rig.
+        structure: its structure, if that has been built already.
 
     Raises:
         BenchError: as :func:`build_structure` and :func:`build_table`.
     """
-    structure = build_structure(rig)
+    structure = build_structure(rig) if structure is None else structure
     return assemble(
         structure,
         build_elements(rig, structure),

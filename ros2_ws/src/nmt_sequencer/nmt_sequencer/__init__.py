@@ -2,11 +2,14 @@
 
 from nmt_sequencer.level_plan import directed, parse_levels, spaced_levels
 from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
+from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest
 
 __all__ = [
+    "PRESENT_LEVEL",
     "Pacing",
     "RunMachine",
     "RunPlan",
+    "SteeringRequest",
     "directed",
     "parse_levels",
     "spaced_levels",

@@ -11,9 +11,11 @@ from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge, Source
 from nmt_core.excitation import Excitation
 from nmt_core.modal_point import ModalPoint
 from nmt_core.parameters import Parameter
-from nmt_core.records import LevelCommand, LockEvent, LoopStatus, RunState
-from nmt_core.vocabulary import ControlKind, ResultCode, RunPhase
+from nmt_core.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
+from nmt_core.run_announcement import RunAnnouncement
+from nmt_core.vocabulary import ControlKind, ResultCode, RunPhase, StopCause
 from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
+from nmt_sequencer.steering import SteeringRequest
 
 PARAMETERS = (
     Parameter("sample_rate", 10000.0, "Hz", "Sample rate of the rig.", low=1.0),
@@ -32,6 +34,7 @@ PARAMETERS = (
     Parameter("window_periods", 200, "periods", "Whole periods a window if the goal gives none.", low=1, high=1000000),
     Parameter("timeout", 60.0, "s", "Bench time a level may take to lock if the goal gives none.", low=0.0),
     Parameter("ready_timeout", 30.0, "s", "Wall time to wait for all watched nodes before a run.", low=0.1),
+    Parameter("recording", True, "", "A run begins only when a recorder has opened a bag for it."),
     Parameter("points_timeout", 30.0, "s", "Wall time to wait for missing modal points after a run.", low=0.0),
 )
 
@@ -40,10 +43,19 @@ _LONGEST_BEFORE = 7 * 86400.0  # s
 _LONGEST_STALL = 10.0  # s
 
 
+_STOPPED_BY = {
+    StopCause.QUIET: ResultCode.STOPPED,
+    StopCause.EMERGENCY_STOP: ResultCode.STOPPED,
+    StopCause.EXTERNAL_INPUT: ResultCode.STOPPED,
+    StopCause.OUTPUT: ResultCode.NODE_LOST,
+}
+"""How a run ends after a stop at the plant; the others are told by the flags of the samples, or on diagnostics."""
+
+
 class RunCore:
     """The run machine with its parameters, and its orders and states as records.
 
-    After every call publish what :meth:`orders` and then what :meth:`state` returns.
+    After every call publish what :meth:`acts`, then what :meth:`orders` and then what :meth:`state` returns.
 
     Args:
         values: parameters of the node, complete; see ``PARAMETERS``.
@@ -100,6 +112,22 @@ class RunCore:
         plan.check(float(v["sample_rate"]))
         return plan
 
+    def announcement(self, goal: str, plan: RunPlan) -> RunAnnouncement:
+        """What the recorder is told of a plan before it begins; ``goal`` is the name of the goal."""
+        described = {
+            "control": int(plan.control),
+            "levels": [float(level) for level in plan.levels],
+            "ramp": float(plan.ramp),
+            "window_periods": int(plan.window_periods),
+            "timeout": float(plan.timeout),
+            "stop_on_lost_lock": bool(plan.stop_on_lost_lock),
+            "frequencies_hz": [float(frequency) for frequency in plan.frequencies_hz],
+            **plan.excitation.values,
+            "test": plan.excitation.test.label,
+            "pacing": self.values["pacing"],
+        }
+        return RunAnnouncement(goal, plan.run_id, described)
+
     def start(self, plan: RunPlan) -> None:
         """Begin a plan.
 
@@ -148,9 +176,27 @@ class RunCore:
         self.machine.on_report(status)
         return ""
 
+    def steer(self, request: SteeringRequest) -> str:
+        """Take a request to steer the run; see :meth:`nmt_sequencer.run_machine.RunMachine.steer`.
+
+        Returns:
+            Empty, or the sentence why the run cannot be steered so.
+        """
+        return self.machine.steer(request)
+
+    def acts(self) -> list[Steering]:
+        """Acts of steering to be published now, in order, before the levels and the state that follow from them."""
+        return self.machine.take_acts()
+
     def take_lock(self, lock: LockEvent) -> None:
         """Take a lock event."""
         self.machine.on_lock(lock.level_index, lock.sample, lock.window_end)
+
+    def take_stop(self, stop: DriveStop) -> None:
+        """Take a stop of the drive that the plant reports."""
+        code = _STOPPED_BY.get(stop.cause)
+        if code is not None:
+            self.machine.stop(code, f"The drive was stopped at sample {stop.sample}: {stop.reason.rstrip('.')}.")
 
     def take_point(self, point: ModalPoint) -> None:
         """Take a modal point."""
@@ -171,18 +217,19 @@ class RunCore:
     def state(self) -> RunState | None:
         """The state of the run, None if it is the one returned last."""
         machine = self.machine
-        key = (machine.phase, machine.horizon, machine.level_index, machine.code, machine.reason)
+        plan = machine.plan
+        count = len(plan.levels) if plan else 0
+        key = (machine.phase, machine.horizon, machine.level_index, count, machine.code, machine.reason)
         if key == self._published:
             return None
         self._published = key
         newest = machine.end_sample - 1 if machine.phase == RunPhase.DONE else machine.newest
         sample = max(newest, 0)
-        plan = machine.plan
         return RunState(
             run_id=plan.run_id if plan else "",
             phase=machine.phase,
             level_index=machine.level_index,
-            level_count=len(plan.levels) if plan else 0,
+            level_count=count,
             level=machine.records[-1].amplitude if machine.records else 0.0,
             progress=float(machine.progress),
             sample=sample,

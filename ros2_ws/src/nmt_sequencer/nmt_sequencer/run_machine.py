@@ -4,21 +4,27 @@ In lockstep every decision is taken at a tick, a fixed number of blocks, from wh
 sample, and takes effect one tick ahead at the horizon that the plant may not cross. A level is published before the
 horizon moves past its sample, and the horizon moves only when the loop has acknowledged the level. So the same plan on
 the same rig gives the same samples, however the processes are scheduled.
+
+Steering is decided at ticks as well, and each act is noted with the sample from which it counts. Acts that name their
+sample give the same samples in every run; a run that is not steered knows nothing of it.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from nmt_core.cdr import bench_time_ns
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
-from nmt_core.records import LevelCommand, LoopStatus
-from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase
+from nmt_core.records import LevelCommand, LoopStatus, Steering
+from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase, SteeringAct
 from nmt_sequencer.level_plan import check_levels
+from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest
 
 NO_HORIZON = 2**62
-_TRIPPED = int(BlockFlag.LIMIT | BlockFlag.WATCHDOG)
+_TRIPPED = int(BlockFlag.LIMIT | BlockFlag.WATCHDOG | BlockFlag.STOP)
+_STOPPED = int(BlockFlag.STOP)
 
 
 @dataclass(frozen=True)
@@ -139,6 +145,11 @@ class RunMachine:
     _quiet_at: int | None = None
     _lock_events: set[int] = field(default_factory=set)
     _loss_reasons: dict[int, str] = field(default_factory=dict)
+    _steering: list[SteeringRequest] = field(default_factory=list)
+    _end_request: SteeringRequest | None = None
+    _acts: list[Steering] = field(default_factory=list)
+    _act_count: int = 0
+    _decided: int = 0
 
     @property
     def active(self) -> bool:
@@ -181,6 +192,9 @@ class RunMachine:
         self._ticks.clear()
         self._quiet_at = None
         self.stop_request = None
+        self._steering.clear()
+        self._end_request = None
+        self._act_count = 0
         tick = self.pacing.tick
         begin = self.horizon if self.pacing.lockstep else self.newest + 1
         self._next_tick = (begin // tick + 1) * tick
@@ -200,8 +214,159 @@ class RunMachine:
         if self.active:
             if self.code == ResultCode.UNKNOWN:
                 self.code, self.reason = code, reason
+            self._note_end(self.newest + 1, self.newest + 1)
             self.phase = RunPhase.DONE
             self.end_sample = self.newest + 1
+
+    def steer(self, request: SteeringRequest) -> str:
+        """Take a request to steer the run; what becomes of it is in :meth:`take_acts`.
+
+        A pause without a sample, the end of a pause and the end of the run are taken at once, everything else at the
+        tick that knows all samples before ``at_sample``; during a pause it waits. One tick begins one level at most:
+        further acts wait for the next.
+
+        Returns:
+            Empty, or the sentence why the run cannot be steered so.
+        """
+        why = self._refusal(request)
+        if why:
+            return why
+        if not request.at_sample:
+            request = self._naming_the_level(request)
+        now = self.newest + 1
+        if request.act is SteeringAct.RESUME:
+            self._note(request, now, now)
+            self.resume()
+        elif request.act is SteeringAct.PAUSE and not request.at_sample:
+            self._note(request, now, now)
+            self.pause()
+        elif request.act is SteeringAct.END and not request.at_sample:
+            self._end_request = request
+            self.stop(ResultCode.STOPPED, f"Stopped by {request.source}.")
+        else:
+            self._steering.append(request)
+            self._steering.sort(key=lambda item: item.at_sample)  # stable: in the order in which they came
+        return ""
+
+    def _naming_the_level(self, request: SteeringRequest) -> SteeringRequest:
+        return replace(request, level_index=self.level_index) if request.level_index == PRESENT_LEVEL else request
+
+    def _refusal(self, request: SteeringRequest) -> str:
+        """Why a request cannot be taken now; empty if it can."""
+        plan, present = self.plan, self.level_index
+        if plan is None or not self.active:
+            return "no run is active"
+        if self.phase == RunPhase.STOPPING or self.stop_request is not None:
+            return "the run is ending"
+        if request.act is SteeringAct.RESUME and self.phase != RunPhase.PAUSED:
+            return "nothing is paused"
+        if request.act is SteeringAct.PAUSE and self.phase == RunPhase.PAUSED:
+            return "the run is paused already"
+        if not request.at_sample:  # else it may be right by then
+            why = self._wrong_level(request, present)
+            if why:
+                return why
+        try:
+            self._steered_plan(request, present)
+        except BenchError as error:
+            return str(error)
+        return ""
+
+    @staticmethod
+    def _wrong_level(request: SteeringRequest, present: int) -> str:
+        """Why the level that a request names cannot be meant while another is the present one; empty if it can."""
+        level = request.level_index
+        if request.act is SteeringAct.SKIP_LEVEL and level not in (PRESENT_LEVEL, present):
+            return f"level {level + 1} is not the present one, which is {present + 1}"
+        if request.act is SteeringAct.REPEAT_LEVEL and level != PRESENT_LEVEL and level > present:
+            return f"level {level + 1} has not begun; the present one is {present + 1}"
+        return ""
+
+    def _steered_plan(self, request: SteeringRequest, index: int) -> RunPlan:
+        """What a request makes of the plan while a level is the present one; BenchError if it cannot be done."""
+        plan = self.plan
+        assert plan is not None
+        if request.act is SteeringAct.CHANGE_LEVELS:
+            plan = with_rest(plan, index, request.levels, request.frequencies_hz)
+        elif request.act is SteeringAct.REPEAT_LEVEL:
+            plan = with_repetition(plan, index, min(request.level_index, index))
+        plan.check(self.pacing.sample_rate)
+        return plan
+
+    def take_acts(self) -> list[Steering]:
+        """Acts of steering to be published now, in order, before the orders that follow from them."""
+        acts, self._acts = self._acts, []
+        return acts
+
+    def _note(self, request: SteeringRequest, sample: int, apply_at_sample: int, refused: str = "") -> None:
+        plan = self.plan
+        assert plan is not None
+        self._act_count += 1
+        rate = self.pacing.sample_rate
+        self._acts.append(
+            Steering(
+                self._act_count,
+                plan.run_id,
+                request.act,
+                min(request.level_index, 2**32 - 1),
+                max(sample, 0),
+                max(apply_at_sample, 0),
+                not refused,
+                tuple(float(level) for level in plan.levels),
+                tuple(float(frequency) for frequency in plan.frequencies_hz),
+                request.source,
+                refused,
+                bench_time_ns(max(sample, 0), rate),
+            )
+        )
+
+    def _note_end(self, sample: int, apply_at_sample: int) -> None:
+        """Note the end that was asked for, and what has come too late."""
+        if self._end_request is not None:
+            self._note(self._end_request, sample, apply_at_sample)
+            self._end_request = None
+        for request in self._steering:
+            self._note(request, sample, sample, "the run is ending")
+        self._steering.clear()
+
+    def _due(self, end: int) -> bool:
+        return bool(self._steering) and self._steering[0].at_sample <= end
+
+    def _steer(self, end: int, effective: int) -> bool:
+        """Decide what is due; True if the present level or the run is over by it."""
+        while self._due(end) and self._steering[0].act is not SteeringAct.PAUSE:
+            request = self._naming_the_level(self._steering.pop(0))
+            record = self.records[-1]
+            if request.act is SteeringAct.END:
+                record.ended = end - 1
+                self._end_request = request
+                self._quiet(effective, ResultCode.STOPPED, f"Stopped by {request.source}.")
+                return True
+            why = self._wrong_level(request, record.index)
+            if why:
+                self._note(request, end, end, why)
+                continue
+            try:
+                self.plan = self._steered_plan(request, record.index)
+            except BenchError as error:
+                self._note(request, end, end, str(error))
+                continue
+            self._note(request, end, effective)
+            if request.act is SteeringAct.CHANGE_LEVELS or request.level_index != record.index:
+                continue
+            record.ended = end - 1
+            if self._window_over(record, end):
+                record.complete = True
+            else:
+                again = request.act is SteeringAct.REPEAT_LEVEL
+                record.reason = f"{'begun anew' if again else 'skipped'} by {request.source}"
+            self._next_level(effective)
+            return True
+        return False
+
+    @staticmethod
+    def _window_over(record: LevelRecord, end: int) -> bool:
+        return record.window_end is not None and end >= record.window_end
 
     def pause(self) -> bool:
         """Hold the present level; in lockstep bench time stands still. False if no run can be paused."""
@@ -265,10 +430,14 @@ class RunMachine:
             if self.phase == RunPhase.PAUSED:
                 return
             report = self._ticks[0]
+            if self._due(report.last_sample + 1) and self._steering[0].act is SteeringAct.PAUSE:
+                self._note(self._steering.pop(0), report.last_sample + 1, report.last_sample + 1)
+                self.pause()
+                return
             if report.state == LoopState.LOCKED and self._begun(report) and report.level_index not in self._lock_events:
                 return  # the lock event is on its way; decide with it, not without
             self._ticks.popleft()
-            end = report.last_sample + 1
+            end = self._decided = report.last_sample + 1
             if self.pacing.lockstep:
                 self._next_horizon = (end // self.pacing.tick + 2) * self.pacing.tick
             self._decide(report, self._effective_from(end))
@@ -307,8 +476,13 @@ class RunMachine:
             return
         record = self.records[-1]
         if report.flags & _TRIPPED:
-            if self.stop_request is not None and self.stop_request[0] in (ResultCode.NODE_LOST, ResultCode.REFUSED):
-                self._quiet(effective, *self.stop_request)  # why it tripped
+            stopped = report.flags & _STOPPED
+            asked = self.stop_request
+            if asked is not None and (stopped or asked[0] in (ResultCode.NODE_LOST, ResultCode.REFUSED)):
+                self._quiet(effective, *asked)  # why it tripped
+                return
+            if stopped:
+                self._quiet(effective, ResultCode.STOPPED, "The drive was stopped at the plant.")
                 return
             tripped = "a safety limit" if report.flags & BlockFlag.LIMIT else "the drive watchdog"
             record.reason = record.reason or f"{tripped} has tripped"
@@ -319,6 +493,8 @@ class RunMachine:
             record.ended = report.last_sample
             self._quiet(effective, code, reason)
             return
+        if self._steer(report.last_sample + 1, effective):
+            return
         if not self._begun(report):
             return
         if report.state == LoopState.LOCK_LOST:
@@ -328,12 +504,17 @@ class RunMachine:
                 why = f"Level {record.index + 1} did not hold lock: {record.reason}."
                 self._quiet(effective, ResultCode.LOCK_LOST, why)
                 return
-        elif record.window_end is not None and report.last_sample + 1 >= record.window_end:
+        elif self._window_over(record, report.last_sample + 1):
             record.complete = True
             record.ended = report.last_sample
         else:
             return
-        if record.index + 1 < len(plan.levels):
+        self._next_level(effective)
+
+    def _next_level(self, effective: int) -> None:
+        plan = self.plan
+        assert plan is not None
+        if self.records[-1].index + 1 < len(plan.levels):
             self._begin_level(effective)
         else:
             locked = sum(item.complete for item in self.records)
@@ -349,6 +530,7 @@ class RunMachine:
     def _quiet(self, effective: int, code: ResultCode, reason: str) -> None:
         self.phase = RunPhase.STOPPING
         self.code, self.reason = code, reason
+        self._note_end(self._decided, effective)
         self._order(self.level_index, 0.0, effective, self.pacing.quiet_ramp, 0, 0.0)
         self._quiet_at = effective + self.pacing.samples(self.pacing.quiet_ramp + self.pacing.settle)
 

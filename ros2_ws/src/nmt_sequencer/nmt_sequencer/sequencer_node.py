@@ -8,21 +8,29 @@ from typing import Any
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.serialization import deserialize_message
 from rclpy.task import Future
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
-from nmt_core.vocabulary import ResultCode, RunPhase
-from nmt_core.wire import LEVEL, LOCK_EVENT, MODAL_POINT, RUN_STATE, read_status
+from nmt_core.launcher_watch import LauncherWatch
+from nmt_core.output_record import drive_sentence
+from nmt_core.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, BagState, RunAnnouncement
+from nmt_core.vocabulary import LoopState, ResultCode, RunPhase, SteeringAct
+from nmt_core.wire import DRIVE_STOP, LEVEL, LOCK_EVENT, MODAL_POINT, RUN_STATE, STEERING, read_status
 from nmt_msgs import msg
 from nmt_msgs.action import RunLevels
+from nmt_msgs.srv import Steer
 from nmt_sequencer.run_core import PARAMETERS, RunCore
 from nmt_sequencer.run_machine import RunPlan
+from nmt_sequencer.steering import SteeringRequest
 
 _GUARD_PERIOD = 0.1
 _FEEDBACK_PERIOD = 0.1
 _QUIET_TIMEOUT = 4.0
+_STATUS_TOPIC = "run_levels/_action/status"  # a topic, and thus an owner, that every action server has
+_LONGEST_END = 2.0  # s that the sequencer waits for the ramp to zero when it is told to end
 
 
 class SequencerNode(BenchNode):
@@ -40,18 +48,28 @@ class SequencerNode(BenchNode):
         self.core = RunCore(self.values)
         self.machine = self.core.machine
         self._pending: tuple[Any, RunPlan, float] | None = None
+        self._announced = RunAnnouncement()
+        self._bag = BagState("", "closed")
         self._goal: Any = None
         self._finished: Future | None = None
         self._done_since: float | None = None
         self._stopping_since: float | None = None
         self._newest_wall = 0.0
+        self._plant = ""
+        self._plant_said: dict[str, str] | None = None
+        self._phase = RunPhase.UNKNOWN
         self._last_feedback = 0.0
 
         self._level = self.bench_publisher(msg.Level, "level", SAMPLES_QOS)
+        self._steering = self.bench_publisher(msg.Steering, "steering", SAMPLES_QOS)
         self._state = self.bench_publisher(msg.RunState, "run_state", STATE_QOS)
         self.command_subscription(msg.Frequency, "frequency", self._on_frequency, SAMPLES_QOS)
         self.bench_subscription(msg.LockEvent, "lock", self._on_lock, SAMPLES_QOS, raw=True)
         self.bench_subscription(msg.ModalPoint, "modal_point", self._on_point, SAMPLES_QOS, raw=True)
+        self.create_subscription(msg.DriveStop, "drive_stop", self._on_stop, STATE_QOS, raw=True)
+        self._announcements = self.create_publisher(String, ANNOUNCEMENT_TOPIC, STATE_QOS)
+        self.claim(ANNOUNCEMENT_TOPIC)
+        self.create_subscription(String, BAG_TOPIC, self._on_bag, STATE_QOS)
         self._server = ActionServer(
             self,
             RunLevels,
@@ -60,10 +78,13 @@ class SequencerNode(BenchNode):
             goal_callback=self._on_goal,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
+        self.claim(_STATUS_TOPIC)
         for name, call in (("stop", self._stop), ("pause", self._pause), ("resume", self._resume)):
-            self.create_service(Trigger, name, call)
+            self.bench_service(Trigger, name, call)
+        self.bench_service(Steer, "steer", self._steer)
         self._refused = 0
         self._told = ""
+        self._launcher = LauncherWatch()
         self.steady_timer(_GUARD_PERIOD, self._guard)
         self._publish_state()
 
@@ -78,6 +99,9 @@ class SequencerNode(BenchNode):
         except BenchError as error:
             self.get_logger().error(f"Goal refused: {error}")
             return GoalResponse.REJECT
+        if self.count_publishers(self.resolve_topic_name(_STATUS_TOPIC)) > 1:
+            self.get_logger().error(f"Goal refused: {self.second_publisher() or 'another server takes it, too'}.")
+            return GoalResponse.REJECT
         if self._goal is not None or self.machine.active:
             self.get_logger().error("Goal refused: a run is active; stop it or wait for its end.")
             return GoalResponse.REJECT
@@ -89,12 +113,31 @@ class SequencerNode(BenchNode):
         self._finished = Future()
         plan = self._plan(goal_handle.request)
         self._pending = (goal_handle, plan, time.monotonic())
+        self.get_logger().info(f"Goal accepted: run {plan.run_id} with {len(plan.levels)} levels")
+        self._announce(self.core.announcement(bytes(goal_handle.goal_id.uuid).hex(), plan))
         self._done_since = self._stopping_since = None
         try:
             await self._finished
             return self._result(goal_handle)
         finally:
             self._goal = self._pending = None
+            self._announce(RunAnnouncement())
+
+    def _announce(self, announcement: RunAnnouncement) -> None:
+        """Tell the recorder of a run that is about to begin, or that none is."""
+        self._announced = announcement
+        self._announcements.publish(String(data=announcement.to_json()))
+
+    def _on_bag(self, message: Any) -> None:
+        try:
+            self._bag = BagState.from_json(message.data)
+        except ValueError as error:
+            self.get_logger().error(f"State of the bag refused: {error}", throttle_duration_sec=1.0)
+
+    @property
+    def _bag_is_open(self) -> bool:
+        """Whether the recorder has opened a bag for the announced run, or none is asked for."""
+        return not self.values["recording"] or (self._bag.state == "open" and self._bag.goal == self._announced.goal)
 
     def _result(self, goal_handle: Any) -> Any:
         machine = self.machine
@@ -120,9 +163,13 @@ class SequencerNode(BenchNode):
         missing = self.unready_nodes()
         own = self.missing_peers()
         second = self.second_publisher()
+        recorded = self._bag_is_open
         if goal_handle.is_cancel_requested:
             self._refuse(plan, ResultCode.CANCELED, "Cancelled before the first level.")
-        elif not missing and not own and not second:
+        elif self.values["recording"] and self._bag.state == "failed" and self._bag.goal == self._announced.goal:
+            why = self._bag.reason.rstrip(".")
+            self._refuse(plan, ResultCode.REFUSED, f"The run would not be recorded: {why}.")
+        elif not missing and not own and not second and recorded:
             self._pending = None
             self.forget_failures()
             self._told = ""
@@ -132,6 +179,7 @@ class SequencerNode(BenchNode):
             what = [f"{name} ({state})" for name, state in missing.items()]
             what += [f"the peers of topic {topic}" for topic in own]
             what += [second] if second else []
+            what += [] if recorded else ["no recorder has opened a bag for this run"]
             self._refuse(
                 plan,
                 ResultCode.NODE_LOST,
@@ -159,7 +207,11 @@ class SequencerNode(BenchNode):
             return
         if status.flags and self.machine.active:
             self._stop_for_failures()  # the plant may have said why it tripped
+            self.look_for_intruders()  # or somebody else has told it that the run is over
+            self._stop_for_second()
         newest = self.machine.newest
+        if status.state == LoopState.LOCK_LOST and status.reason:
+            self.get_logger().info(f"Level {status.level_index + 1} lost its lock: {status.reason}")
         why = self.core.take_status(status, source)
         if why:
             self._refused += 1
@@ -173,13 +225,35 @@ class SequencerNode(BenchNode):
         if failed:
             self.machine.stop(ResultCode.NODE_LOST, f"Node {failed} reports: {words.rstrip('.')}.")
 
+    def _stop_for_second(self) -> None:
+        second = self.second_publisher()
+        if not second:
+            return
+        reason = f"{second[0].upper()}{second[1:]}."
+        self.machine.stop(ResultCode.REFUSED, reason)
+        if self._told != second:
+            self._told = second
+            self.get_logger().warning(f"The run ends: {reason}")
+
     def _on_lock(self, raw: bytes) -> None:
         try:
             lock = LOCK_EVENT.read(raw)
         except (BenchError, ValueError) as error:
             self.get_logger().error(f"Lock event refused: {error}", throttle_duration_sec=1.0)
             return
+        self.get_logger().info(
+            f"Level {lock.level_index + 1} locked at {lock.frequency_hz:.6g} Hz, sample {lock.sample}"
+        )
         self.core.take_lock(lock)
+        self._publish_all()
+
+    def _on_stop(self, raw: bytes) -> None:
+        try:
+            stop = DRIVE_STOP.read(raw)
+        except ValueError as error:
+            self.get_logger().error(f"Stop of the drive refused: {error}", throttle_duration_sec=1.0)
+            return
+        self.core.take_stop(stop)
         self._publish_all()
 
     def _on_point(self, raw: bytes) -> None:
@@ -193,27 +267,46 @@ class SequencerNode(BenchNode):
         response.message = "ramping to zero" if response.success else "no run is active"
         if self._pending is not None:
             self._refuse(self._pending[1], ResultCode.STOPPED, "Stopped before the first level.")
-        self.machine.stop(ResultCode.STOPPED, "Stopped by the stop service.")
+        self.core.steer(SteeringRequest(SteeringAct.END, source="the stop service"))
         self._publish_all()
         return response
 
     def _pause(self, _: Any, response: Any) -> Any:
-        response.success = self.machine.pause()
-        response.message = "paused" if response.success else "no run can be paused"
-        self._publish_all()
-        return response
+        return self._answer(response, SteeringRequest(SteeringAct.PAUSE, source="the pause service"), "paused")
 
     def _resume(self, _: Any, response: Any) -> Any:
-        response.success = self.machine.resume()
-        response.message = "going on" if response.success else "nothing is paused"
+        return self._answer(response, SteeringRequest(SteeringAct.RESUME, source="the resume service"), "going on")
+
+    def _steer(self, request: Any, response: Any) -> Any:
+        try:
+            asked = SteeringRequest(
+                SteeringAct(request.act),
+                int(request.level_index),
+                tuple(request.levels),
+                tuple(request.frequencies_hz),
+                int(request.at_sample),
+                str(request.source) or "a program",
+            )
+        except (BenchError, ValueError) as error:
+            response.success, response.message = False, str(error)
+            return response
+        return self._answer(response, asked, "taken; the topic steering says when it takes effect")
+
+    def _answer(self, response: Any, request: SteeringRequest, done: str) -> Any:
+        why = self.core.steer(request)
+        response.success, response.message = not why, why or done
         self._publish_all()
         return response
 
     # -- what goes out -------------------------------------------------------------------------------------------
 
     def _publish_all(self) -> None:
+        for act in self.core.acts():
+            self._steering.publish(STEERING.write(act))
         for order in self.core.orders():
             self._level.publish(LEVEL.write(order))
+            what = f"Level {order.index + 1}: {order.amplitude:g}" if order.amplitude else "Ramp to zero"
+            self.get_logger().info(f"{what} from sample {order.apply_at_sample} on")
         self._publish_state()
         self._publish_feedback()
 
@@ -221,6 +314,10 @@ class SequencerNode(BenchNode):
         state = self.core.state()
         if state is not None:
             self._state.publish(RUN_STATE.write(state))
+            if state.phase != self._phase:
+                self._phase = state.phase
+                why = f": {state.reason}" if state.reason else ""
+                self.get_logger().info(f"Run {state.run_id or '(none yet)'} is {state.phase.name.lower()}{why}")
 
     def _publish_feedback(self) -> None:
         now = time.monotonic()
@@ -253,27 +350,35 @@ class SequencerNode(BenchNode):
             if silent:
                 machine.stop(ResultCode.NODE_LOST, f"Node {silent} has fallen silent.")
             self._stop_for_failures()
-            second = self.second_publisher()
-            if second:
-                reason = f"{second[0].upper()}{second[1:]}."
-                machine.stop(ResultCode.REFUSED, reason)
-                if self._told != second:
-                    self._told = second
-                    self.get_logger().warning(f"The run ends: {reason}")
+            unattended = self._launcher.complaint(now)
+            if unattended:
+                machine.stop(ResultCode.NODE_LOST, unattended)
+            self._stop_for_second()
             if machine.phase == RunPhase.STOPPING or machine.stop_request is not None:
                 self._stopping_since = self._stopping_since or now
                 limit = _QUIET_TIMEOUT + (0.0 if machine.pacing.lockstep else machine.pacing.quiet_ramp + 1.0)
                 if now - self._stopping_since > limit and now - self._newest_wall > _QUIET_TIMEOUT / 2:
                     code, reason = machine.stop_request or (machine.code, machine.reason)
-                    why = f"{reason} The loop no longer answers; the plant's watchdog quiets the drive."
-                    machine.abandon(code, why)
+                    machine.abandon(code, f"{reason} The loop no longer answers; {self._drive_sentence()}.")
             machine.work()
             self._publish_all()
         elif self._goal is not None and self._pending is None and machine.phase == RunPhase.DONE:
             self._done_since = self._done_since or now
             overdue = now - self._done_since > float(self.values["points_timeout"])
-            if overdue or not self.core.missing_points:
+            gone = self.silent_node() or self.failed_node()[0]  # nobody is left to send them
+            if overdue or gone or not self.core.missing_points:
                 self._finish()
+
+    def _on_diagnostics(self, message: Any) -> None:
+        super()._on_diagnostics(message)
+        for status in message.status:
+            if status.name in self.watched_nodes and any(item.key == "drive_at_zero" for item in status.values):
+                self._plant = status.name
+                self._plant_said = {item.key: item.value for item in status.values}
+
+    def _drive_sentence(self) -> str:
+        """What is known of the drive where the loop does not answer any more."""
+        return drive_sentence(self._plant_said, self._plant not in self.silent_nodes(), self.machine.pacing.lockstep)
 
     def update_counters(self) -> None:
         """Counters for the heartbeat."""
@@ -286,11 +391,26 @@ class SequencerNode(BenchNode):
             **{f"frequency_{key}": value for key, value in self.core.judge.counts.items()},
         )
 
+    def told_to_end(self) -> None:
+        """End an active run by its ramp to zero."""
+        super().told_to_end()
+        self.machine.stop(ResultCode.NODE_LOST, f"Node {self.get_name()} was told to end.")
+        self._publish_all()
+
+    def may_end(self, since: float) -> bool:
+        """When no run is active; the plant takes the drive to zero by itself where the loop does not answer."""
+        return not self.machine.active or since > _LONGEST_END
+
+    def destroy_node(self) -> None:
+        """Release the node; with a server of an action left, its participant would stay."""
+        self._server.destroy()
+        super().destroy_node()
+
     def shut_down(self) -> None:
-        """End an active run: the loop is told to go to zero before the node goes."""
+        """Say that an active run is over: the plant takes the drive to zero then."""
         if self.machine.active:
-            self.machine.stop(ResultCode.STOPPED, "The sequencer was shut down.")
-            self.machine.abandon(ResultCode.STOPPED, "The sequencer was shut down.")
+            self.machine.abandon(ResultCode.NODE_LOST, f"Node {self.get_name()} was shut down.")
+            self._publish_state()
 
 
 def main(args: list[str] | None = None) -> int:

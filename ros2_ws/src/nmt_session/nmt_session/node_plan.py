@@ -20,9 +20,12 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.vocabulary import ControlKind, TestKind
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_extract.settings import ExtractionSettings
+from nmt_plant.guarded_device import LEAST_LEAD
+from nmt_plant.hardware_rig import HARDWARE_LEAD
 from nmt_plant.oscillator import PEAK_FACTOR
 from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
 from nmt_pll.settings import settings_from
+from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import Rig
 from nmt_sequencer.level_plan import check_levels
@@ -34,6 +37,11 @@ RAMP_WINDOW = 20
 """Whole periods of a window of the strategy ``ramp`` unless the test says otherwise."""
 RAMP_DELAY = 1.0
 """Periods from the start of a level to its window in the strategy ``ramp``."""
+
+REAL_TIME_LEAD = 6
+"""Blocks that wait at the output in real time unless the test says otherwise: a busy computer may be late by five."""
+OUTPUT_RECORD = "output.jsonl"
+"""File beside the bag, in real time, in which the process that owns the output says what the output does."""
 
 # Where each node's class and executable are found.
 NODES: dict[str, tuple[str, str, str]] = {
@@ -55,7 +63,8 @@ class TestPlan:
         levels: drive amplitudes, V, in order.
         run_id: name of the run.
         pacing: ``lockstep`` or ``realtime``.
-        latency_blocks: blocks of buffering between command and excitation.
+        latency_blocks: blocks of buffering between command and excitation. In real time as many wait at the output; 0
+            stands for `REAL_TIME_LEAD` there.
         window_periods, ramp, timeout: None = the rig's own.
         stop_on_lost_lock: end the test at the first level that does not lock.
         linear: linear description; None = from the rig's model, for tests that need one.
@@ -68,6 +77,8 @@ class TestPlan:
             ``stepped_sine`` or ``ring_down``. Only the phase-locked kinds use a linear description.
         frequencies_hz: start of the sweep or frequency of the stepped sine, one for all levels or one a level.
         band_hz: band of the noise of a random test, Hz; its levels are V rms.
+        device: what is driven: empty or ``simulated``, or a kind of converter, see `nmt_rig.device_sections`.
+        device_address: of NI's device server.
         rate_hz_s, frequency_end_hz: rate and end of the sweep.
         duration: length of the window of a random test, or of the free decay of a ring-down, s.
     """
@@ -94,11 +105,17 @@ class TestPlan:
     rate_hz_s: float = 0.0
     frequency_end_hz: float = 0.0
     duration: float = 0.0
+    device: str = ""
+    device_address: str = ""
 
     def __post_init__(self) -> None:
         check_levels(self.levels, "The test")
         if self.pacing not in PACINGS:
             raise BenchError(f"Pacing '{self.pacing}' is not known; use {' or '.join(PACINGS)}.")
+        if self.device not in ("", *SIMULATED_OR_CONVERTERS):
+            raise BenchError(f"Device '{self.device}' is not known; use {' or '.join(SIMULATED_OR_CONVERTERS)}.")
+        if self.is_on_hardware and self.pacing != "realtime":
+            raise BenchError("A test on hardware is in real time; leave out --pacing lockstep.")
         control = ControlKind.named(self.control)
         if self.strategy not in STRATEGIES:
             raise BenchError(f"Strategy '{self.strategy}' is not known; use {' or '.join(STRATEGIES)}.")
@@ -128,6 +145,19 @@ class TestPlan:
                 f"Level {max(self.levels):g} V is beyond the limit of rig {self.rig.name} "
                 f"(limits.voltage_v: {limit:g} V); lower the level."
             )
+
+    @property
+    def lead_blocks(self) -> int:
+        """Blocks between command and excitation that the nodes have to reckon with."""
+        if self.pacing != "realtime":
+            return self.latency_blocks
+        usual = HARDWARE_LEAD if self.is_on_hardware else REAL_TIME_LEAD
+        return max(self.latency_blocks or usual, LEAST_LEAD)
+
+    @property
+    def is_on_hardware(self) -> bool:
+        """Whether a converter is driven."""
+        return self.device not in ("", SIMULATED)
 
     @property
     def excitation(self) -> Excitation:
@@ -208,13 +238,14 @@ class NodePlan:
         path.write_text(yaml.safe_dump(content, sort_keys=True, allow_unicode=True), encoding="utf-8")
 
 
-def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
+def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> NodePlan:
     """Parameters for all nodes.
 
     Args:
         test: the test.
         bag: folder of the bag to be recorded.
         rig_file: where the rig's text has been written for the plant node.
+        device: what the plant drives, as the bag names it; empty = not known here.
 
     Raises:
         BenchError: the rig has no response sensor at the drive point, or a setting is refused.
@@ -237,22 +268,24 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
         "plant": {
             "rig_file": str(rig_file),
             "pacing": test.pacing,
-            "latency_blocks": test.latency_blocks,
+            "latency_blocks": test.lead_blocks,
             "watched_nodes": ["pll", "sequencer"],
+            **({"device": test.device, "device_address": test.device_address} if test.is_on_hardware else {}),
+            **({"output_record": str(bag.absolute().parent / OUTPUT_RECORD)} if test.pacing == "realtime" else {}),
         },
         "pll": {
             **timing,
             "linear_json": linear_json,
             "drive_point": rig.drive_point,
             "response_topic": response,
-            "latency_blocks": test.latency_blocks,
+            "latency_blocks": test.lead_blocks,
             "watched_nodes": ["plant", "sequencer"],
             **pll,
         },
         "sequencer": {
             **timing,
             "pacing": test.pacing,
-            "latency_blocks": test.latency_blocks,
+            "latency_blocks": test.lead_blocks,
             "watched_nodes": ["plant", "pll", "extract", "recorder"],
         },
         "extract": {
@@ -291,6 +324,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path) -> NodePlan:
             "test": test.excitation.test.label,
             "pacing": test.pacing,
         },
+        "device": device,
         "exciter_point": rig.drive_point,
         "linear": None if linear is None else json.loads(linear_json),
         "extraction": extraction.to_mapping(),
@@ -322,11 +356,20 @@ def expected_peers(topics: Sequence[str], extracted: Sequence[str], response: st
         level=["pll", "extract", "recorder"],
         lock=["sequencer", "extract", "recorder"],
         modal_point=["sequencer", "recorder"],
+        steering=["recorder"],
         run_state=["plant", "recorder"],
+        monitor=["recorder"],
     )
     publisher = dict.fromkeys(topics, "plant")
     publisher.update(
-        drive="pll", frequency="pll", lock="pll", level="sequencer", run_state="sequencer", modal_point="extract"
+        drive="pll",
+        frequency="pll",
+        lock="pll",
+        level="sequencer",
+        run_state="sequencer",
+        steering="sequencer",
+        modal_point="extract",
+        monitor="plant",
     )
     peers: dict[str, list[str]] = {name: [] for name in NODES}
     for topic, names in subscribers.items():
@@ -381,7 +424,7 @@ def _loop_values(test: TestPlan, linear: LinearDescription | None, response: str
         _add_floors(values, test, linear, response)
     if test.rig.limits.voltage_v is not None:
         values.setdefault("voltage_limit", float(test.rig.limits.voltage_v))
-    settings = settings_from({**values, "latency_blocks": test.latency_blocks})
+    settings = settings_from({**values, "latency_blocks": test.lead_blocks})
     return {**loop, **{name: type(getattr(settings, name))(value) for name, value in values.items()}}
 
 

@@ -40,6 +40,8 @@ def plan_test(
     rate_hz_s: float = 0.0,
     frequency_end_hz: float = 0.0,
     duration: float = 0.0,
+    device: str = "",
+    device_address: str = "",
 ) -> TestPlan:
     """A test of a rig.
 
@@ -60,6 +62,7 @@ def plan_test(
         strategy: ``stepped`` or ``ramp``, see :class:`nmt_session.node_plan.TestPlan`.
         test, frequencies_hz, band_hz, rate_hz_s, frequency_end_hz, duration: kind of test and its settings, see there.
             A stepped sine with several frequencies and one level is run at that level at each of them.
+        device, device_address: what is driven, see there.
 
     Raises:
         BenchError: the rig, the levels or a setting is refused.
@@ -107,4 +110,6 @@ def plan_test(
         rate_hz_s=rate_hz_s,
         frequency_end_hz=frequency_end_hz,
         duration=duration,
+        device=device,
+        device_address=device_address,
     )

@@ -26,10 +26,22 @@ from typing import Any
 
 from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
+from nmt_core.modal_point import ModalPoint
 from nmt_core.parameters import Parameter, check_values
-from nmt_core.records import DriveCommand, LevelCommand, LockEvent, LoopStatus, RunState
-from nmt_core.vocabulary import Quantity, ResultCode
-from nmt_core.wire import LEVEL, LOCK_EVENT, MODAL_POINT, RUN_STATE, BlockWriter, write_drive, write_status
+from nmt_core.records import DriveCommand, DriveStop, LevelCommand, LockEvent, LoopStatus, RunState
+from nmt_core.vocabulary import Quantity, ResultCode, RunPhase, SteeringAct
+from nmt_core.wire import (
+    DRIVE_STOP,
+    LEVEL,
+    LOCK_EVENT,
+    MODAL_POINT,
+    MONITOR,
+    RUN_STATE,
+    STEERING,
+    BlockWriter,
+    write_drive,
+    write_status,
+)
 from nmt_extract.extraction_core import PARAMETERS as EXTRACT_PARAMETERS
 from nmt_extract.extraction_core import ExtractionCore
 from nmt_plant.device import Device, DeviceFault
@@ -37,16 +49,28 @@ from nmt_plant.plant_core import PlantCore
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.loop_core import PARAMETERS as PLL_PARAMETERS
 from nmt_pll.loop_core import LoopCore
+from nmt_record.run_device import SIMULATED_RIG
 from nmt_record.run_recorder import PARAMETERS as RECORDER_PARAMETERS
 from nmt_record.run_recorder import RunRecorder
 from nmt_sequencer.run_core import PARAMETERS as SEQUENCER_PARAMETERS
 from nmt_sequencer.run_core import RunCore
+from nmt_sequencer.steering import SteeringRequest
 from nmt_session.node_plan import TestPlan, plan_nodes
 from nmt_session.run_result import Progress, RunResult
 
 _PROGRESS_PERIOD = 0.1  # s of wall time
 # Parameters of every node that concern its company on the network.
-_COMPANY = frozenset(("expected_peers", "watched_nodes", "silence_timeout"))
+_COMPANY = frozenset(("expected_peers", "watched_nodes", "silence_timeout", "hang_timeout"))
+
+_CODECS: dict[str, Any] = {
+    "level": LEVEL,
+    "lock": LOCK_EVENT,
+    "run_state": RUN_STATE,
+    "modal_point": MODAL_POINT,
+    "drive_stop": DRIVE_STOP,
+    "steering": STEERING,
+    "monitor": MONITOR,
+}
 
 Listener = Callable[[str, Any], None]
 """Told of every message: its topic and its record."""
@@ -136,8 +160,9 @@ class Session:
             self.out = self._out
             self.out.mkdir(parents=True, exist_ok=True)
         rig_file = self.out / "rig.yaml"
-        self.plan = plan_nodes(self.test, self.out / "bag", rig_file.resolve())
         device = SimulatedRig(self.rig) if self._device is None else self._device
+        made_by = SIMULATED_RIG if self._device is None else type(device).__name__
+        self.plan = plan_nodes(self.test, self.out / "bag", rig_file.resolve(), made_by)
         self._plant = PlantCore(device, self.test.latency_blocks)
         self._cleanup.callback(self._plant.shut_down, "the session ends")
         self._recorder: RunRecorder | None = None
@@ -202,8 +227,18 @@ class Session:
     def stop(self) -> bool:
         """End the run early by a ramp to zero, from a callback; False if nothing is running."""
         active = self._sequencer.machine.active
-        self._sequencer.machine.stop(ResultCode.STOPPED, "Stopped by the stop service.")
+        self._sequencer.steer(SteeringRequest(SteeringAct.END, source="the stop service"))
         return active
+
+    def steer(self, request: SteeringRequest) -> str:
+        """Steer the run, from a callback or a listener; what becomes of it is on the topic ``steering``.
+
+        A session does not wait: a pause ends when nothing moves any more, unless it is resumed from a callback before.
+
+        Returns:
+            Empty, or the sentence why the run cannot be steered so.
+        """
+        return self._sequencer.steer(request)
 
     # -- messages ------------------------------------------------------------------------------------------------
 
@@ -212,7 +247,7 @@ class Session:
         reported = time.monotonic()
         deliver = self._deliver
         queue = self._queue
-        while queue:
+        while self._going_on():
             deliver(*queue.popleft())
             if self._interrupted and self._sequencer.machine.active:
                 self._sequencer.machine.stop(ResultCode.CANCELED, "Cancelled by the client.")
@@ -231,6 +266,13 @@ class Session:
             self._publish_blocks(blocks)
         while queue:
             deliver(*queue.popleft())
+
+    def _going_on(self) -> bool:
+        """Whether there is a message to hand on; a pause is over when there is none."""
+        if not self._queue and self._sequencer.machine.phase == RunPhase.PAUSED:
+            self._sequencer.steer(SteeringRequest(SteeringAct.RESUME, source="the session"))
+            self._publish_run()
+        return bool(self._queue)
 
     def _deliver(self, topic: str, record: Any) -> None:
         """What the subscribers of a topic do with a message: recorder, extraction, and whom it concerns."""
@@ -264,7 +306,10 @@ class Session:
         elif isinstance(record, RunState):
             self._plant.take_state(record)
             self._produce()
-        else:
+        elif isinstance(record, DriveStop):
+            self._sequencer.take_stop(record)
+            self._publish_run()
+        elif isinstance(record, ModalPoint):
             self._sequencer.take_point(record)
 
     def _answer(self, block: SampleBlock) -> None:
@@ -287,9 +332,16 @@ class Session:
 
     def _publish_blocks(self, blocks: Sequence[SampleBlock]) -> None:
         self.blocks += 1
+        stop = self._plant.stop()
+        if stop is not None:
+            self._queue.append(("drive_stop", stop))
         self._queue.extend((block.quantity.topic, block) for block in blocks)
+        levels = self._plant.levels(blocks)
+        if levels is not None:
+            self._queue.append(("monitor", levels))
 
     def _publish_run(self) -> None:
+        self._queue.extend(("steering", act) for act in self._sequencer.acts())
         self._queue.extend(("level", level) for level in self._sequencer.orders())
         state = self._sequencer.state()
         if state is not None:
@@ -317,7 +369,7 @@ class Session:
             return write_drive(record, self._loop.sample_rate)
         if isinstance(record, LoopStatus):
             return write_status(record, self._loop.sample_rate)
-        codec: Any = {"level": LEVEL, "lock": LOCK_EVENT, "run_state": RUN_STATE, "modal_point": MODAL_POINT}[topic]
+        codec: Any = _CODECS[topic]
         raw: bytes = codec.write(record)
         return raw
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 _SET_HELP = "change a value of the rig file{example}; may be repeated"
+_LATENCY = "blocks of converter buffering (default: 0; in real time 6, and 3 at least)"
 
 
 def add_rig_options(parser: argparse.ArgumentParser, example: str = "") -> None:
@@ -32,15 +33,40 @@ def add_pacing_option(parser: argparse.ArgumentParser) -> None:
 
 def add_latency_option(parser: argparse.ArgumentParser) -> None:
     """``--latency-blocks``."""
+    parser.add_argument("--latency-blocks", metavar="N", type=int, default=0, help=_LATENCY)
+
+
+def add_device_option(parser: argparse.ArgumentParser) -> None:
+    """``--device``."""
     parser.add_argument(
-        "--latency-blocks", metavar="N", type=int, default=0, help="blocks of converter buffering (default: 0)"
+        "--device",
+        metavar="KIND",
+        default="",
+        help="what is driven: simulated, portaudio, nidaqmx, or nidaqmx@HOST:PORT for NI's device server; a converter "
+        "that the rig file does not describe is taken for the simulated specimen's (default: the rig file's device, "
+        "else simulated)",
     )
 
 
 def add_process_options(parser: argparse.ArgumentParser) -> None:
-    """``--one-process``, ``--domain`` and ``--quiet``: how the nodes are started and watched."""
+    """``--one-process``, ``--domain``, ``--quiet`` and ``--page``: how the nodes are started and watched."""
     parser.add_argument(
         "--one-process", action="store_true", help="all nodes in one process instead of one process each"
     )
     parser.add_argument("--domain", metavar="N", type=int, help="ROS domain, 1 to 100 (default: a free one)")
     parser.add_argument("--quiet", action="store_true", help="no progress display")
+    add_page_option(parser)
+
+
+def add_page_option(parser: argparse.ArgumentParser) -> None:
+    """``--page``."""
+    parser.add_argument(
+        "--page", action="store_true", help="live page in the browser, to watch, steer and stop; prints its address"
+    )
+
+
+def add_task_page_option(parser: argparse.ArgumentParser) -> None:
+    """``--page`` of a command that computes."""
+    parser.add_argument(
+        "--page", action="store_true", help="progress in the browser, to watch only; prints the page's address"
+    )

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import argparse
-import os
+import contextlib
 import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_core.errors import BenchError
+from nmt_bench.commands.bench_options import add_task_page_option
+from nmt_bench.commands.worker_count import add_jobs, worker_count
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from nmt_bench.page.task_feed import TaskFeed
+
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 EXIT_DONE, EXIT_FAILED = 0, 1
-RIGS = ("beam", "joint_resonator")
+RIGS = ("beam", "joint_resonator", "modal_beam")
+TOLERANCES = ("laboratory", "none")
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -50,18 +56,24 @@ def _add_make(parts: Subparsers) -> None:
         default="",
         help="only these kinds of case: null, effect, open, compound, twin, withheld (default: all)",
     )
+    make.add_argument(
+        "--batch", metavar="N", type=int, default=0,
+        help="make N more cases now, the others another time; the truth of all of them is sealed at once",
+    )  # fmt: skip
+    _add_tolerances(make)
     _add_folder(make)
-    _add_jobs(make)
+    add_jobs(make)
+    add_task_page_option(make)
+    _add_scheduler(make)
 
 
 def _add_run(parts: Subparsers) -> None:
     run_part = parts.add_parser("run", help="diagnose all cases that have no result yet; the truth stays sealed")
     _add_folder(run_part)
     _add_results(run_part)
-    _add_jobs(run_part)
-    run_part.add_argument(
-        "--scheduler", metavar="ADDRESS", default="", help="Dask scheduler, tcp://host:port, in place of own processes"
-    )
+    add_jobs(run_part)
+    add_task_page_option(run_part)
+    _add_scheduler(run_part)
     run_part.add_argument(
         "--discard-bags", action="store_true", help="remove the bags of a case once it is diagnosed; hashes stay"
     )
@@ -96,9 +108,27 @@ def _add_calibrate(parts: Subparsers) -> None:
 def _add_strengths(parts: Subparsers) -> None:
     strengths = parts.add_parser("strengths", help="table of strengths of all effects of a rig, in standard deviations")
     strengths.add_argument("--rig", choices=RIGS, default="beam", help="the rig (default: beam)")
+    _add_tolerances(strengths)
     strengths.add_argument("--effects", metavar="NAME,…", default="", help="only these effects (default: all)")
     strengths.add_argument("--table", metavar="FILE", type=Path, help="the table (default: the program's own)")
-    _add_jobs(strengths)
+    add_jobs(strengths)
+    add_task_page_option(strengths)
+
+
+def _add_tolerances(part: argparse.ArgumentParser) -> None:
+    part.add_argument(
+        "--tolerances",
+        choices=TOLERANCES,
+        default=TOLERANCES[0],
+        help="measuring chain: gains, phases, delays, held drive and the like of an ordinary laboratory, drawn for "
+        "every case, or none (default: laboratory)",
+    )
+
+
+def _add_scheduler(part: argparse.ArgumentParser) -> None:
+    part.add_argument(
+        "--scheduler", metavar="ADDRESS", default="", help="Dask scheduler, tcp://host:port, in place of own processes"
+    )
 
 
 def _add_folder(part: argparse.ArgumentParser) -> None:
@@ -109,10 +139,6 @@ def _add_results(part: argparse.ArgumentParser) -> None:
     part.add_argument(
         "--results", metavar="DIR", type=Path, help="folder of the results (default: results in the campaign's folder)"
     )
-
-
-def _add_jobs(part: argparse.ArgumentParser) -> None:
-    part.add_argument("--jobs", metavar="N", type=int, help="worker processes (default: one for each core)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -134,7 +160,7 @@ def _make(arguments: argparse.Namespace) -> int:
     from nmt_blind.cases.make import make_campaign
 
     kinds = tuple(word.strip() for word in arguments.kinds.split(",") if word.strip())
-    with _Bar("making cases") as bar:
+    with _bar(arguments, "making cases") as bar:
         made = make_campaign(
             arguments.out,
             arguments.rig,
@@ -142,31 +168,39 @@ def _make(arguments: argparse.Namespace) -> int:
             arguments.seed,
             kinds,
             arguments.sealed,
-            _jobs(arguments),
+            worker_count(arguments),
+            arguments.tolerances,
+            arguments.scheduler,
             on_seal=lambda digest: bar.say(f"seal of the truth: sha256 {digest}"),
             progress=lambda done, total: bar.update(done, total),
+            batch=arguments.batch,
         )
     each = f"; {made.seconds / made.new:.2f} s of computing a new case" if made.new else ""
     bar.say(f"{made.cases} cases, {made.new} of them new{each}; {made.megabytes:.0f} MB of bags in {made.folder}")
-    bar.say(f"end of the hash trail: sha256 {made.trail}")
+    if made.left:
+        bar.say(f"{made.left} are to be made: the same line goes on")
+    else:
+        bar.say(f"end of the hash trail: sha256 {made.trail}")
     return EXIT_DONE
 
 
 def _run(arguments: argparse.Namespace) -> int:
     from nmt_blind.campaign.run import run_campaign
 
-    with _Bar("diagnosing") as bar:
+    with _bar(arguments, "diagnosing") as bar:
         done = run_campaign(
             arguments.out,
             arguments.results,
-            _jobs(arguments),
+            worker_count(arguments),
             arguments.scheduler,
             arguments.discard_bags,
             arguments.again,
-            progress=lambda number, total, case: bar.update(number, total),
+            progress=lambda number, total, case: bar.update(number, total, case),
         )
     each = f", {done.seconds:.1f} s each (median)" if done.new else ""
     bar.say(f"{done.done} of {done.cases} cases have a result, {done.new} of them new{each}; results in {done.results}")
+    if done.waiting:
+        bar.say(f"{done.waiting} cases have no bags yet: go on with './nmt blind make'")
     if done.failed:
         bar.say(f"{done.failed} diagnoses ended without a verdict; their results say why")
     return EXIT_FAILED if done.failed else EXIT_DONE
@@ -206,23 +240,19 @@ def _strengths(arguments: argparse.Namespace) -> int:
 
     rig = blind_rig(arguments.rig)
     names = tuple(word.strip() for word in arguments.effects.split(",") if word.strip())
-    with _Bar("measuring strengths") as bar:
+    with _bar(arguments, "measuring strengths") as bar:
         table = make_table(
-            rig, names, _jobs(arguments), arguments.table, progress=lambda done, total, key: bar.update(done, total)
+            rig,
+            names,
+            worker_count(arguments),
+            arguments.table,
+            progress=lambda done, total, key: bar.update(done, total, str(key)),
+            tolerances=arguments.tolerances,
         )
-    bar.say(f"{len(table.curves)} curves in {arguments.table or table_file(rig)}")
+    weaker = sum(bool(curve["trouble"]) for curve in table.curves.values())
+    file = arguments.table or table_file(rig, arguments.tolerances)
+    bar.say(f"{len(table.curves)} curves in {file}; {weaker} end below 4,096 standard deviations")
     return EXIT_DONE
-
-
-def _jobs(arguments: argparse.Namespace) -> int:
-    if arguments.jobs is not None:
-        if arguments.jobs < 1:
-            raise BenchError(f"--jobs must be at least 1, got {arguments.jobs}.")
-        return int(arguments.jobs)
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:
-        return os.cpu_count() or 1
 
 
 def _console() -> Any:
@@ -231,16 +261,26 @@ def _console() -> Any:
     return make_console()
 
 
+@contextlib.contextmanager
+def _bar(arguments: argparse.Namespace, title: str) -> Iterator[_Bar]:
+    """The progress of a part, in the terminal and on its page."""
+    from nmt_bench.page.task_feed import task_page
+
+    with task_page(arguments.page, f"Blind check: {title}", _console()) as page, _Bar(title, page) as bar:
+        yield bar
+
+
 class _Bar:
     """Progress with time spent and left; a line now and then where the output is no terminal."""
 
     _QUIET = 30.0  # s between lines
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str, page: TaskFeed) -> None:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
         from rich.progress import TimeRemainingColumn as Left
 
-        self._title = title
+        self._title, self._page = title, page
+        page.step(title)
         self._console = _console()
         self._live = bool(self._console.is_terminal)
         columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), Left()
@@ -255,8 +295,9 @@ class _Bar:
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def update(self, done: int, total: int) -> None:
-        """So many of so many are done."""
+    def update(self, done: int, total: int, newest: str = "") -> None:
+        """So many of so many are done, and which was the newest."""
+        self._page.step(f"{self._title}, the newest {newest}" if newest else self._title, done, total)
         self._bar.update(self._task, completed=done, total=total)
         if not self._live and (time.monotonic() - self._said > self._QUIET or done == total):
             self._said = time.monotonic()
@@ -264,4 +305,5 @@ class _Bar:
 
     def say(self, sentence: str) -> None:
         """A line above the bar."""
+        self._page.step(sentence)
         self._console.print(sentence, markup=False, soft_wrap=True)

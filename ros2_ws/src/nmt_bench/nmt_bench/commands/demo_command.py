@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nmt_bench.commands.bench_options import add_page_option
 from nmt_bench.commands.output_folder import free_folder
 
 if TYPE_CHECKING:
@@ -33,7 +34,9 @@ def add_parser(subparsers: Subparsers) -> None:
         type=Path,
         help=f"folder for the results (default: {DEFAULT_FOLDER}, or the next free number after it)",
     )
+    parser.add_argument("--domain", metavar="N", help="ROS domain, 1 to 100 (default: a free one)")
     parser.add_argument("--force", action="store_true", help="replace earlier results in the folder")
+    add_page_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -48,5 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
     from nmt_bench.cli import build_parser, run_parsed
 
     folder = arguments.out if arguments.out is not None else free_folder(DEFAULT_FOLDER)
+    arguments.out = folder
     words = ["run", "beam", "--out", str(folder)] + (["--force"] if arguments.force else [])
+    words += ["--domain", arguments.domain] if arguments.domain is not None else []
+    words += ["--page"] if arguments.page else []
     return run_parsed(build_parser("run").parse_args(words))

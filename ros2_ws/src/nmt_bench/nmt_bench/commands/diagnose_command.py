@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nmt_bench.commands.bench_options import add_task_page_option
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.commands.worker_count import add_jobs, worker_count
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from nmt_bench.page.task_feed import TaskFeed
     from nmt_diagnose.inference.diagnosis import Diagnosis
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -76,7 +80,15 @@ def add_parser(subparsers: Subparsers) -> None:
     )
     add_output_options(parser, "diagnosis.json, report.html, model.yaml, observables.csv")
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="seed of the intervals (default: 0)")
+    parser.add_argument(
+        "--allow-own-model",
+        action="store_true",
+        help="take recordings that were simulated from the model itself, too: they show what a rig without a gap looks "
+        "like",
+    )
+    add_jobs(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress display")
+    add_task_page_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -91,8 +103,13 @@ def run(arguments: argparse.Namespace) -> int:
     check_output(arguments.out, arguments.force)
     if arguments.seed < 0:
         raise BenchError(f"--seed must not be negative, got {arguments.seed}.")
+    jobs = worker_count(arguments)
+    # Each process works on one core, and sums come out alike whatever their number: set before NumPy is imported.
+    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
 
     from nmt_bench.commands.terminal import make_console
+    from nmt_bench.page.task_feed import task_page
     from nmt_diagnose.effects.library import effect_named
     from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
     from nmt_report.diagnosis_files import write_diagnosis
@@ -107,13 +124,23 @@ def run(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.model, arguments.set)
     console = make_console()
     started = time.monotonic()
-    with DiagnosisProgress(console, arguments.quiet) as progress:
+    with (
+        task_page(arguments.page, f"Diagnosis of {rig.name}", console) as page,
+        DiagnosisProgress(console, arguments.quiet, page) as progress,
+    ):
         held_out = tuple(dict.fromkeys(arguments.hold_out))
-        settings = DiagnosisSettings(withheld=withheld, seed=arguments.seed, hold_out=held_out)
+        settings = DiagnosisSettings(
+            withheld=withheld,
+            seed=arguments.seed,
+            hold_out=held_out,
+            jobs=jobs,
+            allow_own_model=arguments.allow_own_model,
+        )
         outcome = diagnose_bags(rig, arguments.real, arguments.floor, settings, progress.update)
         progress.update("writing the report")
         with OutputFolder(arguments.out, arguments.force) as folder:
             remark = write_diagnosis(outcome, folder, arguments.model, arguments.set, arguments.floor)
+        page.tell(outcome=f"Diagnosed. {outcome.diagnosis.sentences[0] if outcome.diagnosis.sentences else ''}")
     show(outcome.diagnosis, console)
     if remark:
         console.print(remark, style="yellow", markup=False, soft_wrap=True)
@@ -130,12 +157,13 @@ class DiagnosisProgress:
     Args:
         console: where to show it.
         quiet: show nothing.
+        page: shows it too; None: there is none.
     """
 
-    def __init__(self, console: Console, quiet: bool = False) -> None:
+    def __init__(self, console: Console, quiet: bool = False, page: TaskFeed | None = None) -> None:
         from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-        self._console, self._quiet = console, quiet
+        self._console, self._quiet, self._page = console, quiet, page
         self._live = console.is_terminal and not quiet
         self._progress = Progress(
             SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=console, transient=True,
@@ -154,17 +182,38 @@ class DiagnosisProgress:
         """Show what is being done now."""
         from rich.markup import escape
 
+        if self._page is not None:
+            _tell(self._page, sentence)
         if self._live:
             self._progress.update(self._task, description=escape(sentence))
         elif not self._quiet:
             self._console.print(sentence, markup=False, soft_wrap=True)
 
 
+def _tell(page: TaskFeed, sentence: str) -> None:
+    """Tell the page a sentence, and what it carries."""
+    from nmt_diagnose.inference.progress import Told
+    from nmt_report.quantity_format import plain
+
+    told = sentence if isinstance(sentence, Told) else Told(sentence)
+    page.step(sentence, told.done, told.total)
+    if told.ranking:
+        behind = [(label, "best" if value == 0.0 else f"{plain(value, 1)} behind") for label, value in told.ranking]
+        page.table(("explanation", "ln of its evidence"), behind)
+
+
 def show(diagnosis: Diagnosis, console: Console) -> None:
     """Print the verdict, the places, the ranking, what was re-fitted and the next test."""
     from rich.text import Text
 
-    from nmt_report.diagnosis_tables import calibration_table, next_table, place_table, ranking_table
+    from nmt_report.diagnosis_tables import (
+        calibration_table,
+        left_out_table,
+        next_table,
+        place_table,
+        ranking_table,
+        recordings_table,
+    )
     from nmt_report.diagnosis_words import QUESTIONS, verdict_text
 
     text, kind = verdict_text(diagnosis)
@@ -178,6 +227,7 @@ def show(diagnosis: Diagnosis, console: Console) -> None:
     console.print()
     for table in (
         ranking_table(diagnosis), place_table(diagnosis), calibration_table(diagnosis), next_table(diagnosis),
+        left_out_table(diagnosis), recordings_table(diagnosis),
     ):  # fmt: skip
         if table is not None:
             console.print(table)

@@ -13,17 +13,19 @@ from nmt_core.errors import BenchError
 if TYPE_CHECKING:
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
-FORMATS = ("uff", "csv", "npz")
+FORMATS = ("uff", "csv", "npz", "h5", "mat")
 
 
 def add_parser(subparsers: Subparsers) -> None:
     """Add the command and its options."""
     parser = subparsers.add_parser(
         "export",
-        help="a recording as UFF58, CSV or NPZ, ready for './nmt import'",
+        help="a recording as UFF58, CSV, NPZ, HDF5 or MATLAB, ready for './nmt import'; modes as UFF55",
         description=(
             "Writes the samples of a bag, and the frequency responses beside it, for other tools, together with "
-            "a sidecar: './nmt import' of that gives a bag from which './nmt extract' computes the same results."
+            "a sidecar: './nmt import' of that gives a bag from which './nmt extract' computes the same results. With "
+            "UFF the modes of a linear test, or of the levels of a run, come too: modes.uff with nodes, trace line and "
+            "shapes (data sets 15, 82, 55)."
         ),
     )
     parser.add_argument(
@@ -36,9 +38,11 @@ def add_parser(subparsers: Subparsers) -> None:
         "--format",
         choices=FORMATS,
         default="uff",
-        help="uff: one dataset 58 a channel, binary (58b); csv; npz (default: uff)",
+        help="uff: one dataset 58 a channel, binary (58b); csv; npz; h5: HDF5; mat: MATLAB 5 (default: uff)",
     )
-    add_output_options(parser, "data.FORMAT, sidecar.yaml, oscillator.csv, loop.csv, linear.json, rig.yaml, frf.uff")
+    add_output_options(
+        parser, "data.FORMAT, sidecar.yaml, oscillator.csv, loop.csv, linear.json, rig.yaml, frf.uff, modes.uff"
+    )
     parser.add_argument("--ascii", action="store_true", help="UFF in ASCII: 13 digits instead of every bit")
     parser.add_argument(
         "--segment",
@@ -67,9 +71,49 @@ def run(arguments: argparse.Namespace) -> int:
         exported = export_run(
             arguments.source, folder, arguments.format, ascii_uff=arguments.ascii, only=arguments.segment
         )
+        files = list(exported.files)
+        if arguments.format == "uff" and _export_modes(arguments.source, folder):
+            files.append("modes.uff")
     console = make_console()
     if exported.loss:
         console.print(exported.loss, style="yellow", markup=False)
-    console.print(f"Results in {arguments.out}: {', '.join(exported.files)}", markup=False, soft_wrap=True)
+    console.print(f"Results in {arguments.out}: {', '.join(files)}", markup=False, soft_wrap=True)
     sys.stdout.flush()
     return 0
+
+
+def _export_modes(source: Path, folder: Path) -> bool:
+    """Write ``modes.uff`` where the results folder has modes; returns whether it has.
+
+    Raises:
+        BenchError: the results are damaged, or the file cannot be written.
+    """
+    from nmt_core.hardened import read_text
+    from nmt_core.linear_description import LinearDescription
+    from nmt_extract.modal_table import read_json
+    from nmt_extract.mode_uff import level_modes, linear_modes, write_mode_uff
+
+    if (source / "modal.json").is_file():
+        modes = level_modes(read_json(source / "modal.json")[0])
+    elif (source / "linear.json").is_file():
+        modes = linear_modes(LinearDescription.from_json(read_text(source / "linear.json", "linear description")))
+    else:
+        return False
+    if not modes:
+        return False
+    write_mode_uff(folder / "modes.uff", modes, _positions(folder / "rig.yaml"))
+    return True
+
+
+def _positions(rig_file: Path) -> dict[int, float]:
+    """x of the points of a beam, m; empty for any other structure, whose points get their numbers."""
+    from nmt_rig.rig import load_rig
+
+    if not rig_file.is_file():
+        return {}
+    structure = load_rig(rig_file).structure
+    if structure.kind != "beam":
+        return {}
+    spacing = structure.length_m / structure.elements
+    offset = 1 if structure.boundary == "free-free" else 0  # its point 1 is the left end
+    return {point: (point - offset) * spacing for point in structure.points}

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -16,20 +17,29 @@ if TYPE_CHECKING:
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
+_DATA = (".csv", ".txt", ".tsv", ".dat", ".asc", ".npz", ".mat", ".h5", ".hdf5", ".uff", ".unv", ".58")
+
 
 def add_parser(subparsers: Subparsers) -> None:
     """Add the command and its options."""
     parser = subparsers.add_parser(
         "import",
-        help="data measured elsewhere (CSV, NPZ, UFF58, tables) as a bag",
+        help="data measured elsewhere (CSV, NPZ, MATLAB, HDF5, UFF58, tables) as a bag",
         description=(
             "Reads time data, frequency responses and backbones measured elsewhere as a sidecar describes them, "
             "checks them, and writes a bag that './nmt extract' and './nmt diagnose' take. What cannot be right "
             "is refused with one sentence; what was mended is said and kept in the bag."
         ),
     )
-    parser.add_argument(
-        "sidecar", metavar="SIDECAR", type=Path, help="YAML file that says what the columns of the data are"
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument(
+        "sidecar", metavar="SIDECAR", type=Path, nargs="?", help="YAML file that says what the columns of the data are"
+    )
+    what.add_argument(
+        "--init",
+        metavar="FILE",
+        type=Path,
+        help="look into a file of data and write a sidecar for it beside it, FILE with the ending .yaml",
     )
     add_output_options(parser, "bag/")
 
@@ -40,7 +50,13 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: the sidecar or the data is wrong, or the bag cannot be written.
     """
+    if arguments.init is not None:
+        return _init(arguments.init, arguments.force)
     check_output(arguments.out, arguments.force)
+    from nmt_record.sidecar_template import no_sidecar
+
+    if not arguments.sidecar.exists() or arguments.sidecar.suffix.lower() in _DATA:
+        raise no_sidecar(arguments.sidecar)
 
     from nmt_bench.commands.terminal import make_console
     from nmt_bench.data_import import read_data, write_data
@@ -58,6 +74,28 @@ def run(arguments: argparse.Namespace) -> int:
     if imported.channels and imported.linear is None:
         console.print("No linear modes: './nmt extract' will need --linear FILE.", markup=False)
     console.print(f"Results in {arguments.out}: bag", markup=False)
+    sys.stdout.flush()
+    return 0
+
+
+def _init(data: Path, force: bool) -> int:
+    """Write a sidecar to start from.
+
+    Raises:
+        BenchError: the data cannot be read, or there is a sidecar already.
+    """
+    from nmt_core.whole_file import write_whole
+    from nmt_record.sidecar_template import sidecar_template
+
+    target = data.with_suffix(".yaml")
+    if target.exists() and not force:
+        raise BenchError(f"{target} exists already; move it away or give --force to write it anew.")
+    text = sidecar_template(data)
+    try:
+        write_whole(target, text)
+    except OSError as error:
+        raise BenchError(f"{target} cannot be written: {error.strerror or error}.") from error
+    sys.stdout.write(f"{text}\nWritten to {target}. Check it, then: ./nmt import {target} --out DIR\n")
     sys.stdout.flush()
     return 0
 

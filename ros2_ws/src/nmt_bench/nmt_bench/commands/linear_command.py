@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_bench.commands.bench_options import add_pacing_option, add_process_options, add_rig_options
+from nmt_bench.commands.bench_options import add_device_option, add_pacing_option, add_process_options, add_rig_options
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
@@ -77,6 +77,7 @@ def add_parser(subparsers: Subparsers) -> None:
     )
     add_rig_options(parser)
     add_pacing_option(parser)
+    add_device_option(parser)
     add_process_options(parser)
 
 
@@ -109,8 +110,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: Any) -> int:
-    from nmt_bench.commands.run_command import measure, terminate_as_interrupt
+    from nmt_bench.commands.hardware_options import device_settings
+    from nmt_bench.commands.run_command import measure
     from nmt_bench.harness import Bench
+    from nmt_bench.orchestration.interrupts import terminate_as_interrupt
     from nmt_core.vocabulary import ResultCode
     from nmt_record.bag_reader import Bag
     from nmt_rig.rig import load_rig
@@ -129,19 +132,27 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
         overrides=arguments.set,
         exciter=arguments.exciter,
         seed=arguments.seed,
-        pacing=arguments.pacing,
+        **device_settings(arguments),
         domain_id=arguments.domain,
         test="random",
         band_hz=band,
         duration=arguments.duration,
     )
     with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
-        result = measure(bench, console, arguments.quiet)
+        result = measure(bench, console, arguments.quiet, arguments.page)
         if result.bag is None or not result.bag.exists():
             console.print(result.message, style="yellow", markup=False)
             return EXIT_FAILED
         try:
             evaluated = _evaluate(Bag.open(result.bag), arguments, band)
+        except KeyboardInterrupt:
+            console.print(
+                f"Stopped before the evaluation was done. The recording is in {folder / 'bag'}; './nmt linear --bag "
+                f"{folder / 'bag'} --out DIR' evaluates it.",
+                markup=False,
+                soft_wrap=True,
+            )
+            return EXIT_INTERRUPTED
         except BenchError as error:
             if result.interrupted or result.code != ResultCode.SUCCEEDED:
                 console.print(result.message, style="yellow", markup=False)

@@ -6,6 +6,7 @@ import argparse
 import os
 import shutil
 import tempfile
+import time
 from pathlib import Path
 from types import TracebackType
 
@@ -19,13 +20,18 @@ RESULT_NAMES = (
     "report.html",
     "rig.yaml",
     "run.json",
+    "output.jsonl",
     "reference.csv",
+    "shapes.csv",
     "linear.json",
     "frf.csv",
     "frf.uff",
+    "modes.uff",
     "data.uff",
     "data.csv",
     "data.npz",
+    "data.h5",
+    "data.mat",
     "oscillator.csv",
     "loop.csv",
     "sidecar.yaml",
@@ -33,27 +39,31 @@ RESULT_NAMES = (
     "study.csv",
     "diagnosis.json",
     "repair.json",
+    "check.json",
+    "figures",
 )
 """Names that commands write; ``--force`` replaces these and touches nothing else in the folder."""
 
 
 def add_output_options(
-    parser: argparse.ArgumentParser, contents: str, required: bool = True, replace: str = "force"
+    parser: argparse.ArgumentParser, contents: str, dated: bool = True, replace: str = "force"
 ) -> None:
     """Add ``--out`` and ``--force`` to a command's parser.
 
     Args:
         parser: the command's parser.
         contents: what the command leaves in the folder, for the help text.
-        required: whether ``--out`` must be given.
+        dated: without ``--out`` the results go to a folder with the command's name and the time; else ``out`` is None.
         replace: name of the option that allows earlier results to be replaced, where ``--force`` means something else.
     """
+    command = parser.prog.rpartition(" ")[2]
     parser.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
-        required=required,
-        help=f"folder for the results ({contents}); made if it does not exist",
+        default=free_folder(Path("out") / f"{command}-{time.strftime('%Y%m%d-%H%M%S')}") if dated else None,
+        help=f"folder for the results ({contents}); made if it does not exist"
+        + (f" (default: out/{command}-DATE-TIME)" if dated else ""),
     )
     parser.add_argument(
         f"--{replace}",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -55,29 +54,17 @@ def run(arguments: argparse.Namespace) -> int:
     check_output(arguments.out, arguments.force)
 
     from nmt_bench.commands.terminal import make_console
-    from nmt_rig.rig import load_rig
-    from nmt_rig.rig_snapshot import rig_text
-    from nmt_sequencer.level_plan import parse_levels
-    from nmt_session.node_plan import NODES, TestPlan, plan_nodes
+    from nmt_bench.orchestration.bench_files import write_bench_files
+    from nmt_session.node_plan import NODES
 
     changes = list(arguments.set)
     if arguments.exciter is not None:
         changes.append(f"exciter.point={arguments.exciter}")
-    rig = load_rig(arguments.rig, changes)
-    text = rig_text(rig, arguments.rig, changes)
-    test = TestPlan(
-        rig=rig,
-        rig_yaml=text,
-        levels=tuple(parse_levels(arguments.levels or rig.test.levels)),
-        run_id=time.strftime(f"{rig.name}-%Y%m%d-%H%M%S"),
-        pacing=arguments.pacing,
-    )
     out: Path = arguments.out.resolve()
-    plan = plan_nodes(test, out / "bag", out / "rig.yaml")
     with OutputFolder(arguments.out, arguments.force) as folder:
-        (folder / "rig.yaml").write_text(text, encoding="utf-8")
-        (folder / "run.json").write_text(json.dumps(plan.run, indent=2) + "\n", encoding="utf-8")
-        plan.write_parameters(folder / "nodes.yaml")
+        plan = write_bench_files(
+            arguments.rig, folder, out, levels=arguments.levels, pacing=arguments.pacing, changes=changes
+        )
     console = make_console()
     console.print("Start each node in a terminal of its own, the sequencer last:")
     for name in ("recorder", "extract", "pll", "plant", "sequencer"):

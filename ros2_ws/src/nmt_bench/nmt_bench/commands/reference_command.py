@@ -36,7 +36,7 @@ def add_parser(subparsers: Subparsers) -> None:
         ),
     )
     parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
-    add_output_options(parser, "reference.csv")
+    add_output_options(parser, "reference.csv, shapes.csv, report.html")
     parser.add_argument(
         "--set",
         metavar="KEY=VALUE",
@@ -70,7 +70,7 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compute and write ``reference.csv``.
+    """Compute the backbone, write its tables and report.
 
     Raises:
         BenchError: a wrong rig, option or folder, or no solution.
@@ -80,8 +80,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise BenchError(f"--harmonics must be a whole number from 1 to 200, got {arguments.harmonics}.")
 
     from nmt_bench.commands.terminal import make_console
+    from nmt_report.reference_report import reference_page
     from nmt_report.run_data import read_reference
-    from nmt_rig.reference import compute_reference, write_reference_csv
+    from nmt_rig.reference import compute_reference, point_shapes, write_reference_csv, write_shapes_csv
     from nmt_rig.rig import load_rig
 
     amplitudes = _amplitudes(arguments.amplitudes) if arguments.amplitudes else None
@@ -94,7 +95,10 @@ def run(arguments: argparse.Namespace) -> int:
     reference = compute_reference(rig, arguments.harmonics, amplitudes)
     elapsed = time.perf_counter() - began
     with OutputFolder(arguments.out, arguments.force) as folder:
+        shapes = point_shapes(rig, reference)
         write_reference_csv(reference, folder / "reference.csv")
+        write_shapes_csv(reference, shapes, folder / "shapes.csv")
+        (folder / "report.html").write_text(reference_page(rig, reference, shapes, given), encoding="utf-8")
     console = make_console()
     for line in _summary(reference):
         console.print(line, markup=False)
@@ -103,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(_comparison(reference, given, arguments.compare), markup=False, soft_wrap=True)
     if arguments.convergence:
         console.print(_convergence(rig, reference))
-    console.print(f"Results in {arguments.out}: reference.csv", markup=False)
+    console.print(f"Results in {arguments.out}: reference.csv, shapes.csv, report.html", markup=False)
     sys.stdout.flush()
     return 0
 

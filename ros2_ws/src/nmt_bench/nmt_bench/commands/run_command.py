@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import argparse
-import signal
+import contextlib
 import sys
 import time
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_bench.commands.bench_options import add_latency_option, add_pacing_option, add_process_options, add_rig_options
+from nmt_bench.commands.bench_options import (
+    add_device_option,
+    add_latency_option,
+    add_pacing_option,
+    add_process_options,
+    add_rig_options,
+)
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.orchestration.interrupts import deferred_interrupts, terminate_as_interrupt
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable
 
     from nmt_bench.harness import Bench
     from nmt_report.run_data import ReferenceCurve
@@ -85,12 +91,16 @@ def add_parser(subparsers: Subparsers) -> None:
         help="phase-locked loop: adaptive filter with guard band, or the paper's (default: the rig's, else adaptive)",
     )
     add_pacing_option(parser)
+    add_device_option(parser)
     add_latency_option(parser)
     add_rig_options(parser, "local_elements.0.slip_force_n=2")
     parser.add_argument(
         "--reference",
         metavar="FILE",
         help="reference.csv to compare with; 'none' for no comparison (default: computed from the rig's model)",
+    )
+    parser.add_argument(
+        "--no-report", action="store_true", help="tables only; './nmt extract' makes a report of the bag at any time"
     )
     add_process_options(parser)
 
@@ -106,6 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
 
+    from nmt_bench.commands.hardware_options import device_settings
     from nmt_bench.commands.linear_input import check_fits, read_linear
     from nmt_bench.commands.terminal import make_console
     from nmt_bench.harness import Bench
@@ -119,8 +130,7 @@ def run(arguments: argparse.Namespace) -> int:
         overrides=arguments.set,
         exciter=arguments.exciter,
         seed=arguments.seed,
-        pacing=arguments.pacing,
-        latency_blocks=arguments.latency_blocks,
+        **{"latency_blocks": arguments.latency_blocks, **device_settings(arguments)},
         window_periods=arguments.periods,
         ramp=arguments.ramp,
         timeout=arguments.timeout,
@@ -135,12 +145,54 @@ def run(arguments: argparse.Namespace) -> int:
         check_fits(linear, bench.rig, arguments.linear)
     console = make_console()
     with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
-        result = measure(bench, console, arguments.quiet)
-        reference = _reference(arguments.reference, bench, result)
-        unwritten = _write_results(result, bench, folder, reference)
+        result = measure(bench, console, arguments.quiet, arguments.page)
+        reference, unwritten, interrupted = evaluate(
+            result, bench, folder, arguments.reference, not arguments.no_report
+        )
     _summarise(result, bench, reference, console, folder, unwritten)
     sys.stdout.flush()
-    return EXIT_FAILED if unwritten and not result.interrupted else _exit_code(result)
+    if result.interrupted or interrupted:
+        return EXIT_INTERRUPTED
+    return EXIT_FAILED if unwritten else _exit_code(result)
+
+
+def evaluate(
+    result: RunResult, bench: Bench, folder: Path, choice: str | None, report: bool = True
+) -> tuple[ReferenceCurve | None, str, bool]:
+    """Write tables and report; the tables first, since Ctrl-C may end the rest.
+
+    Args:
+        result: what was measured.
+        bench: the bench that measured it.
+        folder: of the results.
+        choice: of the reference, see ``--reference``.
+        report: whether a report is wanted.
+
+    Returns:
+        The reference; what could not be written, as a sentence; whether Ctrl-C came. One leaves out the comparison that
+        is being computed, a second one the report.
+    """
+    reference, interrupted = None, False
+    with deferred_interrupts(patient=True) as deferred:
+        unwritten = _saving(folder, lambda: _write_tables(result, bench, folder))
+    try:
+        interrupted = deferred.came
+        if not interrupted:
+            reference = _reference(choice, bench, result)
+    except KeyboardInterrupt:
+        interrupted = True
+    if unwritten:
+        return reference, unwritten, interrupted
+    try:
+        if report:
+            unwritten = _saving(folder, lambda: _write_report(result, folder, reference))
+    except KeyboardInterrupt:
+        interrupted = True
+        unwritten = (
+            f"Stopped before the report was written. The results so far are in {folder}; "
+            f"'./nmt extract {folder} --out DIR' goes on from the bag."
+        )
+    return reference, unwritten, interrupted
 
 
 def _levels(arguments: argparse.Namespace) -> list[float] | str | None:
@@ -153,19 +205,26 @@ def _levels(arguments: argparse.Namespace) -> list[float] | str | None:
     return directed(parse_levels(plan), arguments.direction)
 
 
-def measure(bench: Bench, console: Any, quiet: bool) -> RunResult:
-    """Start the nodes and run the test, with a progress display unless ``quiet``."""
+def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunResult:
+    """Start the nodes and run the test, with a progress display unless ``quiet``, and with the live page if wanted."""
     from nmt_bench.commands.terminal import RunProgress
     from nmt_report.columns import unit_text
 
     began = time.monotonic()
-    with bench:
+    with bench, contextlib.ExitStack() as stack:
+        if page:
+            from nmt_bench.page.page_process import page_process
+
+            arguments = ("--domain", str(bench.domain_id))
+            for line in stack.enter_context(page_process(bench.out / "log" / "page.log", arguments)).lines:
+                console.print(line, markup=False, soft_wrap=True)
         if quiet:
             return bench.run()
         console.print(
             f"{bench.rig.name}, drive point {bench.rig.drive_point}, {len(bench.test.levels)} levels from "
             f"{min(bench.test.levels):g} to {max(bench.test.levels):g} {unit_text(bench.test.level_unit)}, "
-            f"run {bench.test.run_id}; nodes started in {time.monotonic() - began:.1f} s",
+            f"run {bench.test.run_id}; nodes started in {time.monotonic() - began:.1f} s in ROS domain "
+            f"{bench.domain_id}",
             markup=False,
         )
         count, unit = len(bench.test.levels), bench.test.level_unit
@@ -198,10 +257,8 @@ def _reference(choice: str | None, bench: Bench, result: RunResult) -> Reference
     )
 
 
-def _write_results(result: RunResult, bench: Bench, folder: Path, reference: ReferenceCurve | None) -> str:
-    """Write tables and report; what could not be written, as a sentence: the measurement is not to be lost for it."""
+def _write_tables(result: RunResult, bench: Bench, folder: Path) -> None:
     from nmt_extract.modal_table import write_results
-    from nmt_report.run_report import list_files, report_data_from_bag, write_report
 
     inputs = {
         "run_id": bench.test.run_id,
@@ -211,13 +268,27 @@ def _write_results(result: RunResult, bench: Bench, folder: Path, reference: Ref
         "result": result.code.name,
         "message": result.message,
     }
+    if result.points:
+        write_results(result.points, folder, inputs)
+
+
+def _write_report(result: RunResult, folder: Path, reference: ReferenceCurve | None) -> None:
+    from nmt_report.run_report import list_files, report_data_from_bag, write_report
+
+    if result.bag is not None and result.bag.exists():
+        if reference is not None:
+            from nmt_rig.reference import write_reference_csv
+
+            write_reference_csv(reference, folder / "reference.csv")
+        data = report_data_from_bag(result.bag, list(result.points) or None, reference)
+        data.files = list_files(folder)
+        write_report(data, folder / "report.html")
+
+
+def _saving(folder: Path, write: Callable[[], None]) -> str:
+    """Write; what could not be written, as a sentence: the measurement is not to be lost for it."""
     try:
-        if result.points:
-            write_results(result.points, folder, inputs)
-        if result.bag is not None and result.bag.exists():
-            data = report_data_from_bag(result.bag, list(result.points) or None, reference)
-            data.files = list_files(folder)
-            write_report(data, folder / "report.html")
+        write()
     except (OSError, BenchError) as error:
         why = error.strerror.lower() if isinstance(error, OSError) and error.strerror else str(error).rstrip(".")
         return (
@@ -261,22 +332,6 @@ def _exit_code(result: RunResult) -> int:
     from nmt_core.vocabulary import ResultCode
     from nmt_extract.modal_point import Status
 
-    if result.interrupted:
-        return EXIT_INTERRUPTED
     if not any(point.status == Status.OK for point in result.points):
         return EXIT_FAILED
     return EXIT_DONE if result.code == ResultCode.SUCCEEDED and result.bag_state == "closed" else EXIT_FAILED
-
-
-@contextmanager
-def terminate_as_interrupt() -> Iterator[None]:
-    """Let SIGTERM end a run as Ctrl-C does: by a ramp to zero."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    previous = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)

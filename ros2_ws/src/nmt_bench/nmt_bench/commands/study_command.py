@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
 import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nmt_bench.commands.bench_options import add_task_page_option
+from nmt_bench.commands.worker_count import add_jobs, worker_count
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
 from nmt_study import STUDIES
@@ -17,6 +18,7 @@ from nmt_study import STUDIES
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from nmt_bench.page.task_feed import TaskFeed
     from nmt_study.study import Finding
     from nmt_study.study_runner import CaseReport
     from nmt_study.study_table import SummaryRow
@@ -45,12 +47,13 @@ def add_parser(subparsers: Subparsers) -> None:
         "--out",
         metavar="DIR",
         type=Path,
-        required=True,
-        help="folder for the results (study.csv, report.html, cases/); one of the same study is gone on with",
+        help="folder for the results (study.csv, report.html, cases/); one of the same study is gone on with "
+        "(default: out/study-NAME)",
     )
     parser.add_argument("--force", action="store_true", help="begin anew in a folder that has results")
     parser.add_argument("--quick", action="store_true", help="few, short cases: shows that it works, no more")
-    parser.add_argument("--jobs", metavar="N", type=int, help="worker processes (default: one for each core)")
+    add_jobs(parser)
+    add_task_page_option(parser)
     parser.add_argument("--keep-bags", action="store_true", help="keep the recording of every case in bags/")
 
 
@@ -63,17 +66,20 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: the folder holds something else, or an option is refused.
     """
-    jobs = arguments.jobs if arguments.jobs is not None else _cores()
-    if jobs < 1:
-        raise BenchError(f"--jobs must be at least 1, got {arguments.jobs}.")
+    jobs = worker_count(arguments)
+    if arguments.out is None:
+        arguments.out = Path("out") / f"study-{arguments.name}"
     from nmt_bench.commands.terminal import make_console
+    from nmt_bench.page.task_feed import task_page
 
     console = make_console()
     began = time.monotonic()
-    if arguments.name == "all":
-        complete = _run_all(arguments, jobs, console)
-    else:
-        complete, *_ = _run_study(arguments.name, arguments.out, arguments, jobs, console)
+    with task_page(arguments.page, f"Study {arguments.name}", console) as page:
+        if arguments.name == "all":
+            complete = _run_all(arguments, jobs, console, page)
+        else:
+            complete, *_ = _run_study(arguments.name, arguments.out, arguments, jobs, console, page)
+        page.tell(outcome=f"The study is done{'' if complete else ', but some of its cases have no result'}.")
     from nmt_report.quantity_format import duration
 
     console.print(f"{duration(time.monotonic() - began)}; results in {arguments.out}", markup=False)
@@ -81,14 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     return EXIT_DONE if complete else EXIT_FAILED
 
 
-def _cores() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:
-        return os.cpu_count() or 1
-
-
-def _run_all(arguments: argparse.Namespace, jobs: int, console: Any) -> bool:
+def _run_all(arguments: argparse.Namespace, jobs: int, console: Any, page: TaskFeed) -> bool:
     from nmt_study.case_store import CaseStore
     from nmt_study.study_report import index_page
     from nmt_study.study_table import csv_text
@@ -97,7 +96,9 @@ def _run_all(arguments: argparse.Namespace, jobs: int, console: Any) -> bool:
     shutil.rmtree(arguments.out / "cases", ignore_errors=True)
     complete, entries, rows = True, [], []
     for name in STUDIES:
-        whole, title, summary, findings, study_rows = _run_study(name, arguments.out / name, arguments, jobs, console)
+        whole, title, summary, findings, study_rows = _run_study(
+            name, arguments.out / name, arguments, jobs, console, page
+        )
         complete = complete and whole
         entries.append((name, title, summary, findings))
         rows += study_rows
@@ -107,7 +108,7 @@ def _run_all(arguments: argparse.Namespace, jobs: int, console: Any) -> bool:
 
 
 def _run_study(
-    name: str, folder: Path, arguments: argparse.Namespace, jobs: int, console: Any
+    name: str, folder: Path, arguments: argparse.Namespace, jobs: int, console: Any, page: TaskFeed
 ) -> tuple[bool, str, list[SummaryRow], Sequence[Finding], list[Any]]:
     from nmt_report.svg import figure_style
     from nmt_study.case_store import CaseStore
@@ -122,7 +123,8 @@ def _run_study(
     done = len(cases) - len(todo)
     text = f"{module.TITLE}: {len(cases)} cases"
     console.print(text + (f", {done} of them done before" if done else ""), style="bold", markup=False)
-    progress = _Progress(console, len(todo))
+    progress = _Progress(console, len(todo), page)
+    page.step(f"{module.TITLE}: cases", 0, len(todo))
     bags = folder / "bags" if arguments.keep_bags else None
     reports = run_cases(name, cases, store, jobs, bags, progress.case_done)
     failures = [report for report in reports if report.result is None]
@@ -137,8 +139,8 @@ def _run_study(
         output = module.show(results)
     table = [row for own in rows for row in own] + list(output.extra_rows)
     write_whole(folder / "study.csv", csv_text(table))
-    page = study_page(name, module.TITLE, results, summary, table, output, arguments.quick)
-    write_whole(folder / "report.html", page)
+    page_text = study_page(name, module.TITLE, results, summary, table, output, arguments.quick)
+    write_whole(folder / "report.html", page_text)
     print_summary(console, summary, output.findings)
     for report in failures:
         console.print(f"Case {report.case.name} failed: {report.failure}", style="red", markup=False)
@@ -175,8 +177,9 @@ def print_summary(console: Any, summary: Sequence[SummaryRow], findings: Sequenc
 class _Progress:
     """One line for each case as it ends."""
 
-    def __init__(self, console: Any, total: int) -> None:
-        self._console = console
+    def __init__(self, console: Any, total: int, page: TaskFeed) -> None:
+        self._console, self._page = console, page
+        self._rows: list[tuple[str, str]] = []
         self._total = total
         self._count = 0
         self._began = time.monotonic()
@@ -193,5 +196,8 @@ class _Progress:
         else:
             run = report.result["run"]
             what = f"{run['message']} {duration(run['bench_time_s'])} of bench time"
+        self._rows.insert(0, (report.case.title, what))
+        self._page.tell(done=self._count, total=self._total)
+        self._page.table(("case", "what became of it"), self._rows)
         left = f"; about {duration(rest)} left" if self._count < self._total else ""
         self._console.print(f"  {self._count}/{self._total} {report.case.title}: {what}{left}", markup=False)

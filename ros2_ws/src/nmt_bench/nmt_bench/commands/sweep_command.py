@@ -8,7 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_bench.commands.bench_options import add_latency_option, add_pacing_option, add_process_options, add_rig_options
+from nmt_bench.commands.bench_options import (
+    add_device_option,
+    add_latency_option,
+    add_pacing_option,
+    add_process_options,
+    add_rig_options,
+)
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
 
@@ -72,6 +78,7 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--ramp", metavar="S", type=float, help="half-cosine to the amplitude, s (default: the rig's)")
     add_rig_options(parser, "test.ramp_s=1")
     add_pacing_option(parser)
+    add_device_option(parser)
     add_latency_option(parser)
     parser.add_argument("--points", metavar="N", type=int, default=400, help="frequencies of frf.csv (default: 400)")
     parser.add_argument(
@@ -92,9 +99,11 @@ def run(arguments: argparse.Namespace) -> int:
     levels, start, stop = _checked(arguments)
     check_output(arguments.out, arguments.replace, "replace")
 
-    from nmt_bench.commands.run_command import measure, terminate_as_interrupt
+    from nmt_bench.commands.hardware_options import device_settings
+    from nmt_bench.commands.run_command import measure
     from nmt_bench.commands.terminal import make_console
     from nmt_bench.harness import Bench
+    from nmt_bench.orchestration.interrupts import terminate_as_interrupt
 
     bench = Bench(
         arguments.rig,
@@ -103,8 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
         overrides=arguments.set,
         exciter=arguments.exciter,
         seed=arguments.seed,
-        pacing=arguments.pacing,
-        latency_blocks=arguments.latency_blocks,
+        **{"latency_blocks": arguments.latency_blocks, **device_settings(arguments)},
         ramp=arguments.ramp,
         domain_id=arguments.domain,
         control=arguments.control,
@@ -112,7 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     console = make_console()
     with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.replace, live=True) as folder:
-        result = measure(bench, console, arguments.quiet)
+        result = measure(bench, console, arguments.quiet, arguments.page)
         return _finish(arguments, bench, result, levels, folder, console)
 
 

@@ -54,6 +54,18 @@ class BenchDomain:
         self._holder.close()
 
 
+def domains_in_use() -> list[int]:
+    """Domains that benches on this host hold."""
+    found = []
+    for domain in _DOMAINS:
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+            try:
+                probe.bind(("127.0.0.1", _FIRST_PORT + domain))
+            except OSError:
+                found.append(domain)
+    return found
+
+
 def bench_environment(domain_id: int) -> dict[str, str]:
     """Environment variables for the nodes of a bench.
 

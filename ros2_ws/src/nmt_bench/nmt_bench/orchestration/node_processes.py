@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,10 +14,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from nmt_core.errors import BenchError
+from nmt_core.launcher_watch import LAUNCHER
 from nmt_session.node_plan import NODES, NodePlan
 
-_GRACE = 5.0
+_GRACE = 6.0  # s; a node that is told to end may wait for the ramp to zero
 _PR_SET_PDEATHSIG = 1
+_LOG_HEAD = re.compile(r"^\[\w+\] \[[\d.]+\] \[[^\]]*\]: ")
 
 
 class NodeProcesses:
@@ -32,7 +35,7 @@ class NodeProcesses:
         self._plan = plan
         self._log = out / "log"
         self._parameters = out / "nodes.yaml"
-        self._environment = {**os.environ, **environment}
+        self._environment = {**os.environ, **environment, LAUNCHER: str(os.getpid())}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self) -> None:
@@ -58,7 +61,7 @@ class NodeProcesses:
                         env=self._environment,
                         # Ctrl-C in the terminal is for the command line alone: it ramps the drive down first.
                         start_new_session=True,
-                        preexec_fn=_die_with_parent,
+                        preexec_fn=die_with_parent,
                     )
                 except OSError as error:
                     raise BenchError(f"Node {name} cannot be started ({error}); run './nmt setup' again.") from error
@@ -72,8 +75,13 @@ class NodeProcesses:
         """Name of a node whose process has ended; empty if all live."""
         return next((name for name, process in self._processes.items() if process.poll() is not None), "")
 
+    def is_alive(self, name: str) -> bool:
+        """Whether the process of a node has not ended."""
+        process = self._processes.get(name)
+        return process is not None and process.poll() is None
+
     def last_words(self, name: str) -> str:
-        """How the process ended and the last line of its log."""
+        """How the process ended and the last line of its log that is more than a note on its state."""
         process = self._processes.get(name)
         code = process.poll() if process else None
         how = ""
@@ -82,8 +90,10 @@ class NodeProcesses:
         elif code:
             how = f"exit code {code}"
         with contextlib.suppress(OSError, IndexError):
-            lines = (self._log / f"{name}.log").read_text(errors="replace").strip().splitlines()
-            return ": ".join(part for part in (how, lines[-1].strip()) if part)
+            text = (self._log / f"{name}.log").read_text(errors="replace")
+            lines = [line for line in text.strip().splitlines() if not line.startswith("[INFO]")]
+            last = _LOG_HEAD.sub("", lines[-1].strip())
+            return ": ".join(part for part in (how, last.rstrip(".")) if part)
         return how
 
     def end(self) -> None:
@@ -91,6 +101,7 @@ class NodeProcesses:
         for process in self._processes.values():
             if process.poll() is None:
                 process.send_signal(signal.SIGTERM)
+                process.send_signal(signal.SIGCONT)  # a stopped process would not hear of it
         deadline = time.monotonic() + _GRACE
         for process in self._processes.values():
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -117,6 +128,7 @@ def find_executable(package: str, executable: str) -> Path:
     )
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
+    """In a child before it starts its program: it gets SIGTERM when its parent dies."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

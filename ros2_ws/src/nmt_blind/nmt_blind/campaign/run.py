@@ -7,13 +7,15 @@ import hashlib
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from nmt_blind.campaign.frozen import check_frozen
+from nmt_blind.workers import worked
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_json
 from nmt_core.whole_file import write_whole
@@ -35,6 +37,7 @@ class CampaignRun:
         done: of those, with a result now.
         new: diagnosed this time.
         failed: diagnosed this time, without a verdict.
+        waiting: cases whose bags have not been made yet.
         seconds: median computing time of a diagnosis, s; NaN if none was made.
     """
 
@@ -44,6 +47,7 @@ class CampaignRun:
     new: int
     failed: int
     seconds: float
+    waiting: int = 0
 
 
 def diagnose_case(model: Path, bags: Sequence[Path], withheld: str) -> dict[str, Any]:
@@ -68,7 +72,7 @@ def run_campaign(
     diagnose: Diagnose = diagnose_case,
     progress: Callable[[int, int, str], None] = lambda done, total, case: None,
 ) -> CampaignRun:
-    """Diagnose all cases that have no result yet.
+    """Diagnose all cases that have bags and no result yet.
 
     Args:
         folder: the campaign's folder.
@@ -81,54 +85,26 @@ def run_campaign(
         progress: called with cases done, cases in all and the newest case.
 
     Raises:
-        BenchError: the folder holds no campaign, or the scheduler does not answer.
+        BenchError: the folder holds no campaign, the first cases of a sealed one were diagnosed by another version of
+            the program, or the scheduler does not answer.
     """
     public = read_public(folder)
     results = results or folder / "results"
     results.mkdir(parents=True, exist_ok=True)
+    check_frozen(folder, results, public.get("purpose") == "sealed", again)
     cases = list(public["cases"])
-    todo = [case for case in cases if again or read_result(results, str(case["case"])) is None]
-    done, failed, spent = len(cases) - len(todo), 0, []
+    made = [case for case in cases if (folder / "cases" / str(case["case"]) / "bags.json").is_file()]
+    todo = [case for case in made if again or read_result(results, str(case["case"])) is None]
+    done, failed, spent = len(made) - len(todo), 0, []
     progress(done, len(cases), "")
     work = [(folder, results, str(case["case"]), str(case["withheld"]), discard_bags, diagnose) for case in todo]
-    for result in _results(work, jobs, scheduler):
+    for result in worked(run_case, work, jobs, scheduler):
         done += 1
         failed += "error" in result
         spent.append(float(result["seconds"]))
         progress(done, len(cases), str(result["case"]))
     middle = sorted(spent)[len(spent) // 2] if spent else float("nan")
-    return CampaignRun(results, len(cases), done, len(todo), failed, middle)
-
-
-def _results(work: list[tuple[Any, ...]], jobs: int, scheduler: str) -> Iterable[dict[str, Any]]:
-    if scheduler:
-        yield from _over_machines(work, scheduler)
-    elif jobs == 1 or len(work) <= 1:
-        for item in work:
-            yield run_case(*item)
-    else:
-        from joblib import Parallel, delayed, parallel_config
-
-        # The cases share the cores; each of them works on one.
-        with parallel_config(backend="loky", inner_max_num_threads=1):
-            parallel = Parallel(n_jobs=min(jobs, len(work)), return_as="generator_unordered")
-            yield from parallel(delayed(run_case)(*item) for item in work)
-
-
-def _over_machines(work: list[tuple[Any, ...]], scheduler: str) -> Iterable[dict[str, Any]]:
-    from distributed import Client, as_completed
-
-    try:
-        client = Client(scheduler, timeout="20s")
-    except (OSError, ValueError) as error:
-        raise BenchError(
-            f"The Dask scheduler {scheduler} does not answer ({error}); start it with 'dask scheduler' and give its "
-            "address as tcp://host:port."
-        ) from error
-    with client:
-        futures = [client.submit(run_case, *item, pure=False) for item in work]
-        for future in as_completed(futures):
-            yield future.result()
+    return CampaignRun(results, len(cases), done, len(todo), failed, middle, len(cases) - len(made))
 
 
 def run_case(

@@ -6,13 +6,14 @@ import hashlib
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nmt_blind.campaign.baselines import PLAIN_METHODS, FeatureClassifier, Method
+from nmt_blind.campaign.frozen import frozen_digest
 from nmt_blind.campaign.run import read_public, read_result
 from nmt_blind.campaign.scored_case import Answer, ScoredCase, scored_case
 from nmt_blind.campaign.statistics import (
@@ -32,6 +33,8 @@ STRONG = 8.0
 """Standard deviations from which an effect must be found."""
 STRONGEST = 16.0
 """Up to here effects are of the strengths that the published figures are about; beyond, anyone sees them."""
+BANDS = ((1.0, 4.0), (8.0, 16.0), (32.0, 64.0), (256.0, 1024.0), (4096.0, 4096.0))
+"""Weakest and strongest effects that are counted together, standard deviations."""
 FALSE_ALARMS = 0.01
 WRONGLY_UNKNOWN = 0.05
 _OPENED_FILE = "opened.json"
@@ -65,6 +68,32 @@ class MethodScore:
 
 
 @dataclass(frozen=True)
+class BandScore:
+    """Figures of the effects of a band of strengths.
+
+    Attributes:
+        low, high: the band, standard deviations.
+        detected: named and unnamed effects; first: the right effect first, single effects; place: their place.
+        covered: effects named rightly with the truth within 3 standard uncertainties in all their parameters.
+        unknown: unnamed effects that were called unknown.
+        pairs: both of two effects among the first three; by the weaker one.
+    """
+
+    low: float
+    high: float
+    detected: Proportion
+    first: Proportion
+    place: Proportion
+    covered: Proportion
+    unknown: Proportion
+    pairs: Proportion
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {name: _plain(getattr(self, name)) for name in self.__dataclass_fields__}
+
+
+@dataclass(frozen=True)
 class Scores:
     """All figures of a campaign.
 
@@ -87,8 +116,12 @@ class Scores:
         roc: false alarms and detections of effects from 8 σ.
         seconds: median computing time of a diagnosis, s.
         training: campaign that the classifier learned from; empty = none.
+        frozen: sha256 of the program that diagnosed; empty = not noted.
         within: the diagnosis on cases up to 16 σ only.
         unnamed: by strength, how often an unnamed effect was called unknown.
+        covered: share of rightly named effects from 8 σ with the truth within 3 standard uncertainties in all their
+            parameters; bands: figures by strength.
+        stalled: cases of which fewer than half of the levels locked.
         distinct: the same of those of which no named effect takes the last 8 σ; distinct_area: area under the ROC of
             these against named effects.
     """
@@ -123,7 +156,11 @@ class Scores:
     unnamed: dict[float, Proportion]
     distinct: Proportion
     distinct_area: float
+    covered: Proportion
+    bands: tuple[BandScore, ...]
     training: str = ""
+    frozen: str = ""
+    stalled: tuple[str, ...] = ()
     by_kind: dict[str, dict[str, int]] = field(default_factory=dict)
 
     def to_mapping(self) -> dict[str, Any]:
@@ -143,6 +180,7 @@ class Scores:
                 "verdict": case.verdict,
                 "answer": first_answer(case),
                 "place": case.place,
+                "estimates": [{**_plain(asdict(e)), "deviation": _plain(e.deviation)} for e in case.estimates],
                 "confidence": _plain(case.confidence),
             }
             for case in self.cases
@@ -176,9 +214,22 @@ def score_campaign(folder: Path, results: Path | None = None, again: bool = Fals
     failed = tuple(case.name for case in cases if case.verdict == "failed")
     return compute_scores(
         cases, {"rig": str(public["rig"]), "purpose": str(seal["purpose"]), "missing": missing, "failed": failed,
-                "seal": str(seal["sha256"]), "trail": trail, "openings": openings, "training": training},
+                "seal": str(seal["sha256"]), "trail": trail, "openings": openings, "training": training,
+                "frozen": frozen_digest(results),
+                "stalled": _stalled(folder, [case.name for case in cases])},
         classifier,
     )  # fmt: skip
+
+
+def _stalled(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
+    """Cases of which some test locked on fewer than half of its levels: the truth was too strong for the loop."""
+    found = []
+    for name in names:
+        path = folder / "cases" / name / "bags.json"
+        tests = _read(path).values() if path.is_file() else ()
+        if any(2 * int(test["locked"]) < int(test["levels"]) for test in tests):
+            found.append(name)
+    return tuple(found)
 
 
 def read_cases(truth: dict[str, Any], results: Path) -> tuple[tuple[ScoredCase, ...], tuple[str, ...]]:
@@ -257,6 +308,25 @@ def compute_scores(cases: Sequence[ScoredCase], about: dict[str, Any], classifie
         },
         distinct=Proportion.count([case.verdict == "unknown" for case in distinct]),
         distinct_area=area_under_roc([_unknown(case) for case in distinct], [_unknown(case) for case in named]),
+        covered=Proportion.count([within for case in strong for within in case.covered]),
+        bands=tuple(
+            _band(low, high, [case for case in cases if case.kind != "null" and low <= case.sigma <= high])
+            for low, high in BANDS
+        ),
+    )
+
+
+def _band(low: float, high: float, cases: Sequence[ScoredCase]) -> BandScore:
+    single = [case for case in cases if case.single]
+    return BandScore(
+        low,
+        high,
+        detected=Proportion.count([case.answer.alarm for case in cases]),
+        first=Proportion.count([case.answer.first(case.truth) for case in single]),
+        place=Proportion.count([case.place in case.places for case in single]),
+        covered=Proportion.count([within for case in cases for within in case.covered]),
+        unknown=Proportion.count([case.verdict == "unknown" for case in cases if case.unknown]),
+        pairs=Proportion.count([case.answer.among(case.truth) for case in cases if case.kind == "compound"]),
     )
 
 
@@ -343,6 +413,10 @@ def _opened(folder: Path, seal: dict[str, Any]) -> dict[str, Any]:
 def _checked_trail(folder: Path, seal: dict[str, Any], truth: dict[str, Any], results: Path) -> str:
     """Hash of the list of bag hashes, after every diagnosed bag was found to be the one that was made."""
     path = folder / "hashes.json"
+    if not path.is_file():
+        raise BenchError(
+            f"Not all cases of {folder} have been made; go on with './nmt blind make' and './nmt blind run'."
+        )
     trail = _read(path)
     if trail.get("truth") != seal["sha256"]:
         raise BenchError(f"The list of bags {path} belongs to another truth; make the campaign again.")
@@ -403,7 +477,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, Proportion | MethodScore):
+    if isinstance(value, Proportion | MethodScore | BandScore):
         return value.to_mapping()
     if isinstance(value, ReliabilityDiagram):
         return {name: _plain(getattr(value, name)) for name in value.__dataclass_fields__}

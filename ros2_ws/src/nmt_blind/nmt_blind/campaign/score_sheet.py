@@ -28,6 +28,7 @@ TARGETS: dict[str, tuple[str, str]] = {
     "harm": ("≤ 2 %", "—"),
     "compound": ("≥ 85 %", "—"),
     "false_alarms": ("≤ 1 %", "—"),
+    "covered": ("≥ 97 %", "—"),
 }
 """Target and best published figure by name."""
 
@@ -77,6 +78,7 @@ def figures(scores: Scores) -> list[tuple[str, str, str, str, bool | None]]:
         row("held-out gap larger than before (harm)", "harm", percent(scores.harm), scores.harm.value,
             lambda value: value <= 0.02),
         share("two effects, both among the first three", "compound", scores.compound, 0.85),
+        share("truth within 3 standard uncertainties, effects named rightly", "covered", scores.covered, 0.97),
     ]  # fmt: skip
 
 
@@ -98,6 +100,7 @@ def further(scores: Scores) -> list[tuple[str, str]]:
         ("verdict none, null cases without", percent(scores.plain_none)),
         ("area under the ROC, gap or none, all strengths", number(scores.method.roc_area)),
         ("computing time of a diagnosis, median", f"{number(scores.seconds, 1)} s"),
+        ("cases of which fewer than half of the levels locked", f"{len(scores.stalled)}"),
         ("cases scored / without result / without verdict",
          f"{len(scores.cases)} / {len(scores.missing)} / {len(scores.failed)}"),
     ]  # fmt: skip
@@ -153,6 +156,15 @@ def markdown(scores: Scores) -> str:
         ("σ", "detected", "right effect first"),
         [(f"{sigma:g}", percent(found), percent(first)) for sigma, (found, first) in scores.by_strength.items()],
     )
+    parts += ["", "## By band of strengths", ""]
+    parts += _table(
+        ("σ", "detected", "right first", "right place", "within 3 σ", "called unknown", "pairs, first three"),
+        [
+            (f"{b.low:g} to {b.high:g}" if b.high > b.low else f"{b.low:g}",
+             *(percent(share) for share in (b.detected, b.first, b.place, b.covered, b.unknown, b.pairs)))
+            for b in scores.bands
+        ],
+    )  # fmt: skip
     parts += ["", "## Unnamed effects by strength", ""]
     parts += _table(("σ", "verdict unknown"), [(f"{s:g}", percent(share)) for s, share in scores.unnamed.items()])
     parts += ["", "## Verdicts by kind of case", ""]
@@ -170,7 +182,8 @@ def markdown(scores: Scores) -> str:
         (row, ", ".join(f"{answer} {count}" for answer, count in sorted(found.items(), key=lambda item: -item[1])))
         for row, found in scores.confusion.items()
     ])  # fmt: skip
-    parts += ["", "## Hash trail", "", f"* truth: `{scores.seal}`", f"* bags: `{scores.trail}`", ""]
+    parts += ["", "## Hash trail", "", f"* truth: `{scores.seal}`", f"* bags: `{scores.trail}`"]
+    parts += [f"* program that diagnosed them: `{scores.frozen or 'not noted'}`", ""]
     return "\n".join(parts)
 
 

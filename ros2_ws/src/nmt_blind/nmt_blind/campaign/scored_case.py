@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,6 +39,32 @@ class Answer:
 
 
 @dataclass(frozen=True)
+class Estimate:
+    """A parameter of an effect that was named rightly.
+
+    Attributes:
+        effect: name of the effect.
+        name: of the parameter.
+        truth: its true value.
+        value, std: what the diagnosis states.
+    """
+
+    effect: str
+    name: str
+    truth: float
+    value: float
+    std: float
+
+    @property
+    def deviation(self) -> float:
+        """Stated standard uncertainties between truth and value; infinite where none is stated."""
+        off = abs(self.value - self.truth)
+        if self.std > 0.0:
+            return off / self.std
+        return 0.0 if off == 0.0 else math.inf
+
+
+@dataclass(frozen=True)
 class ScoredCase:
     """One case.
 
@@ -59,6 +86,7 @@ class ScoredCase:
         details: the diagnosis.
         sindy: answer of the sparse regression, if it was made.
         seconds: computing time.
+        estimates: of the parameters of effects that were named rightly, at the right point or channel.
     """
 
     name: str
@@ -81,6 +109,15 @@ class ScoredCase:
     sindy: dict[str, Any] = field(default_factory=dict)
     seconds: float = math.nan
     alone: float = math.nan
+    estimates: tuple[Estimate, ...] = ()
+
+    @property
+    def covered(self) -> tuple[bool, ...]:
+        """Of each effect that was named rightly, whether all its parameters lie within 3 standard uncertainties."""
+        worst: dict[str, float] = {}
+        for estimate in self.estimates:
+            worst[estimate.effect] = max(worst.get(estimate.effect, 0.0), estimate.deviation)
+        return tuple(deviation <= 3.0 for deviation in worst.values())
 
     @property
     def known(self) -> bool:
@@ -158,7 +195,30 @@ def scored_case(truth: dict[str, Any], result: dict[str, Any]) -> ScoredCase:
         sindy=diagnosis.get("sindy") or {},
         seconds=_number(result.get("seconds")),
         alone=min((_number(effect.get("alone")) for effect in effects), default=math.nan),
+        estimates=_estimates(effects, diagnosis) if verdict == "effect" else (),
     )
+
+
+def _estimates(effects: Sequence[Mapping[str, Any]], diagnosis: Mapping[str, Any]) -> tuple[Estimate, ...]:
+    """True and stated parameters of the effects that the first explanation names, where it names all of them."""
+    head = next(iter(diagnosis.get("ranking", ())), None)
+    if head is None or effect_set(head["effect"]) != frozenset(str(effect["name"]) for effect in effects):
+        return ()
+    stated: Mapping[str, Mapping[str, Any]] = head.get("parameters", {})
+    found = []
+    for effect in effects:
+        name, spot = str(effect["name"]), str(effect.get("detail", "")).split(" at ")[0]
+        for key, truth in effect.get("figures", {}).items():
+            for label, value in stated.items():
+                # Of two effects, parameters are named effect@detail.parameter.
+                cause, _, own = label.rpartition(".")
+                named, _, detail = cause.partition("@") if cause else (name, "", str(head.get("detail", "")))
+                detail = detail.split(" at ")[0]
+                if own == key and named == name and (not detail or not spot or detail == spot):
+                    found.append(
+                        Estimate(name, key, float(truth), _number(value.get("value")), _number(value.get("std")))
+                    )
+    return tuple(found)
 
 
 def _number(value: Any, otherwise: float = math.nan) -> float:

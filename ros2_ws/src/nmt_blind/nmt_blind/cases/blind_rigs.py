@@ -20,11 +20,13 @@ class BlindRig:
         name: name of the rig.
         bench: its tests.
         caution: factor on first guesses of strengths; the smaller, the more its tests see.
+        tests: of every case, see `nmt_blind.cases.make.RECORDERS`.
     """
 
     name: str
     bench: BenchSettings
     caution: float = 0.1
+    tests: tuple[str, ...] = ("backbone", "random")
 
     @property
     def file(self) -> Path:
@@ -66,6 +68,20 @@ BLIND_RIGS: dict[str, BlindRig] = {
             substeps=2,
         ),
         caution=0.02,
+    ),
+    "modal_beam": BlindRig(
+        "modal_beam",
+        BenchSettings(
+            levels=_geometric(0.01, 0.2, 10),
+            window_periods=80,
+            ramp=0.2,
+            random_level=0.05,
+            band_hz=(20.0, 1200.0),
+            duration=16.0,
+            settling_time=1.5,
+        ),
+        caution=0.02,
+        tests=("backbone", "random", "tables", "ring_down"),
     ),
 }
 

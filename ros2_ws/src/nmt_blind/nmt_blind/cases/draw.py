@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.priors import draw_shifts
-from nmt_blind.cases.rig_edits import Edit
+from nmt_blind.cases.rig_edits import Edit, with_edits
 from nmt_blind.cases.strength_table import StrengthTable
-from nmt_blind.cases.truths import KNOWN, NEAR_TWINS, OPEN, Spot, Truth, truth_named
+from nmt_blind.cases.tolerances import check_tolerances, draw_chain
+from nmt_blind.cases.truths import KNOWN, NEAR_TWINS, OPEN, Spot, Truth, figures_of, truth_named
 from nmt_core.errors import BenchError
 from nmt_rig.rig import Rig
 
-STRENGTHS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+STRENGTHS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 256.0, 1024.0, 4096.0)
 """Standard deviations at which single effects are drawn."""
 TWIN_STRENGTHS = (4.0, 8.0, 16.0)
 """Of effects with a near twin: what is strong enough is told apart by anyone."""
-UNNAMED_STRENGTHS = (8.0, 16.0, 32.0, 64.0)
+UNNAMED_STRENGTHS = (8.0, 16.0, 32.0, 64.0, 256.0, 1024.0)
 """Of effects without a name: a named relative takes most of a weak one."""
-COMPOUND_STRENGTH = 16.0
+COMPOUND_STRENGTHS = (
+    (16.0, 16.0), (16.0, 64.0), (64.0, 16.0), (64.0, 64.0), (64.0, 256.0), (256.0, 64.0), (256.0, 256.0),
+    (1024.0, 256.0), (1024.0, 1024.0), (4096.0, 1024.0), (4096.0, 4096.0),
+)  # fmt: skip
 """Of each of two effects."""
 
 MIXTURE: dict[str, int] = {"null": 5, "effect": 8, "open": 2, "compound": 2, "twin": 1, "withheld": 2}
@@ -43,6 +48,8 @@ class TrueEffect:
         value: strength in `unit`, with its sign.
         known: the library is supposed to have it.
         alone: standard deviations that no other named effect takes, withheld ones apart.
+        asked: standard deviations that were drawn; more than `sigma` where the rig does not get there.
+        figures: true values of the parameters that a diagnosis reports.
     """
 
     name: str
@@ -53,10 +60,13 @@ class TrueEffect:
     unit: str
     known: bool
     alone: float
+    asked: float
+    figures: Mapping[str, float]
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return {**values, "figures": dict(self.figures)}
 
 
 @dataclass(frozen=True)
@@ -71,6 +81,7 @@ class Case:
         shifted: parameters of the model are off.
         edits: all changes of the model's rig file.
         noise_seed: seed of noise and random drive.
+        converters: of the laboratory; None = the bench's own simulator.
     """
 
     number: int
@@ -80,6 +91,7 @@ class Case:
     shifted: bool
     edits: tuple[Edit, ...]
     noise_seed: int
+    converters: Converters | None = None
 
     @property
     def name(self) -> str:
@@ -96,6 +108,7 @@ class Case:
             "shifted": self.shifted,
             "edits": [edit.to_mapping() for edit in self.edits],
             "noise_seed": self.noise_seed,
+            "converters": None if self.converters is None else self.converters.to_mapping(),
         }
 
 
@@ -117,7 +130,20 @@ class _Deck:
         return self._cards[self._order.pop()]
 
 
-def draw_cases(model: Rig, table: StrengthTable, count: int, seed: int, kinds: Sequence[str] = ()) -> list[Case]:
+def check_kinds(kinds: Sequence[str]) -> None:
+    """Refuse kinds of case that do not exist.
+
+    Raises:
+        BenchError: one that does not.
+    """
+    for kind in kinds:
+        if kind not in MIXTURE:
+            raise BenchError(f"There is no kind of case '{kind}'; choose from {', '.join(MIXTURE)}.")
+
+
+def draw_cases(
+    model: Rig, table: StrengthTable, count: int, seed: int, kinds: Sequence[str] = (), tolerances: str = "none"
+) -> list[Case]:
     """Draw cases; the first ones are the same whatever the number.
 
     Args:
@@ -126,13 +152,13 @@ def draw_cases(model: Rig, table: StrengthTable, count: int, seed: int, kinds: S
         count: number of cases.
         seed: of everything.
         kinds: kinds of case to draw; none = all.
+        tolerances: of the measuring chain, ``none`` or ``laboratory``: a healthy one is drawn for every case.
 
     Raises:
-        BenchError: a kind that does not exist, or a table without the truths that are needed.
+        BenchError: tolerances or a kind that do not exist, or a table without the truths that are needed.
     """
-    for kind in kinds:
-        if kind not in MIXTURE:
-            raise BenchError(f"There is no kind of case '{kind}'; choose from {', '.join(MIXTURE)}.")
+    check_tolerances(tolerances)
+    check_kinds(kinds)
     cards = [kind for kind, share in MIXTURE.items() if not kinds or kind in kinds for _ in range(share)]
     mixture = _Deck(cards, np.random.default_rng([seed, 1]))
     draws = _Draws(model, table, seed)
@@ -146,7 +172,12 @@ def draw_cases(model: Rig, table: StrengthTable, count: int, seed: int, kinds: S
         moved = draw_shifts(model, own) if shifted else ()
         withheld = ",".join(family) if kind == "withheld" else draws.bystander(effects, own)
         noise_seed = int(own.integers(1, 2**31))
-        cases.append(Case(number, kind, effects, withheld, shifted, (*moved, *edits), noise_seed))
+        all_edits, converters = (*moved, *edits), None
+        if tolerances == "laboratory":
+            chain = draw_chain(model, table.operating, np.random.default_rng([seed, 6, number]))
+            all_edits += chain.edits(with_edits(model, all_edits), table.operating.omega)
+            converters = chain.converters
+        cases.append(Case(number, kind, effects, withheld, shifted, all_edits, noise_seed, converters))
     return cases
 
 
@@ -169,6 +200,7 @@ class _Draws:
         self._pair, self._strong = deck([*pairs, *((b, a) for a, b in pairs)], 3), deck(TWIN_STRENGTHS, 4)
         self._unnamed = deck(UNNAMED_STRENGTHS, 7)
         self._first, self._second = deck(self.known, 5), deck(self.known, 6)
+        self._together = deck(COMPOUND_STRENGTHS, 8)
 
     def _reach(self, truth: Truth) -> bool:
         """Whether the truth gets to the weakest strength anywhere on this rig."""
@@ -178,7 +210,8 @@ class _Draws:
         found = []
         for spot in truth.spots(self.model, self.table.operating):
             value = self.table.value(truth, spot, sigma)
-            if value is not None:
+            # Beyond the limit no rig is like that.
+            if value is not None and value <= truth.limit(self.model, self.table.operating, spot):
                 found.append((spot, value))
         return found
 
@@ -198,7 +231,8 @@ class _Draws:
         first, second = self._first.deal(), self._second.deal()
         while second.name == first.name or _near(first.name, second.name) or _overlap(first.name, second.name):
             second = self._second.deal()
-        return self._drawn((first, COMPOUND_STRENGTH), (second, COMPOUND_STRENGTH))
+        one, other = self._together.deal()
+        return self._drawn((first, one), (second, other))
 
     def _drawn(
         self, *wanted: tuple[Truth, float], withheld: bool = False
@@ -219,8 +253,11 @@ class _Draws:
             place = truth.place_at(self.model, spot)
             alone = round(STRENGTHS[at] * self.table.alone(truth, spot, family), 2)
             effects.append(
-                TrueEffect(truth.name, place, spot.label, STRENGTHS[at], value, truth.unit, truth.known, alone)
-            )
+                TrueEffect(
+                    truth.name, place, spot.label, STRENGTHS[at], value, truth.unit, truth.known, alone, sigma,
+                    figures_of(truth, self.table.operating, spot, value),
+                )
+            )  # fmt: skip
         return tuple(effects), tuple(edits), family
 
     def _choose(self, spots: list[tuple[Spot, float]]) -> tuple[Spot, float]:
@@ -243,7 +280,12 @@ def _near(one: str, other: str) -> bool:
 
 
 # Truths that write the same key: together only one of them would be true.
-_SAME_KEY = ({"force_gain", "response_gain"}, {"clipping", "quantisation"}, {"low_pass", "channel_skew"})
+_SAME_KEY = (
+    {"force_gain", "response_gain"},
+    {"clipping", "quantisation"},
+    {"low_pass", "channel_skew"},
+    {"shared_delay", "channel_skew"},
+)
 
 
 def _overlap(one: str, other: str) -> bool:

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from nmt_blind.cases.laboratory_rig import Converters, LaboratoryRig
 from nmt_blind.cases.rig_edits import rig_yaml
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import ResultCode, TestKind
 from nmt_plant.simulated_rig import SimulatedRig
@@ -129,7 +131,9 @@ def random_test(model: Rig, bench: BenchSettings, bag: Path | None = None) -> Pl
     return PlannedTest(plan, {})
 
 
-def record_backbone(bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed: int) -> Outcome:
+def record_backbone(
+    bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed: int, converters: Converters | None = None
+) -> Outcome:
     """Make the backbone test and write it into a bag.
 
     Args:
@@ -138,16 +142,20 @@ def record_backbone(bag: Path, truth: Rig, model: Rig, bench: BenchSettings, see
         model: the rig as it is believed to be.
         bench: settings of the test.
         seed: of noise and random numbers.
+        converters: of a laboratory; the bag says then that its data come from elsewhere.
+            None = the bench's own simulator.
 
     Raises:
         BenchError: a setting is refused or the bag cannot be written.
     """
-    return _record(as_built(truth, bench, seed), backbone_test(truth, model, bench, bag))
+    return _record(as_built(truth, bench, seed), backbone_test(truth, model, bench, bag), converters)
 
 
-def record_random(bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed: int) -> Outcome:
+def record_random(
+    bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed: int, converters: Converters | None = None
+) -> Outcome:
     """Make the random test and write it into a bag; arguments as for `record_backbone`."""
-    return _record(as_built(truth, bench, seed ^ _RANDOM_SEED), random_test(model, bench, bag))
+    return _record(as_built(truth, bench, seed ^ _RANDOM_SEED), random_test(model, bench, bag), converters)
 
 
 def play(built: Rig, test: PlannedTest, listener: Listener) -> RunResult:
@@ -179,16 +187,39 @@ class TrialError(ArithmeticError):
     """A test that cannot be made on this truth."""
 
 
+def sidecar_of(model: Rig) -> dict[str, Any]:
+    """The sidecar of a recording that a laboratory made of a rig: its channels, without calibration sheets."""
+    return {
+        "rig": model.name,
+        "file": "recording",
+        "sample_rate": model.sample_rate_hz,
+        "channels": [
+            {
+                "column": model.sensor_channel(sensor),
+                "name": model.sensor_channel(sensor),
+                "quantity": sensor.quantity,
+                "unit": Quantity[sensor.quantity.upper()].unit,
+                "point": model.sensor_point(sensor),
+            }
+            for sensor in model.sensors
+        ],
+    }
+
+
 def _recorder(bag: Path | None) -> dict[str, dict[str, Any]]:
     return {} if bag is None else {"recorder": {"output": str(bag), **_CHUNKS}}
 
 
-def _record(built: Rig, test: PlannedTest) -> Outcome:
+def _record(built: Rig, test: PlannedTest, converters: Converters | None) -> Outcome:
     plan = test.plan
+    device = SimulatedRig(built) if converters is None else LaboratoryRig(built, converters)
     try:
-        session = Session(plan, device=SimulatedRig(built), loop_values=test.loop_values)
+        session = Session(plan, device=device, loop_values=test.loop_values)
         # Nothing in the run's description depends on the truth, on the clock or on where the files are.
-        session.describe({key: session.plan.run[key] for key in _DESCRIBED} | {"versions": {"nmt": "0.1.0"}})
+        described = {key: session.plan.run[key] for key in _DESCRIBED} | {"versions": {"nmt": "0.1.0"}}
+        if converters is not None:
+            described["imported"] = {"sidecar": sidecar_of(plan.rig), "files": [], "notes": []}
+        session.describe(described)
         with session:
             result = session.run()
     except BenchError as error:

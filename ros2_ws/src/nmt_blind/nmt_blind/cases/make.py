@@ -11,20 +11,31 @@ from pathlib import Path
 from typing import Any
 
 from nmt_blind.cases.blind_rigs import BlindRig, blind_rig
-from nmt_blind.cases.draw import Case, draw_cases
+from nmt_blind.cases.draw import Case, check_kinds, draw_cases
 from nmt_blind.cases.laboratory import record_backbone, record_random
+from nmt_blind.cases.reduced_tests import record_ring_down, record_tables
 from nmt_blind.cases.rig_edits import with_edits
 from nmt_blind.cases.strength_table import StrengthTable, load_table
+from nmt_blind.workers import worked
 from nmt_core import hardened
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
+from nmt_rig.rig import Rig
 
 TRUTH_FILE = "truth.sealed"
 SEAL_FILE = "seal.json"
 PUBLIC_FILE = "public.json"
 HASH_FILE = "hashes.json"
-TESTS = ("backbone", "random")
-FORMAT = "nmt blind campaign 1"
+FORMAT = "nmt blind campaign 2"
+RESERVED = (3918,)
+"""Even seeds that are kept for sealed campaigns, as odd ones are."""
+RECORDERS = {
+    "backbone": record_backbone,
+    "random": record_random,
+    "tables": record_tables,
+    "ring_down": record_ring_down,
+}
+"""How each test of a case is made."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +45,8 @@ class Made:
     Attributes:
         folder: its folder.
         seal: sha256 of the sealed truth.
-        trail: sha256 of the list of all bags' hashes.
-        cases: number of cases; new: of those, made this time.
+        trail: sha256 of the list of all bags' hashes; empty while some are to be made.
+        cases: number of cases; new: of those, made this time; left: still to be made.
         seconds: computing time of the new ones, s in all.
         megabytes: size of all bags that are there.
     """
@@ -47,6 +58,7 @@ class Made:
     new: int
     seconds: float
     megabytes: float
+    left: int = 0
 
 
 def make_campaign(
@@ -57,10 +69,13 @@ def make_campaign(
     kinds: Sequence[str] = (),
     sealed: bool = False,
     jobs: int = 1,
+    tolerances: str = "none",
+    scheduler: str = "",
     rig: BlindRig | None = None,
     table: StrengthTable | None = None,
     on_seal: Callable[[str], None] = lambda digest: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    batch: int = 0,
 ) -> Made:
     """Draw cases, seal their truth, then make their bags; what is there already is kept.
 
@@ -72,22 +87,31 @@ def make_campaign(
         kinds: kinds of case; none = all.
         sealed: a sealed campaign is meant.
         jobs: worker processes.
+        tolerances: of the measuring chain, ``laboratory`` or ``none``.
+        scheduler: address of a Dask scheduler in place of worker processes; its workers must see the same folder.
         rig, table: in place of the program's own.
         on_seal: called with the seal before any bag is made.
         progress: called with cases done and in all.
+        batch: most cases to make this time; 0 = all. The truth of all of them is sealed at once.
 
     Raises:
-        BenchError: a seed of the wrong kind, a folder with another campaign, or what `draw_cases` refuses.
+        BenchError: a batch below 0, a seed of the wrong kind, a folder with another campaign, what `draw_cases`
+            refuses, or a scheduler that does not answer.
     """
     _check_seed(seed, sealed)
     if count < 1:
         raise BenchError(f"A campaign needs at least one case, got {count}.")
+    if batch < 0:
+        raise BenchError(f"A batch needs at least one case, got {batch}; leave it out to make all of them.")
+    check_kinds(kinds)
     rig = rig or blind_rig(rig_name)
     model = rig.model()
-    cases = draw_cases(model, table or load_table(rig), count, seed, kinds)
-    truth = json.dumps(
-        {"format": FORMAT, "rig": rig.name, "seed": seed, "cases": [case.to_mapping() for case in cases]}, indent=1
-    ) + "\n"  # fmt: skip
+    table = table or _program_table(rig, model, tolerances, sealed)
+    cases = draw_cases(model, table, count, seed, kinds, tolerances)
+    truth = json.dumps({
+        "format": FORMAT, "rig": rig.name, "seed": seed, "tolerances": tolerances,
+        "cases": [case.to_mapping() for case in cases],
+    }, indent=1) + "\n"  # fmt: skip
     digest = hashlib.sha256(truth.encode()).hexdigest()
     _claim(folder, digest, sealed)
     public = {
@@ -95,7 +119,8 @@ def make_campaign(
         "rig": rig.name,
         "purpose": _purpose(sealed),
         "model": "model.yaml",
-        "tests": list(TESTS),
+        "tests": list(rig.tests),
+        "tolerances": tolerances,
         "cases": [{"case": case.name, "withheld": case.withheld} for case in cases],
     }
     write_whole(folder / SEAL_FILE, json.dumps({
@@ -107,10 +132,24 @@ def make_campaign(
     write_whole(folder / PUBLIC_FILE, json.dumps(public, indent=1) + "\n")
     (folder / "cases").mkdir(exist_ok=True)
     todo = [case for case in cases if not (_case_folder(folder, case) / "bags.json").is_file()]
-    seconds = _make_bags(folder, rig, todo, len(cases), jobs, progress)
-    trail = _hash_trail(folder, cases)
+    now = todo[:batch] if batch else todo
+    seconds = _make_bags(folder, rig, now, len(cases) - len(todo), len(cases), jobs, scheduler, progress)
+    left = len(todo) - len(now)
+    trail = "" if left else _hash_trail(folder, rig, cases)
     size = sum(path.stat().st_size for path in (folder / "cases").rglob("*.mcap"))
-    return Made(folder, digest, trail, len(cases), len(todo), seconds, size / 1e6)
+    return Made(folder, digest, trail, len(cases), len(now), seconds, size / 1e6, left)
+
+
+def _program_table(rig: BlindRig, model: Rig, tolerances: str, sealed: bool) -> StrengthTable:
+    """The program's own table; a sealed campaign draws from a complete one only."""
+    table = load_table(rig, tolerances)
+    missing = table.missing(model)
+    if sealed and missing:
+        raise BenchError(
+            f"The table of strengths of {rig.name} lacks {len(missing)} lines ({missing[0]} is the first); complete it "
+            f"with './nmt blind strengths --rig {rig.name} --tolerances {tolerances}' before a sealed campaign."
+        )
+    return table
 
 
 def _purpose(sealed: bool) -> str:
@@ -120,14 +159,15 @@ def _purpose(sealed: bool) -> str:
 def _check_seed(seed: int, sealed: bool) -> None:
     if seed < 0:
         raise BenchError(f"A seed must not be negative, got {seed}.")
-    if sealed and seed % 2 == 0:
+    kept = seed % 2 == 1 or seed in RESERVED
+    if sealed and not kept:
         raise BenchError(
             f"Seed {seed} is even: even seeds are for development, odd ones for sealed campaigns; choose an odd one."
         )
-    if not sealed and seed % 2 == 1:
+    if not sealed and kept:
+        why = "odd: odd seeds are" if seed % 2 else "reserved: it is"
         raise BenchError(
-            f"Seed {seed} is odd: odd seeds are kept for sealed campaigns; choose an even one for development, "
-            "or add --sealed."
+            f"Seed {seed} is {why} kept for sealed campaigns; choose another even one for development, or add --sealed."
         )
 
 
@@ -157,19 +197,18 @@ def _case_folder(folder: Path, case: Case) -> Path:
 
 
 def _make_bags(
-    folder: Path, rig: BlindRig, todo: Sequence[Case], total: int, jobs: int, progress: Callable[[int, int], None]
+    folder: Path,
+    rig: BlindRig,
+    todo: Sequence[Case],
+    done: int,
+    total: int,
+    jobs: int,
+    scheduler: str,
+    progress: Callable[[int, int], None],
 ) -> float:
     seconds = 0.0
-    done = total - len(todo)
     progress(done, total)
-    if jobs == 1 or len(todo) <= 1:
-        results = (make_case(folder, rig, case) for case in todo)
-    else:
-        from joblib import Parallel, delayed
-
-        parallel = Parallel(n_jobs=min(jobs, len(todo)), return_as="generator_unordered")
-        results = parallel(delayed(make_case)(folder, rig, case) for case in todo)
-    for spent in results:
+    for spent in worked(make_case, [(folder, rig, case) for case in todo], jobs, scheduler):
         seconds += spent
         done += 1
         progress(done, total)
@@ -192,8 +231,8 @@ def make_case(folder: Path, rig: BlindRig, case: Case) -> float:
     (own / "model.yaml").write_text(rig.file.read_text(encoding="utf-8"), encoding="utf-8")
     truth = with_edits(model, case.edits)
     bags: dict[str, Any] = {}
-    for test, record in zip(TESTS, (record_backbone, record_random), strict=True):
-        outcome = record(own / test, truth, model, rig.bench, case.noise_seed)
+    for test in rig.tests:
+        outcome = RECORDERS[test](own / test, truth, model, rig.bench, case.noise_seed, case.converters)
         bags[test] = {**asdict(outcome), "sha256": bag_hash(own / test)}
     write_whole(own / "bags.json", json.dumps(bags, indent=1) + "\n")
     return time.process_time() - begin
@@ -207,12 +246,12 @@ def bag_hash(bag: Path) -> str:
     return digest.hexdigest()
 
 
-def _hash_trail(folder: Path, cases: Sequence[Case]) -> str:
+def _hash_trail(folder: Path, rig: BlindRig, cases: Sequence[Case]) -> str:
     """Write the hashes of all bags into one file; its own hash is the end of the trail."""
     hashes = {}
     for case in cases:
         bags = read_json(_case_folder(folder, case) / "bags.json")
-        hashes[case.name] = {test: bags[test]["sha256"] for test in TESTS}
+        hashes[case.name] = {test: bags[test]["sha256"] for test in rig.tests}
     seal = read_json(folder / SEAL_FILE)["sha256"]
     text = json.dumps({"format": FORMAT, "truth": seal, "bags": hashes}, indent=1) + "\n"
     write_whole(folder / HASH_FILE, text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -21,7 +22,7 @@ class Operating:
     Attributes:
         omega: rad/s.
         displacement: amplitude of each point, m.
-        relative: amplitude between each point and the next, m.
+        relative: amplitude between each point and the next higher one, m.
         rotation: slope between a point's neighbours, rad per m of spacing 1 (beams: divided by the spacing).
         stiffness: ω² times the mass of the target mode as seen from each point, N/m.
         relative_stiffness: the same as seen between each point and the next.
@@ -67,7 +68,7 @@ class Operating:
 
 def operating_point(model: Rig, bench: BenchSettings) -> Operating:
     """Play the backbone test without noise, with a displacement probe at every point."""
-    points = list(model.structure.points)
+    points = sorted(model.structure.points)
     probes = [SensorSection(quantity="displacement", point=point, channel=f"probe{point}") for point in points]
     rig = quiet(model, model)
     rig = rig.model_copy(update={"sensors": [*rig.sensors, *probes]})
@@ -77,12 +78,13 @@ def operating_point(model: Rig, bench: BenchSettings) -> Operating:
     amplitude = {name: abs(value) for name, value in zip(window.channels, window.amplitudes[:, 1], strict=True)}
     motion = dict(zip(window.channels, window.amplitudes[:, 1], strict=True))
     displacement = {point: float(amplitude[f"probe{point}"]) for point in points}
-    relative = {point: float(abs(motion[f"probe{point + 1}"] - motion[f"probe{point}"])) for point in points[:-1]}
+    following = dict(itertools.pairwise(points))
+    relative = {one: float(abs(motion[f"probe{other}"] - motion[f"probe{one}"])) for one, other in following.items()}
     spacing = getattr(model.structure, "length_m", float(len(points))) / len(points)
     rotation = {}
-    for point in points:
-        before = motion.get(f"probe{point - 1}", 0.0)
-        after = motion.get(f"probe{point + 1}")
+    for place, point in enumerate(points):
+        before = motion[f"probe{points[place - 1]}"] if place else 0.0
+        after = motion[f"probe{following[point]}"] if point in following else None
         step = 2.0 if after is not None else 1.0
         after = motion[f"probe{point}"] if after is None else after
         rotation[point] = float(abs(after - before)) / (step * spacing)
@@ -104,7 +106,9 @@ def operating_point(model: Rig, bench: BenchSettings) -> Operating:
         relative=relative,
         rotation=rotation,
         stiffness={point: float(omega**2 / shape[point] ** 2) for point in points},
-        relative_stiffness={point: float(omega**2 / (shape[point + 1] - shape[point]) ** 2) for point in points[:-1]},
+        relative_stiffness={
+            one: float(omega**2 / max((shape[other] - shape[one]) ** 2, 1e-30)) for one, other in following.items()
+        },
         channels=channels,
         peaks=peaks,
         noise={model.sensor_channel(sensor): noise_deviation(model, sensor) for sensor in model.sensors},

@@ -19,6 +19,15 @@ STRUCTURE_PRIORS = {
     "dampers_ns_m": 0.2,
     "ground_springs_n_m": 0.2,
     "ground_dampers_ns_m": 0.3,
+    "mass_factor": 0.02,  # of a finite-element model, against weighing
+    "stiffness_factor": 0.05,
+    "damping_factor": 0.3,
+    "damping_ratios": 0.3,
+}
+MODE_PRIORS = {
+    "frequency_hz": 0.005,  # another day, mounted again
+    "damping_ratio": 0.2,
+    "modal_mass_kg": 0.05,  # calibration of the test that the shapes come from
 }
 ELEMENT_PRIORS = {
     "tangential_stiffness_n_m": 0.1,  # from assembly to assembly
@@ -56,6 +65,10 @@ def parameters(rig: Rig) -> dict[tuple[str | int, ...], tuple[float, float]]:
 
     for key, std in STRUCTURE_PRIORS.items():
         add(("structure", key), values["structure"].get(key), std)
+    if values["structure"]["kind"] == "modal":
+        for number, mode in enumerate(values["structure"]["modes"]):
+            for key, std in MODE_PRIORS.items():
+                add(("structure", "modes", number, key), mode.get(key), std)
     for number, element in enumerate(values["local_elements"]):
         for key, std in ELEMENT_PRIORS.items():
             add(("local_elements", number, key), element.get(key), std)

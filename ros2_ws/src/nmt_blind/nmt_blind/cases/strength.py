@@ -3,14 +3,17 @@
 Two tests without noise are compared, with the truth and without: harmonics of the locked windows and lines of the
 random test. What the difference d amounts to is σ² = dᵀ (N + C Cᵀ)⁻¹ d, with N the noise of the sensors and the
 repeatability of a test, and C the changes that shifts of the model's parameters by one prior standard deviation make,
-together with the scatter of the phase at lock, of each level and of all levels alike.
+together with the scatter of the phase at lock, of each level and of all levels alike. Where a laboratory's tolerances
+are asked for, C also has what they change: a gain, a phase and a delay of every channel, a delay of all of them, the
+clock, and what an ordinary loop's phase leans by.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +24,16 @@ from nmt_blind.cases.operating import Operating, noise_deviation, operating_poin
 from nmt_blind.cases.priors import parameters, shifted
 from nmt_blind.cases.quiet_tests import QuietRecord, QuietWindow, play_backbone, play_random
 from nmt_blind.cases.rig_edits import Edit, with_edits
+from nmt_blind.cases.tolerances import (
+    CLOCK,
+    DELAY_S,
+    GAIN,
+    MAINS,
+    PHASE_DEG,
+    SHARED_DELAY_S,
+    check_tolerances,
+    has_lead,
+)
 from nmt_blind.cases.truths import Spot, Truth
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
@@ -44,15 +57,25 @@ _STEP = 0.1
 # Size over σ from which a difference counts as imitated by parameters; how often and how far they are shifted then,
 # and what is not worth another turn, prior standard deviations.
 _IMITATED = 5.0
-_TURNS = 12
+_TURNS = 4
 _LARGEST_STEP = 1.5
 _SMALL_STEP = 0.2
 _PHASE_STEP = 1e-2
 
-TARGETS = (64.0, 16.0, 4.0)
-# How near to a target a strength must come, by whether its mark grows in proportion.
-_CLOSE = {False: 1.2, True: 2.0}
-_TRIALS = 7
+# The loop of a laboratory: the same two.
+LABORATORY_PHASE_AT_LOCK = math.radians(0.25)
+LABORATORY_PHASE_LEAN = math.radians(0.5)
+_CHAIN_STEPS = {"gain": 1e-3, "delay_s": 1e-5, "clock_error": 1e-5}
+
+MIDDLE, STRONGEST, WEAK = 64.0, 4096.0, 8.0
+"""Strengths that are searched for; the last where the mark does not grow in proportion."""
+MARKED = 16.0
+"""Strength at which marks are compared, standard deviations."""
+# ln of how far from it a mark may have been taken that does not grow in proportion.
+_ALIKE = math.log(3.0)
+# Between these multiples of a target a strength is near enough: the others follow by interpolation.
+_CLOSE = {MIDDLE: (0.15, 6.0), STRONGEST: (0.7, 4.0), WEAK: (0.4, 2.5)}
+_TRIALS = 4
 _FEWEST_LEVELS = 8
 
 
@@ -70,15 +93,17 @@ class Sensitivity:
 
     Args:
         rig: the blind rig.
-        progress: called with a sentence.
+        tolerances: of the measuring chain, ``none`` or ``laboratory``.
     """
 
-    def __init__(self, rig: BlindRig) -> None:
+    def __init__(self, rig: BlindRig, tolerances: str = "none") -> None:
         self.rig = rig
+        self.tolerances = check_tolerances(tolerances)
         self.model = rig.model()
         self.bench: BenchSettings = rig.bench
         self.operating: Operating = operating_point(self.model, self.bench)
         self._lines = _line_bins(self.model, self.bench)
+        self._hum = MAINS if tolerances == "laboratory" else 0.0
         self.base = self.observe(self.model)
         self._nuisance = self._nuisances()
 
@@ -121,7 +146,8 @@ class Sensitivity:
                 values += [value.real, value.imag]
                 deviations += [math.hypot(deviation, scatter)] * 2
             values += [float(window.mains[row].real), float(window.mains[row].imag)]
-            deviations += [math.hypot(deviation, HARMONIC * fundamental)] * 2
+            hum = self._hum * self.operating.channels[name]
+            deviations += [math.hypot(deviation, HARMONIC * fundamental, hum)] * 2
         return np.array(values), np.array(deviations)
 
     def _record_rows(self, record: QuietRecord, noise: dict[str, float]) -> tuple[FloatArray, FloatArray]:
@@ -148,10 +174,42 @@ class Sensitivity:
             columns.append((up - down) / (2.0 * _STEP))
         leaning = with_edits(self.model, (Edit(("pll",), {"phase_offset_rad": _PHASE_STEP}, "merge"),))
         change = (self.observe(leaning).values - self.base.values) / _PHASE_STEP
-        columns.append(change * PHASE_LEAN)
+        laboratory = self.tolerances == "laboratory"
+        columns.append(change * (LABORATORY_PHASE_LEAN if laboratory else PHASE_LEAN))
         for level in range(len(self.bench.levels)):
-            columns.append(np.where(self.base.level == level, change * PHASE_AT_LOCK, 0.0))
-        return np.stack(columns, axis=1)
+            scatter = LABORATORY_PHASE_AT_LOCK if laboratory else PHASE_AT_LOCK
+            columns.append(np.where(self.base.level == level, change * scatter, 0.0))
+        if laboratory:
+            columns += self._chain()
+        return np.nan_to_num(np.stack(columns, axis=1))
+
+    def _chain(self) -> list[FloatArray]:
+        """Changes by one standard deviation of everything that a laboratory's measuring chain is off by."""
+
+        def change(edit: Edit, step: float) -> FloatArray:
+            return (self.observe(with_edits(self.model, (edit,))).values - self.base.values) / step
+
+        columns, late = [], np.zeros(self.base.values.size)
+        for index, sensor in enumerate(self.model.sensors):
+            path = ("sensors", index)
+            if sensor.quantity == "voltage":
+                # The random responses are referred to it.
+                columns.append(GAIN * np.where(self.base.level < 0, self.base.values, 0.0))
+                continue
+            step = _CHAIN_STEPS["gain"]
+            columns.append(GAIN * change(Edit((*path, "gain"), sensor.gain * (1.0 + step)), step))
+            step = _CHAIN_STEPS["delay_s"]
+            delay = change(Edit((*path, "delay_s"), sensor.delay_s + step), step)
+            columns.append(DELAY_S * delay)
+            late = late + delay
+            if has_lead(sensor.quantity) and sensor.high_pass_hz is None:
+                lead = math.radians(PHASE_DEG)
+                corner = self.operating.omega / (2.0 * math.pi) * math.tan(lead)
+                columns.append(change(Edit((*path, "high_pass_hz"), corner), 1.0))
+        columns.append(SHARED_DELAY_S / math.sqrt(3.0) * late)
+        step = _CHAIN_STEPS["clock_error"]
+        columns.append(CLOCK * change(Edit(("clock_error",), self.model.clock_error + step), step))
+        return columns
 
     def sigma_of(self, observed: Observed) -> float:
         """Standard deviations by which observables differ from what the model can be made to say.
@@ -165,7 +223,8 @@ class Sensitivity:
         size, found, shifts = self._fitted(observed, self.base.values, np.zeros(self._nuisance.shape[1]))
         paths = parameters(self.model)
         own = np.arange(shifts.size) < len(paths)
-        if size <= _IMITATED * found and float(np.max(np.abs(shifts[own]))) <= _LARGEST_STEP:
+        largest = float(np.max(np.abs(shifts[own])))
+        if largest < _SMALL_STEP or (size <= _IMITATED * found and largest <= _LARGEST_STEP):
             return found
         made = np.zeros(shifts.size)
         for _ in range(_TURNS):
@@ -205,6 +264,10 @@ class Sensitivity:
             observed = self.observe(with_edits(self.model, truth.edits(self.model, self.operating, spot, value)))
         except (BenchError, TrialError):
             return np.zeros(self.base.values.size)
+        return self._marked(observed)
+
+    def _marked(self, observed: Observed) -> FloatArray:
+        """Change of observables over the noise, shape (m,)."""
         result: FloatArray = np.nan_to_num((observed.values - self.base.values) / self.base.noise)
         return result
 
@@ -221,55 +284,90 @@ class Sensitivity:
         Raises:
             TrialError: a test cannot be made with them.
         """
+        return self.sigmas(edits, True)[0]
+
+    def sigmas(self, edits: Sequence[Edit], refine: bool) -> tuple[float, float, FloatArray]:
+        """Standard deviations of changes, as `sigma_of` finds them, by the linear estimate alone, and their mark.
+
+        Args:
+            edits: changes of the rig file.
+            refine: False = the linear estimate for both: one pair of tests.
+
+        Raises:
+            TrialError: a test cannot be made with them.
+        """
         try:
             truth = with_edits(self.model, edits)
         except BenchError as error:
             raise TrialError(str(error)) from error
-        return self.sigma_of(self.observe(truth))
+        observed = self.observe(truth)
+        linear = self._fitted(observed, self.base.values, np.zeros(self._nuisance.shape[1]))[1]
+        return (self.sigma_of(observed) if refine else linear), linear, self._marked(observed)
 
-    def curve(self, truth: Truth, spot: Spot, former: dict[str, Any] | None = None) -> dict[str, Any]:
-        """Strengths of a truth at a spot with their standard deviations, ascending; up to 64 σ where it gets there.
+    def curve(
+        self, truth: Truth, spot: Spot, former: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], FloatArray | None]:
+        """Strengths of a truth at a spot with their standard deviations, ascending; up to 4,096 where it gets there.
 
         Args:
             truth: the truth.
             spot: where.
-            former: an older curve; the search starts from its strengths.
+            former: an older curve; the search starts from its strength of 64 standard deviations.
+
+        Returns:
+            ``points``: strength and standard deviations; ``trouble``: why it does not get stronger, empty if it does.
+            And the mark of the truth, for what it has in common with others; None where none was near `MARKED`.
         """
+        marks: dict[float, FloatArray] = {}
         tried: list[tuple[float, float]] = []
+        shares: dict[float, float] = {}
         trouble = ""
 
-        def trial(value: float) -> float:
+        def trial(value: float, refine: bool) -> None:
             nonlocal trouble
             try:
-                found = self.sigma(truth.edits(self.model, self.operating, spot, value))
+                found, linear, mark = self.sigmas(truth.edits(self.model, self.operating, spot, value), refine)
+                if refine:
+                    shares[found] = found / linear
+                    marks[found] = mark
+                else:
+                    # The model's parameters take the same share of the strongest as of what was measured in full.
+                    found = linear * min(shares.items(), default=(0.0, 1.0), key=lambda item: abs(item[0] - MIDDLE))[1]
             except TrialError as error:
                 trouble = str(error)
                 found = math.nan
             tried.append((value, found))
-            return found
 
-        guess = self.rig.caution * truth.guess(self.model, self.operating, spot)
-        for target in TARGETS[: 2 if truth.proportional else None]:
-            near = value_at(former, target) if former else None
-            if near is not None:
-                trial(min(near, truth.largest))
-            _approach(trial, tried, target, guess, truth.largest, _CLOSE[truth.proportional])
+        guess = value_at(former, MIDDLE) if former else None
+        if guess is None:
+            guess = self.rig.caution * truth.guess(self.model, self.operating, spot)
+        largest = truth.limit(self.model, self.operating, spot)
+        for target in (MIDDLE, STRONGEST) if truth.proportional else (MIDDLE, STRONGEST, WEAK):
+            refine = target < STRONGEST
+            _approach(partial(trial, refine=refine), tried, target, min(guess, largest), largest)
         points = sorted((value, found) for value, found in tried if math.isfinite(found) and found > 0.0)
         rounded = [[float(f"{v:.6g}"), float(f"{s:.5g}")] for v, s in points]
-        return {"points": rounded, "proportional": truth.proportional, "trouble": trouble}
+        reached = max((s for _, s in points), default=0.0)
+        limit = "" if reached >= _CLOSE[STRONGEST][0] * STRONGEST else trouble or "as strong as it can be"
+        # What grows in proportion keeps the direction of its mark.
+        farthest = math.inf if truth.proportional else _ALIKE
+        near = min((abs(math.log(max(s, 1e-300) / MARKED)), s) for s in marks) if marks else (math.inf, 0.0)
+        mark = marks[near[1]] if near[0] < farthest else None
+        return {"points": rounded, "proportional": truth.proportional, "trouble": limit}, mark
 
 
 def _approach(
-    trial: Any, tried: list[tuple[float, float]], target: float, guess: float, largest: float, close: float
+    trial: Callable[[float], None], tried: list[tuple[float, float]], target: float, guess: float, largest: float
 ) -> None:
-    """Try values until one lies close to the target, by interpolation on logarithmic scales."""
+    """Try values until one lies near the target, by interpolation on logarithmic scales."""
+    least, most = (share * target for share in _CLOSE[target])
     for _ in range(_TRIALS):
         good = sorted((v, s) for v, s in tried if math.isfinite(s) and s > 0.0)
         bad = [v for v, s in tried if not math.isfinite(s)]
-        if any(max(s / target, target / s) < close for _, s in good):
+        if any(least <= s <= most for _, s in good):
             return
         if not good:
-            value = guess if not bad else 0.2 * min(bad)
+            value = guess if not bad else 0.1 * min(bad)
         else:
             below = [pair for pair in good if pair[1] < target]
             above = [pair for pair in good if pair[1] >= target]
@@ -280,12 +378,14 @@ def _approach(
             else:
                 v, s = (below or above)[-1] if below else above[0]
                 # Beyond what was tried: in proportion, and not too far at once.
-                value = v * min(max(target / s, 0.02), 30.0)
+                value = v * min(max(target / s, 0.01), 100.0)
         value = min(value, largest)
         if bad:
             value = min(value, math.sqrt(min(bad) * max((v for v, _ in good), default=0.04 * min(bad))))
         if any(math.isclose(value, v, rel_tol=0.02) for v, _ in tried):
             return
+        if bad and good and min(bad) < 1.5 * max(v for v, _ in good):
+            return  # as strong as the tests allow
         trial(value)
 
 

@@ -19,21 +19,32 @@ from nmt_blind.cases.strength import (
     FREQUENCY,
     FUNDAMENTAL,
     HARMONIC,
+    LABORATORY_PHASE_AT_LOCK,
+    LABORATORY_PHASE_LEAN,
+    MARKED,
     PHASE_AT_LOCK,
     PHASE_LEAN,
     Sensitivity,
     spot_key,
     value_at,
 )
+from nmt_blind.cases.tolerances import (
+    CLOCK,
+    DELAY_S,
+    GAIN,
+    MAINS,
+    PHASE_DEG,
+    SHARED_DELAY_S,
+    check_tolerances,
+)
 from nmt_blind.cases.truths import TRUTHS, Spot, Truth
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_json
 from nmt_core.whole_file import write_whole
+from nmt_rig.rig import Rig
 
 FORMAT = "nmt blind strengths 1"
-_MARK = 16.0
-"""Strength at which marks are compared, standard deviations."""
 _TWIN = 0.95
 """Cosine from which two marks are hardly different."""
 
@@ -58,6 +69,11 @@ class StrengthTable:
         curve = self.curves.get(spot_key(truth, spot))
         return None if curve is None else value_at(curve, sigma)
 
+    def missing(self, model: Rig) -> tuple[str, ...]:
+        """Keys of what the table lacks: curves of truths at places of the rig, or what they have in common."""
+        keys = [spot_key(t, spot) for t in TRUTHS.values() for spot in t.spots(model, self.operating)]
+        return tuple(key for key in keys if "rivals" not in self.curves.get(key, {}))
+
     def twins(self, truth: Truth, spot: Spot) -> tuple[str, ...]:
         """Known truths whose mark is hardly another: with one of them in the library nothing is unnamed."""
         rivals = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
@@ -78,34 +94,43 @@ class StrengthTable:
         return math.sqrt(max(0.0, 1.0 - closest**2))
 
 
-def table_file(rig: BlindRig) -> Path:
+def table_file(rig: BlindRig, tolerances: str = "none") -> Path:
     """Where the table of a rig lies."""
-    return Path(__file__).resolve().parent / "strengths" / f"{rig.name}.json"
+    ending = "" if check_tolerances(tolerances) == "none" else f"_{tolerances}"
+    return Path(__file__).resolve().parent / "strengths" / f"{rig.name}{ending}.json"
 
 
-def fingerprint(rig: BlindRig) -> str:
-    """What a table depends on: the rig file's content, the tests and what they repeat to.
+def fingerprint(rig: BlindRig, tolerances: str = "none") -> str:
+    """What a table depends on: the rig file's content, the tests, what they repeat to and the measuring chain.
 
     Keys at their defaults do not count: a new key of rig files leaves the tables valid.
     """
     noise = [FREQUENCY, FUNDAMENTAL, HARMONIC, PHASE_AT_LOCK, PHASE_LEAN]
+    if tolerances != "none":
+        noise += [LABORATORY_PHASE_AT_LOCK, LABORATORY_PHASE_LEAN]
+        noise += [GAIN, PHASE_DEG, DELAY_S, SHARED_DELAY_S, CLOCK, MAINS]
     values = rig.model().model_dump(mode="json", exclude_defaults=True)
     text = json.dumps([values, asdict(rig.bench), noise], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def load_table(rig: BlindRig, path: Path | None = None) -> StrengthTable:
-    """The table of a rig.
+def _command(rig: BlindRig, tolerances: str) -> str:
+    more = "" if tolerances == "none" else f" --tolerances {tolerances}"
+    return f"./nmt blind strengths --rig {rig.name}{more}"
+
+
+def load_table(rig: BlindRig, tolerances: str = "none", path: Path | None = None) -> StrengthTable:
+    """The table of a rig under tolerances of the measuring chain.
 
     Raises:
         BenchError: there is none, or it belongs to another version of the rig.
     """
-    path = path or table_file(rig)
+    path = path or table_file(rig, tolerances)
     values = _read(path)
-    mend = f"make it with './nmt blind strengths --rig {rig.name}'"
+    mend = f"make it with '{_command(rig, tolerances)}'"
     if values is None:
         raise BenchError(f"There is no table of strengths {path}; {mend}.")
-    if values.get("fingerprint") != fingerprint(rig):
+    if values.get("fingerprint") != fingerprint(rig, tolerances):
         raise BenchError(f"The table of strengths {path} belongs to another version of the rig or its tests; {mend}.")
     return StrengthTable(rig.name, Operating.from_mapping(values["operating"]), values["curves"])
 
@@ -116,10 +141,12 @@ def make_table(
     jobs: int = 1,
     path: Path | None = None,
     progress: Callable[[int, int, str], None] = lambda done, total, what: None,
+    tolerances: str = "none",
 ) -> StrengthTable:
     """Make or complete the table of a rig; curves that are there already are kept.
 
-    Curves of another version of the rig are where the search for the new ones starts.
+    Curves of another version of the rig, or of its table without tolerances, are where the search for the new ones
+    starts.
 
     Args:
         rig: the rig.
@@ -127,6 +154,7 @@ def make_table(
         jobs: worker processes.
         path: the file; None = that of the program.
         progress: called with done, total and the newest curve.
+        tolerances: of the measuring chain.
 
     Raises:
         BenchError: a truth that does not exist.
@@ -134,24 +162,33 @@ def make_table(
     for name in names:
         if name not in TRUTHS:
             raise BenchError(f"There is no truth '{name}'; choose from {', '.join(TRUTHS)}.")
-    path = path or table_file(rig)
+    path = path or table_file(rig, tolerances)
     path.parent.mkdir(parents=True, exist_ok=True)
-    mark = fingerprint(rig)
+    mark = fingerprint(rig, tolerances)
     found = _read(path)
-    former: dict[str, dict[str, Any]] = found["curves"] if found else {}
-    curves = former if found and found.get("fingerprint") == mark else {}
-    sensitivity = Sensitivity(rig)
+    plain = _read(table_file(rig)) or {"curves": {}}
+    former: dict[str, dict[str, Any]] = {**plain["curves"], **(found["curves"] if found else {})}
+    curves = found["curves"] if found and found.get("fingerprint") == mark else {}
+    sensitivity = Sensitivity(rig, tolerances)
+    # The first place of every truth, then the second of every one: a table that is not complete has something of each.
     todo = [
         (truth, spot)
-        for truth in TRUTHS.values()
-        if not names or truth.name in names
-        for spot in truth.spots(sensitivity.model, sensitivity.operating)
+        for _, truth, spot in sorted(
+            (
+                (rank, truth, spot)
+                for truth in TRUTHS.values()
+                if not names or truth.name in names
+                for rank, spot in enumerate(truth.spots(sensitivity.model, sensitivity.operating))
+            ),
+            key=lambda item: item[0],
+        )
         if spot_key(truth, spot) not in curves
     ]
     values = {
         "format": FORMAT,
         "rig": rig.name,
-        "command": f"./nmt blind strengths --rig {rig.name}",
+        "command": _command(rig, tolerances),
+        "tolerances": tolerances,
         "fingerprint": mark,
         "operating": sensitivity.operating.to_mapping(),
     }
@@ -162,12 +199,15 @@ def make_table(
 
     parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
     work = (delayed(_curve)(sensitivity, truth.name, spot, former.get(spot_key(truth, spot))) for truth, spot in todo)
-    for done, (key, curve) in enumerate(parallel(work), start=1):
+    marks: dict[str, FloatArray] = {}
+    for done, (key, curve, mark) in enumerate(parallel(work), start=1):
         curves[key] = curve
+        if mark is not None:
+            marks[key] = mark
         keep()
         progress(done, len(todo), key)
     if todo or any("rivals" not in curve for curve in curves.values()):
-        _add_rivals(sensitivity, curves, parallel, progress)
+        _add_rivals(sensitivity, curves, marks, parallel, progress)
     keep()
     return StrengthTable(rig.name, sensitivity.operating, curves)
 
@@ -175,21 +215,22 @@ def make_table(
 def _add_rivals(
     sensitivity: Sensitivity,
     curves: dict[str, dict[str, Any]],
+    marks: dict[str, FloatArray],
     parallel: Any,
     progress: Callable[[int, int, str], None],
 ) -> None:
-    """Cosines between the marks of all truths, the model's parameters projected out."""
+    """Cosines between the marks of all truths, the model's parameters projected out; ``marks`` has some already."""
     marked = [
         (spot_key(truth, spot), truth, spot, value)
         for truth in TRUTHS.values()
         for spot in truth.spots(sensitivity.model, sensitivity.operating)
-        if spot_key(truth, spot) in curves and (value := value_at(curves[spot_key(truth, spot)], _MARK)) is not None
+        if spot_key(truth, spot) in curves and (value := value_at(curves[spot_key(truth, spot)], MARKED)) is not None
     ]
-    work = (delayed(_mark)(sensitivity, key, truth.name, spot, value) for key, truth, spot, value in marked)
-    marks: dict[str, FloatArray] = {}
+    missing = [item for item in marked if item[0] not in marks]
+    work = (delayed(_mark)(sensitivity, key, truth.name, spot, value) for key, truth, spot, value in missing)
     for done, (key, mark) in enumerate(parallel(work), start=1):
         marks[key] = mark
-        progress(done, len(marked), f"rivals of {key}")
+        progress(done, len(missing), f"rivals of {key}")
     keys = [key for key, *_ in marked]
     gram = sensitivity.products(np.stack([marks[key] for key in keys], axis=1))
     sizes = np.sqrt(np.maximum(np.diag(gram), 1e-300))
@@ -210,9 +251,9 @@ def _mark(sensitivity: Sensitivity, key: str, name: str, spot: Spot, value: floa
 
 def _curve(
     sensitivity: Sensitivity, name: str, spot: Spot, former: dict[str, Any] | None
-) -> tuple[str, dict[str, Any]]:
+) -> tuple[str, dict[str, Any], FloatArray | None]:
     truth = TRUTHS[name]
-    return spot_key(truth, spot), sensitivity.curve(truth, spot, former)
+    return spot_key(truth, spot), *sensitivity.curve(truth, spot, former)
 
 
 def _text(values: dict[str, Any]) -> str:

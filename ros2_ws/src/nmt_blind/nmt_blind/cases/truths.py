@@ -55,7 +55,7 @@ class Truth:
         edits: what is changed at a strength.
         guess: a strength to start the search with.
         signed: the strength may be negative.
-        largest: largest strength that makes sense.
+        largest: largest strength that makes sense; bound: the same where it depends on rig and spot.
         known: the library of the diagnosis is supposed to have it.
         proportional: its mark in the observables grows in proportion to the strength, up to 64 σ.
     """
@@ -70,6 +70,11 @@ class Truth:
     largest: float = math.inf
     known: bool = True
     proportional: bool = True
+    bound: Guess | None = None
+
+    def limit(self, rig: Rig, operating: Operating, spot: Spot) -> float:
+        """Largest strength that makes sense at a spot of a rig."""
+        return self.largest if self.bound is None else min(self.largest, self.bound(rig, operating, spot))
 
     def place_at(self, rig: Rig, spot: Spot) -> str:
         """Place, with channels sorted into force and response sensors."""
@@ -86,7 +91,7 @@ def _everywhere(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
 
 
 def _sites(shapes: tuple[float, ...] = (0.0,)) -> Spots:
-    """Points that move: of a beam beyond the drive point, of a chain the last one and its first two neighbours."""
+    """Points that move: of a chain the last one and its first two neighbours, of others beyond the drive point."""
 
     def spots(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
         found: list[Spot] = []
@@ -98,22 +103,27 @@ def _sites(shapes: tuple[float, ...] = (0.0,)) -> Spots:
                 if last > 1:
                     found.append(Spot(f"1-2{ending}", 1, 2, shape=shape))
             else:
-                found += [Spot(f"{p}{ending}", p, shape=shape) for p in _beam_points(rig)]
+                found += [Spot(f"{p}{ending}", p, shape=shape) for p in _free_points(rig)]
         return tuple(found)
 
     return spots
 
 
-def _beam_points(rig: Rig) -> tuple[int, ...]:
-    """Points between drive point and tip, and the tip; the joint's is left to the joint."""
+def _free_points(rig: Rig) -> tuple[int, ...]:
+    """The next two points beyond the drive point, and the last; the joint's is left to the joint.
+
+    Where there is none beyond the drive point, those before it; a rig of one point has that one.
+    """
+    points = sorted(rig.structure.points)
     joints = {element.point for element in rig.local_elements}
-    free = [p for p in rig.structure.points if p > rig.drive_point and p not in joints]
-    return tuple(sorted({*free[:2], free[-1]}))
+    free = [p for p in points if p not in joints] or points
+    beyond = [p for p in free if p > rig.drive_point] or [p for p in free if p != rig.drive_point] or free
+    return tuple(sorted({*beyond[:2], beyond[-1]}))
 
 
 def _points(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
     ends = sorted({1, rig.structure.points[-1]})
-    points = ends if isinstance(rig.structure, ChainSection) else _beam_points(rig)
+    points = ends if isinstance(rig.structure, ChainSection) else _free_points(rig)
     return tuple(Spot(str(p), p) for p in points)
 
 
@@ -141,6 +151,12 @@ def _some_channels(*quantities: str) -> Spots:
     return spots
 
 
+def _groups(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+    """Responses of a quantity that several channels have: these share a conditioner."""
+    count = {name: sum(sensor.quantity == name for sensor in rig.sensors) for name in RESPONSES}
+    return tuple(Spot(f"{name} channels", option=name) for name in RESPONSES if count[name] > 1)
+
+
 def _sensor_masses(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
     first: dict[int, Spot] = {}
     for spot in _channels(*RESPONSES)(rig, operating):
@@ -151,6 +167,8 @@ def _sensor_masses(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
 def _crossings(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
     """Each channel with the next measured point, the last with the one before."""
     points = sorted({rig.sensor_point(s) for s in rig.sensors if s.quantity in RESPONSES})
+    if len(points) < 2:
+        return ()
     found = []
     for spot in _channels(*RESPONSES)(rig, operating):
         place = points.index(spot.point)
@@ -159,14 +177,18 @@ def _crossings(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
     return tuple(found)
 
 
+def _clamped(rig: Rig) -> bool:
+    return isinstance(rig.structure, BeamSection) and "clamped" in rig.structure.boundary
+
+
 def _clamp(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
-    if not isinstance(rig.structure, BeamSection):
+    if not _clamped(rig):
         return ()
     return (Spot("rotation", option="rotation"), Spot("lateral", option="lateral"))
 
 
 def _clamp_friction(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
-    if not isinstance(rig.structure, BeamSection):
+    if not _clamped(rig):
         return ()
     return tuple(
         Spot(f"{option} at {shape:g}", 1, option=option, shape=shape)
@@ -222,6 +244,38 @@ def _element(rig: Rig, spot: Spot, kind: str, **keys: Any) -> tuple[Edit, ...]:
 
 def _one_key(kind: str, key: str) -> Edits:
     return lambda rig, operating, spot, value: _element(rig, spot, kind, **{key: value})
+
+
+# Density of air, kg/m³; drag coefficient of a plate that swings by about its width (Keulegan and Carpenter 1958); mass
+# of a plate by its area where the rig file has no area, kg/m²: 2 mm of aluminium.
+_AIR, _DRAG_COEFFICIENT, _PLATE = 1.2, 10.0, 5.4
+
+
+def _largest_drag(rig: Rig, operating: Operating, spot: Spot) -> float:
+    """What air can do, ½ ρ C_d A: beyond it the same force has another cause, and another name."""
+    if isinstance(rig.structure, BeamSection):
+        area = rig.structure.length_m * rig.structure.width_m
+    else:
+        area = operating.stiffness[spot.point] / operating.omega**2 / _PLATE
+    return 0.5 * _AIR * _DRAG_COEFFICIENT * area
+
+
+_EXPONENT = 1.5
+"""Of a power-law damper: between viscous damping and drag."""
+
+
+def _power_law(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
+    """A damper that takes a force, in newtons, at the largest speed of its spot."""
+    speed = operating.omega * operating.size(spot.point, spot.other)
+    return _element(rig, spot, "power_law_damper", coefficient_n_sp_mp=value / speed**_EXPONENT, exponent=_EXPONENT)
+
+
+def _late_group(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
+    return tuple(
+        Edit(("sensors", index, "delay_s"), sensor.delay_s + value)
+        for index, sensor in enumerate(rig.sensors)
+        if sensor.quantity == spot.option
+    )
 
 
 def _stop(kind: str) -> Edits:
@@ -474,9 +528,20 @@ KNOWN: tuple[Truth, ...] = (
           _elastic(0.01, 5), signed=True),
     Truth("quadratic_stiffness", "structure", "N/m²", _sites(), _one_key("quadratic_spring", "stiffness_n_m2"),
           _elastic(0.01, 2), signed=True),
-    Truth("air_drag", "structure", "N s²/m²", _points, _one_key("quadratic_drag", "drag_ns2_m2"), _viscous(0.002, 2)),
+    Truth("air_drag", "structure", "N s²/m²", _points, _one_key("quadratic_drag", "drag_ns2_m2"), _viscous(0.002, 2),
+          bound=_largest_drag),
+    Truth("amplitude_damping", "structure", "N s/m³", _sites(), _one_key("amplitude_damper", "damping_ns_m3"),
+          lambda rig, operating, spot: (
+              0.005 * operating.modal_stiffness(spot.point, spot.other)
+              / (operating.omega * operating.size(spot.point, spot.other) ** 2)
+          )),
+    Truth("power_law_damping", "structure", "N", _sites(), _power_law,
+          lambda rig, operating, spot: (
+              0.002 * operating.modal_stiffness(spot.point, spot.other) * operating.size(spot.point, spot.other)
+          )),
     Truth("structural_damping", "structure", "1", _everywhere,
-          lambda rig, operating, spot, value: (Edit(("structure", "loss_factor"), value),), _constant(0.003)),
+          lambda rig, operating, spot, value: (Edit(("structure", "loss_factor"), value),), _constant(0.003),
+          largest=0.1),
     Truth("viscous_damping", "structure", "N s/m", _sites(), _one_key("linear_damper", "damping_ns_m"),
           _viscous(0.002, 1)),
     Truth("added_mass", "structure", "kg", _points,
@@ -505,20 +570,22 @@ KNOWN: tuple[Truth, ...] = (
     Truth("force_factor_asymmetric", "exciter", "1/m", _shaker, _exciter_key("force_factor_linear_per_m"),
           _drive_guess(0.02, 1), signed=True),
     Truth("force_gain", "force_sensor", "1", _channels("force"), _sensor_key("gain", _gain), _constant(0.003),
-          signed=True),
+          signed=True, largest=0.5),
     Truth("force_cell_mass", "force_sensor", "kg", _channels("force"), _sensor_key("mass_kg", lambda s, v: v),
           _mass_guess),
     Truth("response_gain", "response_sensor", "1", _channels(*RESPONSES), _sensor_key("gain", _gain), _constant(0.003),
-          signed=True),
-    Truth("transverse_sensitivity", "response_sensor", "1", _crossings, _transverse, _constant(0.003), signed=True),
+          signed=True, largest=0.5),
+    Truth("transverse_sensitivity", "response_sensor", "1", _crossings, _transverse, _constant(0.003), signed=True,
+          largest=0.3),
     Truth("sensor_mass", "response_sensor", "kg", _sensor_masses, _sensor_key("mass_kg", lambda s, v: v), _mass_guess),
     Truth("channel_skew", "response_sensor", "s", _some_channels(*_ANY), _sensor_key("delay_s", lambda s, v: v),
-          _per_omega(0.003)),
+          _per_omega(0.003), largest=0.002),
+    Truth("shared_delay", "response_sensor", "s", _groups, _late_group, _per_omega(0.003), largest=0.002),
     Truth("low_pass", "response_sensor", "s", _some_channels(*_ANY),
-          _sensor_key("low_pass_hz", lambda s, v: 1.0 / (2.0 * math.pi * v)), _per_omega(0.003)),
+          _sensor_key("low_pass_hz", lambda s, v: 1.0 / (2.0 * math.pi * v)), _per_omega(0.003), largest=0.003),
     Truth("charge_high_pass", "response_sensor", "Hz", _some_channels(*_ANY),
           _sensor_key("high_pass_hz", lambda s, v: v),
-          lambda rig, operating, spot: 0.003 * operating.omega / (2.0 * math.pi)),
+          lambda rig, operating, spot: 0.003 * operating.omega / (2.0 * math.pi), largest=20.0),
     Truth("clipping", "response_sensor", "1", _some_channels(*_ANY), _clipped, _constant(0.05), largest=3.0,
           proportional=False),
     Truth("quantisation", "response_sensor", "channel", _some_channels(*_ANY), _quantised, _of_noise(5.0),
@@ -577,6 +644,9 @@ NEAR_TWINS: tuple[tuple[str, str], ...] = (
     ("added_mass", "sensor_mass"),
     ("structural_damping", "viscous_damping"),
     ("cubic_stiffness", "quintic_stiffness"),
+    ("air_drag", "power_law_damping"),
+    ("amplitude_damping", "power_law_damping"),
+    ("channel_skew", "shared_delay"),
     ("response_gain", "transverse_sensitivity"),
 )
 """Pairs that are hard to tell apart."""
@@ -589,3 +659,62 @@ def truth_named(name: str) -> Truth:
         KeyError: there is none.
     """
     return TRUTHS[name]
+
+
+# What is to be estimated -------------------------------------------------------------------------------------------
+
+Figures = Callable[[Operating, Spot, float], dict[str, float]]
+
+
+def _named(name: str, value_of: Callable[[float], float] = lambda value: value) -> Figures:
+    return lambda operating, spot, value: {name: value_of(value)}
+
+
+def _stop_figures(operating: Operating, spot: Spot, value: float) -> dict[str, float]:
+    return {"k": value, "gap": spot.shape * operating.size(spot.point, spot.other)}
+
+
+def _friction_figures(operating: Operating, spot: Spot, value: float) -> dict[str, float]:
+    turning = spot.option == "rotation"
+    size = operating.rotation[spot.point] if turning else operating.size(spot.point, spot.other)
+    return {"kt": value, "slip_force": value * spot.shape * size}
+
+
+_FIGURES: dict[str, Figures] = {
+    **dict.fromkeys(
+        ("cubic_stiffness", "quintic_stiffness", "quadratic_stiffness", "stinger_stiffness", "suspension_cubic"),
+        _named("k"),
+    ),
+    **dict.fromkeys(("added_mass", "sensor_mass", "force_cell_mass"), _named("m")),
+    **dict.fromkeys(("force_gain", "response_gain"), _named("g")),
+    **dict.fromkeys(("channel_skew", "shared_delay", "loop_latency"), _named("tau")),
+    **dict.fromkeys(("one_sided_stop", "two_sided_gap"), _stop_figures),
+    **dict.fromkeys(("clamp_friction", "second_friction_contact"), _friction_figures),
+    "air_drag": _named("c2"),
+    "structural_damping": _named("eta"),
+    **dict.fromkeys(("viscous_damping", "amplitude_damping"), _named("c")),
+    "power_law_damping": lambda operating, spot, value: {"p": _EXPONENT},
+    "clamp_compliance": _named("k", lambda value: 1.0 / value),
+    "preload_loss": _named("rate", lambda value: -value),
+    "temperature_drift": _named("rate"),
+    "amplifier_saturation": _named("V", lambda value: value**-0.5),
+    "source_impedance": _named("R"),
+    "force_factor_symmetric": _named("b2"),
+    "force_factor_asymmetric": _named("b1"),
+    "transverse_sensitivity": _named("s"),
+    "low_pass": _named("low_pass_hz", lambda value: 1.0 / (2.0 * math.pi * value)),
+    "charge_high_pass": _named("f_h"),
+    "quantisation": _named("lsb"),
+    "mains_hum": _named("amplitude"),
+    "clock_error": _named("e"),
+    "phase_offset": _named("phi0"),
+}
+
+
+def figures_of(truth: Truth, operating: Operating, spot: Spot, value: float) -> dict[str, float]:
+    """True values of the parameters that a diagnosis reports, by the names of the effects' equations.
+
+    Empty where a truth has none in the same terms: what nobody names, and what counts from the model's amplitude.
+    """
+    found = _FIGURES.get(truth.name)
+    return {} if found is None else found(operating, spot, value)

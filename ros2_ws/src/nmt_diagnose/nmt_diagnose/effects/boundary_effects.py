@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Reported, Site
@@ -10,7 +11,15 @@ from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import with_element, with_value
 from nmt_diagnose.effects.structure_effects import spots
-from nmt_rig.rig import BeamSection, ElementSection, IwanSection, JenkinsSection, Rig
+from nmt_rig.rig import (
+    BeamSection,
+    ElementSection,
+    IwanSection,
+    JenkinsSection,
+    LinearSpringSection,
+    Rig,
+    TanhFrictionSection,
+)
 
 # Slip displacement as multiples of the largest amplitude: above 1 the contact sticks and is a spring.
 SLIP_GRID = (0.03, 0.1, 0.3, 0.7)
@@ -18,6 +27,9 @@ FRICTION = (
     EffectParameter("kt", "N/m"),
     EffectParameter("slip_displacement", "m", "shape", grid=SLIP_GRID),
 )
+_FRICTION_SECTIONS = (JenkinsSection, IwanSection, TanhFrictionSection)
+# Enough that the first slider yields at a hundredth of the largest slip displacement.
+_NEW_JOINT_SLIDERS = 60
 CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp_lateral_stiffness_n_m"}
 
 
@@ -96,6 +108,48 @@ def joint_placement(element: ElementSection, nameless: str) -> Placement:
     return Placement("joint", points, detail=element.name or nameless)
 
 
+def _new_joint_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    """Where micro-slip may be in a model that has no friction: any contact, and the clamp of a beam."""
+    if any(isinstance(element, _FRICTION_SECTIONS) for element in rig.local_elements):
+        return ()
+    contacts = (*_contact_sites(rig, operating), *_clamp_friction_sites(rig, operating))
+    return tuple(replace(site, scales={**site.scales, "power": 1.0}) for site in contacts)
+
+
+def _with_new_joint(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    """The joint carries a part of the stiffness that the model has: while it sticks, nothing changes."""
+    settings: dict[str, Any] = {"point": site.point}
+    if site.other_point:
+        settings["other_point"] = site.other_point
+    if site.option == "rotation":
+        settings["rotation"] = True
+    power = values["power"]
+    joint = IwanSection.model_construct(
+        kind="iwan",
+        tangential_stiffness_n_m=values["kt"],
+        slip_force_n=_joint_slip_force(values),
+        exponent=power - 1.0,
+        sliders=_NEW_JOINT_SLIDERS,
+        **settings,
+    )
+    taken = LinearSpringSection.model_construct(kind="linear_spring", stiffness_n_m=-values["kt"], **settings)
+    return with_element(with_element(rig, joint), taken)
+
+
+def _joint_slip_force(values: Mapping[str, float]) -> float:
+    """F_S of a power law from 0 to the slip displacement: K_T times its mean."""
+    power = values["power"]
+    return values["kt"] * values["slip_displacement"] * power / (power + 1.0)
+
+
+def _new_joint_report(values: Mapping[str, float]) -> Reported:
+    return {
+        "kt": (values["kt"], "N/m"),
+        "slip_force": (_joint_slip_force(values), "N"),
+        "chi": (values["power"] - 1.0, "1"),
+    }
+
+
 def _microslip_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return tuple(
         Site(joint_placement(element, str(element.point)), {"spread": 0.3, "power": 1.0}, element.point, index=index)
@@ -164,6 +218,22 @@ JOINT_EFFECTS: tuple[Effect, ...] = (
         sites=_microslip_sites,
         change=_with_microslip,
         report=_microslip_report,
+    ),
+    Effect(
+        name="microslip",
+        place="joint",
+        equation="Iwan distribution of sliders up to the slip displacement, χ = power − 1, of stiffness kt that it "
+        "takes from the model's; for a model without friction",
+        reference="Iwan, J. Appl. Mech. 33 (1966) 893; Segalman, J. Appl. Mech. 72 (2005) 752",
+        keys="local_elements: iwan, linear_spring of −kt",
+        parameters=(
+            EffectParameter("kt", "N/m"),
+            EffectParameter("slip_displacement", "m", "shape", grid=(0.3, 1.0, 3.0)),
+            EffectParameter("power", "1", "shape", grid=(0.5, 1.0)),
+        ),
+        sites=_new_joint_sites,
+        change=_with_new_joint,
+        report=_new_joint_report,
     ),
     Effect(
         name="second_friction_contact",

@@ -9,6 +9,7 @@ from nmt_diagnose.effects.modal_calibration import MODEL_PRIORS, model_paths
 from nmt_diagnose.effects.placement import PlaceKind
 from nmt_diagnose.effects.rig_edit import Path, value_at, with_value
 from nmt_rig.rig import (
+    AmplitudeDamperSection,
     BeamSection,
     ChainSection,
     CubicSpringSection,
@@ -18,6 +19,7 @@ from nmt_rig.rig import (
     JenkinsSection,
     LinearDamperSection,
     LinearSpringSection,
+    PowerLawDamperSection,
     QuadraticDragSection,
     QuadraticSpringSection,
     QuinticSpringSection,
@@ -85,6 +87,8 @@ PRIORS: dict[str, tuple[float, str]] = {
     "gap_m": (0.1, "feeler gauge"),
     "damping_ns_m": (0.2, "damping"),
     "drag_ns2_m2": (0.2, "drag coefficient"),
+    "damping_ns_m3": (0.2, "fit of decays"),
+    "coefficient_n_sp_mp": (0.2, "fit of decays"),
     "reference_velocity_m_s": (0.3, "fit of a friction curve"),
     "table_mass_kg": (0.05, "data sheet, plus fixture and stinger"),
     "table_stiffness_n_m": (0.05, "data sheet; changes with temperature"),
@@ -98,7 +102,8 @@ PRIORS: dict[str, tuple[float, str]] = {
     **MODEL_PRIORS,
 }
 # Coil suspension: so stiff that no test of the bench sees it.
-_UNITS = {"_pa": "Pa", "_kg_m3": "kg/m³", "_kg": "kg", "_ns_m": "N s/m", "_ns2_m2": "N s²/m²", "_nm_rad": "N m/rad",
+_UNITS = {"_pa": "Pa", "_kg_m3": "kg/m³", "_kg": "kg", "_ns_m": "N s/m", "_ns2_m2": "N s²/m²",
+          "_ns_m3": "N s/m³", "_n_sp_mp": "N sᵖ/mᵖ", "_nm_rad": "N m/rad",
           "_n_m": "N/m", "_n_m2": "N/m²", "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_a": "N/A", "_ohm": "Ω", "_n": "N",
           "_m_s": "m/s", "_m": "m", "_h": "H", "_s": "s", "newton_per_volt": "N/V",
           "_hz": "Hz", "_m_s2": "m/s²"}  # fmt: skip
@@ -114,6 +119,8 @@ _ELEMENT_KEYS: dict[type[ElementSection], tuple[str, ...]] = {
     UnilateralStopSection: ("stiffness_n_m", "gap_m"),
     TwoSidedGapSection: ("stiffness_n_m", "gap_m"),
     QuadraticDragSection: ("drag_ns2_m2",),
+    AmplitudeDamperSection: ("damping_ns_m3",),
+    PowerLawDamperSection: ("coefficient_n_sp_mp",),
     LinearSpringSection: ("stiffness_n_m",),
     LinearDamperSection: ("damping_ns_m",),
     TanhFrictionSection: ("slip_force_n", "reference_velocity_m_s"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import Cause, PlaceKind, Placement
@@ -41,7 +41,9 @@ class Site:
         point, other_point: points of the structure that it acts on (0 = none, the ground).
         index: index of the sensor or local element it concerns (−1 = none).
         option: which of several forms: a direction, or a key of the rig file.
-        reference: size that a strength is counted from, in the unit of the channel; or the frequency of a line, Hz.
+        reference: size that a strength is counted from, in the unit of the channel; the frequency of a line, Hz; or a
+            speed, m/s.
+        limits: largest magnitude that physics allows a parameter, by name, in its unit; none for those left out.
     """
 
     placement: Placement
@@ -51,6 +53,7 @@ class Site:
     index: int = -1
     option: str = ""
     reference: float = 0.0
+    limits: Mapping[str, float] = field(default_factory=dict)
 
 
 Reported = Mapping[str, tuple[float, str]]
@@ -71,6 +74,7 @@ class Effect:
         change: (rig, site, values by name) -> rig with the effect; called only with some strength not 0.
         report: values -> physical parameters as they are reported; the values themselves when None.
         equivalents: effects that look alike, and the test that tells them apart.
+        force: what it adds is a smooth nonlinear force that stores energy, or one that takes it; empty for others.
     """
 
     name: str
@@ -83,6 +87,16 @@ class Effect:
     change: Callable[[Rig, Site, Mapping[str, float]], Rig] = field(repr=False)
     report: Callable[[Mapping[str, float]], Reported] | None = field(default=None, repr=False)
     equivalents: Mapping[str, str] = field(default_factory=dict)
+    force: Literal["", "elastic", "dissipative"] = ""
+
+    def __reduce__(self) -> str | tuple[Any, ...]:
+        """An effect of the library goes to another process by its number; its functions need not be of a module."""
+        from nmt_diagnose.effects.library import effect_numbered, library
+
+        for number, own in enumerate(library()):
+            if own is self:
+                return effect_numbered, (number,)
+        return super().__reduce__()
 
     def apply(self, rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         """Rig with the effect; the same rig where all strengths are 0."""

@@ -30,7 +30,7 @@ def library() -> tuple[Effect, ...]:
 
 
 def effect_named(name: str) -> Effect:
-    """Effect of a name.
+    """The first effect of a name.
 
     Raises:
         BenchError: there is none.
@@ -39,6 +39,11 @@ def effect_named(name: str) -> Effect:
         if effect.name == name:
             return effect
     raise BenchError(f"there is no effect {name}; known are {', '.join(effect.name for effect in library())}.")
+
+
+def effect_numbered(number: int) -> Effect:
+    """Effect by its place in the library: two of them may share a name, as they are the same on different models."""
+    return library()[number]
 
 
 def candidates(rig: Rig, operating: OperatingRange, without: tuple[str, ...] = ()) -> tuple[Candidate, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from math import exp, log
 
 import numpy as np
@@ -95,8 +96,12 @@ class Parametrisation:
 
     def index_of(self, candidate: int) -> slice:
         """Entries of θ of one candidate."""
-        first = len(self.calibration) + sum(len(c.effect.parameters) for c in self.candidates[:candidate])
-        return slice(first, first + len(self.candidates[candidate].effect.parameters))
+        return slice(self._ends[candidate], self._ends[candidate + 1])
+
+    @cached_property
+    def _ends(self) -> tuple[int, ...]:
+        sizes = [len(self.calibration), *(len(c.effect.parameters) for c in self.candidates)]
+        return tuple(accumulate(sizes))
 
     def values(self, theta: FloatArray, candidate: int) -> dict[str, float]:
         """Parameters of a candidate, in their units."""

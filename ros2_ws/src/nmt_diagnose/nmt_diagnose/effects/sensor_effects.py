@@ -133,6 +133,42 @@ def _with_hum(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("sensors", site.index), sensor.model_copy(update=changes))
 
 
+def _group_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    """Responses of one quantity, which share a conditioner, where there are several."""
+    groups: dict[str, int] = {}
+    for _, sensor, _ in _sensors(rig, RESPONSES):
+        groups[sensor.quantity] = groups.get(sensor.quantity, 0) + 1
+    scale = {"tau": 0.005 / operating.omega}
+    return tuple(
+        Site(Placement("response_sensor", detail=f"{quantity} channels"), scale, option=quantity)
+        for quantity, count in groups.items()
+        if count > 1
+    )
+
+
+def _with_shared_delay(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    return _delayed(rig, (site.option,), values["tau"])
+
+
+def _delayed(rig: Rig, quantities: tuple[str, ...], delay_s: float) -> Rig:
+    sensors = [
+        s.model_copy(update={"delay_s": s.delay_s + delay_s}) if s.quantity in quantities else s for s in rig.sensors
+    ]
+    return rig.model_copy(update={"sensors": sensors})
+
+
+def _hold_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    """Without a recorded voltage nothing tells when the drive acts."""
+    if not _sensors(rig, ("voltage",)):
+        return ()
+    return (Site(Placement("exciter", detail="drive"), {"hold": 0.01 / operating.omega}),)
+
+
+def _with_hold(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    """Late against the recorded voltage is everything that the drive moves."""
+    return _delayed(rig, (*RESPONSES, "force", "current"), 0.5 * values["hold"])
+
+
 def _high_pass(sensor: SensorSection, values: Mapping[str, float]) -> float:
     return values["f_h"]
 
@@ -206,6 +242,22 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         "channel_skew", "e^{−iωτ}", EffectParameter("tau", "s", signed=True), "delay_s",
         lambda sensor, values: sensor.delay_s + values["tau"], lambda operating, channel: 0.005 / operating.omega,
         equivalents={"low_pass": "a random test"},
+    ),
+    Effect(
+        name="shared_delay", place="response_sensor", equation="e^{−iωτ} in all channels of a quantity",
+        reference=MEASUREMENT, keys="sensors.delay_s of the group",
+        parameters=(EffectParameter("tau", "s", signed=True),),
+        sites=_group_sites, change=_with_shared_delay,
+        equivalents={"channel_skew": "a random test"},
+    ),
+    Effect(
+        name="drive_hold", place="exciter",
+        equation="drive held for T at a time: it acts T/2 later than recorded, e^{−iωT/2}",
+        reference="Franklin, Powell and Workman, Digital Control of Dynamic Systems (1998)",
+        keys="sensors.delay_s of force and responses",
+        parameters=(EffectParameter("hold", "s"),),
+        sites=_hold_sites, change=_with_hold,
+        equivalents={"shared_delay": "a record of the drive behind the converter"},
     ),
     _chain_effect(
         "low_pass", "1/(1 + iω/ω_c), strength 1/ω_c", EffectParameter("time_constant", "s"), "low_pass_hz",

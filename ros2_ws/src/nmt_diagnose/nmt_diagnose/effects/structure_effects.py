@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
@@ -12,10 +13,13 @@ from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import with_element, with_value
 from nmt_rig.rig import (
     AddedMassSection,
+    AmplitudeDamperSection,
+    BeamSection,
     ChainSection,
     CubicSpringSection,
     ElementSection,
     LinearDamperSection,
+    PowerLawDamperSection,
     QuadraticDragSection,
     QuadraticSpringSection,
     QuinticSpringSection,
@@ -26,6 +30,11 @@ from nmt_rig.rig import (
 
 # Gaps as multiples of the largest amplitude at their point: a stop that is not reached does nothing.
 GAP_GRID = (0.1, 0.3, 0.5, 0.7, 0.9)
+# Density of air, and the drag coefficient of a plate that swings by about its width, where it is largest.
+_AIR_KG_M3, _LARGEST_DRAG_COEFFICIENT = 1.2, 10.0
+_SHEET_KG_M2 = 2.7
+# Exponents of a power law beyond 1 that a rig file takes.
+_LARGEST_EXCESS = 9.0
 Sizes = Callable[[float, float, float], Mapping[str, float]]
 
 
@@ -70,7 +79,7 @@ def local_element(section: type[ElementSection], keys: Mapping[str, str]) -> Cal
 
 def _single(
     name: str, equation: str, parameter: EffectParameter, section: type[ElementSection], key: str, size: Sizes,
-    reference: str, equivalents: Mapping[str, str] | None = None,
+    reference: str, equivalents: Mapping[str, str] | None = None, force: Literal["", "elastic", "dissipative"] = "",
 ) -> Effect:  # fmt: skip
     return Effect(
         name=name,
@@ -82,6 +91,7 @@ def _single(
         sites=partial(local_sites, sizes=size),
         change=local_element(section, {parameter.name: key}),
         equivalents=equivalents or {},
+        force=force,
     )
 
 
@@ -96,6 +106,49 @@ def _stop(name: str, equation: str, section: type[ElementSection]) -> Effect:
         sites=partial(local_sites, sizes=lambda a, k, w: {"k": 0.1 * k, "gap": a}),
         change=local_element(section, {"k": "stiffness_n_m", "gap": "gap_m"}),
     )
+
+
+def largest_air_drag(rig: Rig, operating: OperatingRange, point: int) -> float:
+    """Largest c₂ that air can give a structure, ½ ρ C_d A, N s²/m².
+
+    The area is that of a beam's face; for anything else that of a sheet with the mass that moves, of 1 mm of aluminium.
+    """
+    structure = rig.structure
+    if isinstance(structure, BeamSection):
+        area = structure.length_m * structure.width_m
+    else:
+        area = min(operating.effective_mass[point], operating.total_mass) / _SHEET_KG_M2
+    return 0.5 * _AIR_KG_M3 * _LARGEST_DRAG_COEFFICIENT * area
+
+
+def _drag_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    sites = local_sites(rig, operating, lambda a, k, w: {"c2": 0.005 * k / (w**2 * a)})
+    return tuple(replace(site, limits={"c2": largest_air_drag(rig, operating, site.point)}) for site in sites)
+
+
+def _power_law_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    return tuple(
+        Site(
+            Placement.at("structure", point, other), {"force": 0.005 * stiffness * amplitude, "excess": 1.0},
+            point, other, reference=operating.omega * amplitude,
+        )
+        for point, other, amplitude, stiffness in spots(rig, operating)
+    )  # fmt: skip
+
+
+def _power_law(site: Site, values: Mapping[str, float]) -> tuple[float, float]:
+    """Coefficient and exponent of a damper that takes a force at the reference speed."""
+    exponent = 1.0 + min(values["excess"], _LARGEST_EXCESS)
+    return values["force"] / site.reference**exponent, exponent
+
+
+def _with_power_law(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    coefficient, exponent = _power_law(site, values)
+    settings: dict[str, Any] = {"other_point": site.other_point} if site.other_point else {}
+    element = PowerLawDamperSection.model_construct(
+        kind="power_law_damper", point=site.point, coefficient_n_sp_mp=coefficient, exponent=exponent, **settings
+    )
+    return with_element(rig, element)
 
 
 def _mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
@@ -119,18 +172,41 @@ STRUCTURE_EFFECTS: tuple[Effect, ...] = (
     _single(
         "cubic_stiffness", "k x³", EffectParameter("k", "N/m³", signed=True), CubicSpringSection, "stiffness_n_m3",
         lambda a, k, w: {"k": 0.02 * k / a**2}, "Nayfeh and Mook, Nonlinear Oscillations (1979)",
+        force="elastic",
     ),
     _single(
         "quintic_stiffness", "k x⁵", EffectParameter("k", "N/m⁵", signed=True), QuinticSpringSection,
         "stiffness_n_m5", lambda a, k, w: {"k": 0.02 * k / a**4}, "Nayfeh and Mook, Nonlinear Oscillations (1979)",
+        force="elastic",
     ),
     _single(
         "quadratic_stiffness", "k x²", EffectParameter("k", "N/m²", signed=True), QuadraticSpringSection,
         "stiffness_n_m2", lambda a, k, w: {"k": 0.05 * k / a}, "Nayfeh and Mook, Nonlinear Oscillations (1979)",
+        force="elastic",
+    ),
+    Effect(
+        name="air_drag", place="structure", equation="c₂ v |v|, |c₂| ≤ ½ ρ C_d A",
+        reference="Baker, Woolam and Young, Int. J. Mech. Sci. 9 (1967) 743; Keulegan and Carpenter, "
+        "J. Res. Natl. Bur. Stand. 60 (1958) 423",
+        keys="local_elements: quadratic_drag",
+        parameters=(EffectParameter("c2", "N s²/m²", signed=True),),
+        sites=_drag_sites, change=local_element(QuadraticDragSection, {"c2": "drag_ns2_m2"}),
+        force="dissipative",
     ),
     _single(
-        "air_drag", "c₂ v |v|", EffectParameter("c2", "N s²/m²", signed=True), QuadraticDragSection, "drag_ns2_m2",
-        lambda a, k, w: {"c2": 0.005 * k / (w**2 * a)}, "Baker, Woolam and Young, Int. J. Mech. Sci. 9 (1967) 743",
+        "amplitude_damping", "c x² v", EffectParameter("c", "N s/m³"), AmplitudeDamperSection, "damping_ns_m3",
+        lambda a, k, w: {"c": 0.02 * k / (w * a**2)}, "Zaitsev et al., Nonlinear Dyn. 67 (2012) 859",
+        force="dissipative",
+    ),
+    Effect(
+        name="power_law_damping", place="structure", equation="F (|v|/v₀)ᵖ sgn v, p = 1 + excess, v₀ the largest speed",
+        reference="Ruzicka and Derby, Influence of Damping in Vibration Isolation (1971)",
+        keys="local_elements: power_law_damper",
+        parameters=(EffectParameter("force", "N"), EffectParameter("excess", "1", "shape", grid=(0.5, 2.0))),
+        sites=_power_law_sites, change=_with_power_law,
+        report=lambda values: {"force": (values["force"], "N"),
+                               "p": (1.0 + min(values["excess"], _LARGEST_EXCESS), "1")},
+        force="dissipative",
     ),
     Effect(
         name="structural_damping", place="structure", equation="K (1 + iη)",

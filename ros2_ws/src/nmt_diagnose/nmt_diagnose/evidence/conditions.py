@@ -5,7 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nmt_core.blocks import FloatArray, Quantity
+
+ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -115,22 +120,74 @@ class RandomTest:
 
 
 @dataclass(frozen=True)
+class SteppedSineTest:
+    """Frequency responses at an amplitude that was held while the frequency was stepped.
+
+    Attributes:
+        name: unique name.
+        drive_point: measurement point of the exciter.
+        channels: response channels, in the order of the observables; the first is the one whose amplitude the model is
+            given.
+        reference: what the responses are divided by: ``force``, ``base`` (acceleration of a shaking table) or
+            ``voltage``.
+        held: what had the given amplitude: ``force``, ``base``, ``voltage``, or ``response`` (the first channel).
+        lines_hz: frequencies that became observables, Hz, ascending, shape (lines,).
+        levels: amplitude of what was held at each line, in its SI unit, shape (lines,).
+        measured: measured responses, shape (lines, channels): they say how large the motion was and on which branch.
+        noise: relative standard uncertainty of each line's magnitude and phase (rad), shape (lines,).
+        direction: +1 while the frequency rose, −1 while it fell, 0 where it is not known.
+        growth: ∂ ln R / ∂ ln s of the reference R over the first channel's amplitude s, by which an error of s counts,
+            shape (lines,); None = 1, that of a linear rig.
+        scale: true over recorded amplitude of the first channel.
+    """
+
+    name: str
+    drive_point: int
+    channels: tuple[MeasuredChannel, ...]
+    reference: str
+    held: str
+    lines_hz: FloatArray
+    levels: FloatArray
+    measured: ComplexArray
+    noise: FloatArray
+    direction: int = 0
+    growth: ComplexArray | None = None
+    scale: float = 1.0
+
+    @property
+    def amplitudes(self) -> FloatArray:
+        """Amplitude of the first channel at each line, in its unit; NaN where only the voltage is known, (lines,)."""
+        if self.held == "response":
+            return self.levels
+        if self.held == self.reference:
+            return np.asarray(np.abs(self.measured[:, 0]) * self.levels, dtype=np.float64)
+        return np.full(self.levels.shape, math.nan)
+
+
+@dataclass(frozen=True)
 class RingDownTest:
-    """Free decay after switch-off: frequency and decay rate of the drive-point response over its amplitude.
+    """Free decay after switch-off or impact: frequency and decay rate of a response over its amplitude.
 
     Attributes:
         name: unique name.
         drive_point: measurement point of the exciter (it stays attached, at zero volts).
-        channel: response channel.
+        channel: response channel that the amplitudes are of.
         amplitudes: fundamental amplitude in the channel's unit at which the observables stand, shape (k,), falling.
-        start_frequency_hz: Hz.
+        frequency_hz: at the smallest amplitude, Hz; it tells the mode.
+        others: further response channels; magnitude and phase of their fundamentals stand relative to the first one's.
     """
 
     name: str
     drive_point: int
     channel: MeasuredChannel
     amplitudes: FloatArray
-    start_frequency_hz: float
+    frequency_hz: float
+    others: tuple[MeasuredChannel, ...] = ()
+
+    @property
+    def channels(self) -> tuple[MeasuredChannel, ...]:
+        """All channels, in the order of the observables."""
+        return (self.channel, *self.others)
 
 
 @dataclass(frozen=True)
@@ -177,4 +234,4 @@ class BackboneTable:
     amplitudes: FloatArray
 
 
-Test = PhaseResonanceTest | RandomTest | RingDownTest | RecordTest | BackboneTable
+Test = PhaseResonanceTest | RandomTest | SteppedSineTest | RingDownTest | RecordTest | BackboneTable

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +14,13 @@ from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest, Rin
 from nmt_diagnose.evidence.observables import Evidence, IntArray, Part, Rows
 
 _FEWEST_PAIRS = 6
+# Key of a sidecar's ``repeatability`` by part.
+_STATED = {
+    Part.LOG_FREQUENCY: "frequency",
+    Part.DAMPING: "damping",
+    Part.LOG_MAGNITUDE: "amplitude",
+    Part.PHASE: "phase_deg",
+}
 
 
 @dataclass(frozen=True)
@@ -28,9 +37,11 @@ class Floors:
         model_harmonics: highest order of the model's harmonic balance; what it cuts off at a slipping joint adds to the
             floors of locked windows, see :meth:`truncation`.
         frf: frequency responses, relative and rad, besides the estimator's bias that is computed line by line.
+        stepped: frequency responses at a held amplitude, relative and rad: harmonics that the model leaves out.
         images: share of what images of a held drive fold onto a line that the model may get wrong.
         decay_log_frequency: instantaneous frequency of a ring-down, relative.
         decay_damping: its damping ratio, relative.
+        decay_shape: amplitudes and phases of other channels during a ring-down, relative and rad.
         table_log_frequency: frequencies of reduced tables without a stated uncertainty, relative.
         table_damping: their damping ratios, relative.
         record: samples of a record, relative to the rms of their channel.
@@ -44,9 +55,11 @@ class Floors:
     harmonic: float = 5e-6
     model_harmonics: int = 9
     frf: float = 5e-5
+    stepped: float = 2e-4
     images: float = 0.02
     decay_log_frequency: float = 2e-4
     decay_damping: float = 3e-3
+    decay_shape: float = 2e-4
     table_log_frequency: float = 1e-3
     table_damping: float = 5e-2
     record: float = 1e-2
@@ -73,6 +86,28 @@ class Floors:
         else:
             size = 6e-6 * harmonic ** {Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}.get(quantity, 0)
         return float(size * (7.0 / self.model_harmonics) ** 3.5)
+
+
+def with_stated_repeatability(evidence: Evidence, run: Mapping[str, Any]) -> Evidence:
+    """The evidence with what the sidecar of its bag says of repeats as part of the floors.
+
+    Args:
+        evidence: of one bag.
+        run: start record of the bag; ``imported.sidecar.repeatability`` has ``frequency``, ``damping`` and
+            ``amplitude`` (relative) and ``phase_deg``, standard deviations.
+    """
+    imported = run.get("imported")
+    sidecar = imported.get("sidecar") if isinstance(imported, dict) else None
+    stated = sidecar.get("repeatability") if isinstance(sidecar, dict) else None
+    if not isinstance(stated, dict):
+        return evidence
+    part, floor = evidence.rows.part, evidence.floor
+    for kind, key in _STATED.items():
+        size = float(stated.get(key) or 0.0)
+        size = math.radians(size) if kind is Part.PHASE else size
+        of_value = np.abs(evidence.values) if kind is Part.DAMPING else 1.0
+        floor = np.where(part == kind, np.hypot(floor, size * of_value), floor)
+    return replace(evidence, floor=floor)
 
 
 def repeatability(evidence: Evidence, repeats: Evidence) -> tuple[FloatArray, tuple[str, ...]]:

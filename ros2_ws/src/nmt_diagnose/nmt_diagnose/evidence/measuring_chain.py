@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from nmt_diagnose.evidence.conditions import MeasuredChannel
+from nmt_record.run_device import SIMULATED_RIG
 
 GAIN_STD = 0.01
 PHASE_STD_DEG = 0.2
@@ -66,15 +67,19 @@ def measuring_chain(
 ) -> MeasuringChain | None:
     """Tolerances by what made a bag; None for a run of the bench's own simulator.
 
+    A run on a device has the ordinary ones.
+
     Args:
-        run: start record of the bag; the entry ``imported`` holds the sidecar, whose channels may have ``gain_std``,
-            ``phase_std_deg`` and ``delay_std_s``.
+        run: start record of the bag; ``device`` is what it measured. The entry ``imported`` holds the sidecar, whose
+            channels may have ``gain_std``, ``phase_std_deg`` and ``delay_std_s``.
         channels: the model's channel by recorded name.
         sample_rate: Hz.
     """
     imported = run.get("imported")
     if not isinstance(imported, dict):
-        return None
+        device = run.get("device")
+        measured = isinstance(device, str) and device not in ("", SIMULATED_RIG)
+        return MeasuringChain(hold_hz=sample_rate) if measured else None
     sidecar = imported.get("sidecar")
     sections = sidecar.get("channels") if isinstance(sidecar, dict) else None
     by_name: dict[str, ChannelTolerance] = {}
@@ -93,6 +98,11 @@ def measuring_chain(
                 _stated(section, "delay_std_s", DELAY_STD_S),
             )
     return MeasuringChain(by_name, voltage, shared, sample_rate)
+
+
+def table_chain() -> MeasuringChain:
+    """Tolerances of frequency responses that an analyser has reduced: its channels are sampled together."""
+    return MeasuringChain(shared_delay_s=DELAY_STD_S)
 
 
 def _stated(section: Mapping[str, Any], key: str, default: float) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.evidence.conditions import Test
 from nmt_diagnose.evidence.measuring_chain import MeasuringChain
+from nmt_diagnose.evidence.origin import Origin
 
 IntArray = NDArray[np.int64]
 
@@ -77,6 +78,7 @@ class Evidence:
         notes: sentences on what was found, left out and why (shown to the user).
         inputs: bags with their SHA-256.
         chains: tolerances of the measuring chain of each test, None = it measures as the rig file says; may be empty.
+        origins: what made each of ``inputs``; may be empty.
     """
 
     tests: tuple[Test, ...]
@@ -87,6 +89,7 @@ class Evidence:
     notes: tuple[str, ...] = ()
     inputs: tuple[tuple[str, str], ...] = ()
     chains: tuple[MeasuringChain | None, ...] = ()
+    origins: tuple[Origin, ...] = ()
 
     @property
     def sigma(self) -> FloatArray:
@@ -97,7 +100,7 @@ class Evidence:
         """Part of the evidence; the tests stay as they are."""
         return Evidence(
             self.tests, self.rows.take(which), self.values[which], self.std[which], self.floor[which], self.notes,
-            self.inputs, self.chains,
+            self.inputs, self.chains, self.origins,
         )  # fmt: skip
 
 
@@ -120,4 +123,5 @@ def joined(parts: Sequence[Evidence]) -> Evidence:
         tuple(note for part in parts for note in part.notes),
         tuple(item for part in parts for item in part.inputs),
         tuple(chain for part in parts for chain in (part.chains or (None,) * len(part.tests))),
+        tuple(origin for part in parts for origin in part.origins),
     )

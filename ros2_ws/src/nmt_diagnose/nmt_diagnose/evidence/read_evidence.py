@@ -15,11 +15,12 @@ from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.evidence.bag_samples import Stretch, read_windows
-from nmt_diagnose.evidence.conditions import MeasuredChannel
-from nmt_diagnose.evidence.floors import repeatability
-from nmt_diagnose.evidence.measuring_chain import measuring_chain
+from nmt_diagnose.evidence.conditions import MeasuredChannel, SteppedSineTest
+from nmt_diagnose.evidence.floors import repeatability, with_stated_repeatability
+from nmt_diagnose.evidence.measuring_chain import measuring_chain, table_chain
 from nmt_diagnose.evidence.model_view import ORDER, ModelView, matched
 from nmt_diagnose.evidence.observables import Evidence, joined
+from nmt_diagnose.evidence.origin import origin_of, refuse_own_recordings, strangers
 from nmt_diagnose.evidence.phase_resonance_evidence import phase_resonance_evidence
 from nmt_diagnose.evidence.plausibility import check_frequency, clipping_notes, out_of_scale
 from nmt_diagnose.evidence.random_evidence import random_evidence
@@ -27,6 +28,7 @@ from nmt_diagnose.evidence.record_evidence import record_evidence
 from nmt_diagnose.evidence.ring_down_evidence import ring_down_evidence
 from nmt_diagnose.evidence.row_table import empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
+from nmt_diagnose.evidence.stepped_sine_evidence import is_response, stepped_sine_evidence
 from nmt_diagnose.evidence.table_evidence import table_evidence
 from nmt_record.bag_reader import Bag
 from nmt_record.observables import observable_tables
@@ -44,11 +46,13 @@ def read_evidence(
     floor_bags: Sequence[Path | str] = (),
     settings: EvidenceSettings | None = None,
     progress: Callable[[str], None] | None = None,
+    allow_own_model: bool = True,
 ) -> Evidence:
     """All observables of a real side.
 
-    Locked windows, random tests, ring-downs, records and reduced tables become tests; stepped sines near resonance
-    count as locked windows whose phase nobody controlled; sweeps are passed over with a note, because no steady state
+    Locked windows, random tests, ring-downs, records and reduced tables become tests; imported stepped sines become
+    frequency responses at their measured force, those of the bench's own runs near resonance count as locked windows
+    whose phase nobody controlled; sweeps are passed over with a note, because no steady state
     of the model says what they must look like. What cannot be used is left out, with a sentence in ``notes``.
 
     Args:
@@ -57,23 +61,33 @@ def read_evidence(
         floor_bags: repeats of tests among ``bags``; the differences are what no model can beat.
         settings: None = defaults.
         progress: called with a sentence as the work goes on.
+        allow_own_model: take recordings that ``model`` itself made, too.
 
     Raises:
-        BenchError: there is no such bag, a bag is damaged or of another rig, or nothing in them can be used.
+        BenchError: there is no such bag, a bag is damaged or of another rig, the model itself made it, or nothing in
+            them can be used.
     """
     settings = settings or EvidenceSettings()
     if not bags:
         raise BenchError("The diagnosis needs at least one bag of the real side; give --real.")
     evidence = _read_all(bags, model, settings, progress)
+    made = [(path, origin) for (path, _), origin in zip(evidence.inputs, evidence.origins, strict=True)]
+    if not allow_own_model:
+        refuse_own_recordings(model, made)
     if not len(evidence.rows):
         reasons = " ".join(evidence.notes) or "No level was locked and no other test was made."
         raise BenchError(f"Nothing in {', '.join(map(str, bags))} can be used as evidence. {reasons}")
-    notes = list(evidence.notes)
+    notes = [*evidence.notes, *strangers(made)]
     if floor_bags:
         repeats = _read_all(floor_bags, model, settings, progress)
         floor, more = repeatability(evidence, repeats)
         notes += [*(f"Floor bag: {note}" for note in repeats.notes), *more]
-        evidence = replace(evidence, floor=floor, inputs=(*evidence.inputs, *repeats.inputs))
+        evidence = replace(
+            evidence,
+            floor=floor,
+            inputs=(*evidence.inputs, *repeats.inputs),
+            origins=(*evidence.origins, *repeats.origins),
+        )
     return replace(evidence, notes=tuple(dict.fromkeys(notes)))
 
 
@@ -94,7 +108,8 @@ def _read_all(
         seen[digest] = str(path)
         name = _unique(_name(path), names)
         part = read_bag(bag, name, model, settings)
-        parts.append(replace(part, inputs=((str(path), digest),)))
+        origin = origin_of(bag, path, [test.name for test in part.tests])
+        parts.append(replace(part, inputs=((str(path), digest),), origins=(origin,)))
     return joined(parts)
 
 
@@ -121,8 +136,8 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: EvidenceSettings) -> Evi
     for segment in found:
         level = f"{name}: level {segment.level_index} ({segment.kind.label})"
         if segment in usable and segment.fault:
-            part = f"{segment.usable_samples} of {segment.samples} samples"
-            notes.append(f"{level} is used in part, {part} from {segment.usable_first_sample} on: {segment.fault}.")
+            share = f"{segment.usable_samples} of {segment.samples} samples"
+            notes.append(f"{level} is used in part, {share} from {segment.usable_first_sample} on: {segment.fault}.")
         elif segment.fault:
             notes.append(f"{level} is left out: {segment.fault}.")
     sweeps = sum(segment.kind is TestKind.SWEEP for segment in found)
@@ -136,10 +151,12 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: EvidenceSettings) -> Evi
     tables = observable_tables(bag) if "observables" in bag.topics else []
     for number, table in enumerate(tables):
         own = name if len(tables) == 1 and not usable else f"{name}/{table.name or f'table {number + 1}'}"
-        parts.append(table_evidence(own, table, model, settings))
+        reduced = table_evidence(own, table, model, settings)
+        chains = tuple(table_chain() if isinstance(test, SteppedSineTest) else None for test in reduced.tests)
+        parts.append(replace(reduced, chains=chains))
     if not found and not tables:
         notes.append(f"{name}: no level was locked and no window was marked, so there is nothing to compare.")
-    return joined([empty(notes), *parts])
+    return with_stated_repeatability(joined([empty(notes), *parts]), run)
 
 
 @dataclass(frozen=True)
@@ -177,8 +194,13 @@ def _signals(
         )
     view = ModelView.of(model, drive_point)
     channels, more = matched(recorded, view)
+    # A decay needs no sensor in the rig file: where it lacks one, an ideal one is meant.
+    of_decays = {c.name: c for c in recorded if c.quantity in ORDER and c.point in model.structure.points} | channels
+    decays = [window.segment.kind is TestKind.RING_DOWN for window in windows]
+    if all(decays):
+        channels, more = of_decays, ()
     notes += [f"{name}: {note}" for note in more]
-    if not any(channel.quantity in ORDER for channel in channels.values()):
+    if not any(channel.quantity in ORDER for channel in (of_decays if any(decays) else channels).values()):
         raise BenchError(
             f"{name} has no response channel that the model {model.name} has too; name the rig file of the rig that "
             "was tested, or add its sensors."
@@ -194,6 +216,9 @@ def _signals(
             mine = [(window.segment, window.stretch) for window in locked if window.segment.kind is kind]
             if mine:
                 own = f"{name}/{kind.label}" if several else name
+                if kind is TestKind.STEPPED_SINE and "imported" in run and is_response(mine):
+                    parts.append(stepped_sine_evidence(own, mine, view, channels, settings))
+                    continue
                 parts.append(
                     phase_resonance_evidence(own, mine, view, channels, settings, response, rate, "imported" in run)
                 )
@@ -213,7 +238,7 @@ def _signals(
                 parts.append(random_evidence(own, window.stretch, view, channels, settings, rate))
             else:
                 guess = window.segment.frequency_hz
-                parts.append(ring_down_evidence(own, window.stretch, guess, view, channels, settings, response))
+                parts.append(ring_down_evidence(own, window.stretch, guess, view, of_decays, settings, response))
     records = [window for window in windows if window.segment.kind is TestKind.RECORD]
     if records:
         own = f"{name}/record" if len(records) < len(windows) else name

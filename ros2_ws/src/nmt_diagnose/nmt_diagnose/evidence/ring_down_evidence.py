@@ -1,142 +1,46 @@
-"""Observables of ring-downs: instantaneous frequency and damping ratio over amplitude.
+"""Observables of ring-downs: instantaneous frequency and damping ratio over amplitude, and the shape of the response.
 
-The response is fitted period by period with a Fourier series on its own phase. In an exponential decay every period is
-a smaller copy of the one before, so the error that a fixed amplitude makes within a period is the same factor each time
-and cancels in frequency and decay rate. Logarithm and phase of the fundamentals are then fitted with parabolas over a
-few periods around each amplitude.
+Frequency, start and end of the decay are found in the data; the model only says which of several decaying modes it has.
+What cannot be used of a decay is left out, with the reason, and the rest stays.
 """
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.evidence.bag_samples import Stretch
 from nmt_diagnose.evidence.conditions import MeasuredChannel, RingDownTest
-from nmt_diagnose.evidence.model_view import ModelView
+from nmt_diagnose.evidence.decay_nodes import Node, nodes, ratio_at
+from nmt_diagnose.evidence.decay_signal import Ridge, SlowAmplitude, demodulated, ridges, slow_amplitude
+from nmt_diagnose.evidence.model_view import ORDER, ModelView, nearest_ratio
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.row_table import Place, RowTable, empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
-from nmt_extract.harmonics import resolvable_harmonics, segment_moments, solve_moments
-from nmt_rig.model.linear_modes import damped_modes
 
-_HALF_WIDTH = 3
-_FEWEST_PERIODS = 12
-_LONGEST_SKIP = 10
 _SWITCH_OFF = 1  # periods within which the drive goes to zero
-_OTHER_MODES = 5.0
-_SMALLEST = 1e-3
-_WORST_DAMPING = 0.3
-_PASSES = 3
+_WRONG_FREQUENCY = 1.6
+_WIDTHS = (1, 2, 4)
+_NARROWER_PAYS = 0.5
+_LARGEST_STD = 0.03  # of ln ω
+_LARGEST_RATIO_STD = 0.1
+_WORST_DAMPING = 0.3  # relative uncertainty beyond which ln of amplitudes is no longer Gaussian
 _ORDER = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
 
 
-def period_fundamentals(
-    samples: FloatArray, cycles: FloatArray, harmonics: int
-) -> tuple[NDArray[np.complex128], FloatArray]:
-    """Fundamental of each whole period of a phase.
+@dataclass(frozen=True)
+class _Decay:
+    """What was found in one channel."""
 
-    Args:
-        samples: shape (n,).
-        cycles: phase at each sample, cycles, ascending, shape (n,).
-        harmonics: of the fit.
-
-    Returns:
-        Complex amplitudes, shape (periods,), and the index of each middle in samples, shape (periods,).
-    """
-    periods = math.floor(cycles[-1] - cycles[0])
-    bounds = np.searchsorted(cycles, cycles[0] + np.arange(periods + 1) - 1e-9).astype(np.int64)
-    amplitudes = solve_moments(segment_moments(cycles, samples[np.newaxis], harmonics, bounds))[:, 0, 1]
-    middle = np.interp(cycles[0] + np.arange(periods) + 0.5, cycles, np.arange(cycles.size))
-    return amplitudes, np.asarray(middle, dtype=np.float64)
-
-
-def decay_of(samples: FloatArray, sample_rate: float, frequency_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Phase and logarithm of the amplitude of a decay, period by period.
-
-    Args:
-        samples: shape (n,).
-        sample_rate: Hz.
-        frequency_hz: at the start, Hz.
-
-    Returns:
-        Time (s), phase (rad, unwrapped), ln of the amplitude; each of shape (periods,).
-
-    Raises:
-        BenchError: less than a few periods.
-    """
-    index = np.arange(samples.size)
-    cycles: FloatArray = frequency_hz / sample_rate * index.astype(np.float64)
-    harmonics = resolvable_harmonics(3, sample_rate / frequency_hz)
-    if harmonics < 1 or cycles[-1] < _FEWEST_PERIODS:
-        raise BenchError(f"{cycles[-1]:.3g} periods of decay are too few; {_FEWEST_PERIODS} are needed")
-    middle, phase, log = np.zeros(0), np.zeros(0), np.zeros(0)
-    for number in range(_PASSES):
-        amplitudes, middle = period_fundamentals(samples, cycles, harmonics)
-        size = np.abs(amplitudes)
-        if not (size > 0.0).all():
-            raise BenchError("the response vanishes")
-        log = np.log(size)
-        phase = 2.0 * math.pi * np.interp(middle, index, cycles) + np.unwrap(np.angle(amplitudes))
-        if number + 1 == _PASSES:
-            break
-        # The next pass counts periods of the decay itself, as long as it stands out.
-        strong = log > log.max() + math.log(_SMALLEST)
-        last = int(np.argmin(strong)) if not strong.all() else strong.size
-        if last < _FEWEST_PERIODS:
-            break
-        own = phase[:last] / (2.0 * math.pi)
-        smooth = np.convolve(own, np.full(3, 1.0 / 3.0), mode="valid")
-        smooth = np.concatenate((own[:1], smooth, own[-1:]))
-        new = np.interp(index, middle[:last], smooth)
-        ends = np.diff(smooth)[[0, -1]] / np.diff(middle[:last])[[0, -1]]
-        before, after = index < middle[0], index > middle[last - 1]
-        new[before] = smooth[0] + (index[before] - middle[0]) * ends[0]
-        new[after] = smooth[-1] + (index[after] - middle[last - 1]) * ends[1]
-        if not (np.diff(new) > 0.0).all():
-            break
-        cycles = new
-    return middle / sample_rate, phase, log
-
-
-def local_slopes(time: FloatArray, values: FloatArray, centre: int, first: int) -> tuple[float, float, float]:
-    """Value, slope and uncertainty of the slope of a parabola around one value, of those from ``first`` on.
-
-    What a narrower parabola says otherwise counts as uncertainty: near a corner of the decay neither is right.
-    """
-    value, slope, std = _parabola(time, values, centre, first, _HALF_WIDTH)
-    _, narrow, _ = _parabola(time, values, centre, first, _HALF_WIDTH - 1)
-    return value, slope, math.hypot(std, 0.5 * (slope - narrow))
-
-
-def _parabola(
-    time: FloatArray, values: FloatArray, centre: int, first: int, half_width: int
-) -> tuple[float, float, float]:
-    start = max(first, centre - half_width)
-    near = slice(start, start + 2 * half_width + 1)
-    t = time[near] - time[centre]
-    design = np.stack((np.ones_like(t), t, t * t), axis=1)
-    solution, *_ = np.linalg.lstsq(design, values[near], rcond=None)
-    residual = values[near] - design @ solution
-    freedom = t.size - 3
-    covariance = np.linalg.inv(design.T @ design) * float(residual @ residual) / freedom
-    return float(solution[0]), float(solution[1]), math.sqrt(float(covariance[1, 1]))
-
-
-def _skipped(view: ModelView, frequency_hz: float) -> int:
-    """Periods after which the drive is off and the other modes have decayed."""
-    values = damped_modes(view.system).eigenvalues
-    others = values[np.abs(np.abs(values) - 2.0 * math.pi * frequency_hz).argsort()[1:]]
-    if others.size == 0:
-        return _SWITCH_OFF
-    slowest = float(np.min(-others.real))
-    periods = _OTHER_MODES / slowest * frequency_hz if slowest > 0.0 else _LONGEST_SKIP
-    return _SWITCH_OFF + int(np.clip(math.ceil(periods), 1, _LONGEST_SKIP))
+    slow: SlowAmplitude
+    nodes: list[Node]
+    good: list[Node]
 
 
 def ring_down_evidence(
@@ -152,60 +56,149 @@ def ring_down_evidence(
 
     Args:
         name: name of the test.
-        stretch: samples from the switch-off on.
-        frequency_hz: at the switch-off, Hz; NaN or 0 = that of the model's mode.
+        stretch: samples from the switch-off or from some time before an impact on.
+        frequency_hz: at the switch-off, Hz; NaN or 0 = not known.
         view: the model, driven at the test's drive point.
         channels: the model's channel for each recorded one.
         settings: settings.
-        response_quantity: preferred quantity of the drive-point response.
+        response_quantity: preferred quantity of the response.
     """
+    notes: list[str] = []
+    usable = [
+        c for c in stretch.channels if c.name in channels and c.name not in stretch.faults and c.quantity in ORDER
+    ]
+    if not usable:
+        return empty((f"{name}: the ring-down is left out: there is no usable response.",))
     order: Sequence[Quantity] = ((response_quantity,) if response_quantity is not None else ()) + _ORDER
-    usable = set(channels) - set(stretch.faults)
-    candidates = [stretch.find(quantity, view.rig.drive_point) for quantity in order]
-    channel = next((c for c in candidates if c is not None and c.name in usable), None)
-    if channel is None:
-        return empty((f"{name}: the ring-down is left out: there is no usable response at the drive point.",))
-    samples = stretch.row(channel.name)
-    guess = frequency_hz if frequency_hz > 0.0 else view.frequencies_hz[0]
-    try:
-        time, phase, log = decay_of(samples, stretch.sample_rate, guess)
-    except BenchError as error:
-        return empty((f"{name}: the ring-down is left out: {error}.",))
-    first = _skipped(view, guess)
-    nodes = _nodes(log, settings.decay_points, first)
+    usable.sort(key=lambda c: (channels[c.name].point != view.rig.drive_point, order.index(c.quantity)))
+    reason, decay, own = "", None, usable[0]
+    for own in usable:
+        try:
+            decay = _decay(stretch, own, frequency_hz, view, settings)
+            break
+        except BenchError as error:
+            reason = reason or str(error)
+    if decay is None:
+        return empty((f"{name}: the ring-down is left out: {reason}.",))
+    others = [c for c in usable if c is not own]
     table = RowTable()
     amplitudes: list[float] = []
     floors = settings.floors
-    for node in nodes:
-        level, rate, rate_std = local_slopes(time, log, node, first)
-        _, omega, omega_std = local_slopes(time, phase, node, first)
-        if not omega > 0.0:
+    for node, bend in zip(decay.good, _bends(decay.good), strict=True):
+        place = Place(len(amplitudes), stretch.start_s + node.time_s, node.omega / (2.0 * math.pi), node.amplitude)
+        std = math.hypot(node.omega_std / node.omega, bend * node.log_std)
+        table.add(Part.LOG_FREQUENCY, math.log(node.omega), std, floors.decay_log_frequency, place, 0, 1)
+        std = node.rate_std / node.omega
+        if std < max(_WORST_DAMPING * abs(node.damping), 1e-5):
+            table.add(Part.DAMPING, node.damping, std, floors.decay_damping * abs(node.damping), place, 0, 1)
+        amplitudes.append(node.amplitude)
+    for index, other in enumerate(others, start=1):
+        samples = stretch.row(other.name)
+        values = demodulated(samples - samples.mean(), decay.slow.cycles, decay.slow.width)[:: decay.slow.stride]
+        for level, node in enumerate(decay.good):
+            ratio, std = ratio_at(node, decay.slow, values)
+            if not std < _LARGEST_RATIO_STD:
+                continue
+            place = Place(level, stretch.start_s + node.time_s, node.omega / (2.0 * math.pi), node.amplitude)
+            size = math.log(abs(ratio) * node.amplitude)
+            table.add(Part.LOG_MAGNITUDE, size, std, floors.decay_shape, place, index, 1)
+            table.add(Part.PHASE, cmath.phase(ratio), std, floors.decay_shape, place, index, 1)
+    notes += _notes(name, decay)
+    test = RingDownTest(
+        name,
+        view.rig.drive_point,
+        channels[own.name],
+        np.array(amplitudes),
+        decay.good[-1].omega / (2.0 * math.pi),
+        tuple(channels[other.name] for other in others),
+    )
+    return table.evidence(test, notes)
+
+
+def _decay(
+    stretch: Stretch, channel: MeasuredChannel, frequency_hz: float, view: ModelView, settings: EvidenceSettings
+) -> _Decay:
+    """Amplitudes, frequencies and damping ratios of one channel's decay.
+
+    Raises:
+        BenchError: nothing of it can be used.
+    """
+    samples = stretch.row(channel.name)
+    samples = samples - samples.mean()
+    ridge = _chosen(ridges(samples, stretch.sample_rate, channel.quantity), frequency_hz, view)
+    best: _Decay | None = None
+    reason = ""
+    for width in _WIDTHS:
+        try:
+            slow = slow_amplitude(samples, stretch.sample_rate, ridge, width)
+        except BenchError as error:
+            reason = reason or str(error)
             continue
-        damping = -rate / omega
-        if not rate_std / omega < max(_WORST_DAMPING * abs(damping), 1e-5):
-            break
-        place = Place(len(amplitudes), stretch.start_s + float(time[node]), omega / (2.0 * math.pi), math.exp(level))
-        table.add(Part.LOG_FREQUENCY, math.log(omega), omega_std / omega, floors.decay_log_frequency, place, 0, 1)
-        table.add(Part.DAMPING, damping, rate_std / omega, floors.decay_damping * abs(damping), place, 0, 1)
-        amplitudes.append(math.exp(level))
-    if not amplitudes:
-        return empty((f"{name}: the ring-down is left out: the decay does not stand out of the noise.",))
-    test = RingDownTest(name, view.rig.drive_point, channels[channel.name], np.array(amplitudes), guess)
-    return table.evidence(test)
+        found = nodes(slow, settings.decay_points, _SWITCH_OFF)
+        good = [node for node in found if node.omega > 0.0 and node.omega_std < _LARGEST_STD * node.omega]
+        if not good:
+            reason = reason or "the decay does not stand out of the noise, or something else rings on"
+            continue
+        decay = _Decay(slow, found, good)
+        # A narrower band lets less of other modes through, but makes less of a fast decay.
+        if best is None or _uncertainty(decay) < _NARROWER_PAYS * _uncertainty(best):
+            best = decay
+    if best is None:
+        raise BenchError(reason)
+    return best
 
 
-def _nodes(log: FloatArray, wanted: int, skipped: int) -> list[int]:
-    """Periods evenly spread over the logarithm of the amplitude, far enough apart to be nearly independent."""
-    first, last = skipped + 1, log.size - _HALF_WIDTH - 1
-    strong = log[first : last + 1] > log[: first + 1].max() + math.log(_SMALLEST)
-    # Once the decay has reached the noise it is not used again.
-    stop = first + (int(np.argmin(strong)) if not strong.all() else strong.size)
-    falling = np.arange(first, stop)
-    if falling.size == 0:
-        return []
-    marks = np.linspace(log[falling[0]], log[falling[-1]], max(1, min(wanted, falling.size)))
-    result: list[int] = []
-    for node in sorted({int(falling[np.argmin(np.abs(log[falling] - mark))]) for mark in marks}):
-        if not result or node - result[-1] >= _HALF_WIDTH:
-            result.append(node)
+def _bends(good: list[Node]) -> FloatArray:
+    """Slope of ln ω over ln A at each node, shape (nodes,): it carries over what the amplitudes are uncertain by."""
+    if len(good) < 2:
+        return np.zeros(len(good))
+    log = np.log([node.amplitude for node in good])
+    order = np.argsort(log)
+    slopes = np.zeros(len(good))
+    apart = np.unique(log).size == log.size
+    slopes[order] = np.gradient(np.log([good[i].omega for i in order]), log[order]) if apart else 0.0
+    return slopes
+
+
+def _uncertainty(decay: _Decay) -> float:
+    """Typical relative uncertainty of the frequencies; that of a node that is left out is the largest allowed."""
+    values = [min(node.omega_std / node.omega, _LARGEST_STD) for node in decay.nodes if node.omega > 0.0]
+    return float(np.median(values))
+
+
+def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView) -> Ridge:
+    """The ridge of the mode that was excited; else the strongest that the model has a mode for.
+
+    Raises:
+        BenchError: none oscillates at a mode of the model.
+    """
+    if not found:
+        raise BenchError("nothing in it oscillates")
+    if frequency_hz > 0.0:
+        return min(found, key=lambda ridge: abs(math.log(ridge.frequency_hz[0] / frequency_hz)))
+    for ridge in found:
+        ratio = nearest_ratio(ridge.late_hz, view.frequencies_hz)
+        if 1.0 / _WRONG_FREQUENCY < ratio < _WRONG_FREQUENCY:
+            return ridge
+    seen = ", ".join(f"{ridge.late_hz:.4g}" for ridge in found)
+    modes = ", ".join(f"{value:.4g}" for value in view.frequencies_hz[:4])
+    raise BenchError(f"it decays at {seen} Hz, where the model {view.rig.name} has no mode (it has {modes} Hz)")
+
+
+def _notes(name: str, decay: _Decay) -> list[str]:
+    """What of a decay is not used, and why."""
+    result = []
+    left = [node for node in decay.nodes if node not in decay.good]
+    if left:
+        worst = max((node.omega_std / abs(node.omega) for node in left), default=math.inf)
+        result.append(
+            f"{name}: {len(left)} of {len(decay.nodes)} amplitudes of the decay are left out, because something else "
+            f"or noise covers the mode there (frequency known to {100.0 * worst:.2g} % only)."
+        )
+    first = decay.nodes[0].first
+    if first > _SWITCH_OFF:
+        start = float(decay.slow.time_s[first])
+        result.append(
+            f"{name}: the decay is used from {start:.3g} s on; before, it still grows or something else rings with it."
+        )
     return result

@@ -16,6 +16,7 @@ class EvidenceSettings:
         sub_windows: sub-windows of a locked window, for its uncertainties.
         fewest_periods: locked windows of fewer whole periods are left out: nothing in them tells their noise.
         lines: most lines of a frequency response that become observables.
+        stepped_lines: the same of one with a held amplitude, for each level and direction.
         largest_std: observables of a frequency response with a larger relative uncertainty are left out: the logarithm
             of a noisy amplitude is no longer Gaussian there.
         decay_points: amplitudes of a ring-down at which frequency and damping are observed.
@@ -28,6 +29,7 @@ class EvidenceSettings:
     sub_windows: int = 10
     fewest_periods: int = 8
     lines: int = 160
+    stepped_lines: int = 40
     largest_std: float = 0.2
     decay_points: int = 12
     record_rows: int = 4000

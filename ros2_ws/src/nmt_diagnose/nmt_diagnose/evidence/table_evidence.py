@@ -13,6 +13,7 @@ from nmt_diagnose.evidence.model_view import ORDER, ModelView, nearest_ratio
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.row_table import Place, RowTable, empty
 from nmt_diagnose.evidence.settings import EvidenceSettings
+from nmt_diagnose.evidence.stepped_table_evidence import has_levels, stepped_table_evidence
 from nmt_record.observables import ObservableTable
 from nmt_rig.rig import Rig
 
@@ -44,6 +45,8 @@ def table_evidence(name: str, table: ObservableTable, model: Rig, settings: Evid
     )
     if table.kind == "backbone":
         return _backbone(name, table, view, channel, settings)
+    if has_levels(table):
+        return stepped_table_evidence(name, table, view, channel, settings)
     return _responses(name, table, view, channel, settings)
 
 
@@ -124,6 +127,8 @@ def _responses(
         return empty((f"{name}: left out: it has no usable line.",))
     scatter = np.sqrt(0.5 * (_column(table, "real_std") ** 2 + _column(table, "imag_std") ** 2))
     std = scatter / np.where(size > 0.0, size, 1.0)
+    if table.noise > 0.0:
+        std = np.where(np.isfinite(std), std, table.noise)
     stated = np.isfinite(std)
     std = np.where(stated, std, _WITHOUT_STD)
     # Without uncertainties a coherence says something, but not how much was averaged: the line counts for less below 1.

@@ -5,12 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest
+from nmt_diagnose.evidence.conditions import (
+    MeasuredChannel,
+    PhaseResonanceTest,
+    RandomTest,
+    RingDownTest,
+    SteppedSineTest,
+    Test,
+)
 from nmt_diagnose.evidence.drive_hold import zero_order_images
 from nmt_diagnose.evidence.measuring_chain import MeasuringChain
 from nmt_diagnose.evidence.model_view import ModelView
@@ -18,16 +27,22 @@ from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.inference.problem import BoolArray, Problem
 from nmt_diagnose.inference.shared_errors import SharedErrors
 from nmt_diagnose.twin.forward import Forward, Prediction
+from nmt_diagnose.twin.stepped_sine_twin import gain_error
 from nmt_rig.rig import Rig, SensorSection
 
 ComplexArray = NDArray[np.complex128]
+IntArray = NDArray[np.intp]
 
 _GAIN_STEP, _DELAY_STEP_S, _DRIVE_STEP = 1e-3, 1e-6, 1e-3
 _PHASE_STEP = 1e-4
-_IMAGE_ORDERS = ((-1,), (1,), (-2, 2, -3, 3, -4, 4))
-# What the model's response far above its modes may be off by from line to line, and the share of it that differs from
-# level to level.
-_IMAGE_FLOOR, _SAME_FOR_LEVELS = 0.1, 0.2
+_LEAD_STEP = 1e-3
+# Sensors that pass no constants.
+_PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)
+_IMAGE_ORDERS = tuple((order,) for order in (-1, 1, -2, 2, -3, 3, -4, 4))
+# What the model's response far above its modes is off by, some 0.1, goes smoothly over some hundred lines; taken as
+# noise of each line it must be larger by the root of their number not to count for more than it is. The share of it
+# that differs from level to level.
+_IMAGE_FLOOR, _SAME_FOR_LEVELS = 1.0, 0.2
 # What the model's response to a harmonic of the drive may be off by, relative.
 _DRIVEN_FLOOR = 0.03
 _CLOCK_STEP = 1e-5
@@ -45,14 +60,36 @@ def with_chain_errors(problem: Problem, rig: Rig, prediction: Prediction, scatte
         prediction: its prediction of the evidence.
         scatter: of each row from test to test, shape (m,), see scatter.py; None = none.
     """
+    changed, columns = chain_errors(problem, rig, prediction, scatter)
+    return with_shared(changed, columns)
+
+
+def with_shared(problem: Problem, columns: FloatArray) -> Problem:
+    """The problem with errors that rows share, one standard deviation of each a column, (m, r); itself without any."""
+    columns = columns[:, np.any(columns != 0.0, axis=0)]
+    if not columns.shape[1]:
+        return problem
+    return replace(problem, shared=SharedErrors.of(problem.whitened(columns)))
+
+
+def chain_errors(
+    problem: Problem, rig: Rig, prediction: Prediction, scatter: FloatArray | None = None
+) -> tuple[Problem, FloatArray]:
+    """The problem with the floors of its measuring chains and scatter, and the errors of the chains, shape (m, r).
+
+    Arguments as for :func:`with_chain_errors`.
+    """
     evidence = problem.evidence
     chains = {
         number: chain
         for number, chain in enumerate(evidence.chains)
-        if chain is not None and isinstance(evidence.tests[number], PhaseResonanceTest | RandomTest)
+        if chain is not None
+        and isinstance(evidence.tests[number], PhaseResonanceTest | RandomTest | RingDownTest | SteppedSineTest)
     }
     if not chains:
-        return problem
+        if scatter is not None and scatter.any():
+            problem = replace(problem, evidence=replace(evidence, floor=np.hypot(evidence.floor, scatter)))
+        return problem, np.zeros((len(evidence.rows), 0))
     builder = _Columns(evidence, rig, chains)
     floor = np.hypot(evidence.floor, builder.floor(prediction))
     if scatter is not None:
@@ -61,8 +98,7 @@ def with_chain_errors(problem: Problem, rig: Rig, prediction: Prediction, scatte
     columns = np.nan_to_num(builder.columns(prediction), posinf=0.0, neginf=0.0)
     if scatter is not None:
         columns = np.hstack([columns, builder.between_tests(scatter)])
-    columns = columns[:, np.any(columns != 0.0, axis=0)]
-    return replace(problem, shared=SharedErrors.of(problem.whitened(columns)))
+    return problem, columns
 
 
 class _Columns:
@@ -72,7 +108,6 @@ class _Columns:
         self.evidence, self.rig, self.chains = evidence, rig, chains
         rows = evidence.rows
         self.mine = np.isin(rows.test, list(chains))
-        # Records and decays cost much to predict and are not asked for.
         self.numbers = sorted(chains)
         renumbered = np.zeros(max(self.numbers) + 1, dtype=np.int64)
         renumbered[self.numbers] = np.arange(len(self.numbers))
@@ -82,7 +117,7 @@ class _Columns:
         self.forward = Forward(self.tests, self.rows)
         self.own = tuple(chains[number] for number in self.numbers)
         self.channels = {
-            c.name: c.quantity
+            c.name: c
             for test in self.tests
             for c in getattr(test, "channels", ())
             if c.quantity is not Quantity.VOLTAGE
@@ -100,27 +135,36 @@ class _Columns:
         # Measured from a solution of the same accuracy.
         base = forward.predict(self.rig, self._start(prediction))
 
+        held = np.isin(self.rows.test, [k for k, test in enumerate(self.tests) if isinstance(test, SteppedSineTest)])
+
         def change(rig: Rig, step: float) -> FloatArray:
-            return forward.difference(forward.predict(rig, base).values, base.values) / step
+            moved = forward.difference(forward.predict(rig, base).values, base.values) / step
+            return np.where(held, 0.0, moved)
 
         found: list[FloatArray] = []
-        omega = 2.0 * np.pi * self.rows.frequency_hz
+        omega = 2.0 * np.pi * np.where(self.rows.frequency_hz > 0.0, self.rows.frequency_hz, self._resonance())
+        tested = self._tested()
         groups: dict[Quantity, FloatArray] = {}
-        for channel in self.channels:
+        for channel, own in self.channels.items():
             tolerance = next((chain.of(channel) for chain in self.own if channel in chain.channels), self.own[0].of(""))
-            gain = change(_edited(self.rig, channel, _louder), _GAIN_STEP)
-            delay = change(_edited(self.rig, channel, _later), _DELAY_STEP_S)
-            quantity = self.channels[channel]
-            groups[quantity] = groups.get(quantity, np.zeros(len(self.rows))) + delay
+            gain = change(_edited(self.rig, own, _louder), _GAIN_STEP)
+            delay = change(_edited(self.rig, own, _later), _DELAY_STEP_S)
+            groups[own.quantity] = groups.get(own.quantity, np.zeros(len(self.rows))) + delay
             found += [tolerance.gain * gain, tolerance.delay_s * delay, tolerance.phase * delay / omega]
+            if own.quantity in _PIEZOELECTRIC:
+                # Its high-pass leads by ω_h/ω: by the phase that is stated at the mode that is tested.
+                lead = change(_edited(self.rig, own, partial(_leading, corner_hz=_LEAD_STEP * tested)), _LEAD_STEP)
+                found.append(tolerance.phase * lead)
         # Sensors of one kind share their conditioners; all of them together may be late against the voltage.
         shared = max(chain.shared_delay_s for chain in self.own)
         found += [shared * group for group in (*groups.values(), np.sum(list(groups.values()), axis=0))]
         found.append(max(chain.voltage_gain for chain in self.own) * self._voltage(base))
-        found += self._hold(self._slopes(base), self._late(base.values))
+        found += self._hold(self._slopes(base), base.values)
         clock = self.rig.model_copy(update={"clock_error": self.rig.clock_error + _CLOCK_STEP})
-        found.append(max(chain.clock for chain in self.own) * change(clock, _CLOCK_STEP))
+        moved = forward.difference(forward.predict(clock, base).values, base.values)
+        found.append(max(chain.clock for chain in self.own) * moved / _CLOCK_STEP)
         found += self._aims()
+        found += self._stepped()
         return np.column_stack([self._full(column) for column in found])
 
     def _start(self, prediction: Prediction) -> Prediction:
@@ -132,16 +176,12 @@ class _Columns:
         """Size of what the recorded harmonics of the drive make of each harmonic, shape (rows,)."""
         pure = tuple(
             replace(t, levels=tuple(replace(level, drive_harmonics=()) for level in t.levels))
-            if isinstance(t, PhaseResonanceTest)
+            if isinstance(t, PhaseResonanceTest) and any(level.drive_harmonics for level in t.levels)
             else t
             for t in self.tests
         )
         result = np.zeros(len(self.rows))
-        if pure == self.tests:
-            return result
-        start = self._start(prediction)
-        without = Forward(pure, self.rows).predict(self.rig, start)
-        change = np.nan_to_num(self.forward.difference(start.values, without.values))
+        change = -np.nan_to_num(self._moved(pure, self._start(prediction)))
         for mine in self._harmonics().values():
             result[mine] = float(np.linalg.norm(change[mine]))
         return result
@@ -175,8 +215,31 @@ class _Columns:
             else t
             for t in self.tests
         )
-        result = Forward(moved, self.rows).predict(self.rig, base)
-        return np.nan_to_num(self.forward.difference(result.values, base.values) / _PHASE_STEP)
+        return np.nan_to_num(self._moved(moved, base) / _PHASE_STEP)
+
+    def _moved(self, tests: tuple[Test, ...], base: Prediction) -> FloatArray:
+        """Change of the rows under other conditions; tests that stay the same object are not predicted again."""
+        others = [number for number, (test, own) in enumerate(zip(tests, self.tests, strict=True)) if test is not own]
+        result = np.zeros(len(self.rows))
+        if not others:
+            return result
+        mine = np.isin(self.rows.test, others)
+        part = self.rows.take(mine)
+        rows = replace(part, test=np.searchsorted(others, part.test))
+        start = Prediction(base.values[mine], base.converged[mine], (), tuple(base.states[number] for number in others))
+        forward = Forward([tests[number] for number in others], rows)
+        result[mine] = forward.difference(forward.predict(self.rig, start).values, base.values[mine])
+        return result
+
+    def _tested(self) -> float:
+        """Frequency at which the phase of a channel is stated: that of the locked windows, Hz."""
+        locked = [number for number, test in enumerate(self.tests) if isinstance(test, PhaseResonanceTest)]
+        mine = np.isin(self.rows.test, locked) & (self.rows.frequency_hz > 0.0)
+        return float(np.median(self.rows.frequency_hz[mine])) if mine.any() else self._resonance()
+
+    def _resonance(self) -> float:
+        """First frequency of the model, Hz."""
+        return ModelView.of(self.rig, self.tests[0].drive_point).frequencies_hz[0]
 
     def _voltage(self, base: Prediction) -> FloatArray:
         """Rows over the relative error of the recorded voltage: the drive was larger than recorded."""
@@ -186,12 +249,33 @@ class _Columns:
             else t
             for t in self.tests
         )
-        forward = Forward(moved, self.rows)
-        result = forward.difference(forward.predict(self.rig, base).values, base.values) / _DRIVE_STEP
+        result = self._moved(moved, base) / _DRIVE_STEP
         for number, test in enumerate(self.tests):
             if isinstance(test, RandomTest) and test.reference == "voltage":
                 result[(self.rows.test == number) & (self.rows.part == Part.LOG_MAGNITUDE)] = 1.0
         return result
+
+    def _stepped(self) -> list[FloatArray]:
+        """Gain, phase and delay of responses over their reference, at held amplitudes."""
+        found = []
+        for channel in self.channels:
+            tolerance = self.own[0].of(channel)
+            columns = np.zeros((3, len(self.rows)))
+            for number, test in enumerate(self.tests):
+                if not isinstance(test, SteppedSineTest):
+                    continue
+                mine = np.flatnonzero((self.rows.test == number) & self._rows_of(channel))
+                error = gain_error(test)[self.rows.level[mine], self.rows.channel[mine]]
+                omega = 2.0 * np.pi * self.rows.frequency_hz[mine]
+                turned = self.rows.part[mine] == Part.PHASE
+                columns[0, mine] = np.where(turned, error.imag, error.real)
+                # The phase corrects no magnitude.
+                columns[1, mine] = np.where(turned, 1.0, 0.0)
+                columns[2, mine] = np.where(turned, omega, 0.0)
+            # Both channels of the quotient.
+            sizes = math.sqrt(2.0) * np.array([tolerance.gain, tolerance.phase, tolerance.delay_s])
+            found += list(sizes[:, None] * columns)
+        return found
 
     def _referred(self) -> list[int]:
         """Tests whose observables refer to the voltage."""
@@ -203,7 +287,7 @@ class _Columns:
         ]
 
     def _images(self) -> tuple[ComplexArray, ...]:
-        """What images of a held drive add to ln of each fundamental, of orders −1, 1 and the rest, (rows,) each."""
+        """What images of a held drive add to ln of each fundamental, (rows,) for each of the orders."""
         result = np.zeros((len(_IMAGE_ORDERS), len(self.rows)), dtype=np.complex128)
         for number in self._referred():
             test, chain = self.tests[number], self.own[number]
@@ -230,7 +314,17 @@ class _Columns:
         phase = self.rows.part == Part.PHASE
         return np.where(phase, values.imag, values.real)
 
-    def _hold(self, slopes: FloatArray, late: FloatArray) -> list[FloatArray]:
+    def _over_fundamental(self) -> list[tuple[int, IntArray]]:
+        """Of each channel at each level, the row of its fundamental's magnitude, and its harmonics, divided by that."""
+        rows, found = self.rows, []
+        for row in np.flatnonzero(rows.part == Part.LOG_MAGNITUDE):
+            if isinstance(self.tests[int(rows.test[row])], PhaseResonanceTest):
+                same = (rows.test == rows.test[row]) & (rows.level == rows.level[row])
+                same &= (rows.channel == rows.channel[row]) & np.isin(rows.part, (Part.REAL, Part.IMAG))
+                found.append((int(row), np.flatnonzero(same)))
+        return found
+
+    def _hold(self, slopes: FloatArray, base: FloatArray) -> list[FloatArray]:
         """A drive that is held over each sample: smaller, half a sample late, and with images.
 
         A sampler with a delay τ of its own turns the image of order m by 2π m f_h τ, any angle; so each has an
@@ -243,11 +337,16 @@ class _Columns:
             if np.isfinite(rate):
                 share = self.rows.frequency_hz[mine] / rate
                 direct[mine] = np.log(np.maximum(np.sinc(share), 1e-3)) - 1j * np.pi * share
-        found = [self._parts(direct) + late]
+        found = [self._parts(direct) + self._late(base)]
+        harmonics = self._over_fundamental()
         for channel in self.channels:
             own = self._rows_of(channel)
             for images in self.images:
-                found += [self._parts(t * images) * own + slopes * self._turned(channel, t * images) for t in (1, 1j)]
+                for turned in (images, 1j * images):
+                    changed = self._parts(turned) * own
+                    for fundamental, above in harmonics:
+                        changed[above] = -base[above] * changed[fundamental]
+                    found.append(changed + slopes * self._turned(channel, turned))
         return found
 
     def _rows_of(self, channel: str) -> BoolArray:
@@ -303,9 +402,15 @@ class _Columns:
         # The model's own error up there is the same for all levels of a run.
         result = _IMAGE_FLOOR * size + _DRIVEN_FLOOR * self._driven(prediction)
         result[self.rows.part == Part.PHASE_ERROR] = _LOCK_STD
-        for number, chain in enumerate(self.own):
-            if isinstance(self.tests[number], PhaseResonanceTest):
+        for number, test in enumerate(self.tests):
+            if isinstance(test, PhaseResonanceTest):
                 result[(self.rows.test == number) & self._linear_rows(number)] *= _SAME_FOR_LEVELS
+        # Near zeros of a response images are as large as the response: there ln(1 + z) is far from z.
+        result += 0.5 * size**2
+        values = prediction.values[self.mine]
+        for fundamental, over in self._over_fundamental():
+            result[over] = np.hypot(result[over], np.abs(values[over]) * result[fundamental])
+        for number, chain in enumerate(self.own):
             lines = (self.rows.test == number) & (self.rows.part == Part.LINE)
             for channel in np.unique(self.rows.channel[lines]):
                 same = (self.rows.test == number) & (self.rows.channel == channel)
@@ -319,11 +424,20 @@ def _louder(sensor: SensorSection) -> SensorSection:
     return sensor.model_copy(update={"gain": sensor.gain * (1.0 + _GAIN_STEP)})
 
 
+def _leading(sensor: SensorSection, corner_hz: float) -> SensorSection:
+    return sensor.model_copy(update={"high_pass_hz": (sensor.high_pass_hz or 0.0) + corner_hz})
+
+
 def _later(sensor: SensorSection) -> SensorSection:
     return sensor.model_copy(update={"delay_s": sensor.delay_s + _DELAY_STEP_S})
 
 
-def _edited(rig: Rig, channel: str, change: Callable[[SensorSection], SensorSection]) -> Rig:
-    """The rig with the sensor of one channel changed."""
-    sensors = [change(s) if rig.sensor_channel(s) == channel else s for s in rig.sensors]
-    return rig.model_copy(update={"sensors": sensors})
+def _edited(rig: Rig, channel: MeasuredChannel, change: Callable[[SensorSection], SensorSection]) -> Rig:
+    """The rig with the sensor of one channel changed; where it has none, an ideal one is meant."""
+    sensors = list(rig.sensors)
+    if all(rig.sensor_channel(s) != channel.name for s in sensors):
+        place: Any = "drive" if channel.quantity is Quantity.FORCE else channel.point
+        values = {"quantity": channel.quantity.name.lower(), "point": place, "channel": channel.name}
+        sensors.append(SensorSection.model_validate(values))
+    changed = [change(s) if rig.sensor_channel(s) == channel.name else s for s in sensors]
+    return rig.model_copy(update={"sensors": changed})

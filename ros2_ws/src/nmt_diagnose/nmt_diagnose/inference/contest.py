@@ -5,10 +5,11 @@ Everything is judged on the same rows. The model without effect, its own paramet
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import count, product
+from typing import Any
 
 import numpy as np
 
@@ -20,8 +21,11 @@ from nmt_diagnose.effects.parametrisation import SPREADS, Parametrisation
 from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.evidence.conditions import PhaseResonanceTest
 from nmt_diagnose.inference.fit import Fit, FitError, fit
+from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
 from nmt_diagnose.inference.problem import BoolArray, Problem
+from nmt_diagnose.inference.progress import Told
 from nmt_diagnose.inference.scan import Direction, Score, scores
+from nmt_diagnose.inference.workers import Workers
 from nmt_rig.rig import Rig
 
 _SHAPE_STARTS = (0.5, 1.0, 2.0)
@@ -34,7 +38,13 @@ _REFRESHES = 3
 _NOTHING = 1.0
 # Prior standard deviations of a strength from which a wider part of its prior is tried.
 _WIDER = 2.5
+# Standard deviations beyond what physics allows from which an effect is not built upon.
+_BEYOND = 3.0
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
+# Known explanations that go on under other noise; share of what the best of them explains that a scan has to promise.
+_CARRIED, _ENOUGH = 3, 0.5
+# Candidates whose directions are found in one piece of work.
+_TOGETHER = 16
 
 
 @dataclass(frozen=True)
@@ -50,6 +60,7 @@ class ContestSettings:
             scan can rank.
         first_of_pairs: best single explanations that get a second effect tried.
         second_of_pairs: second effects fitted for each.
+        partners: best elastic or dissipative effects that are tried with all of the other kind; 0 = none.
         pair_gain: fall of χ² in the second scan from which a pair is tried.
         weak: strength in standard deviations up to which an effect leaves the directions of others as they are.
         settled: most explanations that are fitted to the end.
@@ -65,6 +76,7 @@ class ContestSettings:
     share: float = 0.05
     first_of_pairs: int = 3
     second_of_pairs: int = 3
+    partners: int = 0
     pair_gain: float = 14.0
     weak: float = 30.0
     settled: int = 6
@@ -124,6 +136,7 @@ class Contest:
         settings: how far to go.
         progress: called with a sentence as the work goes on.
         rows: rows that fits may use, shape (m,); None = all.
+        workers: processes that share the work; None = this one alone.
     """
 
     def __init__(
@@ -135,6 +148,7 @@ class Contest:
         settings: ContestSettings | None = None,
         progress: Callable[[str], None] | None = None,
         rows: BoolArray | None = None,
+        workers: Workers | None = None,
     ) -> None:
         self.problem = problem
         self.rows = rows
@@ -142,8 +156,14 @@ class Contest:
         self.calibration = calibration
         self.candidates = candidates
         self.settings = settings or ContestSettings()
-        self._progress = progress or (lambda _: None)
+        self._progress = progress or _silent
+        self._found: dict[str, float] = {}
         self._plain_directions: list[Direction] = []
+        self.workers = Workers() if workers is None else workers
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process needs to fit; it asks nobody for help and reports no progress."""
+        return {**self.__dict__, "_progress": _silent, "_plain_directions": [], "workers": None}
 
     def null(self, used: BoolArray | None = None) -> Contender:
         """The model with its own parameters re-fitted.
@@ -190,15 +210,17 @@ class Contest:
         Far from the model as given the first fit may stop in a fold of its own; then anything else looks better.
         """
         best = null
-        for other in others:
-            start = other.fit.theta[: len(self.calibration)]
-            try:
-                found = fit(self.problem, null.fit.parametrisation, start, None, other.fit.prediction)
-            except FitError:
-                continue
-            if found.log_evidence > best.fit.log_evidence + 0.5:
+        for found in self.workers.map(_restarted_from, (self, null), others):
+            if found is not None and found.log_evidence > best.fit.log_evidence + 0.5:
                 best = Contender((), found)
         return best
+
+    def _from(self, null: Contender, other: Contender) -> Fit | None:
+        start = other.fit.theta[: len(self.calibration)]
+        try:
+            return fit(self.problem, null.fit.parametrisation, start, None, other.fit.prediction)
+        except FitError:
+            return None
 
     def scan(self, base: Contender) -> list[Score]:
         """Score all candidates on top of a contender, best first.
@@ -212,6 +234,7 @@ class Contest:
         found = self.directions(base)
         if not base.candidates:
             self._plain_directions = found
+            self._found.clear()
         return scores(base.fit, found, len(self.calibration))
 
     def directions(self, base: Contender) -> list[Direction]:
@@ -219,11 +242,13 @@ class Contest:
         taken = set(base.explanation.causes)
         numbers = [k for k, candidate in enumerate(self.candidates) if candidate.cause not in taken]
         starts = {k: _starts(self.candidates[k]) for k in numbers}
-        result: list[Direction] = []
+        pieces: list[tuple[list[int], list[FloatArray]]] = []
         for turn in range(max((len(values) for values in starts.values()), default=0)):
             chosen = [k for k in numbers if len(starts[k]) > turn]
-            result.extend(self._directions(base, chosen, [starts[k][turn] for k in chosen]))
-        return result
+            for first in range(0, len(chosen), _TOGETHER):
+                own = chosen[first : first + _TOGETHER]
+                pieces.append((own, [starts[k][turn] for k in own]))
+        return [found for piece in self.workers.map(_directions_of, (self, base), pieces) for found in piece]
 
     def _directions(self, base: Contender, chosen: list[int], starts: list[FloatArray]) -> list[Direction]:
         """Directions of candidates at one start each: derivatives at zero strength, differences where those vanish."""
@@ -373,32 +398,63 @@ class Contest:
             return None
         return Contender(contender.candidates, result if result.converged else self._finished(result), contender.score)
 
-    def singles(self, base: Contender, found: Sequence[Score]) -> list[Contender]:
+    def all_refits(self, wanted: Sequence[tuple[Contender, BoolArray]]) -> list[Contender | None]:
+        """``refit`` of several explanations to rows of their own."""
+        return self.workers.map(_refitted, self, wanted)
+
+    def singles(self, base: Contender, found: Sequence[Score], known: Sequence[Contender] = ()) -> list[Contender]:
         """Fit the candidates that promise most, best evidence first.
 
         Args:
             base: what they are added to.
             found: scores, best first.
+            known: fits of candidates to the same rows under other noise or from elsewhere; the best go on from there.
         """
         settings = self.settings
         chosen: dict[str, list[Score]] = {}
         best = found[0].gain if found else 0.0
+        going = self._going_on(known)
+        # What is known to explain the gap leaves no room for what explains a small part of it.
+        known_gain = 2.0 * max((own.fit.log_evidence - base.fit.log_evidence for own in going), default=0.0)
+        least = max(settings.least_gain, min(best - settings.behind, settings.share * best), _ENOUGH * known_gain)
         for score in found:
-            if score.gain < max(settings.least_gain, min(best - settings.behind, settings.share * best)):
+            if score.gain < least:
                 break
             name = self.candidates[score.direction.candidate].effect.name
             if name not in chosen and len(chosen) == settings.finalists:
                 continue
             if len(chosen.setdefault(name, [])) < settings.placements:
                 chosen[name].append(score)
-        result = []
-        for name, mine in chosen.items():
-            self._progress(f"fitting {name}")
-            for score in mine:
-                contender = self.add(base, score)
-                if contender is not None:
-                    result.append(contender)
-        return self._settled(result)
+        every = [score for mine in chosen.values() for score in mine]
+        added = [own for own in self._all_added([(base, score) for score in every]) if own is not None]
+        return self._settled(_united(added, going))
+
+    def _going_on(self, known: Sequence[Contender]) -> list[Contender]:
+        """The best known explanations gone on from where they stand."""
+        continued = self.workers.map(_continued, self, known[:_CARRIED])
+        return [own for own in continued if own is not None]
+
+    def _gone_on(self, contender: Contender) -> Contender | None:
+        """A known explanation fitted from where it stands; None where that fails."""
+        before = contender.fit
+        try:
+            found = fit(self.problem, before.parametrisation, before.theta, before.used, before.prediction)
+        except FitError:
+            return None
+        return None if np.any(before.used & ~found.used) else Contender(contender.candidates, found, contender.score)
+
+    def _all_added(self, wanted: Sequence[tuple[Contender, Score]]) -> list[Contender | None]:
+        """Candidates fitted on top of contenders; None where the model cannot be solved with one."""
+
+        begun = count()
+
+        def told(item: tuple[Contender, Score]) -> None:
+            base, score = item
+            name = self.candidates[score.direction.candidate].label
+            what = f"fitting {base.explanation.label} with {name}" if base.candidates else f"fitting {name}"
+            self._progress(Told(what, next(begun), len(wanted)))
+
+        return self.workers.map(_added, self, wanted, told)
 
     def pruned(
         self, singles: Sequence[Contender], pairs: Sequence[Contender]
@@ -436,6 +492,45 @@ class Contest:
             return None
         return Contender(rest, found, contender.score)
 
+    def _with_partners(self, singles: Sequence[Contender], skipped: Collection[Explanation]) -> list[Contender]:
+        """Elastic effects with dissipative ones at the same point and the other way round, best evidence first.
+
+        A structure that stretches or yields mostly has both. Each alone is fitted in vain by what the other does, and a
+        scan about that fit need not show the other; both are fitted together, from the model as given.
+        """
+        wanted: dict[Explanation, tuple[tuple[Candidate, ...], tuple[float, ...], FloatArray]] = {}
+        for single in singles:
+            (own,) = single.candidates
+            spread = single.fit.parametrisation.spread(0)
+            for other in self.candidates:
+                if {own.effect.force, other.effect.force} != {"elastic", "dissipative"}:
+                    continue
+                if (own.site.point, own.site.other_point) != (other.site.point, other.site.other_point):
+                    continue
+                start = np.concatenate([_at_zero(own, _starts(own)[0]), _at_zero(other, _starts(other)[0])])
+                both = Explanation((own.cause, other.cause))
+                if both not in skipped:
+                    wanted.setdefault(both, ((own, other), (spread, 1.0), start))
+        if not wanted:
+            return []
+        self._progress(f"fitting {len(wanted)} pairs of stiffness and damping")
+        found = self.workers.map(_approached_together, self, list(wanted.values()))
+        return [own for own in found if own is not None]
+
+    def _together(
+        self, candidates: tuple[Candidate, ...], spreads: tuple[float, ...], start: FloatArray
+    ) -> Contender | None:
+        """Effects fitted together from the model as given; None where that fails or leaves rows out."""
+        parametrisation = Parametrisation(self.rig, self.calibration, candidates, spreads)
+        theta = np.concatenate([np.zeros(len(self.calibration)), start])
+        try:
+            found = fit(self.problem, parametrisation, theta, self.rows, exact=False, refreshes=2 * _REFRESHES)
+            found = self._widened(found, self.rows)
+        except FitError:
+            return None
+        wanted = self.problem.size if self.rows is None else int(self.rows.sum())
+        return Contender(candidates, found) if int(found.used.sum()) == wanted else None
+
     def _settled(self, contenders: list[Contender]) -> list[Contender]:
         """Those near the best fitted to the end with sensitivities of their own, best evidence first.
 
@@ -445,44 +540,119 @@ class Contest:
         if not ordered:
             return []
         limit = ordered[0].fit.log_evidence - self.settings.close
-        result = []
-        for rank, contender in enumerate(ordered):
-            near = rank < self.settings.settled and contender.fit.log_evidence >= limit
-            result.append(self.polished(contender) if near else contender)
-        return sorted(result, key=lambda contender: -contender.fit.log_evidence)
+        near = [own for own in ordered[: self.settings.settled] if own.fit.log_evidence >= limit]
+        self._progress(Told(f"fitting the best {len(near)} to the end", ranking=self._standing(ordered)))
+        result = self.workers.map(_polished, self, near) + ordered[len(near) :]
+        result = sorted(result, key=lambda contender: -contender.fit.log_evidence)
+        self._progress(Told(f"so far the best is {result[0].explanation.label}", ranking=self._standing(result)))
+        return result
 
-    def pairs(self, singles: Sequence[Contender]) -> list[Contender]:
-        """Second effects on top of the best single ones, best evidence first."""
+    def _standing(self, found: Sequence[Contender]) -> list[tuple[str, float]]:
+        """All explanations since the last scan of the model itself, and how far each lies behind the best."""
+        self._found.update((own.explanation.label, own.fit.log_evidence) for own in found)
+        best = max(self._found.values())
+        return sorted(((label, best - own) for label, own in self._found.items()), key=lambda item: item[1])
+
+    def pairs(self, singles: Sequence[Contender], known: Sequence[Contender] = ()) -> list[Contender]:
+        """Second effects on top of the best single ones, best evidence first.
+
+        Args:
+            singles: explanations by one effect, best first.
+            known: pairs fitted before, as for :meth:`singles`.
+        """
         settings = self.settings
         result: list[Contender] = []
-        tried: set[Explanation] = set()
         best = singles[0].fit.log_evidence if singles else 0.0
         heads: set[str] = set()
-        for rank, single in enumerate(_best_by_effect(singles)[: settings.first_of_pairs]):
-            count = 0
+        possible = [single for single in singles if beyond_limits(single.candidates, single.fit) <= _BEYOND]
+        going = self._going_on(known)
+        if settings.partners:
+            skipped = {own.explanation for own in known}
+            smooth = [single for single in _best_by_effect(possible) if single.candidates[0].effect.force]
+            result = self._with_partners(smooth[: settings.partners], skipped)
+        tried = {own.explanation for own in (*result, *going)}
+        best = max([best, *(own.fit.log_evidence for own in (*result, *going))])
+        for rank, single in enumerate(_best_by_effect(possible)[: settings.first_of_pairs]):
             found = self.scan(single)
             if rank == 0 and (not found or found[0].gain < settings.pair_gain):
                 break  # the best single explanation leaves nothing for a second one
+            wanted: list[Score] = []
             for score in found:
-                # Even what the scan promises would not make it better than the best single explanation.
-                hopeless = single.fit.log_evidence + 0.5 * score.gain < best
-                if score.gain < settings.pair_gain or count == settings.second_of_pairs or hopeless:
+                if (
+                    score.gain < settings.pair_gain
+                    or len(wanted) == settings.second_of_pairs
+                    or _hopeless(single, score, best)
+                ):
                     break
                 second = self.candidates[score.direction.candidate]
                 if second.effect.name in heads:
                     continue  # tried already, the other way round
-                pair = Explanation((*single.explanation.causes, second.cause))
-                if pair in tried:
+                if incredible(second, score):
                     continue
-                tried.add(pair)
-                count += 1
-                self._progress(f"fitting {single.explanation.label} with {second.label}")
-                contender = self.add(single, score)
+                pair = Explanation((*single.explanation.causes, second.cause))
+                if pair not in tried:
+                    tried.add(pair)
+                    wanted.append(score)
+            # All at once; what is hopeless beside those before it does not count.
+            fitted = self._all_added([(single, score) for score in wanted])
+            for score, contender in zip(wanted, fitted, strict=True):
+                if _hopeless(single, score, best):
+                    break
                 if contender is not None:
                     result.append(contender)
                     best = max(best, contender.fit.log_evidence)
             heads.update(single.effects)
-        return self._settled(result)
+        return self._settled(_united(result, going))
+
+
+def _hopeless(single: Contender, score: Score, best: float) -> bool:
+    """Even what the scan promises would not make a pair better than the best explanation."""
+    return single.fit.log_evidence + 0.5 * score.gain < best
+
+
+def _restarted_from(shared: tuple[Contest, Contender], other: Contender) -> Fit | None:
+    contest, null = shared
+    return contest._from(null, other)
+
+
+def _directions_of(shared: tuple[Contest, Contender], piece: tuple[list[int], list[FloatArray]]) -> list[Direction]:
+    contest, base = shared
+    return contest._directions(base, *piece)
+
+
+def _added(contest: Contest, item: tuple[Contender, Score]) -> Contender | None:
+    return contest.add(*item)
+
+
+def _approached_together(
+    contest: Contest, item: tuple[tuple[Candidate, ...], tuple[float, ...], FloatArray]
+) -> Contender | None:
+    return contest._together(*item)
+
+
+def _continued(contest: Contest, contender: Contender) -> Contender | None:
+    return contest._gone_on(contender)
+
+
+def _polished(contest: Contest, contender: Contender) -> Contender:
+    return contest.polished(contender)
+
+
+def _refitted(contest: Contest, item: tuple[Contender, BoolArray]) -> Contender | None:
+    return contest.refit(*item)
+
+
+def _silent(_: str) -> None:
+    """Report nothing."""
+
+
+def _united(added: list[Contender], known: Sequence[Contender]) -> list[Contender]:
+    """Fits, and known ones where they are better than the same explanation fitted anew."""
+    for own in known:
+        rivals = [other for other in added if other.explanation == own.explanation]
+        if all(own.fit.log_evidence > other.fit.log_evidence + 0.5 for other in rivals):
+            added = [other for other in added if other.explanation != own.explanation] + [own]
+    return added
 
 
 def _held_back(found: Fit, candidate: int) -> bool:

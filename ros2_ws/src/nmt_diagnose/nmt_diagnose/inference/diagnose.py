@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -15,50 +16,67 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.effects.placement import Explanation, joined
-from nmt_diagnose.evidence.conditions import RecordTest
-from nmt_diagnose.evidence.observables import Evidence
+from nmt_diagnose.evidence.conditions import BackboneTable, RecordTest, RingDownTest, SteppedSineTest
+from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.read_evidence import read_evidence
-from nmt_diagnose.inference.chain_errors import with_chain_errors
+from nmt_diagnose.inference.chain_errors import chain_errors, with_chain_errors, with_shared
 from nmt_diagnose.inference.confidence import Confidence, confidence, confidence_digest
 from nmt_diagnose.inference.contest import Contender, Contest, ContestSettings
 from nmt_diagnose.inference.diagnosis import (
     Diagnosis,
     Gap,
+    LeftOut,
     NextTest,
     PlaceShare,
     Ranked,
     Recalibrated,
+    Remainder,
     Share,
     Value,
     Verdict,
 )
-from nmt_diagnose.inference.fit import FitError
+from nmt_diagnose.inference.discrepancy import measured_elsewhere, smooth_errors
+from nmt_diagnose.inference.fit import Fit, FitError, fit
 from nmt_diagnose.inference.gap import Closed, rms
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.held_out_contest import HeldOut, Refits
 from nmt_diagnose.inference.hypotheses import NULL
 from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, with_held_out, with_share_left
+from nmt_diagnose.inference.leave_one_out import contradiction, left_out, recordings, rms_left
 from nmt_diagnose.inference.lock_noise import lock_nuisances
+from nmt_diagnose.inference.motion_scale import covariance_with_scale
 from nmt_diagnose.inference.next_test import next_tests
 from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.inference.progress import Progress
+from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import residual_tests
+from nmt_diagnose.inference.scan import Score
 from nmt_diagnose.inference.scatter import scatter_floor
 from nmt_diagnose.inference.sentences import sentences
 from nmt_diagnose.inference.sources import generic_sources, places
 from nmt_diagnose.inference.warnings import warned
-from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.inference.workers import Workers
+from nmt_diagnose.twin.forward import Forward, Prediction, traced
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig, load_rig
 
-Progress = Callable[[str], None]
 _RANKED = 8
 _JUDGED = 3
 _HELPS = 2.0
 _CHANCE = 1.0
 # ln of the evidence from which an effect moves the solution so far that errors of the measuring chain act otherwise.
 _MOVES = 50.0
+_TRACED, _SETTLED = 3, 0.3  # most times that they are traced anew, and change in standard deviations that ends it
+# Share of the gap of a laboratory's tests that a named effect may leave, and by how many times as much its interval may
+# fall short.
+_REMAINDER, _UNSURE = 0.15, 3.0
+_SECONDS = 6
+# Leading elastic or dissipative effects that are tried with all of the other kind.
+_PARTNERS = 1
+# Gap over the noise (rms) from which what is left of it is a share of the effect rather than an effect of its own.
+_STRONG = 10.0
 _SECOND = 8.0  # ln of what a second effect costs in prior, among some hundred candidates
 
 
@@ -73,6 +91,8 @@ class DiagnosisSettings:
         look_ahead: whether tests that would decide between what is left are sought.
         hold_out: names of tests (or of their bags) that no fit sees and the gap is judged by; empty = levels and whole
             tests in turn.
+        jobs: processes that share the work; the result is the same for any number.
+        allow_own_model: take recordings that the model itself made for a real side, too.
     """
 
     withheld: tuple[str, ...] = ()
@@ -80,6 +100,8 @@ class DiagnosisSettings:
     seed: int = 0
     look_ahead: bool = True
     hold_out: tuple[str, ...] = ()
+    jobs: int = 1
+    allow_own_model: bool = False
 
 
 @dataclass(frozen=True)
@@ -124,8 +146,11 @@ def diagnose_bags(
         BenchError: bags or rig cannot be used, with a sentence.
     """
     rig = model if isinstance(model, Rig) else load_rig(str(model))
-    evidence = read_evidence(bags, rig, floor_bags, progress=progress)
-    return diagnose_evidence(rig, evidence, settings, progress, bool(floor_bags))
+    settings = settings or DiagnosisSettings()
+    # Helpers start while the bags are read.
+    with Workers(settings.jobs) as workers:
+        evidence = read_evidence(bags, rig, floor_bags, progress=progress, allow_own_model=settings.allow_own_model)
+        return _Diagnoser(rig, evidence, settings, progress or (lambda _: None), bool(floor_bags), workers).run()
 
 
 def diagnose_evidence(
@@ -142,27 +167,46 @@ def diagnose_evidence(
     Raises:
         BenchError: the model has no solution for any of the evidence.
     """
-    return _Diagnoser(rig, evidence, settings or DiagnosisSettings(), progress or (lambda _: None), repeated).run()
+    settings = settings or DiagnosisSettings()
+    with Workers(settings.jobs) as workers:
+        return _Diagnoser(rig, evidence, settings, progress or (lambda _: None), repeated, workers).run()
 
 
 class _Diagnoser:
     def __init__(
-        self, rig: Rig, evidence: Evidence, settings: DiagnosisSettings, progress: Progress, repeated: bool
+        self,
+        rig: Rig,
+        evidence: Evidence,
+        settings: DiagnosisSettings,
+        progress: Progress,
+        repeated: bool,
+        workers: Workers,
     ) -> None:
         self.rig, self.evidence, self.settings, self.progress = rig, evidence, settings, progress
-        self.repeated = repeated
+        self.repeated, self.workers = repeated, workers
+        # Refits of the model and of the best explanations, by the rows that they were fitted to.
+        self._known: dict[bytes, list[Contender | None]] = {}
         self.confidence: Confidence = confidence()
         self.splits = splits(evidence, settings.hold_out)
         self.forward = Forward(evidence.tests, evidence.rows)
         self.given = self.forward.predict(rig)
-        nuisances = lock_nuisances(evidence, rig, self.given)
-        self.plain = Problem(evidence, self.forward, nuisances)
+        self.plain = self._plain(self.given)
         self.problem = with_chain_errors(self.plain, rig, self.given)
+        self.judged = self.problem
         self.evidence = self.problem.evidence
         self.candidates = library_candidates(
             rig, operating_range(rig, evidence.tests, evidence=evidence), settings.withheld
         )
         self.contest = self._contest()
+
+    def _plain(self, near: Prediction) -> Problem:
+        """Evidence and model, with the noise of measured amplitudes propagated about a solution."""
+        tests = traced(self.evidence.tests, near)
+        if any(new is not old for new, old in zip(tests, self.evidence.tests, strict=True)):
+            self.evidence = replace(self.evidence, tests=tests)
+            self.forward = Forward(tests, self.evidence.rows)
+            self.given = self.forward.predict(self.rig, near if near is self.given else self.given)
+        return Problem(self.evidence, self.forward, lock_nuisances(self.evidence, self.rig, self.given))
 
     def _contest(self) -> Contest:
         return Contest(
@@ -173,50 +217,36 @@ class _Diagnoser:
             _affordable(self.settings.contest, self.evidence),
             self.progress,
             self.splits[0].fitted if self.settings.hold_out else None,
+            self.workers,
         )
 
     def run(self) -> Outcome:
-        self.progress("re-fitting the model's own parameters")
+        null, scan, singles, pairs = self._searched()
         given = self.given
-        try:
-            null = self.contest.polished(self.contest.null())
-        except FitError as error:
-            raise BenchError(f"The model cannot be compared with the evidence: {error}.") from error
-        self.progress(f"scanning {len(self.candidates)} candidates")
-        scan = self.contest.scan(null)
-        singles = self.contest.singles(null, scan)
-        better = self.contest.restarted(null, singles[:2])
-        if better is not null:
-            self.progress("starting anew from a better fit of the model")
-            null = better
-            scan = self.contest.scan(null)
-            singles = self.contest.singles(null, scan)
-        if self.problem.shared is not None and self._retraced(null, singles):
-            null = self.contest.polished(self.contest.null())
-            scan = self.contest.scan(null)
-            singles = self.contest.singles(null, scan)
-        singles, pairs = self.contest.pruned(singles, self.contest.pairs(singles))
         self.progress("weighing the explanations")
         rig = null.fit.parametrisation.rig(null.fit.theta)
-        found = places(self.forward, rig, null.fit.prediction, self.problem)
+        found = places(self.forward, rig, null.fit.prediction, self.problem, self.workers)
         sources = generic_sources(null.fit, found)
         top = self._most_promising(null, singles, pairs)
         leftovers = generic_sources(top.fit, found, null.fit.theta.size) if top is not None else []
         left = (top or null).fit
         chance = min((test.p_holm for test in residual_tests(self.evidence, left.residual, left.used)), default=1.0)
         judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.confidence, top, chance)
-        as_given = self.problem.residual(given)
+        as_given = self.judged.residual(given)
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])
+        without = self._left_out(null, [group.head for group in judgement.classes[:_JUDGED]])
         heads = [group.head.explanation for group in judgement.classes[:_JUDGED]]
         shares = {explanation: held.closed(explanation) for explanation in heads}
         judgement = with_held_out(judgement, held.worse(shares, 1.0 - self.confidence.explained))
         best_share = shares.get(judgement.classes[0].head.explanation) if judgement.classes else None
-        if best_share is not None and best_share.low > 0.9 and best_share.value >= self.confidence.explained:
+        tolerated = self._tolerated(best_share)
+        mostly = best_share is not None and best_share.low > 1.0 - _UNSURE * tolerated
+        if best_share is not None and mostly and best_share.value >= 1.0 - tolerated:
             judgement = with_share_left(judgement, min(max(1.0 - best_share.value, 0.0), 1.0))
         accepted = self._accepted(judgement, shares)
         verdict = self._verdict(judgement, accepted, self._recalibrated(null, as_given, held))
         best = self.contest.polished(accepted.head) if accepted is not None and verdict is Verdict.EFFECT else null
-        gap = self._gap(verdict, null, best, as_given, held)
+        gap, rest = self._gap(verdict, null, best, as_given, held)
         ranking = self._ranking(judgement, shares)
         where = self._where(judgement, sources, verdict)
         self.progress("looking for the test that would decide")
@@ -225,10 +255,15 @@ class _Diagnoser:
         tests = residual_tests(self.evidence, best.fit.residual, best.fit.used)
         final = null if verdict is not Verdict.EFFECT else best
         model = self.rig if verdict is Verdict.NONE else final.fit.parametrisation.rig(final.fit.theta)
-        warnings = warned(verdict, best, calibration, gap)
+        warnings = warned(verdict, best, calibration, gap, accepted.members if accepted is not None else ())
+        together = min(rms_left(own) for own in (null, *(group.head for group in judgement.classes[:_JUDGED])))
+        warnings += tuple(filter(None, [contradiction(without, together)]))
         diagnosis = Diagnosis(
             verdict=verdict,
-            sentences=(*sentences(verdict, where, ranking, judgement.classes, gap, ahead, calibration), *warnings),
+            sentences=(
+                *sentences(verdict, where, ranking, judgement.classes, gap, ahead, calibration, rest),
+                *warnings,
+            ),
             where=where,
             ranking=ranking,
             probabilities=judgement.by_label,
@@ -237,11 +272,13 @@ class _Diagnoser:
             calibration=calibration,
             inputs=self._inputs(),
             notes=self.evidence.notes + tuple(given.reasons),
-            residual_map=residual_map(self.evidence, as_given, null.fit.residual, best.fit.residual),
+            residual_map=residual_map(self.evidence, as_given, self._left(null.fit), self._left(best.fit)),
             residual_tests=tuple(test.to_mapping() for test in tests),
             candidates=tuple(self._candidate(contender, null) for contender in [null, *singles, *pairs]),
             features=self._features(judgement, null, singles, pairs, scan, sources, leftovers, as_given, chance),
             warnings=warnings,
+            remainder=rest,
+            left_out=without,
         )
         return Outcome(
             diagnosis,
@@ -253,19 +290,113 @@ class _Diagnoser:
             final.fit.prediction.values,
         )
 
+    def _searched(self) -> tuple[Contender, list[Score], list[Contender], list[Contender]]:
+        """The model alone, the scan about it, and explanations by one and by two effects, best first.
+
+        Whatever changes on the way, the model alone or the noise, explanations that were good go on from where they
+        stand: a scan about a solution that is wrong by many times the noise need not lead to them again.
+
+        Raises:
+            BenchError: the model has no solution for any of the evidence.
+        """
+        self.progress("re-fitting the model's own parameters")
+        try:
+            null = self.contest.polished(self.contest.null())
+        except FitError as error:
+            raise BenchError(f"The model cannot be compared with the evidence: {error}.") from error
+        self.progress(f"scanning {len(self.candidates)} candidates")
+        scan = self.contest.scan(null)
+        singles, pairs = self.contest.singles(null, scan), list[Contender]()
+        better = self.contest.restarted(null, singles[:2])
+        if better is not null:
+            self.progress("starting anew from a better fit of the model")
+            null = better
+            scan = self.contest.scan(null)
+            singles = self.contest.singles(null, scan, singles)
+        if self._amplitudes_measured:
+            # The noise is traced about the best explanation: a wrong one would hide the right one behind its noise.
+            singles, pairs = self.contest.pruned(singles, self.contest.pairs(singles))
+        if self._retraced(null, self._leaders(singles, pairs)):
+            null = self.contest.polished(self.contest.null())
+            scan = self.contest.scan(null)
+            singles = self.contest.singles(null, scan, singles)
+        singles, pairs = self.contest.pruned(singles, self.contest.pairs(singles, pairs))
+        if self._amplitudes_measured and self._leads(pairs, singles) and self._retraced(null, pairs):
+            null = self.contest.polished(self.contest.null())
+            scan = self.contest.scan(null)
+            singles = self.contest.singles(null, scan, singles)
+            singles, pairs = self.contest.pruned(singles, self.contest.pairs(singles, pairs))
+        return null, scan, singles, pairs
+
+    def _leaders(self, singles: Sequence[Contender], pairs: Sequence[Contender]) -> Sequence[Contender]:
+        """The explanations by two effects where they lead, else those by one."""
+        return pairs if pairs and singles and self._leads(pairs, singles) else singles
+
     def _retraced(self, null: Contender, singles: Sequence[Contender]) -> bool:
-        """Whether errors of the measuring chain and scatter were traced anew, about the best explanation so far."""
+        """Whether errors of measuring chain and model and scatter were traced anew, about the best explanation so far.
+
+        What the model of a strong effect is off by smoothly is noise to the contest, and part of the gap that is told.
+        """
+        if not any(measured_elsewhere(self.evidence, number) for number in range(len(self.evidence.tests))):
+            return False
         moves = bool(singles) and singles[0].fit.log_evidence > null.fit.log_evidence + _MOVES
         near = singles[0].fit if moves else null.fit
-        scatter = scatter_floor(self.evidence, self.plain.difference(near.prediction.values))
+        difference = self.plain.difference(near.prediction.values)
+        scatter = scatter_floor(self.evidence, difference)
         if not moves and not scatter.any():
             return False
-        self.progress("tracing errors of the measuring chain about the best explanation")
-        moved = near.parametrisation.rig(near.theta)
-        self.problem = with_chain_errors(self.plain, moved, near.prediction, scatter)
-        self.evidence = self.problem.evidence
+        self.progress("tracing errors of the measuring chain and of the best explanation")
+        noisy, columns = self._trace(near, scatter)
+        for _ in range(_TRACED if self._amplitudes_measured else 0):
+            # Near folds the noise of measured amplitudes depends much on the solution that it is propagated about.
+            try:
+                after = fit(self.problem, near.parametrisation, near.theta, near.used, near.prediction)
+            except FitError:
+                break
+            settled = float(np.max(np.abs(after.theta - near.theta) / after.std, initial=0.0)) < _SETTLED
+            near = after
+            if settled:
+                break
+            noisy, columns = self._trace(near, scatter)
+        difference = self.plain.difference(near.prediction.values)
+        smooth = np.zeros((len(self.evidence.rows), 0))
+        if moves:
+            smooth = smooth_errors(self.evidence, difference, self._done_by(near))
+        if self.problem.shared is None and not scatter.any() and not smooth.any():
+            return False
+        self.judged = self.problem
+        if smooth.any():
+            self.problem = with_shared(noisy, np.hstack([columns, smooth]))
         self.contest = self._contest()
         return True
+
+    @property
+    def _amplitudes_measured(self) -> bool:
+        """Whether noise is propagated by the solution: frequency responses at held amplitudes."""
+        return any(isinstance(test, SteppedSineTest) for test in self.evidence.tests)
+
+    @staticmethod
+    def _leads(pairs: Sequence[Contender], singles: Sequence[Contender]) -> bool:
+        """Whether two effects move the solution far from that of one."""
+        return bool(pairs) and pairs[0].fit.log_evidence > singles[0].fit.log_evidence + _MOVES
+
+    def _trace(self, near: Fit, scatter: FloatArray) -> tuple[Problem, FloatArray]:
+        """Noise of measured amplitudes and errors of the measuring chain as they act about a fit: see chain_errors."""
+        self.evidence = self.plain.evidence
+        self.plain = self._plain(near.prediction)
+        moved = near.parametrisation.rig(near.theta)
+        noisy, columns = chain_errors(self.plain, moved, near.prediction, scatter)
+        self.problem = with_shared(noisy, columns)
+        self.evidence = self.problem.evidence
+        return noisy, columns
+
+    def _done_by(self, found: Fit) -> FloatArray:
+        """What the effects of a fit do to the observables, the model's own parameters as they are, shape (m,)."""
+        own = found.parametrisation
+        theta = found.theta[: len(own.calibration)]
+        bare = replace(own, candidates=(), spreads=())
+        without = self.forward.predict(bare.rig(theta), found.prediction)
+        return np.asarray(self.forward.difference(found.prediction.values, without.values))
 
     def _most_promising(
         self, null: Contender, singles: Sequence[Contender], pairs: Sequence[Contender]
@@ -280,16 +411,36 @@ class _Diagnoser:
 
     def _held(self, null: Contender, heads: Sequence[Contender]) -> HeldOut:
         """Everything that competes to the end, re-fitted without what each split holds out."""
+        judged = None if self.judged is self.problem else self.judged
+        if self.settings.hold_out:  # no fit has seen it
+            own = {head.explanation: head for head in heads}
+            unseen: list[Refits] = [(split, null, own) for split in self.splits]
+            return HeldOut(self.evidence, unseen, self.settings.seed, self.repeated, judged)
         found: list[Refits] = []
+        wanted = [(own, split.fitted) for split in self.splits for own in (null, *heads)]
+        refits = self.contest.all_refits(wanted)
+        self._known = {
+            split.fitted.tobytes(): refits[number * (len(heads) + 1) :][: len(heads) + 1]
+            for number, split in enumerate(self.splits)
+        }
         for split in self.splits:
-            if self.settings.hold_out:
-                found.append((split, null, {head.explanation: head for head in heads}))
-                continue  # no fit has seen it
-            base = self.contest.refit(null, split.fitted)
+            base, *tops = self._known[split.fitted.tobytes()]
             if base is not None:
-                tops = {head.explanation: self.contest.refit(head, split.fitted) for head in heads}
-                found.append((split, base, tops))
-        return HeldOut(self.evidence, found, self.settings.seed, self.repeated)
+                found.append((split, base, {head.explanation: top for head, top in zip(heads, tops, strict=True)}))
+        return HeldOut(self.evidence, found, self.settings.seed, self.repeated, judged)
+
+    def _left_out(self, null: Contender, heads: Sequence[Contender]) -> tuple[LeftOut, ...]:
+        """What the other recordings say without each; splits by whole tests have most of the fits already."""
+        found = recordings(self.evidence)
+        if len(found) < 2 or self.settings.hold_out:
+            return ()
+        missing = [recording for recording in found if (~recording.rows).tobytes() not in self._known]
+        wanted = [(own, ~recording.rows) for recording in missing for own in (null, *heads)]
+        refits = self.contest.all_refits(wanted)
+        for number, recording in enumerate(missing):
+            self._known[(~recording.rows).tobytes()] = refits[number * (len(heads) + 1) :][: len(heads) + 1]
+        each = [left_out(recording, self._known[(~recording.rows).tobytes()]) for recording in found]
+        return tuple(item for item in each if item is not None)
 
     def _accepted(self, judgement: Judgement, shares: dict[Explanation, Closed]) -> ExplanationClass | None:
         """The most probable explanation that predicts held-out data no worse than the model without it.
@@ -317,20 +468,24 @@ class _Diagnoser:
 
     def _recalibrated(self, null: Contender, as_given: FloatArray, held: HeldOut) -> bool:
         """Whether re-fitting the model's own parameters closed a gap that was there, also on data that no fit saw."""
-        used = null.fit.used & np.isfinite(as_given)
-        fall = float(as_given[used] @ as_given[used]) - null.fit.chi_square - null.fit.penalty
+        start = self.problem.residual(self.given)
+        used = null.fit.used & np.isfinite(start)
+        fall = float(start[used] @ start[used]) - null.fit.chi_square - null.fit.penalty
         unseen = held.closed(null.explanation, as_given).gain
         return fall > self.confidence.recalibration and not unseen < 0.0
 
-    def _gap(self, verdict: Verdict, null: Contender, best: Contender, as_given: FloatArray, held: HeldOut) -> Gap:
+    def _gap(
+        self, verdict: Verdict, null: Contender, best: Contender, as_given: FloatArray, held: HeldOut
+    ) -> tuple[Gap, Remainder | None]:
+        """The gap, and what an accepted explanation leaves of it."""
         given = verdict is Verdict.CALIBRATION
         whole = held.closed(best.explanation, as_given if given else None)
         rows, start, after = held.pooled(null, best, as_given if given else None)
         # Without a split that tells the explanation, by the fits themselves.
         judged = math.isfinite(whole.before)
-        return Gap(
-            whole.before if judged else rms(null.fit.residual[rows]),
-            whole.after if judged else rms(best.fit.residual[rows]),
+        gap = Gap(
+            whole.before if judged else rms(self._left(null.fit)[rows]),
+            whole.after if judged else rms(self._left(best.fit)[rows]),
             whole.floor,
             rms(as_given[rows] / held.scale(rows)),
             whole.value,
@@ -339,6 +494,23 @@ class _Diagnoser:
             per_observable(self.evidence, start, after, rows),
             held.splits,
         )
+        return gap, remainder(self.evidence, gap, after, rows) if verdict is Verdict.EFFECT else None
+
+    def _tolerated(self, share: Closed | None) -> float:
+        """Share of the gap that an explanation may leave and still be what the gap is made of.
+
+        A laboratory's rig differs from its model by more than one thing, which a gap far beyond the noise shows; the
+        bench's own simulator only as it was told.
+        """
+        strict = 1.0 - self.confidence.explained
+        if share is None or not share.before > _STRONG * max(share.floor, 1.0):
+            return strict
+        own = not any(measured_elsewhere(self.evidence, number) for number in range(len(self.evidence.tests)))
+        return strict if own else max(_REMAINDER, strict)
+
+    def _left(self, found: Fit) -> FloatArray:
+        """Residual of a fit as the gap counts it, smooth errors of the model included, shape (m,)."""
+        return found.residual if self.judged is self.problem else self.judged.residual(found.prediction)
 
     # -- telling -------------------------------------------------------------------------------------------------
 
@@ -355,7 +527,7 @@ class _Diagnoser:
                     detail=joined(placement.detail for placement in placements if placement.detail),
                     probability=group.probability,
                     equivalents=tuple(joined(effects) for effects in group.effects[1:]),
-                    parameters=_parameters(head),
+                    parameters=_parameters(head, covariance_with_scale(self.problem, head.fit)),
                     closed=Share(share.value, share.low, share.high) if share else Share(*[math.nan] * 3),
                     sigmas=head.sigmas,
                     converged=head.fit.converged,
@@ -387,9 +559,10 @@ class _Diagnoser:
 
     def _calibration(self, best: Contender) -> tuple[Recalibrated, ...]:
         parametrisation = best.fit.parametrisation
+        whole = np.sqrt(np.diag(covariance_with_scale(self.problem, best.fit)))
         result = []
         for k, parameter in enumerate(parametrisation.calibration):
-            theta, std = float(best.fit.theta[k]), float(best.fit.std[k])
+            theta, std = float(best.fit.theta[k]), float(whole[k])
             value = parameter.at(theta)
             result.append(
                 Recalibrated(
@@ -407,7 +580,7 @@ class _Diagnoser:
     def _next(self, judgement: Judgement, verdict: Verdict, null: Contender) -> tuple[NextTest, ...]:
         if not self.settings.look_ahead or verdict in (Verdict.NONE, Verdict.CALIBRATION):
             return ()
-        return next_tests(self.rig, self.evidence, null, judgement.classes, self.contest, none=judgement.none)
+        return next_tests(self.rig, self.evidence, null, judgement.classes, self.workers, none=judgement.none)
 
     def _inputs(self) -> dict[str, Any]:
         tests = []
@@ -423,7 +596,10 @@ class _Diagnoser:
                 }
             )
         return {
-            "bags": [{"path": path, "sha256": digest} for path, digest in self.evidence.inputs],
+            "bags": [
+                {"path": path, "sha256": digest, **({} if origin is None else {"origin": origin.to_mapping()})}
+                for (path, digest), origin in zip_longest(self.evidence.inputs, self.evidence.origins)
+            ],
             "tests": tests,
             "held_out": [split.name for split in self.splits],
             "model": self.rig.name,
@@ -488,7 +664,14 @@ class _Diagnoser:
 
 
 def _affordable(settings: ContestSettings, evidence: Evidence) -> ContestSettings:
-    """A record is stepped through sample by sample, a hundred times as dear as a locked level: fewer fits."""
+    """A record is stepped through sample by sample, a hundred times as dear as a locked level: fewer fits.
+
+    Frequency responses at held amplitudes tell stiffness and damping apart, and rigs have both: more second effects.
+    """
+    if any(isinstance(test, SteppedSineTest) for test in evidence.tests):
+        settings = replace(settings, second_of_pairs=max(settings.second_of_pairs, _SECONDS))
+    if any(_shows_damping(evidence, number) for number in range(len(evidence.tests))):
+        settings = replace(settings, partners=max(settings.partners, _PARTNERS))
     if not any(isinstance(test, RecordTest) for test in evidence.tests):
         return settings
     return replace(
@@ -502,28 +685,44 @@ def _affordable(settings: ContestSettings, evidence: Evidence) -> ContestSetting
     )
 
 
+def _shows_damping(evidence: Evidence, number: int) -> bool:
+    """Whether a laboratory's test tells stiffness and damping over the amplitude, and little else."""
+    if not measured_elsewhere(evidence, number):
+        return False
+    if isinstance(evidence.tests[number], BackboneTable):
+        return bool(np.any((evidence.rows.test == number) & (evidence.rows.part == Part.DAMPING)))
+    return isinstance(evidence.tests[number], SteppedSineTest | RingDownTest)
+
+
 def _likeliest(details: dict[str, float]) -> str:
     """The likeliest detail of a place, or several where one is hardly less likely than the other."""
     best = max(details.values())
     return joined(sorted(what for what, p in details.items() if what and p > 0.6 * best))
 
 
-def _parameters(contender: Contender) -> dict[str, Value]:
-    """Reported parameters of a contender with standard uncertainties, carried through by differences."""
+def _parameters(contender: Contender, whole: FloatArray) -> dict[str, Value]:
+    """Reported parameters of a contender with standard uncertainties, carried through to first order (GUM, 5.2).
+
+    Args:
+        contender: the explanation.
+        whole: covariance of its fit, shape (n, n).
+    """
     parametrisation = contender.fit.parametrisation
     theta, std = contender.fit.theta, contender.fit.std
     result: dict[str, Value] = {}
     several = len(contender.candidates) > 1
     for index, candidate in enumerate(contender.candidates):
         own = parametrisation.index_of(index)
+        covariance = whole[own, own]
         for name, (value, unit) in parametrisation.reported(theta, index).items():
-            variance = 0.0
-            for k in range(own.start, own.stop):
+            slopes = np.empty(own.stop - own.start)
+            for position, k in enumerate(range(own.start, own.stop)):
                 moved = theta.copy()
                 moved[k] += 0.1 * std[k]
-                change = parametrisation.reported(moved, index)[name][0] - value
-                variance += (10.0 * change) ** 2 if math.isfinite(change) else math.inf
+                slopes[position] = (parametrisation.reported(moved, index)[name][0] - value) / (0.1 * std[k])
+            # Parameters of one effect go together: a softer joint that slips earlier does nearly the same.
+            variance = float(slopes @ covariance @ slopes) if np.all(np.isfinite(slopes)) else math.inf
             result[f"{candidate.label}.{name}" if several else name] = Value(
-                value, math.sqrt(variance) * contender.fit.scatter, unit
+                value, math.sqrt(max(variance, 0.0)) * contender.fit.scatter, unit
             )
     return result

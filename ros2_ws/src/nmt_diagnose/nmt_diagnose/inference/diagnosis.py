@@ -112,12 +112,48 @@ class Gap:
 
 
 @dataclass(frozen=True)
+class Left:
+    """What an explanation leaves in one observable of a test.
+
+    Attributes:
+        observable: test and observable.
+        levels: the third of its levels or lines where most of it lies; empty where it is spread.
+        share: of all that is left.
+        rms: in standard deviations.
+        rms_unit: in ``unit``.
+        unit: engineering unit.
+    """
+
+    observable: str
+    levels: str
+    share: float
+    rms: float
+    rms_unit: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What a named explanation leaves of the gap on held-out data.
+
+    Attributes:
+        share: of the gap, with the interval of 90 % from ``low`` to ``high``.
+        where: the observables that hold most of it.
+    """
+
+    share: float
+    low: float
+    high: float
+    where: tuple[Left, ...]
+
+
+@dataclass(frozen=True)
 class NextTest:
     """A test that would decide between explanations that are left.
 
     Attributes:
         test: what to do, for people.
-        command: the command that does it.
+        command: the command that does it on the recorded rig; empty where that is not simulated here.
         separates: the explanations that it tells apart.
         expected_sigma: by how many standard deviations.
     """
@@ -139,6 +175,25 @@ class Recalibrated:
     unit: str
     prior_std: float
     sigmas: float
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What the other recordings say without one.
+
+    Attributes:
+        recording: the one that is left out.
+        leader: the explanation of the others.
+        probability: of the leader, among the explanations that were re-fitted.
+        left: rms of what it leaves of the others, in standard deviations.
+        closed: share of the gap of the recording left out that it closes; NaN where there is none.
+    """
+
+    recording: str
+    leader: str
+    probability: float
+    left: float
+    closed: float
 
 
 @dataclass(frozen=True)
@@ -175,6 +230,8 @@ class Diagnosis:
     candidates: tuple[dict[str, Any], ...] = ()
     features: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    remainder: Remainder | None = None
+    left_out: tuple[LeftOut, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""

@@ -15,7 +15,9 @@ _FEWEST = 30
 # Root mean square over median of second differences, in units of what they are for noise, from which bends of the
 # courses themselves are seen: the onset of slip or of contact.
 _BENT = 2.0
-_MEDIAN_OF_SQUARE = 0.4549  # of a standard normal variable
+# Shares of second differences that may be free of bends, and the quantile of a squared standard normal variable there.
+# Of five levels a run has three second differences, of which an onset bends two.
+_QUANTILES = ((0.5, 0.4549), (0.25, 0.1015))
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ def noise_floor(evidence: Evidence, residual: FloatArray, rows: BoolArray) -> fl
     What an effect adds changes slowly from level to level and drops out; noise is multiplied by √6. Stated
     uncertainties may be larger or smaller than the scatter that is there: no model can beat the scatter. Where a course
     bends, at the onset of slip or contact, a few second differences are many times as large as the others; the
-    floor follows from their median then.
+    floor follows from their median then, or from their lower quartile.
 
     Args:
         evidence: the real side.
@@ -73,9 +75,11 @@ def noise_floor(evidence: Evidence, residual: FloatArray, rows: BoolArray) -> fl
     squares = (values[2:] - 2.0 * values[1:-1] + values[:-2])[same] ** 2 / 6.0
     if squares.size < _FEWEST:
         return 1.0
-    plain = float(np.sqrt(np.mean(squares)))
-    robust = float(np.sqrt(np.median(squares) / _MEDIAN_OF_SQUARE))
-    return robust if plain > _BENT * robust else plain
+    floor = float(np.sqrt(np.mean(squares)))
+    for share, of_normal in _QUANTILES:
+        robust = float(np.sqrt(np.quantile(squares, share) / of_normal))
+        floor = robust if floor > _BENT * robust else floor
+    return floor
 
 
 def closed(

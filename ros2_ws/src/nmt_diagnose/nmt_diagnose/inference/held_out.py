@@ -10,11 +10,19 @@ from pathlib import PurePath
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_diagnose.evidence.conditions import BackboneTable, PhaseResonanceTest, RecordTest, RingDownTest
+from nmt_diagnose.evidence.conditions import (
+    BackboneTable,
+    PhaseResonanceTest,
+    RecordTest,
+    RingDownTest,
+    SteppedSineTest,
+)
 from nmt_diagnose.evidence.observables import Evidence
 from nmt_diagnose.inference.problem import BoolArray
 
 _FEWEST_LEVELS = 4
+# Frequency responses at held amplitudes: levels from which they are held out by level, and the highest two of them.
+_FEWEST_SWEPT, _FEWEST_FOR_TWO = 3, 5
 
 
 @dataclass(frozen=True)
@@ -85,13 +93,34 @@ def splits(evidence: Evidence, hold_out: Sequence[str] = ()) -> list[Split]:
             by_amplitude = {level: float(np.max(rows.amplitude[mine & (rows.level == level)])) for level in levels}
             highest = sorted(levels, key=lambda level: by_amplitude[level])[-2:]
             top |= mine & np.isin(rows.level, highest)
+    swept = _swept(evidence)
+    for group in swept:
+        amplitudes = sorted({level for _, level in group})
+        odd |= np.isin(rows.test, [number for number, level in group if level in amplitudes[1::2]])
+        upper = amplitudes[-1:] if len(amplitudes) < _FEWEST_FOR_TWO else amplitudes[-2:]
+        top |= np.isin(rows.test, [number for number, level in group if level in upper])
     if odd.any():
         result.append(Split("every second level", ~odd, odd))
     if top.any():
-        result.append(Split("the highest two levels", ~top, top))
-    present = [number for number in range(len(evidence.tests)) if np.any(rows.test == number)]
+        result.append(Split("the highest levels" if swept else "the highest two levels", ~top, top))
+    together = [[number for number, _ in group] for group in swept]
+    alone = [[number] for number in range(len(evidence.tests)) if not any(number in group for group in together)]
+    present = [numbers for numbers in (*alone, *together) if np.any(np.isin(rows.test, numbers))]
     if len(present) > 1:
-        for number in present:
-            mine = rows.test == number
-            result.append(Split(f"the test {evidence.tests[number].name}", ~mine, mine))
+        for numbers in present:
+            mine = np.isin(rows.test, numbers)
+            names = evidence.tests[numbers[0]].name
+            if len(numbers) > 1:
+                names = f"{names} and {len(numbers) - 1} more levels of it"
+            result.append(Split(f"the test {names}", ~mine, mine))
     return result
+
+
+def _swept(evidence: Evidence) -> list[list[tuple[int, float]]]:
+    """Tests that are one frequency response at several held amplitudes: number and level of each, group by group."""
+    groups: dict[tuple[object, ...], list[tuple[int, float]]] = {}
+    for number, test in enumerate(evidence.tests):
+        if isinstance(test, SteppedSineTest) and np.any(evidence.rows.test == number):
+            key = (test.drive_point, test.channels, test.reference, test.held)
+            groups.setdefault(key, []).append((number, float(f"{np.median(test.levels):.3g}")))
+    return [g for g in groups.values() if len({level for _, level in g}) >= _FEWEST_SWEPT]

@@ -13,7 +13,7 @@ from nmt_diagnose.evidence.observables import Evidence
 from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.gap import Closed, closed, noise_floor
 from nmt_diagnose.inference.held_out import Split
-from nmt_diagnose.inference.problem import BoolArray
+from nmt_diagnose.inference.problem import BoolArray, Problem
 
 # Strength in standard deviations, and standard deviation over that of the prior, by which a parameter is told.
 _TOLD = 2.0
@@ -45,12 +45,26 @@ class HeldOut:
         refits: of each split: the split, the model without effect, and the explanations re-fitted.
         seed: of the bootstrap.
         repeated: repeats of the tests are part of the stated uncertainties, so that these are what noise leaves.
+        judged: whitens what is left; None = as the fits do. Smooth errors of a model are noise to its fit, and part of
+            the gap.
     """
 
-    def __init__(self, evidence: Evidence, refits: Sequence[Refits], seed: int, repeated: bool = False) -> None:
-        self._evidence, self._refits, self._seed = evidence, refits, seed
+    def __init__(
+        self,
+        evidence: Evidence,
+        refits: Sequence[Refits],
+        seed: int,
+        repeated: bool = False,
+        judged: Problem | None = None,
+    ) -> None:
+        self._evidence, self._refits, self._seed, self._judged = evidence, refits, seed, judged
         self._scale = [base.fit.predictive_std for _, base, _ in refits]
         self.floor = min(self._noise(), 1.0) if repeated else self._noise()
+
+    def _left(self, contender: Contender) -> FloatArray:
+        """Whitened residual of a fit, shape (m,)."""
+        found = contender.fit
+        return found.residual if self._judged is None else self._judged.residual(found.prediction)
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -71,10 +85,10 @@ class HeldOut:
             top = base if explanation == base.explanation else tops.get(explanation)
             if top is None:
                 continue
-            before = base.fit.residual if start is None else start
+            before = self._left(base) if start is None else start
             # A prediction is judged by what noise and its own open parameters leave of it.
             own = scale if top is base else np.maximum(scale, top.fit.predictive_std)
-            pair = (before / scale, top.fit.residual / own, split.held_out)
+            pair = (before / scale, self._left(top) / own, split.held_out)
             # Without the test that shows an effect nothing can be predicted of it.
             if determined(top):
                 pairs.append(pair)
@@ -104,7 +118,7 @@ class HeldOut:
             left, right = tops.get(own), tops.get(rival)
             if left is not None and right is not None and determined(left) and determined(right):
                 # Both by the same measure, so that a prediction gains nothing by being uncertain.
-                pairs.append((left.fit.residual / scale, right.fit.residual / scale, split.held_out))
+                pairs.append((self._left(left) / scale, self._left(right) / scale, split.held_out))
         found = closed(self._evidence, pairs, self._seed, self.floor).gain
         return max(0.0, found) if math.isfinite(found) else 0.0
 
@@ -116,14 +130,14 @@ class HeldOut:
         Divided as the gap is; without any split the fitted rows and the residuals of the fits.
         """
         rows = np.zeros(len(self._evidence.rows), dtype=bool)
-        before, after = null.fit.residual.copy(), best.fit.residual.copy()
+        before, after = self._left(null).copy(), self._left(best).copy()
         for (split, base, tops), scale in zip(self._refits, self._scale, strict=True):
             top = base if best.explanation == base.explanation else tops.get(best.explanation)
             if top is None:
                 continue
             new = split.held_out & ~rows
-            before[new] = (base.fit.residual if start is None else start)[new] / scale[new]
-            after[new] = top.fit.residual[new] / scale[new]
+            before[new] = (self._left(base) if start is None else start)[new] / scale[new]
+            after[new] = self._left(top)[new] / scale[new]
             rows |= split.held_out
         return (rows if rows.any() else null.fit.used), before, after
 
@@ -142,7 +156,7 @@ class HeldOut:
         total, count = 0.0, 0
         for (split, base, tops), scale in zip(self._refits, self._scale, strict=True):
             fits = [base, *(top for top in tops.values() if top is not None)]
-            floors = [noise_floor(self._evidence, item.fit.residual / scale, split.held_out) for item in fits]
+            floors = [noise_floor(self._evidence, self._left(item) / scale, split.held_out) for item in fits]
             size = int(split.held_out.sum())
             total += min(floors) ** 2 * size
             count += size

@@ -15,6 +15,7 @@ from nmt_diagnose.inference.confidence import Confidence
 from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN, Hypothesis, Kind, equivalence_classes, probabilities
+from nmt_diagnose.inference.physical_limits import beyond_limits
 
 _UNLIKELY = math.log(1e5)
 # The share of ``inexactness`` was learned on effects of up to 64 standard deviations, a gain of 64²/2. Of what an
@@ -117,7 +118,8 @@ def judge(
     base = null.fit.log_evidence
 
     def chosen(contender: Contender) -> float:
-        return -sum(math.log(placements[candidate.effect.name]) for candidate in contender.candidates)
+        choice = sum(math.log(placements[candidate.effect.name]) for candidate in contender.candidates)
+        return -choice - 0.5 * beyond_limits(contender.candidates, contender.fit) ** 2
 
     single_gain = {c.explanation.causes[0]: max(0.0, c.fit.log_evidence - base) for c in singles}
 

@@ -12,7 +12,8 @@ test tells a from b, a being true.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import shlex
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,12 +25,13 @@ from nmt_diagnose.effects.placement import joined
 from nmt_diagnose.evidence.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.row_table import Place, RowTable
-from nmt_diagnose.inference.contest import Contender, Contest
+from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.diagnosis import NextTest
 from nmt_diagnose.inference.hypotheses import NULL
 from nmt_diagnose.inference.judgement import ExplanationClass
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.scan import Projector
+from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_elements, build_structure
@@ -56,7 +58,8 @@ class Proposal:
 
     Attributes:
         text: what to do.
-        command: the command that does it.
+        command: the command that does it; empty where nothing here can: the rig is not simulated, or its rig file is
+            not known.
         evidence: its observables with expected uncertainties; values are not set.
     """
 
@@ -70,7 +73,7 @@ def next_tests(
     evidence: Evidence,
     null: Contender,
     classes: Sequence[ExplanationClass],
-    contest: Contest,
+    workers: Workers | None = None,
     most: int = 3,
     none: float = 0.0,
 ) -> tuple[NextTest, ...]:
@@ -81,7 +84,7 @@ def next_tests(
         evidence: what has been measured.
         null: the model with its parameters re-fitted; the rival where there is only one explanation.
         classes: explanations, most probable first.
-        contest: the contest that they were fitted in.
+        workers: processes that share the work; None = this one alone.
         most: tests to name.
         none: probability of no effect at all.
     """
@@ -89,8 +92,8 @@ def next_tests(
     if len(rivals) < 2:
         return ()
     found: list[NextTest] = []
-    for proposal in proposals(rig, evidence):
-        sigma = _separation(proposal, rivals)
+    wanted = proposals(rig, evidence)
+    for proposal, sigma in zip(wanted, (workers or Workers()).map(_separates, rivals, wanted), strict=True):
         if sigma >= _LEAST:
             names = tuple(joined(rival.effects) or NULL for rival in rivals)
             found.append(NextTest(proposal.text, proposal.command, names, min(sigma, _MOST)))
@@ -107,6 +110,10 @@ def _rivals(classes: Sequence[ExplanationClass], null: Contender, none: float) -
         return [classes[0].head, classes[1].head]
     # One explanation stands alone: nothing is left to settle, unless it hardly beats having none.
     return [classes[0].head, null] if none > _DOUBTFUL else []
+
+
+def _separates(rivals: Sequence[Contender], proposal: Proposal) -> float:
+    return _separation(proposal, rivals)
 
 
 def _separation(proposal: Proposal, rivals: Sequence[Contender]) -> float:
@@ -139,14 +146,18 @@ def _separation(proposal: Proposal, rivals: Sequence[Contender]) -> float:
 
 
 def proposals(rig: Rig, evidence: Evidence) -> list[Proposal]:
-    """Tests that the rig allows and that have not been made."""
+    """Tests that the rig allows and that have not been made.
+
+    Their commands run the rig that was recorded, as it was recorded; the model is not what is to be measured.
+    """
     result = []
+    linear, run = _commands(evidence)
     runs = [test for test in evidence.tests if isinstance(test, PhaseResonanceTest) and test.held == "voltage"]
     made = {test.drive_point for test in runs}
     drives = sorted({level.drive for test in runs for level in test.levels if math.isfinite(level.drive)})
     if not any(isinstance(test, RandomTest) for test in evidence.tests):
         text = f"a random test at low level, driven at point {rig.drive_point}"
-        result.append(Proposal(text, f"./nmt linear {rig.name} --out random", _random(rig, evidence, drives)))
+        result.append(Proposal(text, linear("--out random"), _random(rig, evidence, drives)))
     if not runs:
         return result
     frequencies = _frequencies(rig)
@@ -158,24 +169,38 @@ def proposals(rig: Rig, evidence: Evidence) -> list[Proposal]:
         if point in made:
             continue
         text = f"the same levels with the exciter at point {point}"
-        command = f"./nmt run {rig.name} --exciter {point} --levels {plan} --out point{point}"
+        command = run(f"--exciter {point} --levels {plan} --out point{point}")
         result.append(Proposal(text, command, _run(rig, evidence, point, drives, frequencies[mode - 1])))
     if len(frequencies) > mode:
         text = f"the same levels on mode {mode + 1}"
-        command = f"./nmt run {rig.name} --set test.mode={mode + 1} --levels {plan} --out mode{mode + 1}"
+        command = run(f"--set test.mode={mode + 1} --levels {plan} --out mode{mode + 1}")
         result.append(Proposal(text, command, _run(rig, evidence, first.drive_point, drives, frequencies[mode])))
     if all(level.direction >= 0 for test in runs for level in test.levels):
         text = "the same levels downwards, after going up"
-        command = f"./nmt run {rig.name} --direction both --levels {plan} --out both"
+        command = run(f"--direction both --levels {plan} --out both")
         found = _run(rig, evidence, first.drive_point, drives[::-1], frequencies[mode - 1], _end(runs))
         result.append(Proposal(text, command, found))
     limit = rig.limits.voltage_v
     if limit is None or 2.0 * high <= limit:
         text = f"higher levels, up to {2.0 * high:.3g} V (mind what the specimen bears)"
-        command = f"./nmt run {rig.name} --levels {high:.3g}:{2.0 * high:.3g}:6 --out high"
+        command = run(f"--levels {high:.3g}:{2.0 * high:.3g}:6 --out high")
         more = list(np.geomspace(high, 2.0 * high, 6))
         result.append(Proposal(text, command, _run(rig, evidence, first.drive_point, more, frequencies[mode - 1])))
     return result
+
+
+def _commands(evidence: Evidence) -> tuple[Callable[[str], str], Callable[[str], str]]:
+    """What makes commands of ``./nmt linear`` and ``./nmt run`` for the recorded rig, from their options."""
+    origins = evidence.origins
+    files = [origin.rig_file for origin in origins]
+    if not origins or not all(files):
+        return (lambda _: ""), (lambda _: "")
+    periods = next((f" --periods {origin.periods}" for origin in origins if origin.periods), "")
+    file = shlex.quote(files[0])
+    return (
+        lambda options: f"./nmt linear {file} {options}",
+        lambda options: f"./nmt run {file} {options}{periods}",
+    )
 
 
 def _frequencies(rig: Rig) -> FloatArray:

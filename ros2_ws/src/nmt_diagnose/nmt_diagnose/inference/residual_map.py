@@ -11,7 +11,7 @@ from nmt_diagnose.evidence.conditions import (
     BackboneTable,
     MeasuredChannel,
     RandomTest,
-    RingDownTest,
+    SteppedSineTest,
     Test,
 )
 from nmt_diagnose.evidence.observables import Evidence, Part
@@ -24,7 +24,7 @@ _BANDS = 10
 
 def channels_of(test: Test) -> tuple[MeasuredChannel, ...]:
     """Channels that the rows of a test refer to."""
-    if isinstance(test, RingDownTest | BackboneTable):
+    if isinstance(test, BackboneTable):
         return (test.channel,)
     return test.channels
 
@@ -35,11 +35,11 @@ def channel_name(evidence: Evidence, test: int, channel: int) -> str:
 
 
 def level_groups(evidence: Evidence) -> FloatArray:
-    """Level of every row; the lines of a random test in ten bands, shape (m,)."""
+    """Level of every row; the lines of a frequency response in ten bands, shape (m,)."""
     groups = evidence.rows.level.astype(np.float64)
     for number, test in enumerate(evidence.tests):
         mine = evidence.rows.test == number
-        if isinstance(test, RandomTest) and mine.any():
+        if isinstance(test, RandomTest | SteppedSineTest) and mine.any():
             groups[mine] = np.floor(evidence.rows.level[mine] * _BANDS / (evidence.rows.level[mine].max() + 1))
     return groups
 
@@ -59,11 +59,12 @@ def residual_map(
     for key in np.unique(keys, axis=0):
         mine = np.all(keys == key, axis=1)
         test, level, channel, harmonic = (int(value) for value in key)
+        banded = (harmonic < 0 and channel >= 0) or isinstance(evidence.tests[test], SteppedSineTest)
         result.append(
             ResidualGroup(
                 evidence.tests[test].name,
                 level,
-                float(np.mean(rows.frequency_hz[mine] if harmonic < 0 and channel >= 0 else rows.amplitude[mine])),
+                float(np.mean(rows.frequency_hz[mine] if banded else rows.amplitude[mine])),
                 channel_name(evidence, test, channel),
                 harmonic,
                 rms(as_given[mine]),
@@ -75,7 +76,7 @@ def residual_map(
     return tuple(result)
 
 
-_KINDS: tuple[tuple[str, str, float, tuple[Part, ...]], ...] = (
+KINDS: tuple[tuple[str, str, float, tuple[Part, ...]], ...] = (
     ("frequency", "%", 100.0, (Part.LOG_FREQUENCY,)),
     ("phase error", "deg", 180.0 / np.pi, (Part.PHASE_ERROR,)),
     ("amplitude of", "%", 100.0, (Part.LOG_MAGNITUDE,)),
@@ -86,6 +87,7 @@ _KINDS: tuple[tuple[str, str, float, tuple[Part, ...]], ...] = (
     ("converter step of", "", 1.0, (Part.STEP,)),
     ("record of", "", 1.0, (Part.SAMPLE,)),
 )
+"""Kinds of observables: name, unit (empty = that of the channel), factor to that unit, parts of rows."""
 
 
 def per_observable(
@@ -101,7 +103,7 @@ def per_observable(
     result: dict[str, dict[str, Any]] = {}
     rows = evidence.rows
     for test in range(len(evidence.tests)):
-        for name, unit, factor, parts in _KINDS:
+        for name, unit, factor, parts in KINDS:
             kind = held_out & (rows.test == test) & np.isin(rows.part, parts)
             for channel in np.unique(rows.channel[kind]):
                 mine = kind & (rows.channel == channel) & np.isfinite(before) & np.isfinite(after)
@@ -115,11 +117,12 @@ def per_observable(
                     "floor": 1.0,
                     "before_unit": rms(before[mine] * scale),
                     "after_unit": rms(after[mine] * scale),
-                    "unit": unit or _channel_unit(evidence, test, int(channel)),
+                    "unit": unit or unit_of_kind(evidence, test, int(channel)),
                     "rows": int(mine.sum()),
                 }
     return result
 
 
-def _channel_unit(evidence: Evidence, test: int, channel: int) -> str:
+def unit_of_kind(evidence: Evidence, test: int, channel: int) -> str:
+    """Unit of the rows of a channel that have that of the channel; empty for those that belong to none."""
     return channels_of(evidence.tests[test])[channel].quantity.unit if channel >= 0 else ""

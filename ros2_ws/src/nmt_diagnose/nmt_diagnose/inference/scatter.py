@@ -11,11 +11,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.conditions import PhaseResonanceTest
-from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.evidence.conditions import BackboneTable, PhaseResonanceTest
+from nmt_diagnose.evidence.observables import Evidence, IntArray, Part
 
 _FEWEST_LEVELS = 4
 _FEWEST_FREE = 3
+_FEWEST_BETWEEN = 4
 _BY_CHANCE = 1e-4
 # What scatter may be, as an ordinary share: ln ω, phases in rad, ln of magnitudes, harmonics over their fundamental.
 _LARGEST = {
@@ -26,6 +27,8 @@ _LARGEST = {
     Part.REAL: 5e-3,
     Part.IMAG: 5e-3,
 }
+# Of tables that others have reduced, relative: a laboratory's repeats, not those of a locked loop.
+_LARGEST_OF_TABLES = {Part.LOG_FREQUENCY: 0.02, Part.DAMPING: 0.3}
 
 
 def scatter_floor(evidence: Evidence, difference: FloatArray) -> FloatArray:
@@ -39,6 +42,13 @@ def scatter_floor(evidence: Evidence, difference: FloatArray) -> FloatArray:
     """
     result = np.zeros(len(evidence.rows))
     for number, test in enumerate(evidence.tests):
+        if isinstance(test, BackboneTable):
+            for part, largest in _LARGEST_OF_TABLES.items():
+                which = np.flatnonzero((evidence.rows.test == number) & (evidence.rows.part == part))
+                if not which.size:
+                    continue
+                size = 1.0 if part is Part.LOG_FREQUENCY else float(np.median(np.abs(evidence.values[which])))
+                result[which] = min(_about_neighbours(evidence, difference, which), largest * size)
         if not (isinstance(test, PhaseResonanceTest) and number < len(evidence.chains) and evidence.chains[number]):
             continue
         quantities = np.array([int(channel.quantity) for channel in test.channels] + [-1])
@@ -48,10 +58,35 @@ def scatter_floor(evidence: Evidence, difference: FloatArray) -> FloatArray:
         )
         for kind in np.unique(kinds[mine], axis=0):
             which = mine & np.all(kinds == kind, axis=1)
-            largest = _LARGEST.get(Part(int(kind[0])))
-            if largest is not None:
-                result[which] = min(_of_kind(evidence, difference, np.flatnonzero(which)), largest)
+            ordinary = _LARGEST.get(Part(int(kind[0])))
+            if ordinary is not None:
+                result[which] = min(_of_kind(evidence, difference, np.flatnonzero(which)), ordinary)
     return result
+
+
+def _about_neighbours(evidence: Evidence, difference: FloatArray, which: IntArray) -> float:
+    """Standard deviation beyond the stated one of a table's rows, each about the line through its two neighbours.
+
+    A smooth course bends by less between neighbours than scatter does, so what an effect leaves counts little.
+    """
+    own = which[np.isfinite(difference[which])]
+    own = own[np.argsort(evidence.rows.amplitude[own], kind="stable")]
+    x = np.log(np.maximum(evidence.rows.amplitude[own], 1e-300))
+    apart = x[2:] - x[:-2]
+    good = apart > 0.0
+    if int(good.sum()) < _FEWEST_BETWEEN:
+        return 0.0
+    weight = np.divide(x[1:-1] - x[:-2], apart, out=np.full(apart.size, 0.5), where=good)
+    d, variance = difference[own], evidence.sigma[own] ** 2
+    squares = (d[1:-1] - (1.0 - weight) * d[:-2] - weight * d[2:]) ** 2
+    size = 1.0 + (1.0 - weight) ** 2 + weight**2
+    stated = variance[1:-1] + (1.0 - weight) ** 2 * variance[:-2] + weight**2 * variance[2:]
+    squares, size, stated = squares[good], size[good], stated[good]
+    # Neighbouring differences share values: about two of three are independent.
+    free = 2.0 * squares.size / 3.0
+    if chi2.sf(free * float(np.mean(squares / stated)), free) > _BY_CHANCE:
+        return 0.0
+    return float(np.sqrt(max(float(np.mean((squares - stated) / size)), 0.0)))
 
 
 def _of_kind(evidence: Evidence, difference: FloatArray, which: np.ndarray) -> float:

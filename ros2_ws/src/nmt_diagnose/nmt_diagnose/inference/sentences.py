@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from nmt_diagnose.effects.placement import Explanation
-from nmt_diagnose.inference.diagnosis import Gap, NextTest, PlaceShare, Ranked, Recalibrated, Verdict
+from nmt_diagnose.inference.diagnosis import Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
 from nmt_diagnose.inference.hypotheses import NULL
 from nmt_diagnose.inference.judgement import ExplanationClass
 
@@ -31,6 +31,7 @@ def sentences(
     gap: Gap,
     ahead: Sequence[NextTest],
     calibration: Sequence[Recalibrated],
+    remainder: Remainder | None = None,
 ) -> tuple[str, ...]:
     """Where, which, how far; and what would settle the rest if something is left open.
 
@@ -70,7 +71,20 @@ def sentences(
     which = f"{sure} {_title(head.effect)}{where_it_acts} ({values}), probability {_sure(head.probability)}"
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
-    return (place, which + ".", _how_far(gap, "Adding it"), *_ahead(ahead))
+    return (place, which + ".", _how_far(gap, "Adding it") + _left(remainder), *_ahead(ahead))
+
+
+def _left(remainder: Remainder | None) -> str:
+    """How much is left of the gap, and where most of it lies."""
+    if remainder is None:
+        return ""
+    explained, left = max(0.0, 1.0 - remainder.share), remainder.share
+    text = f" It explains {100.0 * explained:.0f} %; {100.0 * left:.0f} % is left"
+    if remainder.where:
+        first = remainder.where[0]
+        at = f" at the {first.levels}" if first.levels else ""
+        text += f", most of it in {first.observable}{at} ({_number(first.rms_unit)} {first.unit} rms)"
+    return text + "."
 
 
 def _where(where: Sequence[PlaceShare]) -> str:

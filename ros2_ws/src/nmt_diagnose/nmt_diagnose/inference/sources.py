@@ -21,6 +21,7 @@ from nmt_diagnose.inference.fit import Fit
 from nmt_diagnose.inference.generic_source import SourceScore, source_score
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.residual_map import channels_of
+from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.influence import Source, SourceColumn
 from nmt_rig.rig import ElementSection, Rig
@@ -49,7 +50,9 @@ class SourcePlace:
     families: tuple[tuple[str, FloatArray], ...]
 
 
-def places(forward: Forward, rig: Rig, prediction: Prediction, problem: Problem) -> list[SourcePlace]:
+def places(
+    forward: Forward, rig: Rig, prediction: Prediction, problem: Problem, workers: Workers | None = None
+) -> list[SourcePlace]:
     """Places where an unnamed source may sit, with what it could do.
 
     Args:
@@ -57,9 +60,9 @@ def places(forward: Forward, rig: Rig, prediction: Prediction, problem: Problem)
         rig: rig of ``prediction``.
         prediction: solution about which the sources are small.
         problem: evidence and how it is whitened.
+        workers: processes that share the work; None = this one alone.
     """
-    evidence = problem.evidence
-    channels = {c.name: c for test in evidence.tests for c in channels_of(test)}
+    channels = {c.name: c for test in problem.evidence.tests for c in channels_of(test)}
     wanted: list[tuple[Placement, Source]] = [
         (Placement.at("structure", point), Source("structure", point)) for point in rig.structure.points
     ]
@@ -69,15 +72,20 @@ def places(forward: Forward, rig: Rig, prediction: Prediction, problem: Problem)
     responses = sorted((c for c in channels.values() if c.quantity is not Quantity.FORCE), key=lambda c: c.name)
     wanted += [(_response(rig, channel), Source("response_sensor", channel=channel.name)) for channel in responses]
     wanted += [(Placement("controller"), Source("controller")), (Placement("time"), Source("time"))]
-    result = []
-    for placement, source in wanted:
-        columns, names = forward.influence(rig, prediction, source)
-        whitened = np.nan_to_num(problem.whitened(columns), posinf=0.0, neginf=0.0)
-        families = (("drift", whitened),) if source.kind == "time" else _families(whitened, names, evidence)
-        families = tuple((name, block) for name, block in families if block.shape[1] and np.any(block))
-        if families:
-            result.append(SourcePlace(placement, families))
-    return result
+    found = (workers or Workers()).map(_place, (forward, rig, prediction, problem), wanted)
+    return [place for place in found if place is not None]
+
+
+def _place(shared: tuple[Forward, Rig, Prediction, Problem], item: tuple[Placement, Source]) -> SourcePlace | None:
+    """One place with what a source there could do; None where that is nothing."""
+    forward, rig, prediction, problem = shared
+    placement, source = item
+    columns, names = forward.influence(rig, prediction, source)
+    whitened = np.nan_to_num(problem.whitened(columns), posinf=0.0, neginf=0.0)
+    drift = source.kind == "time"
+    families = (("drift", whitened),) if drift else _families(whitened, names, problem.evidence)
+    families = tuple((name, block) for name, block in families if block.shape[1] and np.any(block))
+    return SourcePlace(placement, families) if families else None
 
 
 def _response(rig: Rig, channel: MeasuredChannel) -> Placement:

@@ -7,14 +7,21 @@ from collections.abc import Sequence
 
 from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
+from nmt_diagnose.inference.physical_limits import beyond_limits
 
 # Standard deviations of its prior beyond which a parameter is not what a data sheet or a ruler leaves open.
 _CREDIBLE = 3.0
-# What is left over the floor from which it is more than noise.
-_LEFT = 2.0
+# What is left over the floor from which it is more than noise, and the share of the gap from which that is a warning.
+_LEFT, _SMALL_SHARE = 2.0, 0.15
 
 
-def warned(verdict: Verdict, best: Contender, calibration: Sequence[Recalibrated], gap: Gap) -> tuple[str, ...]:
+def warned(
+    verdict: Verdict,
+    best: Contender,
+    calibration: Sequence[Recalibrated],
+    gap: Gap,
+    alike: Sequence[Contender] = (),
+) -> tuple[str, ...]:
     """Sentences of warning; empty where there is nothing to mind.
 
     Args:
@@ -22,6 +29,7 @@ def warned(verdict: Verdict, best: Contender, calibration: Sequence[Recalibrated
         best: the model as it came out, with the accepted explanation or without.
         calibration: its own parameters.
         gap: on held-out data.
+        alike: explanations that the tests cannot tell apart, the accepted one among them.
     """
     found = []
     if not best.fit.converged:
@@ -34,7 +42,10 @@ def warned(verdict: Verdict, best: Contender, calibration: Sequence[Recalibrated
             f"The fit moves {item.name} from {item.start:.4g} to {item.to:.4g} {item.unit}, {abs(value):.1f} standard "
             "deviations of what is believed of it: check it, or something else hides behind it."
         )
-    if verdict is Verdict.EFFECT and math.isfinite(gap.after) and gap.after > _LEFT * max(gap.floor, 1.0):
+    for member in alike if verdict is Verdict.EFFECT else ():
+        found += _beyond_physics(member)
+    large = not gap.closed >= 1.0 - _SMALL_SHARE
+    if verdict is Verdict.EFFECT and large and math.isfinite(gap.after) and gap.after > _LEFT * max(gap.floor, 1.0):
         worst = max(gap.per_observable.items(), key=lambda item: item[1]["after"], default=None)
         where = f", most of it in {worst[0]}" if worst else ""
         found.append(
@@ -42,3 +53,22 @@ def warned(verdict: Verdict, best: Contender, calibration: Sequence[Recalibrated
             "whole of the gap."
         )
     return tuple(found)
+
+
+def _beyond_physics(contender: Contender) -> list[str]:
+    """Sentences on parameters larger than physics allows."""
+    if beyond_limits(contender.candidates, contender.fit) < _CREDIBLE:
+        return []
+    found = []
+    for index, candidate in enumerate(contender.candidates):
+        values = contender.fit.parametrisation.values(contender.fit.theta, index)
+        for parameter in candidate.effect.parameters:
+            limit = candidate.site.limits.get(parameter.name, math.inf)
+            if abs(values[parameter.name]) > limit:
+                times = abs(values[parameter.name]) / limit
+                found.append(
+                    f"As {candidate.label} the gap would take {parameter.name} = {values[parameter.name]:.3g} "
+                    f"{parameter.unit}, {times:.2g} times the largest that physics allows there: it is something else "
+                    "that grows in the same way."
+                )
+    return found

@@ -10,7 +10,7 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.conditions import BackboneTable, LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.evidence.observables import Part, Rows
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin
+from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin, Tangent
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.rig import Rig, ShakerSection
 
@@ -65,6 +65,14 @@ class BackboneTwin:
     ) -> list[PeriodicState | None]:
         """Solutions of a slightly different rig by one Newton step."""
         return self.inner.stepped(rig, cache, states)
+
+    def tangent(self, rig: Rig, cache: PartsCache, states: tuple[PeriodicState | None, ...]) -> Tangent | None:
+        """What ``advanced`` needs of solved levels."""
+        return self.inner.tangent(rig, cache, states)
+
+    def advanced(self, rig: Rig, cache: PartsCache, tangent: Tangent) -> list[PeriodicState | None] | None:
+        """Solutions of a slightly different rig by one step with the Jacobian of the rig that was solved."""
+        return self.inner.advanced(rig, cache, tangent)
 
     def values(self, rig: Rig, cache: PartsCache, states: list[PeriodicState | None]) -> FloatArray:
         """Observables of the test's rows."""

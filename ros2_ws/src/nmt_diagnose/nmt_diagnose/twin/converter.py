@@ -17,29 +17,27 @@ NOISE_REACH = 4.0
 
 
 def recorded_harmonics(amplitudes: ComplexArray, limits: FloatArray, basis: FourierBasis) -> ComplexArray:
-    """Harmonics (c, n_orders) of the recorded values of channels with harmonics ``amplitudes`` before the converter.
+    """Harmonics (…, c, n_orders) of the recorded values of channels with harmonics ``amplitudes`` before the converter.
 
     Args:
-        amplitudes: (c, n_orders).
+        amplitudes: (…, c, n_orders).
         limits: (c, 3) clipping level, quantisation step, noise deviation before the converter.
         basis: orders.
     """
-    result = amplitudes
-    if not (np.any(np.isfinite(limits[:, 0])) or np.any(limits[:, 1] > 0.0)):
-        return result
-    for index, (level, step, noise) in enumerate(limits):
-        peak = float(np.sum(np.abs(amplitudes[index]))) + NOISE_REACH * noise
-        clips = peak > level
-        coarse = step > 0.0 and np.abs(amplitudes[index]).max() < COARSE * step and noise < 0.7 * step
-        if not (clips or coarse):
-            continue
-        if result is amplitudes:
-            result = amplitudes.copy()
+    level, step, noise = limits.T
+    if not (np.any(np.isfinite(level)) or np.any(step > 0.0)):
+        return amplitudes
+    sizes = np.abs(amplitudes)
+    clips = sizes.sum(axis=-1) + NOISE_REACH * noise > level
+    coarse = (step > 0.0) & (sizes.max(axis=-1) < COARSE * step) & (noise < 0.7 * step)
+    result = amplitudes.copy()
+    for index in map(tuple, np.argwhere(clips | coarse)):
+        own = limits[index[-1]]
         values = basis.sampled(SAMPLES) @ basis.to_real(amplitudes[index])
-        if clips:
-            values = expected_clipped(values, level, noise)
-        if coarse:
-            values = expected_quantised(values, step, noise)
+        if clips[index]:
+            values = expected_clipped(values, own[0], own[2])
+        if coarse[index]:
+            values = expected_quantised(values, own[1], own[2])
         projection = 2.0 / SAMPLES * (basis.sampled(SAMPLES).T @ values)
         projection[0] *= 0.5
         result[index] = basis.to_complex(projection)

@@ -18,6 +18,7 @@ from nmt_diagnose.evidence.conditions import (
     RandomTest,
     RecordTest,
     RingDownTest,
+    SteppedSineTest,
     Test,
 )
 from nmt_diagnose.evidence.observables import Part, Rows
@@ -29,7 +30,8 @@ from nmt_diagnose.twin.random_twin import RandomTwin
 from nmt_diagnose.twin.record_twin import RecordTwin
 from nmt_diagnose.twin.ring_down_twin import RingDownTwin
 from nmt_diagnose.twin.settings import TwinSettings
-from nmt_rig.rig import Rig
+from nmt_diagnose.twin.stepped_sine_twin import SteppedSineTwin, with_growth
+from nmt_rig.rig import Rig, SensorSection
 
 # Relative distance within which a line of the evidence is that of the mains.
 LINE_WIDTH = 0.01
@@ -73,6 +75,9 @@ class Forward:
         self._twins: list[Any] = [
             self._twin(test, rows.take(where)) for test, where in zip(self.tests, self._where, strict=True)
         ]
+        # Rows that follow no excitation, with the names of their channels.
+        self._steps = self._unexcited(Part.STEP, PhaseResonanceTest)
+        self._lines = self._unexcited(Part.LINE, PhaseResonanceTest, RandomTest, RecordTest)
 
         # Tests with one drive point share one linear model.
         groups: dict[tuple[int, bool], list[Any]] = {}
@@ -88,6 +93,8 @@ class Forward:
             return PhaseResonanceTwin(test, rows, self.settings)
         if isinstance(test, RandomTest):
             return RandomTwin(test, rows, self.settings)
+        if isinstance(test, SteppedSineTest):
+            return SteppedSineTwin(test, rows, self.settings)
         if isinstance(test, RingDownTest):
             return RingDownTwin(test, rows, self.settings)
         if isinstance(test, RecordTest):
@@ -95,6 +102,16 @@ class Forward:
         if isinstance(test, BackboneTable):
             return BackboneTwin(test, rows, self.settings)
         raise BenchError(f"the diagnosis' model cannot predict a test of kind {type(test).__name__}.")
+
+    def _unexcited(
+        self, part: Part, *kinds: type[PhaseResonanceTest | RandomTest | RecordTest]
+    ) -> list[tuple[int, str]]:
+        found = []
+        for row in np.flatnonzero(self.rows.part == part):
+            test = self.tests[self.rows.test[row]]
+            if isinstance(test, kinds):
+                found.append((int(row), test.channels[self.rows.channel[row]].name))
+        return found
 
     def predict(self, rig: Rig, start: Prediction | None = None) -> Prediction:
         """Observables of a rig; ``start`` is a prediction for a similar one.
@@ -119,12 +136,26 @@ class Forward:
         self._add_unexcited(rig, values)
         return Prediction(values, np.isfinite(values), tuple(reasons), tuple(states))
 
-    def _stepped(self, rig: Rig, prediction: Prediction, cache: PartsCache) -> FloatArray:
-        """Observables of a slightly different rig, one Newton step from a prediction's solutions."""
+    def _tangents(self, rig: Rig, prediction: Prediction, cache: PartsCache) -> list[Any]:
+        """What each test's solutions need to follow small changes of the rig; None where the test has its own way."""
+        return [
+            twin.tangent(rig, cache, prediction.states[index]) if hasattr(twin, "tangent") else None
+            for index, twin in enumerate(self._twins)
+        ]
+
+    def _stepped(self, rig: Rig, prediction: Prediction, cache: PartsCache, tangents: Sequence[Any] = ()) -> FloatArray:
+        """Observables of a slightly different rig, one Newton step from a prediction's solutions.
+
+        ``tangents`` are those of the rig of the prediction; without them the step is by the other rig's own Jacobian.
+        """
         values = np.full(len(self.rows), np.nan)
         for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
             if hasattr(twin, "solve"):
-                values[where] = twin.values(rig, cache, twin.stepped(rig, cache, prediction.states[index]))
+                tangent = tangents[index] if tangents else None
+                states = None if tangent is None else twin.advanced(rig, cache, tangent)
+                if states is None:
+                    states = twin.stepped(rig, cache, prediction.states[index])
+                values[where] = twin.values(rig, cache, states)
             else:
                 values[where] = twin.values(rig, cache)
         self._add_unexcited(rig, values)
@@ -132,23 +163,19 @@ class Forward:
 
     def _add_unexcited(self, rig: Rig, values: FloatArray) -> None:
         """What follows no excitation: mains hum, at its frequency as the rig's clock sees it, and converters' steps."""
-        for row in np.flatnonzero(self.rows.part == Part.STEP):
-            test = self.tests[self.rows.test[row]]
-            if isinstance(test, PhaseResonanceTest):
-                name = test.channels[self.rows.channel[row]].name
-                own = [s for s in rig.sensors if rig.sensor_channel(s) == name]
-                values[row] = 2.0 * own[0].range / 2.0 ** own[0].bits if own and own[0].bits and own[0].range else 0.0
-        for row in np.flatnonzero(self.rows.part == Part.LINE):
-            test = self.tests[self.rows.test[row]]
-            if not isinstance(test, PhaseResonanceTest | RandomTest | RecordTest):
-                continue
-            channel = test.channels[self.rows.channel[row]]
+        sensors: dict[str, SensorSection] = {}
+        for sensor in rig.sensors:
+            sensors.setdefault(rig.sensor_channel(sensor), sensor)
+        for row, name in self._steps:
+            own = sensors.get(name)
+            values[row] = 2.0 * own.range / 2.0**own.bits if own is not None and own.bits and own.range else 0.0
+        for row, name in self._lines:
+            own = sensors.get(name)
             values[row] = 0.0
-            for sensor in rig.sensors:
-                if rig.sensor_channel(sensor) == channel.name and sensor.hum_amplitude != 0.0:
-                    seen = sensor.hum_hz / (1.0 + rig.clock_error)
-                    if abs(self.rows.frequency_hz[row] / seen - 1.0) < LINE_WIDTH:
-                        values[row] = sensor.hum_amplitude
+            if own is not None and own.hum_amplitude != 0.0:
+                seen = own.hum_hz / (1.0 + rig.clock_error)
+                if abs(self.rows.frequency_hz[row] / seen - 1.0) < LINE_WIDTH:
+                    values[row] = own.hum_amplitude
 
     def jacobian(
         self,
@@ -174,12 +201,14 @@ class Forward:
         result = np.empty((len(self.rows), len(columns)))
         # A step from the unchanged rig takes the rest of the iteration out of the difference.
         known = PartsCache(self.settings)
-        base = self._stepped(parametrisation.rig(theta), prediction, known)
+        rig = parametrisation.rig(theta)
+        tangents = self._tangents(rig, prediction, known)
+        base = self._stepped(rig, prediction, known, tangents)
         for position, column in enumerate(columns):
             moved = np.array(theta, dtype=np.float64)
             size = step * parametrisation.prior_std[column]
             moved[column] += size
-            stepped = self._stepped(parametrisation.rig(moved), prediction, PartsCache(self.settings, known))
+            stepped = self._stepped(parametrisation.rig(moved), prediction, PartsCache(self.settings, known), tangents)
             result[:, position] = self.difference(stepped, base) / size
         return result
 
@@ -238,11 +267,13 @@ class Forward:
 
     def _time_influence(self, rig: Rig, prediction: Prediction) -> tuple[FloatArray, tuple[SourceColumn, ...]]:
         known = PartsCache(self.settings)
-        base = self._stepped(rig, prediction, known)
+        tangents = self._tangents(rig, prediction, known)
+        base = self._stepped(rig, prediction, known, tangents)
         columns, names = [], []
         for number, key in enumerate(("stiffness_per_s", "slip_force_per_s", "slip_force_per_cycle")):
             drift = rig.drift.model_copy(update={key: getattr(rig.drift, key) + 1e-6})
-            moved = self._stepped(rig.model_copy(update={"drift": drift}), prediction, PartsCache(self.settings))
+            other = rig.model_copy(update={"drift": drift})
+            moved = self._stepped(other, prediction, PartsCache(self.settings, known), tangents)
             columns.append(self.difference(moved, base) / 1e-6 * 1e-4)
             names.append(SourceColumn("", "drift", number))
         return np.column_stack(columns), tuple(names)
@@ -253,6 +284,14 @@ class Forward:
         phases = np.isin(self.rows.part, (Part.PHASE, Part.PHASE_ERROR))
         result[phases] -= 2.0 * np.pi * np.round(result[phases] / (2.0 * np.pi))
         return result
+
+
+def traced(tests: Sequence[Test], prediction: Prediction) -> tuple[Test, ...]:
+    """The tests with the noise of measured amplitudes propagated as a prediction's solutions say."""
+    return tuple(
+        with_growth(test, state[0]) if isinstance(test, SteppedSineTest) and state is not None else test
+        for test, state in zip(tests, prediction.states, strict=True)
+    )
 
 
 def _channel_sources(

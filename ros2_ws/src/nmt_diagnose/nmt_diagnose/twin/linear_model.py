@@ -18,6 +18,8 @@ from nmt_core.blocks import FloatArray
 from nmt_rig.model.assembly import ElectromechanicalSystem
 
 ComplexArray = NDArray[np.complex128]
+# Part of another shape that a shape may take in while the first order will do.
+_LARGEST_MIX = 1e-3
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,24 @@ class OutputRows:
 
 
 @dataclass(frozen=True)
+class ModalFrame:
+    """Where the poles of a system come from, to follow them when it changes a little.
+
+    Attributes:
+        shapes: undamped mass-normalised shapes of the mechanical unknowns, (mechanical, size).
+        squares: their squared angular frequencies, (size,).
+        right, left: right eigenvectors of the first-order system and their inverse, (k, k).
+        full: all unknowns [q, i] of each pole, (n, k).
+    """
+
+    shapes: FloatArray
+    squares: FloatArray
+    right: ComplexArray
+    left: ComplexArray
+    full: ComplexArray
+
+
+@dataclass(frozen=True)
 class LinearModel:
     """T(s) = Σ_k (d_k + s v_k + s² a_k) b_k / (s − λ_k) + feedthrough.
 
@@ -44,6 +64,7 @@ class LinearModel:
         displacement, velocity, acceleration: (o, k) outputs of each pole.
         inputs: (k, p) share of each pole in the inputs.
         feedthrough: (o, p).
+        frame: where the poles come from; None where the system was reduced or has a body without suspension.
     """
 
     poles: ComplexArray
@@ -52,6 +73,7 @@ class LinearModel:
     acceleration: ComplexArray
     inputs: ComplexArray
     feedthrough: ComplexArray
+    frame: ModalFrame | None = None
 
     def at(self, s: complex) -> tuple[ComplexArray, ComplexArray]:
         """T (o, p) and dT/ds at s."""
@@ -121,6 +143,29 @@ def transfer_at(
     return transfer, slope
 
 
+@njit(cache=True)
+def response_at(
+    s: complex,
+    poles: ComplexArray,
+    displacement: ComplexArray,
+    velocity: ComplexArray,
+    acceleration: ComplexArray,
+    inputs: ComplexArray,
+    feedthrough: ComplexArray,
+) -> ComplexArray:
+    """T (o, p) at s as by ``transfer_at``, without its derivative."""
+    outputs = displacement.shape[0]
+    columns = inputs.shape[1]
+    transfer = feedthrough.copy()
+    for k in range(poles.shape[0]):
+        inverse = 1.0 / (s - poles[k])
+        for o in range(outputs):
+            row = (displacement[o, k] + s * (velocity[o, k] + s * acceleration[o, k])) * inverse
+            for p in range(columns):
+                transfer[o, p] += row * inputs[k, p]
+    return transfer
+
+
 def linear_model(
     system: ElectromechanicalSystem, inputs: FloatArray, rows: OutputRows, kept_modes: int, full_size: int
 ) -> LinearModel:
@@ -144,7 +189,8 @@ def linear_model(
     size = shapes.shape[1]
     damping = shapes.T @ system.damping[:mechanical, :mechanical] @ shapes
     # A body without suspension has a double pole at zero, which has no residues: a spring too soft to be seen.
-    stiffness = np.diag(np.maximum(squares, max(1e-16 * squares[-1], 1e-12)))
+    softest = max(1e-16 * squares[-1], 1e-12)
+    stiffness = np.diag(np.maximum(squares, softest))
     electric = 0 if system.current is None else 1
     a = np.zeros((2 * size + electric, 2 * size + electric))
     a[:size, size : 2 * size] = np.eye(size)
@@ -161,18 +207,91 @@ def linear_model(
         a[-1, -1] = -system.stiffness[current, current] / inductance
         b[-1] = inputs[current] / inductance
     poles, right = np.linalg.eig(a)
+    left: ComplexArray = np.asarray(np.linalg.inv(right), dtype=np.complex128)
     # Rows of full unknowns [q, i] for each pole.
     full = np.zeros((system.size, poles.size), dtype=np.complex128)
     full[:mechanical] = shapes @ right[:size]
     if current is not None:
         full[current] = right[-1]
+    exact = basis is None and squares[0] > softest
+    frame = ModalFrame(shapes, squares, right.astype(np.complex128), left, full) if exact else None
+    shares: ComplexArray = left @ b.astype(np.complex128)
+    return _with_outputs(poles.astype(np.complex128), full, shares, rows, frame)
+
+
+def moved_model(
+    model: LinearModel, before: ElectromechanicalSystem, system: ElectromechanicalSystem, inputs: FloatArray,
+    rows: OutputRows,
+) -> LinearModel | None:  # fmt: skip
+    """Linear model of a system that differs a little from another, its poles and shapes to first order.
+
+    The first derivatives of eigenvalues and eigenvectors (Fox and Kapoor, AIAA J. 6 (1968) 2426; Rogers, AIAA J. 8
+    (1970) 943, for systems that are not symmetric); what they leave out is of second order in the change.
+
+    Args:
+        model: linear model of ``before``.
+        before: the other system.
+        system: the system, of the same unknowns.
+        inputs, rows: of the system, as in ``linear_model``.
+
+    Returns:
+        The model; None where poles lie too close together for it, or the other model says nothing of its poles.
+    """
+    frame = model.frame
+    if frame is None or (before.size, before.mechanical_size, before.current) != (
+        system.size, system.mechanical_size, system.current,
+    ):  # fmt: skip
+        return None
+    mechanical, current, shapes = system.mechanical_size, system.current, frame.shapes
+    size = shapes.shape[1]
+    own = slice(None, mechanical)
+    # Differences first: the lowest modes are many digits below the highest.
+    dm, dc, dk = (
+        shapes.T @ (getattr(system, name)[own, own] - getattr(before, name)[own, own]) @ shapes
+        for name in ("mass", "damping", "stiffness")
+    )
+    damping = shapes.T @ before.damping[own, own] @ shapes
+    change = np.zeros((frame.right.shape[0],) * 2)
+    change[size : 2 * size, :size] = dm * frame.squares - dk
+    change[size : 2 * size, size : 2 * size] = dm @ damping - dc
+    b = np.zeros((change.shape[0], inputs.shape[1]))
+    driven = shapes.T @ inputs[own]
+    b[size : 2 * size] = driven - dm @ driven
+    if current is not None:
+        pull, more = (shapes.T @ item.stiffness[own, current] for item in (before, system))
+        change[size : 2 * size, -1] = dm @ pull - (more - pull)
+        rates = []
+        for item in (before, system):
+            circuit = np.concatenate(
+                (item.stiffness[current, own] @ shapes, item.damping[current, own] @ shapes,
+                 [item.stiffness[current, current]])
+            )  # fmt: skip
+            rates.append(circuit / item.damping[current, current])
+        change[-1] = rates[0] - rates[1]
+        b[-1] = inputs[current] / system.damping[current, current]
+    moved = frame.left @ change @ frame.right
+    gaps = model.poles[None, :] - model.poles[:, None]
+    np.fill_diagonal(gaps, 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mixed = moved / gaps
+    np.fill_diagonal(mixed, 0.0)
+    if not np.max(np.abs(mixed), initial=0.0) < _LARGEST_MIX:
+        return None
+    left = frame.left @ b
+    return _with_outputs(model.poles + np.diag(moved), frame.full + frame.full @ mixed, left - mixed @ left, rows, None)
+
+
+def _with_outputs(
+    poles: ComplexArray, full: ComplexArray, inputs: ComplexArray, rows: OutputRows, frame: ModalFrame | None
+) -> LinearModel:
     return LinearModel(
-        poles.astype(np.complex128),
+        poles,
         np.ascontiguousarray(rows.displacement @ full),
         np.ascontiguousarray(rows.velocity @ full),
         np.ascontiguousarray(rows.acceleration @ full),
-        np.ascontiguousarray(np.linalg.solve(right, b.astype(np.complex128))),
+        np.ascontiguousarray(inputs),
         rows.feedthrough.astype(np.complex128),
+        frame,
     )
 
 

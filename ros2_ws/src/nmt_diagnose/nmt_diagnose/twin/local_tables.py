@@ -14,6 +14,7 @@ from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements import (
     JENKINS,
     PARAMETER_COUNT,
+    POWER_LAW_DAMPER,
     QUADRATIC_DRAG,
     TANH_FRICTION,
     TWO_SIDED_GAP,
@@ -22,7 +23,7 @@ from nmt_rig.model.local_elements import (
 )
 
 # Drag has a kink in its second derivative, tanh none but is steep: errors of the harmonics below 1e-5.
-SMOOTH_SAMPLES = {QUADRATIC_DRAG: 256, TANH_FRICTION: 1024}
+SMOOTH_SAMPLES = {QUADRATIC_DRAG: 256, POWER_LAW_DAMPER: 512, TANH_FRICTION: 1024}
 
 
 @lru_cache(maxsize=16)

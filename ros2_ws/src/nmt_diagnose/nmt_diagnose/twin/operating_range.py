@@ -18,6 +18,7 @@ from nmt_diagnose.evidence.conditions import (
     RandomTest,
     RecordTest,
     RingDownTest,
+    SteppedSineTest,
     Test,
 )
 from nmt_diagnose.evidence.observables import Evidence, Part, Rows
@@ -39,9 +40,10 @@ def operating_range(
     """Largest motion over the tests, by the model as it is.
 
     Phase-resonant tests by their highest and lowest level; a random test or a record by its rms through the system
-    linearised at rest; backbones and decays by the amplitudes that they are given over, with the shape of the resting
-    mode. Where windows and lines show motions less than half or more than twice as large, these are taken. Without any
-    test whose motion is known, 1 mm at the mode under test.
+    linearised at rest; backbones and decays by the amplitudes that they are given over, and frequency responses at a
+    held amplitude by their largest and smallest motion, with the shape of the resting mode. Where windows and lines
+    show motions less than half or more than twice as large, these are taken. Without any test whose motion is known, 1
+    mm at the mode under test.
 
     Args:
         rig: the model.
@@ -128,6 +130,8 @@ def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settin
     """Parts, ω, drive, channel amplitudes and unknowns at the ends of a test."""
     if isinstance(test, PhaseResonanceTest):
         return _resonant(rig, test, channels, settings)
+    if isinstance(test, SteppedSineTest):
+        return _stepped(rig, test, channels, settings)
     if isinstance(test, RandomTest):
         return _noise(rig, test.drive_point, channels, settings, 2.0 * np.pi * test.lines_hz, test.drive_rms,
                       test.reference == "force")  # fmt: skip
@@ -211,6 +215,29 @@ def _noise(
     return [(parts, float(peak), rms, amplitudes, np.sqrt(q_squares) * scale)]
 
 
+def _stepped(
+    rig: Rig, test: SteppedSineTest, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
+) -> list[Found]:
+    """Lines of largest and smallest motion, in the shape that the system linearised at rest has at its resonance."""
+    lead = test.channels[0]
+    order = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}[lead.quantity]
+    motion = test.amplitudes / (2.0 * np.pi * test.lines_hz) ** order
+    if not np.any(np.isfinite(motion)):
+        return []
+    every = (*channels, lead)
+    parts = PartsCache(settings).parts(rig, Setup(test.drive_point, False, every, FourierBasis.up_to(1)))
+    resting = _resting_frequencies(rig)
+    found: list[Found] = []
+    for line in (int(np.nanargmax(motion)), int(np.nanargmin(motion))):
+        nearest = np.argmin(np.abs(np.log(resting / test.lines_hz[line])))
+        omega = 2.0 * np.pi * float(resting[nearest])
+        q, y = _resting_response(parts, omega)
+        scale = float(motion[line]) * omega**order / max(abs(y[-1]), 1e-300)
+        drive = float(test.levels[line]) if test.held == "voltage" else scale / parts.input_per_volt
+        found.append((parts, omega, drive, y[: len(channels)] * scale, q * scale))
+    return found
+
+
 def _given(
     rig: Rig,
     test: BackboneTable | RingDownTest,
@@ -250,7 +277,7 @@ def _resting_response(parts: RigParts, omega: float) -> tuple[np.ndarray, np.nda
 def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, evidence: Evidence | None) -> float:
     """Frequency of a test's smallest amplitude, Hz."""
     if isinstance(test, RingDownTest):
-        return test.start_frequency_hz
+        return test.frequency_hz
     if evidence is not None:
         rows = evidence.rows
         mine = rows.frequency_hz[(rows.test == number) & (rows.level == int(np.argmin(test.amplitudes)))]
@@ -286,7 +313,7 @@ def _as_measured(
 def _measured_sizes(evidence: Evidence, test: Test, number: int, drive: float) -> dict[str, float]:
     """Amplitude, or rms, of each motion channel of a test: of a phase-resonant one at the level next to a drive."""
     rows, values = evidence.rows, evidence.values
-    if isinstance(test, BackboneTable | RingDownTest | RecordTest):
+    if isinstance(test, BackboneTable | RingDownTest | RecordTest | SteppedSineTest):
         return {}
     sizes: dict[str, float] = {}
     for index, channel in enumerate(test.channels):

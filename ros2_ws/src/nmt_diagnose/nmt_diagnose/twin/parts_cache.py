@@ -12,11 +12,12 @@ from nmt_diagnose.twin.rig_parts import (
     channel_table,
     limit_table,
     rig_parts,
+    with_elements_of,
     with_exciter_at,
 )
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.rig import Rig
+from nmt_rig.rig import Rig, ShakingTableSection
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class PartsCache:
 
     Args:
         settings: of the twin.
-        base: parts of a rig that this one may share most with.
+        base: parts of a rig from which this one differs by an infinitesimal step.
     """
 
     def __init__(self, settings: TwinSettings, base: PartsCache | None = None) -> None:
@@ -71,27 +72,34 @@ class PartsCache:
         key = (id(setup), seconds, cycles)
         found = self._known.get(key)
         if found is None:
-            parts = self._shared(rig, setup, key)
+            near = self._near(key)
+            parts = None if near is None else self._shared(rig, setup, key, *near)
             if parts is None:
                 parts = rig_parts(
                     with_exciter_at(rig, setup.drive_point), setup.channels, setup.basis, self.settings, seconds,
-                    cycles, setup.ideal_force,
+                    cycles, setup.ideal_force, None if near is None else near[1],
                 )  # fmt: skip
             found = (rig, parts)
             self._known[key] = found
         return found[1]
 
-    def _shared(self, rig: Rig, setup: Setup, key: tuple[int, float, float]) -> RigParts | None:
-        """Parts of the base with other sensors, where nothing else has changed."""
-        known = None if self._base is None else self._base._known.get(key)
-        if known is None:
+    def _near(self, key: tuple[int, float, float]) -> tuple[Rig, RigParts] | None:
+        """The base's rig and parts, at the same moment or without drift."""
+        if self._base is None:
             return None
-        other, parts = known
+        return self._base._known.get(key) or self._base._known.get((key[0], 0.0, 0.0))
+
+    def _shared(
+        self, rig: Rig, setup: Setup, key: tuple[int, float, float], other: Rig, parts: RigParts
+    ) -> RigParts | None:
+        """Parts of the base with other sensors or other numbers of its nonlinear elements, where nothing else changes.
+
+        Poles and residues are what a rig costs; they are the same then.
+        """
         same = (
             rig.structure is other.structure
-            and rig.local_elements is other.local_elements
             and rig.exciter is other.exciter
-            and rig.drift is other.drift
+            and (rig.drift is other.drift or rig.drift.stiffness_per_s == other.drift.stiffness_per_s == 0.0)
             and (
                 rig.sensors is other.sensors
                 or all(
@@ -102,7 +110,13 @@ class PartsCache:
         )
         if not same:
             return None
-        sections = channel_sections(with_exciter_at(rig, setup.drive_point), setup.channels)
+        moved = with_exciter_at(rig, setup.drive_point)
+        if rig.local_elements is not other.local_elements or rig.drift is not other.drift:
+            # A shaking table's effective mass is that of the rig with its elements.
+            if isinstance(rig.exciter, ShakingTableSection) or not _alike(rig, other):
+                return None
+            parts = with_elements_of(parts, moved, self.settings, key[1], key[2])
+        sections = channel_sections(moved, setup.channels)
         return replace(
             parts,
             channels=channel_table(sections),
@@ -110,3 +124,19 @@ class PartsCache:
             sections=sections,
             clock=1.0 + rig.clock_error,
         )
+
+
+def _alike(rig: Rig, other: Rig) -> bool:
+    """Whether two rigs have the same local elements but for numbers of the nonlinear ones."""
+    if len(rig.local_elements) != len(other.local_elements):
+        return False
+    return all(
+        a is b
+        or (
+            a.kind == b.kind
+            and a.kind not in ("linear_spring", "linear_damper")
+            and (a.point, a.other_point, a.rotation, a.side) == (b.point, b.other_point, b.rotation, b.side)
+            and getattr(a, "remaining_stiffness_n_m", 0.0) == getattr(b, "remaining_stiffness_n_m", 0.0)
+        )
+        for a, b in zip(rig.local_elements, other.local_elements, strict=True)
+    )

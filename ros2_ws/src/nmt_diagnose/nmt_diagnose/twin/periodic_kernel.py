@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.twin.linear_model import ComplexArray, transfer_at
+from nmt_diagnose.twin.linear_model import ComplexArray, response_at, transfer_at
 from nmt_rig.model.aft import LocalTables, local_forces
 
 # What is given besides the phase: ln of the drive's amplitude, or ln of the fundamental of one channel.
@@ -315,3 +315,79 @@ def newton(
         if done and error < 1e-12:
             return True, z, jacobian, measured, slopes
     return False, z, jacobian, measured, slopes
+
+
+@njit(cache=True)
+def residuals(
+    z: FloatArray,
+    given: int,
+    given_log: FloatArray,
+    phase: FloatArray,
+    force_channel: int,
+    response_channel: int,
+    response_power: int,
+    drive: ComplexArray,
+    poles: ComplexArray,
+    displacement_rows: ComplexArray,
+    velocity_rows: ComplexArray,
+    acceleration_rows: ComplexArray,
+    inputs: ComplexArray,
+    feedthrough: ComplexArray,
+    channels: FloatArray,
+    factor: FloatArray,
+    tables: LocalTables,
+) -> tuple[FloatArray, ComplexArray]:
+    """Residuals (levels, nz) and channels (levels, c, n_orders) of several levels of one rig, without derivatives.
+
+    The arguments are those of ``evaluate``; ``z``, ``given_log``, ``phase`` and ``drive`` have an entry for each level.
+    """
+    orders, offsets = tables[0], tables[1]
+    count = orders.size
+    r = inputs.shape[1] - 1
+    c = channels.shape[0]
+    size = offsets[count - 1] + 2
+    local = r * size
+    elements = tables[4].size - 1
+    levels = z.shape[0]
+    residual = np.zeros((levels, local + 2))
+    measured = np.zeros((levels, c, count), dtype=np.complex128)
+    g = np.zeros((r, size))
+    for level in range(levels):
+        omega = z[level, local]
+        amplitude = np.exp(z[level, local + 1])
+        displacement = z[level, :local].copy().reshape(r, size)
+        g[:elements] = local_forces(displacement[:elements], omega, tables)[0]
+        if r > elements:
+            g[elements:] = factor_forces(
+                displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables[10], tables[11]
+            )[0]
+        for n in range(count):
+            order = orders[n]
+            offset = offsets[n]
+            s = 1j * order * omega
+            transfer = response_at(s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough)
+            u = amplitude * drive[level, n]
+            for o in range(r + c):
+                value = transfer[o, r] * u
+                for j in range(r):
+                    if order == 0:
+                        value -= transfer[o, j] * g[j, offset]
+                    else:
+                        value -= transfer[o, j] * (g[j, offset] - 1j * g[j, offset + 1])
+                if o < r:
+                    row = o * size + offset
+                    residual[level, row] = z[level, row] - value.real
+                    if order > 0:
+                        residual[level, row + 1] = z[level, row + 1] + value.imag
+                else:
+                    k = o - r
+                    gain, _ = sensor_gain(s, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])
+                    measured[level, k, n] = gain * value
+        product = measured[level, force_channel, 1] * np.conj(measured[level, response_channel, 1])
+        angle = np.angle(product) - 0.5 * np.pi * response_power - phase[level]
+        residual[level, local] = angle - 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
+        if given == DRIVE_GIVEN:
+            residual[level, local + 1] = z[level, local + 1] - given_log[level]
+        else:
+            residual[level, local + 1] = np.log(np.abs(measured[level, given, 1])) - given_log[level]
+    return residual, measured

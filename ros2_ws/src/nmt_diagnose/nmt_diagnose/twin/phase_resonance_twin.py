@@ -16,8 +16,15 @@ from nmt_diagnose.evidence.observables import Part, Rows
 from nmt_diagnose.twin.converter import recorded_harmonics
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.periodic_kernel import DRIVE_GIVEN, evaluate, factor_forces, newton, sensor_gain
-from nmt_diagnose.twin.rig_parts import RigParts
+from nmt_diagnose.twin.periodic_kernel import (
+    DRIVE_GIVEN,
+    evaluate,
+    factor_forces,
+    newton,
+    residuals,
+    sensor_gain,
+)
+from nmt_diagnose.twin.rig_parts import IDLE, RigParts
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.model.aft import local_forces
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -50,6 +57,23 @@ class PeriodicState:
     def omega(self) -> float:
         """True angular frequency, rad/s."""
         return float(self.z[-2])
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Solved levels with what a small change of the rig does to them, by the implicit function theorem.
+
+    Attributes:
+        states: of all levels.
+        solved: positions of the levels with a solution.
+        inverse: inverse Jacobians of their residuals, (solved, nz, nz).
+        slopes: derivatives of their channels by their unknowns, (solved, c, n_orders, nz).
+    """
+
+    states: tuple[PeriodicState | None, ...]
+    solved: tuple[int, ...]
+    inverse: FloatArray
+    slopes: ComplexArray
 
 
 @dataclass(frozen=True)
@@ -401,23 +425,111 @@ class PhaseResonanceTwin:
             result.append(PeriodicState(z + step, parts.keys, state.drive, channels + slopes @ step))
         return result
 
+    def tangent(self, rig: Rig, cache: PartsCache, states: tuple[PeriodicState | None, ...]) -> Tangent | None:
+        """What ``advanced`` needs of solved levels; None where they do not share their coordinates."""
+        solved = tuple(position for position, state in enumerate(states) if state is not None)
+        inverse, slopes, keys = [], [], set()
+        for position in solved:
+            state, level = states[position], self.levels[position]
+            assert state is not None
+            parts = self.parts(rig, cache, level)
+            keys |= {state.keys, parts.keys}
+            if len(keys) > 1:
+                return None
+            _, jacobian, _, slope = self.linearised(parts, level, state.z)
+            scale = self._scale(parts, state.z)
+            try:
+                inverse.append(scale[:, None] * np.linalg.inv(jacobian * scale))
+            except np.linalg.LinAlgError:
+                return None
+            slopes.append(slope)
+        return Tangent(states, solved, np.array(inverse), np.array(slopes)) if solved else None
+
+    def advanced(self, rig: Rig, cache: PartsCache, tangent: Tangent) -> list[PeriodicState | None] | None:
+        """Solutions of a slightly different rig by one step with the Jacobian of the rig that was solved.
+
+        A coordinate that the solved rig lacks has a force of the order of the change; to first order it moves as the
+        others make it and what its force does is in the residuals of the others. None where a coordinate is missing.
+        """
+        result: list[PeriodicState | None] = [None] * len(self.levels)
+        groups: dict[int, tuple[RigParts, list[int]]] = {}
+        for number, position in enumerate(tangent.solved):
+            parts = self.parts(rig, cache, self.levels[position])
+            groups.setdefault(id(parts), (parts, []))[1].append(number)
+        for parts, numbers in groups.values():
+            states = [tangent.states[tangent.solved[number]] for number in numbers]
+            levels = [self.levels[tangent.solved[number]] for number in numbers]
+            z, own, kept = self._transferred(parts, levels, [state for state in states if state is not None])
+            if kept is None:
+                return None
+            residual, measured = self._residuals(parts, levels, z)
+            known = np.zeros((len(numbers), tangent.inverse.shape[1]))
+            known[:, kept] = residual[:, own]
+            steps = -np.einsum("lab,lb->la", tangent.inverse[numbers], known)
+            channels = measured + np.einsum("lcnb,lb->lcn", tangent.slopes[numbers], steps)
+            z[:, own] += steps[:, kept]
+            for k, number in enumerate(numbers):
+                state = states[k]
+                assert state is not None
+                result[tangent.solved[number]] = PeriodicState(z[k], parts.keys, state.drive, channels[k])
+        return result
+
+    def _transferred(
+        self, parts: RigParts, levels: list[LevelProblem], states: list[PeriodicState]
+    ) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64] | None]:
+        """Unknowns of several levels on the coordinates of ``parts``, and which of them are which of the states'.
+
+        Returns:
+            (levels, nz), positions in it and in the states' unknowns of those that both have; None for the latter
+            where a coordinate with a force is missing.
+        """
+        old, size = states[0].keys, self.basis.size
+        before = np.array([state.z for state in states])
+        every = np.arange(before.shape[1])
+        if old == parts.keys:
+            return before, every, every
+        z = np.zeros((len(states), parts.coordinates * size + 2))
+        blocks = {key: np.arange(i * size, (i + 1) * size) for i, key in enumerate(parts.keys)}
+        shared = [(i, key) for i, key in enumerate(old) if key in blocks]
+        if any(key not in blocks and key != IDLE for key in old):
+            return z, every, None
+        ends = np.array([-2, -1])
+        own = np.concatenate([*(blocks[key] for _, key in shared), z.shape[1] + ends])
+        kept = np.concatenate([*(np.arange(i * size, (i + 1) * size) for i, _ in shared), before.shape[1] + ends])
+        z[:, own] = before[:, kept]
+        fresh = np.setdiff1d(np.arange(z.shape[1]), own)
+        z[:, fresh] = -self._residuals(parts, levels, z)[0][:, fresh]
+        return z, own, kept
+
+    def _residuals(self, parts: RigParts, levels: list[LevelProblem], z: FloatArray) -> tuple[FloatArray, ComplexArray]:
+        """Residuals (levels, nz) and channels (levels, c, n_orders) of several levels of one rig."""
+        each = [self._arguments(parts, level, level.amplitude) for level in levels]
+        given, force, response, power = each[0][0], *each[0][3:6]
+        logs, phases, drives = (np.array([own[k] for own in each]) for k in (1, 2, 6))
+        result: tuple[FloatArray, ComplexArray] = residuals(
+            z, given, logs, phases, force, response, power, drives, *each[0][7:]
+        )
+        return result
+
     def values(self, rig: Rig, cache: PartsCache, states: list[PeriodicState | None]) -> FloatArray:
         """Observables of the test's rows; NaN where a level has no solution."""
         count = len(self.levels)
         omega = np.full(count, np.nan)
         recorded = np.full((count, len(self.channels), self.basis.orders.size), np.nan, dtype=np.complex128)
         parts = self.parts(rig, cache, self.levels[0]) if count else None
-        for position, state in enumerate(states):
-            if state is None or parts is None:
-                continue
-            omega[position] = state.omega
-            channels = state.channels
+        solved = [(position, state) for position, state in enumerate(states) if state is not None]
+        if parts is not None and solved:
+            positions = [position for position, _ in solved]
+            omega[positions] = [state.omega for _, state in solved]
+            channels = np.array([state.channels for _, state in solved])
             if math.isfinite(parts.saturation) and self._voltages:
                 # The voltage is recorded before the amplifier.
-                channels = channels.copy()
-                channels[self._voltages] = 0.0
-                channels[self._voltages, self.basis.fundamental] = state.drive * parts.channels[self._voltages, 0]
-            recorded[position] = recorded_harmonics(channels[self._own], parts.limits[self._own], self.basis)
+                channels[:, self._voltages] = 0.0
+                drives = np.array([state.drive for _, state in solved])
+                gains = parts.channels[self._voltages, 0]
+                channels[:, self._voltages, self.basis.fundamental] = np.outer(drives, gains)
+            own = channels[:, self._own]
+            recorded[positions] = recorded_harmonics(own, parts.limits[self._own], self.basis)
         if self.ideal_force:
             # Without a known drive the phases refer to the measured force.
             turn = np.angle(recorded[:, self.force, self.basis.fundamental])

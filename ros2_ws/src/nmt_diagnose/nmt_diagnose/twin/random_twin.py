@@ -79,61 +79,67 @@ class RandomTwin:
     def responses(self, rig: Rig, cache: PartsCache) -> ComplexArray:
         """Expected estimates (lines, channels)."""
         parts = cache.parts(rig, self.setup, self.seconds)
-        result = self._smoothed(parts, self.frequencies)
+        fractions = parts.linear.partial_fractions(
+            np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
+        )
+        result = self._smoothed(parts, self.frequencies, fractions)
         rate = self.test.drive_hold_hz
         if math.isinf(rate) or self.test.reference != "voltage":
             return result
         lines = self.test.lines_hz
-        return np.asarray(np.sinc(lines / rate)[:, None] ** 2 * result + self._images(parts, lines, rate))
+        return np.asarray(np.sinc(lines / rate)[:, None] ** 2 * result + self._images(parts, lines, rate, fractions))
 
-    def _images(self, parts: RigParts, lines: FloatArray, rate: float) -> ComplexArray:
+    def _images(
+        self, parts: RigParts, lines: FloatArray, rate: float, fractions: tuple[FloatArray, ...]
+    ) -> ComplexArray:
         """What images of the drive around multiples of its rate fold onto the lines (lines, channels).
 
         Far above the lines the responses are smooth: a few frequencies and a polynomial between them do.
         """
         low, high = float(lines.min()), float(lines.max())
         nodes = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(np.pi * (np.arange(IMAGE_NODES) + 0.5) / IMAGE_NODES)
-        total = np.zeros((IMAGE_NODES, len(self.test.channels)), dtype=np.complex128)
         # The sensors of a rig whose drive is held act on samples, that is on what has been folded down already.
         ideal = parts.channels[self._own].copy()
         ideal[:, 1:] = 0.0
-        for order in IMAGES:
-            place = nodes + order * rate
-            values = self._plain(parts, np.ascontiguousarray(np.abs(place)), ideal)[:, :-1]
-            values = np.where(place[:, None] > 0.0, values, np.conj(values))
-            total += np.sinc(place / rate)[:, None] ** 2 * values
-        for position, row in enumerate(self._own[:-1]):
-            for k, node in enumerate(nodes):
-                chain = self.gain(parts, int(row), 2j * np.pi * node * parts.clock)
-                total[k, position] *= chain / parts.channels[row, 0]
+        place = nodes + np.array(IMAGES)[:, None] * rate
+        values = self._plain(parts, np.abs(place).ravel(), fractions, ideal)[:, :-1].reshape(*place.shape, -1)
+        values = np.where(place[..., None] > 0.0, values, np.conj(values))
+        total = np.einsum("ok,okc->kc", np.sinc(place / rate) ** 2, values)
+        total *= sensor_gains(nodes * parts.clock, parts.channels[self._own[:-1]]) / parts.channels[self._own[:-1], 0]
         basis = np.polynomial.chebyshev.chebvander((2.0 * nodes - low - high) / max(high - low, 1e-9), IMAGE_NODES - 1)
         at = np.polynomial.chebyshev.chebvander((2.0 * lines - low - high) / max(high - low, 1e-9), IMAGE_NODES - 1)
         return np.asarray(at @ np.linalg.solve(basis, total))
 
-    def _smoothed(self, parts: RigParts, frequencies: FloatArray) -> ComplexArray:
+    def _smoothed(self, parts: RigParts, frequencies: FloatArray, fractions: tuple[FloatArray, ...]) -> ComplexArray:
         """Responses over the reference, as the estimator's window mixes neighbouring lines (lines, channels)."""
-        h = self._plain(parts, frequencies)
+        h = self._plain(parts, frequencies, fractions)
         reference = h[:, -1]
         cross = (h[:, :-1] * np.conj(reference)[:, None])[self.index]
         power = (np.abs(reference) ** 2)[self.index]
         result: ComplexArray = np.einsum("k,lkc->lc", self.weights, cross) / (power @ self.weights)[:, None]
         return result
 
-    def _plain(self, parts: RigParts, frequencies: FloatArray, chains: FloatArray | None = None) -> ComplexArray:
+    def _plain(
+        self,
+        parts: RigParts,
+        frequencies: FloatArray,
+        fractions: tuple[FloatArray, ...],
+        chains: FloatArray | None = None,
+    ) -> ComplexArray:
         """Responses to the drive at some frequencies (frequencies, channels and reference).
 
-        ``chains`` are the sensor chains; None = those of the rig.
+        ``fractions`` are the partial fractions of the local coordinates and of the channels, ``chains`` the sensor
+        chains; None = those of the rig.
         """
         r = parts.coordinates
         stiffness = resting_tangent(parts, 0j).real.copy()
         damping = resting_tangent(parts, 1.0 + 0j).real - stiffness
-        rows = np.concatenate((np.arange(r), r + self._own))
         h = linear_responses(
             2.0 * np.pi * frequencies * parts.clock,
             r,
             stiffness,
             damping,
-            *parts.linear.partial_fractions(rows),
+            *fractions,
             parts.channels[self._own] if chains is None else chains,
         )
         h *= parts.input_per_volt
@@ -166,6 +172,17 @@ def amplifier_gain(rms: float, saturation: float) -> float:
     nodes, weights = np.polynomial.hermite_e.hermegauss(40)
     slope = 1.0 / np.cosh(rms * nodes / saturation) ** 2
     return float(weights @ slope / weights.sum())
+
+
+@njit(cache=True)
+def sensor_gains(frequencies: FloatArray, channels: FloatArray) -> ComplexArray:
+    """Complex gains (frequencies, c) of sensor chains (c, 4) at frequencies in Hz."""
+    result = np.empty((frequencies.size, channels.shape[0]), dtype=np.complex128)
+    for line in range(frequencies.size):
+        s = 2j * np.pi * frequencies[line]
+        for k in range(channels.shape[0]):
+            result[line, k], _ = sensor_gain(s, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])
+    return result
 
 
 @njit(cache=True)

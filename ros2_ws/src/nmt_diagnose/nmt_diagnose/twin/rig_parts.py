@@ -13,7 +13,7 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.modal_calibration import with_stiffness
 from nmt_diagnose.evidence.conditions import MeasuredChannel
-from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model
+from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model, moved_model
 from nmt_diagnose.twin.local_tables import local_tables
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.model.aft import LocalTables
@@ -26,6 +26,7 @@ from nmt_rig.model.assembly import (
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements import LinearDamper, LinearSpring, LocalElement
 from nmt_rig.model.shaking_table import driven_by_force
+from nmt_rig.model.structure import Structure
 from nmt_rig.rig import (
     AnyExciter,
     BeamSection,
@@ -48,7 +49,7 @@ from nmt_rig.rig_model import (
 COVERED = frozenset(
     {
         "jenkins", "iwan", "cubic_spring", "quintic_spring", "quadratic_spring", "unilateral_stop", "two_sided_gap",
-        "quadratic_drag", "linear_spring", "linear_damper", "tanh_friction",
+        "quadratic_drag", "amplitude_damper", "power_law_damper", "linear_spring", "linear_damper", "tanh_friction",
     }
 )  # fmt: skip
 _OUTPUTS = {
@@ -56,6 +57,7 @@ _OUTPUTS = {
     Quantity.VELOCITY: velocity_output,
     Quantity.ACCELERATION: acceleration_output,
 }
+IDLE = "idle"  # key of the coordinate of a rig without local forces
 # Channel table, one row per channel: see ``channel_table``.
 GAIN, DELAY, LOW_PASS, HIGH_PASS = range(4)
 
@@ -84,6 +86,7 @@ class RigParts:
         inputs: (n, r + 1) input vectors.
         rows: outputs.
         keys: identity of each coordinate, to carry solutions over to another rig.
+        structure: the structure alone.
     """
 
     linear: LinearModel
@@ -101,6 +104,7 @@ class RigParts:
     inputs: FloatArray
     rows: OutputRows
     keys: tuple[str, ...]
+    structure: Structure
 
 
 def with_exciter_at(rig: Rig, point: int) -> Rig:
@@ -131,6 +135,7 @@ def rig_parts(
     seconds: float = 0.0,
     cycles: float = 0.0,
     ideal_force: bool = False,
+    near: RigParts | None = None,
 ) -> RigParts:
     """Take a rig apart, as it is ``seconds`` and ``cycles`` after the start of a test.
 
@@ -141,58 +146,33 @@ def rig_parts(
         settings: reduction and mesh.
         seconds, cycles: bench time and drive periods for the drift of slip forces and stiffness.
         ideal_force: leave out the exciter; the input is the force on the structure, N.
+        near: parts of a rig from which this one differs by an infinitesimal step: its poles are followed; None = found.
 
     Raises:
         BenchError: the rig has something the twin does not cover.
     """
     rig = _prepared(rig, settings, seconds, ideal_force, channels)
     bare = rig.model_copy(update={"local_elements": []})
-    system = build_system(bare)
+    structure = build_structure(bare)
+    system = build_system(bare, structure)
     forced = ideal_force and isinstance(rig.exciter, ShakingTableSection)
     if forced:
         system = driven_by_force(system)
     size = system.size
-    slip = (1.0 + rig.drift.slip_force_per_s * seconds) * (1.0 + rig.drift.slip_force_per_cycle * cycles)
-    slip = max(slip, 1e-6)
 
-    structure = build_structure(bare) if rig.local_elements else None
     stiffness, damping = system.stiffness, system.damping
     force_displacement, force_velocity, force_acceleration = _force_rows(system)
-    # Elements by the coordinate they act on; keys name coordinates across meshes and rigs.
-    inside: dict[str, list[LocalElement]] = {}
-    outside: dict[str, list[LocalElement]] = {}
-    for section in rig.local_elements:
-        if section.kind not in COVERED:
-            raise BenchError(
-                f"the diagnosis' model does not cover local element {section.kind}; leave it out of the model."
-            )
-        assert structure is not None
-        behind = section.side == "exciter"
-        # A moment is no part of the lateral force that the sensor measures.
-        measured = behind and not section.rotation
-        build = build_exciter_elements if behind else build_elements
-        for element in build(rig.model_copy(update={"local_elements": [section]}), structure):
-            direction = np.zeros(size)
-            direction[: element.direction.shape[0]] = element.direction
-            if isinstance(element, LinearSpring | LinearDamper):
-                outer = np.outer(direction, direction)
-                stiffness = stiffness + element.linear_stiffness * outer
-                damping = damping + element.linear_damping * outer
-                if measured:
-                    force_displacement = force_displacement - element.linear_stiffness * direction
-                    force_velocity = force_velocity - element.linear_damping * direction
-                continue
-            if slip != 1.0 and hasattr(element, "slip_force"):
-                element = replace(element, slip_force=element.slip_force * slip)  # type: ignore[call-arg]
-            key = f"{section.point} {section.other_point} {section.rotation} {measured}"
-            (outside if measured else inside).setdefault(key, []).append(element.along(direction))
+    local = _local_elements(rig, structure, size, seconds, cycles)
+    for element, measured in local.linear:
+        outer = np.outer(element.direction, element.direction)
+        stiffness = stiffness + element.linear_stiffness * outer
+        damping = damping + element.linear_damping * outer
+        if measured:
+            force_displacement = force_displacement - element.linear_stiffness * element.direction
+            force_velocity = force_velocity - element.linear_damping * element.direction
     system = replace(system, stiffness=stiffness, damping=damping)
 
-    groups = {**inside, **outside}
-    first_outside = len(inside)
-    if not groups:
-        # One coordinate without force keeps the kernels free of special cases.
-        groups, first_outside = {"idle": []}, 1
+    groups, first_outside = local.groups, local.first_outside
     tables = local_tables(list(groups.values()), basis, settings.samples)
     drive = system.selector(system.drive_point)
     directions = np.array([group[0].direction if group else drive for group in groups.values()])
@@ -230,8 +210,9 @@ def rig_parts(
             )
         )
     rows = OutputRows(*(np.array([row[i] for row in outputs]) for i in range(4)))
+    linear = None if near is None else moved_model(near.linear, near.system, system, inputs, rows)
     return RigParts(
-        linear=linear_model(system, inputs, rows, settings.kept_modes, settings.full_size),
+        linear=linear or linear_model(system, inputs, rows, settings.kept_modes, settings.full_size),
         tables=tables,
         coordinates=r,
         force_factor=factor,
@@ -246,7 +227,62 @@ def rig_parts(
         inputs=inputs,
         rows=rows,
         keys=tuple(keys),
+        structure=structure,
     )
+
+
+def with_elements_of(
+    parts: RigParts, rig: Rig, settings: TwinSettings, seconds: float = 0.0, cycles: float = 0.0
+) -> RigParts:
+    """Parts of a rig that differs from that of ``parts`` in numbers of its nonlinear elements or their drift only."""
+    local = _local_elements(rig, parts.structure, parts.system.size, seconds, cycles)
+    return replace(parts, tables=local_tables(list(local.groups.values()), parts.basis, settings.samples))
+
+
+@dataclass(frozen=True)
+class _Local:
+    """Local elements of a rig.
+
+    Attributes:
+        groups: nonlinear elements by the coordinate they act on; keys name coordinates across meshes and rigs.
+        first_outside: number of the first coordinate on the exciter's side.
+        linear: springs and dampers, and whether the force sensor measures them.
+    """
+
+    groups: dict[str, list[LocalElement]]
+    first_outside: int
+    linear: list[tuple[LocalElement, bool]]
+
+
+def _local_elements(rig: Rig, structure: Structure, size: int, seconds: float, cycles: float) -> _Local:
+    slip = (1.0 + rig.drift.slip_force_per_s * seconds) * (1.0 + rig.drift.slip_force_per_cycle * cycles)
+    slip = max(slip, 1e-6)
+    inside: dict[str, list[LocalElement]] = {}
+    outside: dict[str, list[LocalElement]] = {}
+    linear: list[tuple[LocalElement, bool]] = []
+    for section in rig.local_elements:
+        if section.kind not in COVERED:
+            raise BenchError(
+                f"the diagnosis' model does not cover local element {section.kind}; leave it out of the model."
+            )
+        behind = section.side == "exciter"
+        # A moment is no part of the lateral force that the sensor measures.
+        measured = behind and not section.rotation
+        build = build_exciter_elements if behind else build_elements
+        for element in build(rig.model_copy(update={"local_elements": [section]}), structure):
+            direction = np.zeros(size)
+            direction[: element.direction.shape[0]] = element.direction
+            if isinstance(element, LinearSpring | LinearDamper):
+                linear.append((element.along(direction), measured))
+                continue
+            if slip != 1.0 and hasattr(element, "slip_force"):
+                element = replace(element, slip_force=element.slip_force * slip)  # type: ignore[call-arg]
+            key = f"{section.point} {section.other_point} {section.rotation} {measured}"
+            (outside if measured else inside).setdefault(key, []).append(element.along(direction))
+    if not inside and not outside:
+        # One coordinate without force keeps the kernels free of special cases.
+        return _Local({IDLE: []}, 1, linear)
+    return _Local({**inside, **outside}, len(inside), linear)
 
 
 def _prepared(
@@ -323,11 +359,10 @@ def _force_rows(system: ElectromechanicalSystem) -> tuple[FloatArray, FloatArray
     )
 
 
-def _sensor(rig: Rig, channel: MeasuredChannel) -> SensorSection | None:
+def _sensor(rig: Rig, channel: MeasuredChannel, named: dict[str, SensorSection]) -> SensorSection | None:
     """The rig's sensor of a channel: by name, else by quantity and point."""
-    for sensor in rig.sensors:
-        if rig.sensor_channel(sensor) == channel.name:
-            return sensor
+    if channel.name in named:
+        return named[channel.name]
     for sensor in rig.sensors:
         if Quantity[sensor.quantity.upper()] == channel.quantity and (
             channel.quantity == Quantity.FORCE or rig.sensor_point(sensor) == channel.point
@@ -338,7 +373,8 @@ def _sensor(rig: Rig, channel: MeasuredChannel) -> SensorSection | None:
 
 def channel_sections(rig: Rig, channels: Sequence[MeasuredChannel]) -> tuple[SensorSection | None, ...]:
     """The rig's sensor of each channel; None where it has none."""
-    return tuple(_sensor(rig, channel) for channel in channels)
+    named = {rig.sensor_channel(sensor): sensor for sensor in rig.sensors}
+    return tuple(_sensor(rig, channel, named) for channel in channels)
 
 
 def channel_table(sections: Sequence[SensorSection | None]) -> FloatArray:

@@ -10,21 +10,25 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.conditions import RingDownTest
 from nmt_diagnose.evidence.observables import Part, Rows
 from nmt_diagnose.twin.decay_kernel import evaluate_decay
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.periodic_kernel import sensor_gain
+from nmt_diagnose.twin.periodic_kernel import harmonic_forces, sensor_gain
 from nmt_diagnose.twin.phase_resonance_twin import resting_tangent
 from nmt_diagnose.twin.rig_parts import RigParts
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
+ComplexArray = NDArray[np.complex128]
 DecayState = tuple[FloatArray, tuple[str, ...], float]
 LARGEST_STEP = 0.05
+_OFF_POLE = 1e-8
+_DEEPEST = 3
 
 
 class RingDownTwin:
@@ -38,13 +42,14 @@ class RingDownTwin:
 
     def __init__(self, test: RingDownTest, rows: Rows, settings: TwinSettings) -> None:
         self.test, self.rows, self.settings = test, rows, settings
-        self.channels = (test.channel,)
+        self.channels = test.channels
         self.use(Setup(test.drive_point, False, self.channels, FourierBasis.up_to(settings.harmonics)))
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""
         self.setup = setup
-        self._own = setup.index(self.channels)[0]
+        self._places = setup.index(self.channels)
+        self._own = self._places[0]
 
     def solve(self, rig: Rig, cache: PartsCache, start: tuple[DecayState | None, ...] | None) -> list[Any]:
         """One state per amplitude; None where there is no solution."""
@@ -54,8 +59,7 @@ class RingDownTwin:
         for position in np.argsort(self.test.amplitudes, kind="stable"):
             amplitude = float(self.test.amplitudes[position])
             for guess in (None if start is None else start[position], last, None):
-                z = self._linear_start(parts, amplitude) if guess is None else self._carried(parts, guess, amplitude)
-                states[position] = self._newton(parts, z, amplitude)
+                states[position] = self._continued(parts, guess, amplitude)
                 if states[position] is not None:
                     break
             last = states[position] or last
@@ -71,7 +75,33 @@ class RingDownTwin:
         for kind, values in ((Part.LOG_FREQUENCY, log_omega), (Part.DAMPING, ratio)):
             which = self.rows.part == kind
             result[which] = values[self.rows.level[which]]
+        shape = np.isin(self.rows.part, (Part.LOG_MAGNITUDE, Part.PHASE))
+        if shape.any():
+            size = len(self.channels)
+            over_own = np.array([np.full(size, np.nan) if s is None else self._shape(parts, s) for s in states])
+            picked = over_own[self.rows.level[shape], self.rows.channel[shape]]
+            log_size = np.log(np.abs(picked) * self.test.amplitudes[self.rows.level[shape]])
+            result[shape] = np.where(self.rows.part[shape] == Part.PHASE, np.angle(picked), log_size)
         return result
+
+    def _shape(self, parts: RigParts, state: DecayState) -> ComplexArray:
+        """Fundamentals of all channels over that of the first one, with their sensors, (channels,)."""
+        r, basis = parts.coordinates, self.setup.basis
+        z = state[0].copy()
+        z[-2] *= 1.0 + _OFF_POLE
+        displacement = z[:-2].reshape(r, basis.size)
+        force, _, _ = harmonic_forces(displacement, z[-2], parts.force_factor, parts.tables)
+        offset = int(basis.offsets[basis.fundamental])
+        local = force[:, offset] - 1j * force[:, offset + 1]
+        t, _ = parts.linear.at(z[-2] * (1j - z[-1]))
+        rows = r + np.asarray(self._places)
+        gain, _ = sensor_gain(1j * z[-2], *parts.channels[self._own])
+        own = r + self._own
+        drive = (state[2] / abs(gain) + t[own, :r] @ local) / t[own, r]
+        motion = t[rows, r] * drive - t[rows, :r] @ local
+        gains = np.array([sensor_gain(1j * z[-2], *parts.channels[place])[0] for place in self._places])
+        seen = motion * gains
+        return np.asarray(seen / seen[0])
 
     def stepped(self, rig: Rig, cache: PartsCache, states: tuple[DecayState | None, ...]) -> list[DecayState | None]:
         """Solutions of a slightly different rig by one Newton step."""
@@ -83,7 +113,7 @@ class RingDownTwin:
                 continue
             z = self._carried(parts, state, state[2])
             # Not at the pole of the linear system itself, where transfer functions are infinite.
-            z[-2] *= 1.0 + 1e-8
+            z[-2] *= 1.0 + _OFF_POLE
             residual, jacobian = evaluate_decay(z, *self._arguments(parts, z, state[2]))
             result.append((z - self._solved(jacobian, residual, z), parts.keys, state[2]))
         return result
@@ -91,7 +121,7 @@ class RingDownTwin:
     def _observed_ratio(self, parts: RigParts, state: DecayState) -> float:
         """Damping ratio with the change of frequency over amplitude, for the amplitude of the channel itself."""
         z, amplitude = state[0].copy(), state[2]
-        z[-2] *= 1.0 + 1e-8
+        z[-2] *= 1.0 + _OFF_POLE
         arguments = self._arguments(parts, z, amplitude)
         residual, jacobian = evaluate_decay(z, *arguments)
         step = 1e-5
@@ -127,6 +157,17 @@ class RingDownTwin:
         result: FloatArray = scale * np.linalg.solve(jacobian * scale * rows[:, None], residual * rows)
         return result
 
+    def _continued(
+        self, parts: RigParts, guess: DecayState | None, amplitude: float, depth: int = _DEEPEST
+    ) -> DecayState | None:
+        """Solution from a similar one, by way of amplitudes between the two where Newton's method does not reach it."""
+        z = self._linear_start(parts, amplitude) if guess is None else self._carried(parts, guess, amplitude)
+        found = self._newton(parts, z, amplitude)
+        if found is not None or guess is None or depth == 0 or amplitude == guess[2]:
+            return found
+        between = self._continued(parts, guess, math.sqrt(amplitude * guess[2]), depth - 1)
+        return None if between is None else self._continued(parts, between, amplitude, depth - 1)
+
     def _newton(self, parts: RigParts, z: FloatArray, amplitude: float) -> DecayState | None:
         arguments = self._arguments(parts, z, amplitude)
         first = z[-2]
@@ -153,7 +194,7 @@ class RingDownTwin:
     def _linear_start(self, parts: RigParts, amplitude: float) -> FloatArray:
         """Pole of the system at rest nearest to the frequency of the switch-off, and its shape."""
         r, basis = parts.coordinates, self.setup.basis
-        s = 2j * np.pi * self.test.start_frequency_hz * parts.clock
+        s = 2j * np.pi * self.test.frequency_hz * parts.clock
         model = parts.linear
         output = r + self._own
         # Not at the pole itself: without tangents at rest it is one of the transfer functions too.
@@ -197,6 +238,8 @@ class RingDownTwin:
             else:
                 fresh.append(i)
         if fresh:
+            # A state of the linear system may be its pole to the last bit.
+            z[-2] *= 1.0 + _OFF_POLE
             residual = evaluate_decay(z, *self._arguments(parts, z, amplitude))[0]
             for i in fresh:
                 z[i * size : (i + 1) * size] = -residual[i * size : (i + 1) * size]

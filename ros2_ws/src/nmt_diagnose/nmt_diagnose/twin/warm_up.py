@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from nmt_core.blocks import Quantity
+from nmt_diagnose.effects.calibration import calibration_parameters
+from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.evidence.conditions import (
     LockedLevel,
     MeasuredChannel,
@@ -12,6 +14,7 @@ from nmt_diagnose.evidence.conditions import (
     RandomTest,
     RecordTest,
     RingDownTest,
+    SteppedSineTest,
     Test,
 )
 from nmt_diagnose.evidence.observables import Part, Rows
@@ -20,7 +23,7 @@ from nmt_rig.rig import Rig
 
 
 def warm_up_twin(rig: Rig) -> None:
-    """Predict one test of each kind for a rig; a level without a solution does not matter."""
+    """Predict one test of each kind for a rig, and its sensitivities; a level without a solution does not matter."""
     point = rig.drive_point
     force = MeasuredChannel("f", Quantity.FORCE, point)
     response = MeasuredChannel("x", Quantity.DISPLACEMENT, point)
@@ -34,8 +37,14 @@ def warm_up_twin(rig: Rig) -> None:
             "record", point, 1000.0, MeasuredChannel("u", Quantity.VOLTAGE, 0), np.ones(8), (response,),
             np.array([0.0, 8.0]),
         ),
+        SteppedSineTest(
+            "stepped", point, (response,), "force", "force", np.array([20.0]), np.array([0.1]),
+            np.array([[1e-4 + 0j]]), np.array([0.01]),
+        ),
     )  # fmt: skip
-    parts = (Part.LOG_FREQUENCY, Part.LOG_MAGNITUDE, Part.DAMPING, Part.SAMPLE)
-    zero, none = np.zeros(4, dtype=np.int64), np.zeros(4)
-    rows = Rows(np.arange(4), zero, zero, zero + 1, np.array([int(part) for part in parts]), none, none, none)
-    Forward(tests, rows).predict(rig)
+    parts = (Part.LOG_FREQUENCY, Part.LOG_MAGNITUDE, Part.DAMPING, Part.SAMPLE, Part.LOG_MAGNITUDE)
+    zero, none = np.zeros(len(parts), dtype=np.int64), np.zeros(len(parts))
+    rows = Rows(np.arange(len(parts)), zero, zero, zero + 1, np.array([int(part) for part in parts]), none, none, none)
+    forward = Forward(tests, rows)
+    parametrisation = Parametrisation(rig, calibration_parameters(rig)[:1])
+    forward.jacobian(parametrisation, parametrisation.zero, forward.predict(rig))

@@ -38,3 +38,69 @@
   });
   dialog.querySelector("button").addEventListener("click", function () { dialog.close(); });
 })();
+
+// Buttons below every figure save it as SVG, and its numbers as a table (CSV).
+(function () {
+  const columns = ["panel", "series", "x_name", "x", "y_name", "y", "x_low", "x_high", "y_low", "y_high", "value"];
+  const save = function (name, type, text) {
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([text], { type: type }));
+    link.download = name;
+    link.click();
+    setTimeout(function () { URL.revokeObjectURL(link.href); }, 1000);
+  };
+  const cell = function (value) {
+    const text = value === null || value === undefined ? "" : String(value);
+    return /[",\n]/.test(text) ? '"' + text.replace(/"/g, '""') + '"' : text;
+  };
+  const table = function (record) {
+    const lines = [columns.join(",")];
+    record.panels.forEach(function (panel) {
+      panel.series.forEach(function (series) {
+        const size = Math.max.apply(null, ["x", "y", "x_low", "y_low"].map(function (key) { return (series[key] || []).length; }));
+        for (let k = 0; k < size; k += 1) {
+          const fixed = { panel: panel.name, series: series.name, x_name: panel.x.name, y_name: panel.y.name };
+          lines.push(columns.map(function (key) { return cell(key in fixed ? fixed[key] : (series[key] || [])[k]); }).join(","));
+        }
+      });
+    });
+    return lines.join("\n") + "\n";
+  };
+  const numbers = async function (element) {
+    const letters = element.textContent.trim().replace(/-/g, "+").replace(/_/g, "/");
+    const bytes = Uint8Array.from(atob(letters), function (letter) { return letter.charCodeAt(0); });
+    const plain = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+    return JSON.parse(await new Response(plain).text());
+  };
+  document.querySelectorAll("figure").forEach(function (figure) {
+    const plot = figure.querySelector("svg.plot");
+    const data = figure.querySelector('script[type="application/x-nmt-figure"]');
+    if (!plot || !data) { return; }
+    const bar = document.createElement("p");
+    bar.className = "save";
+    const add = function (label, hint, act) {
+      const button = document.createElement("button");
+      button.textContent = label;
+      button.title = hint;
+      button.addEventListener("click", act);
+      bar.append(button);
+    };
+    add("SVG", "Save this figure", function () {
+      save(figure.id + ".svg", "image/svg+xml", new XMLSerializer().serializeToString(plot));
+    });
+    if (window.DecompressionStream) {
+      add("CSV", "Save the numbers of this figure", async function () { save(figure.id + ".csv", "text/csv", table(await numbers(data))); });
+    }
+    figure.append(bar);
+  });
+})();
+
+// What is folded away on the screen is printed; afterwards it is folded again.
+(function () {
+  let opened = [];
+  window.addEventListener("beforeprint", function () {
+    opened = Array.from(document.querySelectorAll("details:not([open])"));
+    opened.forEach(function (element) { element.open = true; });
+  });
+  window.addEventListener("afterprint", function () { opened.forEach(function (element) { element.open = false; }); });
+})();

@@ -17,11 +17,13 @@ from numba import njit
 from nmt_core.errors import BenchError
 from nmt_rig.model.fourier_basis import FloatArray, FourierBasis, IntArray
 from nmt_rig.model.local_elements import (
+    AMPLITUDE_DAMPER,
     CUBIC_SPRING,
     JENKINS,
     LINEAR_DAMPER,
     LINEAR_SPRING,
     PARAMETER_COUNT,
+    POWER_LAW_DAMPER,
     QUADRATIC_DRAG,
     QUADRATIC_SPRING,
     QUINTIC_SPRING,
@@ -39,8 +41,9 @@ POLYNOMIAL_DEGREE = {
     QUADRATIC_SPRING: 2,
     CUBIC_SPRING: 3,
     QUINTIC_SPRING: 5,
+    AMPLITUDE_DAMPER: 3,
 }
-SMOOTH_SAMPLES = {QUADRATIC_DRAG: 1024, TANH_FRICTION: 2048}
+SMOOTH_SAMPLES = {QUADRATIC_DRAG: 1024, TANH_FRICTION: 2048, POWER_LAW_DAMPER: 2048}
 
 LocalTables: TypeAlias = tuple[
     IntArray,  # orders

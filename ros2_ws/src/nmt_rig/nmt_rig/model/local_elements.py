@@ -30,6 +30,8 @@ LINEAR_DAMPER = 9
 TANH_FRICTION = 10
 EDDY_BRAKE = 11
 BACKLASH_DAMPER = 12
+AMPLITUDE_DAMPER = 13
+POWER_LAW_DAMPER = 14
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -236,6 +238,43 @@ class BacklashDamper(LocalElement):
     must_not_be_negative: ClassVar[tuple[str, ...]] = ("damping", "gap")
 
 
+@dataclass(frozen=True)
+class AmplitudeDamper(LocalElement):
+    """g = c w² ẇ; damping that grows with the square of the amplitude, c in N s/m³.
+
+    The nonlinear term of the van der Pol equation; of its kind is the damping of large bending of slender beams
+    (Zaitsev et al., Nonlinear Dyn. 67 (2012) 859).
+    """
+
+    damping: float
+    kind: ClassVar[int] = AMPLITUDE_DAMPER
+
+
+@dataclass(frozen=True)
+class PowerLawDamper(LocalElement):
+    """g = c |ẇ|ᵖ sgn ẇ; coefficient c in N (s/m)ᵖ, exponent p ≥ 1 (Ruzicka and Derby 1971, section 2).
+
+    At p = 1 a linear damper, at p = 2 quadratic drag.
+
+    Raises:
+        ValueError: an exponent below 1, whose tangent at rest is infinite.
+    """
+
+    coefficient: float
+    exponent: float
+    kind: ClassVar[int] = POWER_LAW_DAMPER
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.exponent < 1.0:
+            raise ValueError(f"{type(self).__name__}: exponent must be at least 1, got {self.exponent}")
+
+    @property
+    def linear_damping(self) -> float:
+        """c where p = 1, else 0, N s/m."""
+        return float(self.coefficient) if self.exponent == 1.0 else 0.0
+
+
 @compiled
 def element_response(kind: int, p: Array, w: float, v: float, slider: float) -> tuple[float, float, float, float]:
     """Force and tangents of one element at relative displacement w (m) and velocity v (m/s).
@@ -293,6 +332,12 @@ def element_response(kind: int, p: Array, w: float, v: float, slider: float) -> 
         if e > 0.0 and stiffness > 0.0:
             return side * e * stiffness, stiffness, e * p[1], slider
         return 0.0, 0.0, 0.0, slider
+    if kind == 13:
+        return p[0] * w * w * v, 2.0 * p[0] * w * v, p[0] * w * w, slider
+    if kind == 14:
+        size = abs(v)
+        tangent = p[0] * size ** (p[1] - 1.0)
+        return tangent * v, 0.0, p[1] * tangent, slider
     return 0.0, 0.0, 0.0, slider
 
 

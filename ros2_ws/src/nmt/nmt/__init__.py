@@ -1,0 +1,78 @@
+"""Results and functions of the bench for analysts; no ROS needed.
+
+    import nmt
+
+    run = nmt.open("out/demo")
+    run.to_dataframe()
+    run.plot()
+
+:func:`open` reads the results folder of any command. The functions do what the commands of their names do and return
+objects; they print nothing and write nothing unless asked. Everything is loaded when it is asked for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from nmt_core.public_names import loaded
+
+if TYPE_CHECKING:
+    from nmt.opening import open
+    from nmt.results import DiagnosisResult, FrequencyResponses, LinearResult, ReferenceResult, Results, RunResults
+    from nmt_bench.data_import import import_data
+    from nmt_core.errors import BenchError
+    from nmt_diagnose.inference.diagnose import diagnose_bags as diagnose
+    from nmt_extract.linear_evaluation import evaluate_linear_test as linear
+    from nmt_extract.offline import extract_bag as extract
+    from nmt_extract.synthesised_responses import synthesise
+    from nmt_record.bag_reader import Bag
+    from nmt_report.figure_files import write_figures
+    from nmt_rig.reference import compute_reference as reference
+    from nmt_rig.rig import load_rig
+
+_HOMES = {
+    "Bag": "nmt_record.bag_reader",
+    "BenchError": "nmt_core.errors",
+    "DiagnosisResult": "nmt.results",
+    "FrequencyResponses": "nmt.results",
+    "LinearResult": "nmt.results",
+    "ReferenceResult": "nmt.results",
+    "Results": "nmt.results",
+    "RunResults": "nmt.results",
+    "diagnose": "nmt_diagnose.inference.diagnose:diagnose_bags",
+    "extract": "nmt_extract.offline:extract_bag",
+    "import_data": "nmt_bench.data_import",
+    "linear": "nmt_extract.linear_evaluation:evaluate_linear_test",
+    "load_rig": "nmt_rig.rig",
+    "open": "nmt.opening",
+    "reference": "nmt_rig.reference:compute_reference",
+    "synthesise": "nmt_extract.synthesised_responses",
+    "write_figures": "nmt_report.figure_files",
+}
+__all__ = [
+    "Bag",
+    "BenchError",
+    "DiagnosisResult",
+    "FrequencyResponses",
+    "LinearResult",
+    "ReferenceResult",
+    "Results",
+    "RunResults",
+    "diagnose",
+    "extract",
+    "import_data",
+    "linear",
+    "load_rig",
+    "open",
+    "reference",
+    "synthesise",
+    "write_figures",
+]
+
+
+def __getattr__(name: str) -> Any:
+    return loaded(__name__, name, _HOMES)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,585 @@
+"""Results of the bench's commands as frozen objects: tables, arrays, plots.
+
+``to_dataframe`` needs pandas and ``to_xarray`` needs xarray, which ``pip install 'nmt[analysis]'`` brings; all else
+works without them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
+from nmt_core.hardened import read_json
+from nmt_core.linear_description import LinearDescription
+from nmt_extract.modal_point import COMPLEX, MEASURED, ModalPoint, Status
+from nmt_report.html_page import Column, Row, Table, part
+from nmt_report.quantity_format import significant, uncertain
+from nmt_report.run_data import ReferenceCurve, read_reference
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from nmt_extract.swept_response import FrequencyResponseTable
+    from nmt_record.frf_table import FrequencyResponse
+
+ComplexArray = NDArray[np.complex128]
+
+_TAU = 2.0 * math.pi
+_WITH_STD = tuple(name + suffix for name in MEASURED for suffix in ("", "_std"))
+
+
+@dataclass(frozen=True)
+class Results:
+    """What every results folder has.
+
+    Attributes:
+        folder: where it is.
+    """
+
+    folder: Path
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The main table, one mapping a row; units stand in the names of the columns.
+
+        Raises:
+            NotImplementedError: a class of results without a table.
+        """
+        raise NotImplementedError
+
+    def to_dataframe(self) -> Any:
+        """The main table as a ``pandas.DataFrame``.
+
+        Raises:
+            BenchError: pandas is not installed.
+        """
+        return _pandas().DataFrame(self.rows())
+
+    def to_xarray(self) -> Any:
+        """Everything as an ``xarray.Dataset``.
+
+        Raises:
+            NotImplementedError: a class of results without one.
+        """
+        raise NotImplementedError
+
+    def to_netcdf(self, path: Path | str) -> Path:
+        """Write :meth:`to_xarray` as NetCDF 3; a complex variable becomes two, ``NAME_real`` and ``NAME_imag``.
+
+        Args:
+            path: the file.
+
+        Returns:
+            The path.
+
+        Raises:
+            BenchError: xarray is not installed, or the file cannot be written.
+        """
+        data = self.to_xarray()
+        for name in [name for name, values in data.data_vars.items() if values.dtype.kind == "c"]:
+            data = data.assign({f"{name}_real": data[name].real, f"{name}_imag": data[name].imag}).drop_vars(name)
+        try:
+            data.to_netcdf(path, engine="scipy")
+        except OSError as error:
+            raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
+        return Path(path)
+
+    def figures(self, folder: Path | str, **options: Any) -> list[Any]:
+        """Write the figures of the report; options as of :func:`nmt_report.write_figures`.
+
+        Raises:
+            BenchError: the folder has no report.
+        """
+        from nmt_report.figure_files import write_figures
+
+        return list(write_figures(self.folder, folder, **options))
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the main table."""
+        rows = self.rows()
+        names = list(rows[0]) if rows else []
+        head = [Column(name, kind="" if rows and isinstance(rows[0][name], int | float) else "text") for name in names]
+        body = [Row([_cell(row[name]) for name in names]) for row in rows]
+        return str(part("table", Table(head, body, heading=f"{type(self).__name__}: {self.folder}")))
+
+
+def _cell(value: Any) -> str:
+    return significant(value, 6) if isinstance(value, float) else str(value)
+
+
+def _pandas() -> Any:
+    try:
+        import pandas
+    except ModuleNotFoundError as error:
+        raise BenchError("Tables need pandas, which is not installed; run: pip install 'nmt[analysis]'.") from error
+    return pandas
+
+
+def _xarray() -> Any:
+    try:
+        import xarray
+    except ModuleNotFoundError as error:
+        raise BenchError("Datasets need xarray, which is not installed; run: pip install 'nmt[analysis]'.") from error
+    return xarray
+
+
+def _axes(axes: Axes | None) -> Axes:
+    """Axes to draw on; new ones of matplotlib's current figure manager if there are none."""
+    if axes is not None:
+        return axes
+    from matplotlib import pyplot
+
+    return pyplot.subplots()[1]
+
+
+_LABELS = {
+    "frequency_hz": "modal frequency / Hz",
+    "omega_rad_s": "modal frequency / (rad/s)",
+    "damping_ratio": "modal damping ratio",
+    "modal_amplitude": "modal amplitude / (m√kg)",
+    "force_n": "force / N",
+    "level": "level",
+    "pbmif": "PBMIF",
+    "gamma_force": "fundamental content of the force",
+    "gamma_acceleration": "fundamental content of the acceleration",
+    "mac": "MAC",
+}
+
+
+@dataclass(frozen=True)
+class RunResults(Results):
+    """A run or an extraction: one modal point a level.
+
+    Attributes:
+        points: of all levels, in the order of the test; those that gave no values say why.
+        inputs: what the extraction worked with.
+    """
+
+    points: tuple[ModalPoint, ...] = ()
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, folder: Path) -> RunResults:
+        """Read ``modal.json``.
+
+        Raises:
+            BenchError: damaged.
+        """
+        from nmt_extract import modal_table
+
+        points, inputs = modal_table.read_json(folder / "modal.json")
+        return cls(folder, tuple(points), inputs)
+
+    @property
+    def good_points(self) -> tuple[ModalPoint, ...]:
+        """The points with values."""
+        return tuple(point for point in self.points if point.status == Status.OK)
+
+    @property
+    def linear(self) -> LinearDescription | None:
+        """What the extraction knew of the linear system; None where nothing is recorded."""
+        values = self.inputs.get("linear")
+        return LinearDescription.from_mapping(dict(values)) if isinstance(values, Mapping) else None
+
+    def values(self, name: str) -> FloatArray:
+        """One property over the levels with values, shape ``(levels,)``.
+
+        Args:
+            name: field of :class:`nmt_core.modal_point.ModalPoint`, or ``<name>_std``.
+
+        Raises:
+            BenchError: there is no such property.
+        """
+        if not hasattr(ModalPoint, name) or name in COMPLEX:
+            raise BenchError(f"A modal point has no property '{name}'; it has {', '.join(MEASURED)}.")
+        return np.array([float(getattr(point, name)) for point in self.good_points])
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row a level: status, level, every measured property with its standard uncertainty."""
+        return [
+            {
+                "level_index": point.level_index,
+                "status": point.status.name,
+                "reason": point.reason,
+                "level": point.level,
+                "level_unit": point.level_unit,
+                **{name: getattr(point, name) for name in _WITH_STD},
+            }
+            for point in self.points
+        ]
+
+    def to_xarray(self) -> Any:
+        """All of it as an ``xarray.Dataset``: properties over ``level``; harmonics over level, order and point.
+
+        Levels without values are left out.
+
+        Raises:
+            BenchError: xarray is not installed, or no level has values.
+        """
+        library = _xarray()
+        points = self.good_points
+        if not points:
+            raise BenchError(f"{self.folder} has no level with values; see its reasons with rows().")
+        first = points[0]
+        data: dict[str, Any] = {name: ("level", [getattr(p, name) for p in points]) for name in _WITH_STD}
+        data["force_harmonics"] = (("level", "order"), np.array([p.force_harmonics for p in points]))
+        data["shape_harmonics"] = (("level", "order", "point"), np.array([p.shape_harmonics for p in points]))
+        data["normalised_shape"] = (("level", "point"), np.array([p.normalised_shape for p in points]))
+        data["participation"] = (("level", "mode"), np.array([p.participation for p in points]))
+        coordinates = {
+            "level": ("level", [p.level for p in points], {"units": first.level_unit}),
+            "order": np.arange(first.harmonics + 1),
+            "point": list(first.points),
+            "mode": np.arange(1, len(first.participation) + 1),
+        }
+        return library.Dataset(data, coordinates, {"folder": str(self.folder), "rig": str(self.inputs.get("rig", ""))})
+
+    def plot(self, y: str = "frequency_hz", x: str = "modal_amplitude", axes: Axes | None = None, **style: Any) -> Axes:
+        """One property over another with standard uncertainties.
+
+        Args:
+            y: property of the ordinate.
+            x: property of the abscissa, or ``level``.
+            axes: to draw on; None = new ones.
+            style: of :meth:`matplotlib.axes.Axes.errorbar`.
+
+        Returns:
+            The axes.
+
+        Raises:
+            BenchError: there is no such property.
+        """
+        drawn = _axes(axes)
+        across = np.array([p.level for p in self.good_points]) if x == "level" else self.values(x)
+        spread = np.nan_to_num(self.values(f"{y}_std")) if hasattr(ModalPoint, f"{y}_std") else None
+        drawn.errorbar(across, self.values(y), spread, **{"fmt": "o-", "capsize": 2.0, **style})
+        if across.size and across.min() > 0.0 and across.max() > 5.0 * across.min():
+            drawn.set_xscale("log")
+        drawn.set_xlabel(_LABELS.get(x, x))
+        drawn.set_ylabel(_LABELS.get(y, y))
+        return drawn
+
+
+@dataclass(frozen=True)
+class LinearResult(Results):
+    """A linear modal test.
+
+    Attributes:
+        description: fitted modes and the drive point, as loop and extraction use them.
+        document: everything in ``linear.json``.
+        responses: frequency responses beside it; empty where there is no ``frf.csv``.
+    """
+
+    description: LinearDescription
+    document: Mapping[str, Any] = field(default_factory=dict)
+    responses: tuple[FrequencyResponse, ...] = ()
+
+    @classmethod
+    def read(cls, folder: Path) -> LinearResult:
+        """Read ``linear.json``, and ``frf.csv`` where there is one.
+
+        Raises:
+            BenchError: damaged.
+        """
+        from nmt_record.frf_table import read_frf_table
+
+        document = read_json(folder / "linear.json", "linear test")
+        description = LinearDescription.from_mapping(document)
+        table = folder / "frf.csv"
+        responses = read_frf_table(table, description.drive_point) if table.is_file() else []
+        return cls(folder, description, document, tuple(responses))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row a mode."""
+        own = self.description
+        return [
+            {
+                "mode": number + 1,
+                "target": number == own.target_mode,
+                "frequency_hz": own.frequencies_rad_s[number] / _TAU,
+                "damping_ratio": own.damping_ratios[number],
+                **{f"shape_{point}": own.shapes[row][number] for row, point in enumerate(own.points)},
+            }
+            for number in range(len(own.frequencies_rad_s))
+        ]
+
+    def to_xarray(self) -> Any:
+        """The frequency responses as an ``xarray.Dataset`` over ``frequency_hz``, complex.
+
+        Raises:
+            BenchError: xarray is not installed, or there is no ``frf.csv``.
+        """
+        return _responses_as_xarray(self.folder, self.responses)
+
+    def plot(self, axes: Axes | None = None, **style: Any) -> Axes:
+        """Modulus of the frequency responses over frequency; style of :meth:`matplotlib.axes.Axes.loglog`.
+
+        Raises:
+            BenchError: there is no ``frf.csv``.
+        """
+        return _plot_responses(self.folder, self.responses, _axes(axes), style)
+
+
+@dataclass(frozen=True)
+class FrequencyResponses(Results):
+    """A sweep or stepped sine.
+
+    Attributes:
+        levels: one table a level.
+    """
+
+    levels: tuple[FrequencyResponseTable, ...] = ()
+
+    @classmethod
+    def read(cls, folder: Path) -> FrequencyResponses:
+        """Read ``frf.csv`` of a sweep.
+
+        Raises:
+            BenchError: damaged, or the table of something else.
+        """
+        from nmt_extract.response_table import read_response_csv
+
+        return cls(folder, tuple(read_response_csv(folder / "frf.csv")))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row a level, frequency and channel."""
+        return [
+            {
+                "level": table.level,
+                "level_unit": table.level_unit,
+                "rate_hz_s": table.rate_hz_s,
+                "frequency_hz": float(table.frequency_hz[line]),
+                "channel": channel,
+                "real": float(table.frf[row, line].real),
+                "imag": float(table.frf[row, line].imag),
+                "std": float(table.frf_std[row, line]),
+                "force_n": float(table.force_n[line]),
+                "voltage_v": float(table.voltage_v[line]),
+            }
+            for table in self.levels
+            for row, channel in enumerate(table.channels)
+            for line in range(table.frequency_hz.size)
+        ]
+
+    def to_xarray(self) -> list[Any]:
+        """One ``xarray.Dataset`` a level over ``frequency_hz``: the levels may have other frequencies.
+
+        Raises:
+            BenchError: xarray is not installed.
+        """
+        library = _xarray()
+        return [
+            library.Dataset(
+                {
+                    "response": (("channel", "frequency_hz"), table.frf),
+                    "response_std": (("channel", "frequency_hz"), table.frf_std),
+                    "force_n": ("frequency_hz", table.force_n),
+                    "voltage_v": ("frequency_hz", table.voltage_v),
+                },
+                {"frequency_hz": table.frequency_hz, "channel": list(table.channels)},
+                {"level": table.level, "level_unit": table.level_unit, "rate_hz_s": table.rate_hz_s},
+            )
+            for table in self.levels
+        ]
+
+    def plot(self, channel: str | None = None, axes: Axes | None = None, **style: Any) -> Axes:
+        """Modulus of one channel's response at every level.
+
+        Args:
+            channel: name; None = the first.
+            axes: to draw on; None = new ones.
+            style: of :meth:`matplotlib.axes.Axes.semilogy`.
+
+        Raises:
+            BenchError: there is no such channel.
+        """
+        drawn = _axes(axes)
+        for table in self.levels:
+            name = table.channels[0] if channel is None else channel
+            if name not in table.channels:
+                raise BenchError(f"The sweep has no channel '{name}'; it has {', '.join(table.channels)}.")
+            response = np.abs(table.frf[table.channels.index(name)])
+            label = f"{significant(table.level)} {table.level_unit}"
+            drawn.semilogy(table.frequency_hz, response, **{"label": label, **style})
+        drawn.set_xlabel("frequency / Hz")
+        drawn.set_ylabel("response over force")
+        drawn.legend()
+        return drawn
+
+
+@dataclass(frozen=True)
+class ReferenceResult(Results):
+    """A computed backbone.
+
+    Attributes:
+        curve: ω̃ and δ̃ over q.
+    """
+
+    curve: ReferenceCurve
+
+    @classmethod
+    def read(cls, folder: Path) -> ReferenceResult:
+        """Read ``reference.csv``.
+
+        Raises:
+            BenchError: damaged.
+        """
+        return cls(folder, read_reference(folder / "reference.csv"))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row a point of the curve."""
+        curve = self.curve
+        return [
+            {
+                "modal_amplitude": float(q),
+                "omega_rad_s": float(omega),
+                "frequency_hz": float(omega) / _TAU,
+                "damping_ratio": float(damping),
+            }
+            for q, omega, damping in zip(curve.modal_amplitude, curve.omega_rad_s, curve.damping_ratio, strict=True)
+        ]
+
+    def to_xarray(self) -> Any:
+        """The curve as an ``xarray.Dataset`` over ``modal_amplitude``.
+
+        Raises:
+            BenchError: xarray is not installed.
+        """
+        curve = self.curve
+        data = {
+            "omega_rad_s": ("modal_amplitude", curve.omega_rad_s),
+            "damping_ratio": ("modal_amplitude", curve.damping_ratio),
+        }
+        return _xarray().Dataset(data, {"modal_amplitude": curve.modal_amplitude})
+
+    def plot(self, y: str = "frequency_hz", axes: Axes | None = None, **style: Any) -> Axes:
+        """The curve over modal amplitude; ``y``: ``frequency_hz``, ``omega_rad_s`` or ``damping_ratio``.
+
+        Raises:
+            BenchError: there is no such property.
+        """
+        rows = self.rows()
+        if y not in rows[0]:
+            raise BenchError(f"A reference has no property '{y}'; it has {', '.join(rows[0])}.")
+        drawn = _axes(axes)
+        values = [row[y] for row in rows]
+        drawn.semilogx(self.curve.modal_amplitude, values, **{"color": "black", "label": self.curve.label, **style})
+        drawn.set_xlabel(_LABELS["modal_amplitude"])
+        drawn.set_ylabel(_LABELS.get(y, y))
+        return drawn
+
+
+@dataclass(frozen=True)
+class DiagnosisResult(Results):
+    """A diagnosis of the gap between model and rig.
+
+    Attributes:
+        document: everything in ``diagnosis.json``.
+    """
+
+    document: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, folder: Path) -> DiagnosisResult:
+        """Read ``diagnosis.json``.
+
+        Raises:
+            BenchError: damaged.
+        """
+        document = read_json(folder / "diagnosis.json", "diagnosis")
+        missing = [name for name in ("verdict", "sentences", "ranking", "gap") if name not in document]
+        if missing:
+            raise BenchError(f"{folder / 'diagnosis.json'} is not a diagnosis: it has no '{missing[0]}'.")
+        return cls(folder, document)
+
+    @property
+    def verdict(self) -> str:
+        """``none``, ``calibration``, ``effect`` or ``unknown``."""
+        return str(self.document["verdict"])
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Where, which, how far, what next."""
+        return tuple(str(text) for text in self.document["sentences"])
+
+    @property
+    def closed(self) -> float:
+        """Share of the gap on held-out data that the explanation closes; NaN where none was accepted."""
+        value = self.document["gap"].get("closed")
+        return math.nan if value is None else float(value)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row an explanation, the most probable first."""
+        return [
+            {
+                "effect": entry["effect"],
+                "place": entry["place"],
+                "detail": entry.get("detail", ""),
+                "probability": float(entry["probability"]),
+                "closed": _closed_share(entry),
+                "parameters": ", ".join(_parameter(name, item) for name, item in entry.get("parameters", {}).items()),
+                "equivalents": ", ".join(map(str, entry.get("equivalents", ()))),
+            }
+            for entry in self.document["ranking"]
+        ]
+
+    def to_xarray(self) -> Any:
+        """The residual map as an ``xarray.Dataset`` over ``row``, in standard deviations of the measurement.
+
+        Raises:
+            BenchError: xarray is not installed.
+        """
+        cells: Sequence[Mapping[str, Any]] = self.document.get("residual_map", ())
+        names = list(cells[0]) if cells else []
+        return _xarray().Dataset({name: ("row", [cell[name] for cell in cells]) for name in names})
+
+    def plot(self, axes: Axes | None = None, **style: Any) -> Axes:
+        """Probabilities of the explanations as bars; style of :meth:`matplotlib.axes.Axes.barh`."""
+        drawn = _axes(axes)
+        rows = self.rows()[::-1]
+        labels = [f"{row['effect']} ({row['detail'] or row['place']})" for row in rows]
+        drawn.barh(labels, [row["probability"] for row in rows], **style)
+        drawn.set_xlim(0.0, 1.0)
+        drawn.set_xlabel("probability")
+        return drawn
+
+
+def _closed_share(entry: Mapping[str, Any]) -> float:
+    value = (entry.get("closed") or {}).get("value")
+    return math.nan if value is None else float(value)
+
+
+def _parameter(name: str, item: Mapping[str, Any]) -> str:
+    std = item.get("std")
+    return f"{name} = {uncertain(float(item['value']), math.nan if std is None else float(std))} {item.get('unit', '')}"
+
+
+def _responses_as_xarray(folder: Path, responses: Sequence[FrequencyResponse]) -> Any:
+    library = _xarray()
+    if not responses:
+        raise BenchError(f"{folder} has no frf.csv, so there are no frequency responses.")
+    arrays = {
+        own.name: library.DataArray(own.values, {"frequency_hz": own.frequency_hz}, ("frequency_hz",))
+        for own in responses
+    }
+    return library.Dataset(arrays)
+
+
+def _plot_responses(
+    folder: Path, responses: Sequence[FrequencyResponse], drawn: Axes, style: Mapping[str, Any]
+) -> Axes:
+    if not responses:
+        raise BenchError(f"{folder} has no frf.csv, so there are no frequency responses.")
+    for own in responses:
+        drawn.loglog(own.frequency_hz, np.abs(own.values), **{"label": own.name, **style})
+    drawn.set_xlabel("frequency / Hz")
+    drawn.set_ylabel("response over force")
+    drawn.legend()
+    return drawn

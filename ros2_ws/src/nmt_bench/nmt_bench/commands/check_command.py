@@ -1,0 +1,170 @@
+"""``./nmt check``: every channel and the loop at low level, before a test on hardware."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nmt_bench.commands.bench_options import add_device_option
+from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_core.errors import BenchError
+
+if TYPE_CHECKING:
+    from nmt_plant.hardware_check import CheckResult
+    from nmt_plant.hardware_rig import HardwareRig
+
+    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+EXIT_PASSED, EXIT_FOUND = 0, 1
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "check",
+        help="low-level check of every channel and of the loop before a test on hardware",
+        description=(
+            "Listens to the converter, then drives it with noise of at most one hundredth of the drive's limit, and "
+            "compares every channel with the rig's model: noise, mains, offset, overload, open or shorted channels, "
+            "dead ICP supply, sign, exchanged channels, sensitivity, response to the drive, headroom for the planned "
+            "levels, clock, delay and resonance. A test on hardware begins only after a check that passed."
+        ),
+    )
+    parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
+    add_output_options(parser, "check.json, report.html")
+    add_device_option(parser)
+    parser.add_argument("--levels", metavar="PLAN", help="planned levels, V, as for './nmt run' (default: the rig's)")
+    parser.add_argument("--linear", metavar="FILE", type=Path, help="linear.json whose resonance is expected")
+    parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
+    parser.add_argument(
+        "--set", metavar="KEY=VALUE", action="append", default=[], help="change a value of the rig file"
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress display")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Check, write and keep the result, print the table.
+
+    Returns:
+        0 if nothing was found, 1 otherwise.
+
+    Raises:
+        BenchError: rig, option or device are refused, or the device failed.
+    """
+    check_output(arguments.out, arguments.force)
+    from nmt_bench.commands.hardware_checks import fingerprint, keep_check
+    from nmt_bench.commands.hardware_options import chosen_rig, look_for_device, parsed_device
+    from nmt_bench.commands.linear_input import read_linear
+    from nmt_bench.commands.terminal import make_console
+    from nmt_plant.device import DeviceFault
+    from nmt_plant.hardware_check import evaluate_check, record_check
+    from nmt_plant.hardware_rig import HardwareRig, device_of
+    from nmt_plant.real_time import real_time_priority
+    from nmt_report.check_report import check_page
+    from nmt_sequencer.level_plan import parse_levels
+
+    rig = chosen_rig(arguments)
+    kind, address = parsed_device(arguments.device, rig)
+    if kind in ("", "simulated"):
+        raise BenchError(
+            f"Rig {rig.name} is simulated, there is nothing to check; write a section 'device', or --device."
+        )
+    linear = read_linear(arguments.linear) if arguments.linear is not None else None
+    levels = parse_levels(arguments.levels or rig.test.levels)
+    section = device_of(rig, kind, address)
+    look_for_device(section, rig)
+    console = make_console()
+    device = HardwareRig(rig, section, lead_blocks=_lead(rig.block_samples, rig.sample_rate_hz), probe_needed=False)
+    try:
+        device.configure()
+        device.start()
+        with real_time_priority():
+            record = record_check(device, None if arguments.quiet else _progress(console))
+        result = evaluate_check(device, record, levels, 0.0 if linear is None else linear.frequency_hz)
+        priority = _priority(device)
+    except DeviceFault as error:
+        raise BenchError(f"The converter failed: {error}") from error
+    finally:
+        device.close()
+    document = {
+        "rig": rig.name,
+        "device": section.kind,
+        "fingerprint": fingerprint(rig, section),
+        "time": time.time(),
+        "date": time.strftime("%Y-%m-%d %H:%M:%S"),
+        "priority": priority,
+        **result.to_mapping(),
+    }
+    with OutputFolder(arguments.out, arguments.force) as folder:
+        (folder / "check.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        (folder / "report.html").write_text(check_page(document), encoding="utf-8")
+    keep_check(rig, section, document)
+    _show(result, console, section.check_valid_hours)
+    console.print(f"Results in {arguments.out}: check.json, report.html", markup=False, soft_wrap=True)
+    sys.stdout.flush()
+    return EXIT_PASSED if result.passed else EXIT_FOUND
+
+
+def _lead(block: int, rate: float) -> int:
+    """Blocks that wait at the output: half a second, since nothing has to be controlled."""
+    return max(8, min(100, round(0.5 * rate / block)))
+
+
+def _priority(device: HardwareRig) -> str:
+    from nmt_plant.real_time import priority_of
+
+    return priority_of(device.output_pid)
+
+
+def _progress(console: Any) -> Any:
+    told = -1
+
+    def tell(share: float) -> None:
+        nonlocal told
+        tenth = int(10.0 * share)
+        if tenth > told:
+            told = tenth
+            console.print(f"checking: {10 * tenth} %", markup=False, highlight=False)
+
+    return tell
+
+
+def _show(result: CheckResult, console: Any, valid: float) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(title="Channels", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    heads = ("channel", "port", "noise\nrms", "mains\nmV", "mean\nmV", "coherence", "gain", "range\n%", "verdict")
+    for head in heads:
+        table.add_column(head, no_wrap=head != "verdict")
+    for channel in result.channels:
+        found = [each.name.replace("_", " ") for each in result.findings if channel.channel in each.channels]
+        table.add_row(
+            channel.channel,
+            channel.port,
+            f"{channel.noise:.2g} {channel.unit}",
+            f"{1e3 * channel.mains_v:.3f}",
+            f"{1e3 * channel.offset_v:.2f}",
+            f"{channel.coherence:.3f}",
+            "" if channel.gain != channel.gain else f"{channel.gain:.3f}",
+            "" if channel.headroom != channel.headroom else f"{100 * channel.headroom:.1f}",
+            ", ".join(found) or "good",
+        )
+    console.print(table)
+    stated = f", the driver says {result.stated_samples}" if result.stated_samples >= 0 else ""
+    clock = "" if result.clock_ppm != result.clock_ppm else f"; clock {result.clock_ppm:+.0f} ppm"
+    console.print(
+        f"Round trip {result.round_trip_samples} samples{stated}{clock}; largest drive {result.drive_peak_v:.3g} V of "
+        f"{result.drive_limit_v:.3g} V allowed; resonance at {result.frequency_hz:.4g} Hz.",
+        markup=False,
+        soft_wrap=True,
+    )
+    for finding in result.findings:
+        where = f"{', '.join(finding.channels)}: " if finding.channels else ""
+        console.print(f"{where}{finding.sentence}; {finding.remedy}.", style="red", markup=False, soft_wrap=True)
+    if result.passed:
+        console.print(f"Passed; tests may begin for {valid:g} h.", style="green", markup=False)

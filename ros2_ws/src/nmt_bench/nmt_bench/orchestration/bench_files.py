@@ -1,0 +1,59 @@
+"""The files from which nodes are started one by one: parameters, rig and the run's description of itself."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from nmt_core.errors import BenchError
+from nmt_rig.rig import load_rig
+from nmt_rig.rig_snapshot import rig_text
+from nmt_sequencer.level_plan import parse_levels
+from nmt_session.node_plan import NodePlan, TestPlan, plan_nodes
+
+
+def write_bench_files(
+    rig_name: str,
+    folder: Path,
+    out: Path,
+    *,
+    levels: str | None = None,
+    pacing: str = "realtime",
+    changes: Sequence[str] = (),
+) -> NodePlan:
+    """Write ``nodes.yaml`` (for ``--params-file``), ``rig.yaml`` and ``run.json``.
+
+    Args:
+        rig_name: name of a rig that comes with the bench, or path of a rig file.
+        folder: where the files are written; made if it does not exist.
+        out: where they will lie when the nodes start; the bags go there, too.
+        levels: drive amplitudes, the notation of ``--levels``; None = the rig's own.
+        pacing: ``lockstep`` or ``realtime``.
+        changes: ``key=value`` texts applied to the rig file.
+
+    Returns:
+        The parameters of the nodes and the goal of a run.
+
+    Raises:
+        BenchError: the rig or a setting is refused, or the folder cannot be written.
+    """
+    rig = load_rig(rig_name, list(changes))
+    text = rig_text(rig, rig_name, list(changes))
+    test = TestPlan(
+        rig=rig,
+        rig_yaml=text,
+        levels=tuple(parse_levels(levels or rig.test.levels)),
+        run_id=time.strftime(f"{rig.name}-%Y%m%d-%H%M%S"),
+        pacing=pacing,
+    )
+    plan = plan_nodes(test, out / "bag", out / "rig.yaml")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "rig.yaml").write_text(text, encoding="utf-8")
+        (folder / "run.json").write_text(json.dumps(plan.run, indent=2) + "\n", encoding="utf-8")
+        plan.write_parameters(folder / "nodes.yaml")
+    except OSError as error:
+        raise BenchError(f"The folder {folder} cannot be written ({error.strerror}); choose another.") from error
+    return plan

@@ -1,0 +1,47 @@
+"""What the nodes need of the computer around them, looked at before the first one is started."""
+
+from __future__ import annotations
+
+import os
+import resource
+from pathlib import Path
+
+from nmt_core.errors import BenchError
+from nmt_record.run_recorder import why_unwritable
+
+LEAST_FILES = 128
+"""Open files that a process of the bench needs."""
+_WANTED_FILES = 1024
+_LEAST_FREE_MB = 16
+
+
+def check_surroundings(out: Path, shared_memory: Path = Path("/dev/shm")) -> None:
+    """Refuse to start nodes where they could not work.
+
+    The limit of open files is raised as far as the user may raise it.
+
+    Args:
+        out: folder of the results.
+        shared_memory: where shared memory lives.
+
+    Raises:
+        BenchError: too few open files, no shared memory, or no space for results.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft != resource.RLIM_INFINITY and soft < _WANTED_FILES:
+        most = _WANTED_FILES if hard == resource.RLIM_INFINITY else min(_WANTED_FILES, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, most), hard))
+        if most < LEAST_FILES:
+            raise BenchError(
+                f"This shell allows {most} open files and the nodes need {LEAST_FILES}; raise the limit with "
+                f"'ulimit -n {_WANTED_FILES}', or have the administrator raise it."
+            )
+    if not shared_memory.is_dir() or not os.access(shared_memory, os.W_OK | os.X_OK):
+        raise BenchError(
+            f"Shared memory ({shared_memory}) cannot be written, and the nodes talk through it; mount it so, for "
+            f"example with 'mount -o remount,rw {shared_memory}'."
+        )
+    why = why_unwritable(out / "bag", _LEAST_FREE_MB)
+    if why:
+        why = why.removesuffix(" (parameter 'least_free_mb')")
+        raise BenchError(f"The results cannot be recorded: {why}; choose another folder with --out, or make room.")

@@ -1,0 +1,64 @@
+"""Binary frames for the browser: a JSON head and arrays of numbers of four bytes.
+
+A frame is the text ``NMT1``, the length of the head (uint32), the head, and the arrays one after the other, all little
+endian and each part padded to four bytes. The head is a JSON object; its key ``arrays`` gives name and length of each.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from nmt_bench.page.decimation import as_float32
+
+MAGIC = b"NMT1"
+_LENGTH = struct.Struct("<I")
+
+
+def plain_json(value: Any) -> Any:
+    """The value with numbers that JSON does not know (NaN, infinities) as null."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_json(item) for item in value]
+    return value
+
+
+def write_frame(head: Mapping[str, Any], arrays: Mapping[str, Any]) -> bytes:
+    """A frame.
+
+    Args:
+        head: what goes into the JSON head, without ``arrays``.
+        arrays: one-dimensional arrays of numbers by name.
+    """
+    parts = {name: as_float32(np.asarray(array, dtype=np.float64).ravel()) for name, array in arrays.items()}
+    listed = [[name, part.size] for name, part in parts.items()]
+    text = json.dumps(plain_json({**head, "arrays": listed}), ensure_ascii=False, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    return b"".join((MAGIC, _LENGTH.pack(len(text)), text, *(part.tobytes() for part in parts.values())))
+
+
+def read_frame(raw: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Head and arrays of a frame, as the browser reads them.
+
+    Raises:
+        ValueError: not a whole frame.
+    """
+    if raw[:4] != MAGIC or len(raw) < 8:
+        raise ValueError("not a frame of the page")
+    (length,) = _LENGTH.unpack_from(raw, 4)
+    head = json.loads(raw[8 : 8 + length])
+    position, arrays = 8 + length, {}
+    for name, size in head.pop("arrays"):
+        if position + 4 * size > len(raw):
+            raise ValueError("the frame ends early")
+        arrays[name] = np.frombuffer(raw, "<f4", size, position)
+        position += 4 * size
+    return head, arrays

@@ -1,0 +1,107 @@
+"""A simulated rig between a laboratory's converters: held drive, harmonics of the amplifier, anti-alias filters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.signal import butter, sosfilt
+
+from nmt_core.blocks import FloatArray
+from nmt_plant.device import DeviceFault
+from nmt_plant.oscillator import OscillatorBlock
+from nmt_plant.simulated_rig import SimulatedRig, sensor_row
+from nmt_rig.drift import Drift
+from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator
+from nmt_rig.rig import Rig
+from nmt_rig.rig_model import build_system
+
+STEPS = 20
+"""Steps of the time integration per sample: the drive is held over all but the last, in which it moves on."""
+
+
+@dataclass(frozen=True)
+class Converters:
+    """What a laboratory's converters and amplifier make of the drive and of the channels.
+
+    Attributes:
+        held: the drive, from sample to sample.
+        filtered: an eighth-order Butterworth low-pass at 0.4 of the sample rate before every channel is sampled;
+            without it, the steps of a held drive appear in the channels as images of its frequency.
+        harmonics: of the drive, order and complex amplitude over the fundamental's.
+    """
+
+    held: bool = False
+    filtered: bool = False
+    harmonics: tuple[tuple[int, complex], ...] = ()
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        harmonics = [[order, h.real, h.imag] for order, h in self.harmonics]
+        return {"held": self.held, "filtered": self.filtered, "harmonics": harmonics}
+
+
+class LaboratoryRig(SimulatedRig):
+    """A rig as a laboratory drives and records it.
+
+    Args:
+        rig: the rig with everything that it really has.
+        converters: what they make of the drive and of the channels.
+    """
+
+    def __init__(self, rig: Rig, converters: Converters) -> None:
+        self._converters = converters
+        self._filter = butter(8, 0.8 / STEPS, output="sos")
+        super().__init__(rig)
+
+    def _prepare(self) -> None:
+        super()._prepare()
+        self._memory = np.zeros((self._filter.shape[0], len(self.sensors), 2))
+        self._drift = Drift(self.rig.model_copy(update={"sample_rate_hz": STEPS * self.rig.sample_rate_hz}))
+
+    def _make_integrator(self) -> TimeIntegrator:
+        system = build_system(self.rig)
+        outputs = [sensor_row(system, self.rig, row, self._volts_to_input) for row in range(len(self.sensors))]
+        return TimeIntegrator(system, STEPS * self.true_sample_rate, outputs)
+
+    def _measure(self, drive: OscillatorBlock) -> FloatArray:
+        monitor = self._distorted(drive)
+        applied = monitor
+        if self._saturation is not None:
+            applied = self._saturation * np.tanh(applied / self._saturation)
+        fine = self._volts_to_input * self._between(applied)
+        self._drive_voltage = monitor[:-1]
+        try:
+            if self._drift.active:
+                values = self._drift.advance(self.integrator, fine, drive.phase)
+            else:
+                values = self.integrator.advance(fine)
+        except (IntegrationError, ValueError) as error:
+            raise DeviceFault(str(error)) from error
+        values[self._voltage_rows] = self._between(monitor)[:-1]  # measured before the amplifier
+        if self._converters.filtered:
+            values, self._memory = sosfilt(self._filter, values, zi=self._memory)
+        return np.ascontiguousarray(values[:, ::STEPS])
+
+    def _between(self, voltage: FloatArray) -> FloatArray:
+        """The drive at every step, shape (STEPS n + 1,), from that at the samples, (n + 1,)."""
+        if self._converters.held:
+            return np.append(np.repeat(voltage[:-1], STEPS), voltage[-1])
+        places = np.arange(STEPS * (voltage.size - 1) + 1) / STEPS
+        return np.interp(places, np.arange(voltage.size), voltage)
+
+    def _distorted(self, drive: OscillatorBlock) -> FloatArray:
+        """The drive with its harmonics, in proportion to its amplitude and in step with its phase."""
+        if not self._converters.harmonics or not drive.phase.frequency_hz > 0.0:
+            return drive.voltage
+        u = drive.voltage
+        theta = drive.phase.phase(u.size, self.sample_rate)
+        # Two neighbours of A cos θ tell A, which hardly changes from one to the next: A² = |u₁ - u₀ e^{iΔ}|² / sin² Δ.
+        step = np.diff(theta)
+        size = np.abs(u[1:] - u[:-1] * np.exp(1j * step)) / np.abs(np.sin(step))
+        size = np.append(size, size[-1])
+        result = u.copy()
+        for order, share in self._converters.harmonics:
+            result += size * (share * np.exp(1j * order * theta)).real
+        return result

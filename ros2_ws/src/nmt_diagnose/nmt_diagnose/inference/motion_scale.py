@@ -1,0 +1,102 @@
+"""What an error of the scale of the motion adds to the uncertainty of a fit.
+
+Where a test gives the amplitudes of the motion (backbones, decays, frequency responses at held amplitudes) the model is
+solved at them. A gain of their channel that is off by 1 % then makes a cubic stiffness off by 2 %, and no observable
+shows it: nothing in the fit tells the gain, so nothing can be taken out of the residual. It is an error that is
+considered (Schmidt, Adv. Control Syst. 3 (1966) 293): the estimate stays, and its covariance grows by what one standard
+deviation of each gain would move it by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.evidence.conditions import (
+    BackboneTable,
+    MeasuredChannel,
+    RingDownTest,
+    SteppedSineTest,
+    Test,
+)
+from nmt_diagnose.evidence.measuring_chain import table_chain
+from nmt_diagnose.evidence.observables import Evidence
+from nmt_diagnose.inference.discrepancy import measured_elsewhere
+from nmt_diagnose.inference.fit import Fit
+from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.twin.forward import Forward, Prediction
+
+_STEP = 1e-3
+
+
+def covariance_with_scale(problem: Problem, found: Fit) -> FloatArray:
+    """Covariance of an estimate with the gains of the channels whose amplitudes are given, shape (n, n).
+
+    Args:
+        problem: evidence and model.
+        found: the fit.
+    """
+    columns = scale_errors(problem, found)
+    if not columns.shape[1]:
+        return found.covariance
+    rows = found.used
+    whitened = problem.whitened(columns)
+    whitened = np.where(np.isfinite(whitened), whitened, 0.0)[rows]
+    moved = found.covariance @ (found.jacobian[rows].T @ whitened)
+    return np.asarray(found.covariance + moved @ moved.T)
+
+
+def scale_errors(problem: Problem, found: Fit) -> FloatArray:
+    """What one standard deviation of each channel's gain adds to the prediction, by the amplitudes given, (m, r)."""
+    evidence = problem.evidence
+    gains = _gains(evidence)
+    numbers = sorted({number for numbers, _ in gains.values() for number in numbers})
+    result = np.zeros((len(evidence.rows), len(gains)))
+    if not numbers:
+        return result
+    mine = np.isin(evidence.rows.test, numbers)
+    part = evidence.rows.take(mine)
+    rows = replace(part, test=np.searchsorted(numbers, part.test))
+    rig = found.parametrisation.rig(found.theta)
+    start = Prediction(
+        found.prediction.values[mine], found.prediction.converged[mine], (),
+        tuple(found.prediction.states[number] for number in numbers),
+    )  # fmt: skip
+    plain = Forward([evidence.tests[number] for number in numbers], rows)
+    base = plain.predict(rig, start)
+    for column, (own, gain) in enumerate(gains.values()):
+        tests = [_scaled(evidence.tests[number]) if number in own else evidence.tests[number] for number in numbers]
+        moved = Forward(tests, rows).predict(rig, base)
+        result[mine, column] = gain * plain.difference(moved.values, base.values) / _STEP
+    return result
+
+
+def _gains(evidence: Evidence) -> dict[str, tuple[list[int], float]]:
+    """Tests that give amplitudes of each channel, and the relative standard deviation of its gain."""
+    found: dict[str, tuple[list[int], float]] = {}
+    for number, test in enumerate(evidence.tests):
+        channel = _given(test)
+        if channel is None or not measured_elsewhere(evidence, number):
+            continue
+        chain = evidence.chains[number] if number < len(evidence.chains) else None
+        gain = (chain or table_chain()).of(channel.name).gain
+        numbers, largest = found.setdefault(channel.name, ([], 0.0))
+        found[channel.name] = [*numbers, number], max(largest, gain)
+    return found
+
+
+def _given(test: Test) -> MeasuredChannel | None:
+    """The channel whose amplitudes a test gives; None where the model predicts them."""
+    if isinstance(test, SteppedSineTest):
+        return test.channels[0]
+    return test.channel if isinstance(test, BackboneTable | RingDownTest) else None
+
+
+def _scaled(test: Test) -> Test:
+    """The test with its motion a little larger than recorded."""
+    if isinstance(test, SteppedSineTest):
+        return replace(test, scale=test.scale * (1.0 + _STEP))
+    assert isinstance(test, BackboneTable | RingDownTest)
+    return replace(test, amplitudes=test.amplitudes * (1.0 + _STEP))

@@ -1,0 +1,421 @@
+"""Compiled harmonic balance at given frequencies: forced steady states, line by line.
+
+Unknowns of a line are z = [w (r · size), Re a, Im a]: real Fourier coefficients of the local coordinates and the
+complex amplitude of the drive. For every order n
+
+    w_n + T_n^{wg} g_n(w) − T_n^{wu} u_n = 0,   u_1 = a,
+
+closed by one complex amplitude that is given: that of the drive, or the fundamental of a channel. With a response given
+the equation is as mild as the linear one: no folds, because a curve of force over response has none.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.twin.linear_model import ComplexArray, transfer_at
+from nmt_diagnose.twin.periodic_kernel import harmonic_forces, sensor_gain
+from nmt_rig.model.aft import LocalTables
+
+_HALVINGS = 8
+_CLIMB_STEPS = 40
+_LOWEST = 0.02
+
+
+@njit(cache=True)
+def transfers(
+    omega: float,
+    orders: np.ndarray,
+    poles: ComplexArray,
+    displacement: ComplexArray,
+    velocity: ComplexArray,
+    acceleration: ComplexArray,
+    inputs: ComplexArray,
+    feedthrough: ComplexArray,
+) -> ComplexArray:
+    """T at i n ω for every order n, (n_orders, outputs, r + 1)."""
+    result = np.empty((orders.size, displacement.shape[0], inputs.shape[1]), dtype=np.complex128)
+    for n in range(orders.size):
+        result[n] = transfer_at(
+            1j * orders[n] * omega, poles, displacement, velocity, acceleration, inputs, feedthrough
+        )[0]
+    return result
+
+
+@njit(cache=True)
+def balance(
+    z: FloatArray,
+    g: FloatArray,
+    given: int,
+    target: complex,
+    omega: float,
+    transfer: ComplexArray,
+    orders: np.ndarray,
+    offsets: np.ndarray,
+    channels: FloatArray,
+) -> tuple[FloatArray, ComplexArray]:
+    """Residual (nz,) and fundamentals of the channels (c,) for known local forces g (r, size)."""
+    r = transfer.shape[2] - 1
+    c = channels.shape[0]
+    size = offsets[orders.size - 1] + 2
+    local = r * size
+    a = z[local] + 1j * z[local + 1]
+    residual = np.zeros(local + 2)
+    measured = np.zeros(c, dtype=np.complex128)
+    for n in range(orders.size):
+        offset = offsets[n]
+        first = orders[n] == 1
+        outputs = r + c if first else r
+        for o in range(outputs):
+            value = transfer[n, o, r] * a if first else 0j
+            for j in range(r):
+                amount = complex(g[j, offset]) if orders[n] == 0 else g[j, offset] - 1j * g[j, offset + 1]
+                value -= transfer[n, o, j] * amount
+            if o < r:
+                row = o * size + offset
+                residual[row] = z[row] - value.real
+                if orders[n] > 0:
+                    residual[row + 1] = z[row + 1] + value.imag
+            else:
+                k = o - r
+                gain = sensor_gain(1j * omega, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])[0]
+                measured[k] = gain * value
+    closure = a - target if given < 0 else measured[given] - target
+    residual[local] = closure.real
+    residual[local + 1] = closure.imag
+    return residual, measured
+
+
+@njit(cache=True)
+def balance_slopes(
+    dg: FloatArray,
+    given: int,
+    omega: float,
+    transfer: ComplexArray,
+    orders: np.ndarray,
+    offsets: np.ndarray,
+    channels: FloatArray,
+) -> tuple[FloatArray, ComplexArray]:
+    """Jacobian (nz, nz) of :func:`balance`, and the derivatives of the channels (c, nz)."""
+    r = transfer.shape[2] - 1
+    c = channels.shape[0]
+    size = offsets[orders.size - 1] + 2
+    local = r * size
+    nz = local + 2
+    jacobian = np.zeros((nz, nz))
+    slopes = np.zeros((c, nz), dtype=np.complex128)
+    column = np.zeros(nz, dtype=np.complex128)
+    for n in range(orders.size):
+        offset = offsets[n]
+        first = orders[n] == 1
+        outputs = r + c if first else r
+        for o in range(outputs):
+            column[:] = 0.0
+            if first:
+                column[local] = transfer[n, o, r]
+                column[local + 1] = 1j * transfer[n, o, r]
+            for j in range(r):
+                t = transfer[n, o, j]
+                for b in range(local):
+                    re = dg[j, offset, b]
+                    im = dg[j, offset + 1, b] if orders[n] > 0 else 0.0
+                    if re != 0.0 or im != 0.0:
+                        column[b] -= t * (re - 1j * im)
+            if o < r:
+                row = o * size + offset
+                for b in range(nz):
+                    jacobian[row, b] = -column[b].real
+                jacobian[row, row] += 1.0
+                if orders[n] > 0:
+                    for b in range(nz):
+                        jacobian[row + 1, b] = column[b].imag
+                    jacobian[row + 1, row + 1] += 1.0
+            else:
+                k = o - r
+                gain = sensor_gain(1j * omega, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])[0]
+                for b in range(nz):
+                    slopes[k, b] = gain * column[b]
+    if given < 0:
+        jacobian[local, local] = 1.0
+        jacobian[local + 1, local + 1] = 1.0
+    else:
+        for b in range(nz):
+            jacobian[local, b] = slopes[given, b].real
+            jacobian[local + 1, b] = slopes[given, b].imag
+    return jacobian, slopes
+
+
+@njit(cache=True)
+def linear_start(
+    given: int,
+    target: complex,
+    omega: float,
+    stiffness: FloatArray,
+    damping: FloatArray,
+    transfer: ComplexArray,
+    orders: np.ndarray,
+    offsets: np.ndarray,
+    channels: FloatArray,
+) -> FloatArray:
+    """Unknowns (nz,) of the system linearised at rest: local forces k w + d ẇ."""
+    r = transfer.shape[2] - 1
+    size = offsets[orders.size - 1] + 2
+    one = 0
+    for n in range(orders.size):
+        if orders[n] == 1:
+            one = n
+    closed = np.zeros((r, r), dtype=np.complex128)
+    tangent = np.empty(r, dtype=np.complex128)
+    for j in range(r):
+        tangent[j] = stiffness[j] + 1j * omega * damping[j]
+    for i in range(r):
+        for j in range(r):
+            closed[i, j] = transfer[one, i, j] * tangent[j]
+        closed[i, i] += 1.0
+    w = np.linalg.solve(closed, transfer[one, :r, r].copy())
+    a = target
+    if given >= 0:
+        value = transfer[one, r + given, r]
+        for j in range(r):
+            value -= transfer[one, r + given, j] * tangent[j] * w[j]
+        gain = sensor_gain(1j * omega, channels[given, 0], channels[given, 1], channels[given, 2], channels[given, 3])[
+            0
+        ]
+        a = target / (gain * value)
+    z = np.zeros(r * size + 2)
+    for i in range(r):
+        z[i * size + offsets[one]] = (w[i] * a).real
+        z[i * size + offsets[one] + 1] = -(w[i] * a).imag
+    z[r * size] = a.real
+    z[r * size + 1] = a.imag
+    return z
+
+
+@njit(cache=True)
+def _scales(z: FloatArray, target: complex, given: int, r: int, size: int) -> tuple[FloatArray, FloatArray]:
+    """Size of the unknowns, and one over that of the residuals."""
+    scale = np.ones(z.size)
+    for i in range(r):
+        largest = 0.0
+        for b in range(size):
+            largest = max(largest, abs(z[i * size + b]))
+        scale[i * size : (i + 1) * size] = largest if largest > 0.0 else 1.0
+    drive = np.hypot(z[r * size], z[r * size + 1])
+    scale[r * size :] = drive if drive > 0.0 else 1.0
+    weights = 1.0 / scale
+    weights[r * size :] = 1.0 / max(abs(target), 1e-300)
+    return scale, weights
+
+
+@njit(cache=True)
+def newton_line(
+    z: FloatArray,
+    given: int,
+    target: complex,
+    omega: float,
+    transfer: ComplexArray,
+    channels: FloatArray,
+    factor: FloatArray,
+    tables: LocalTables,
+    iterations: int,
+    tolerance: float,
+) -> tuple[bool, FloatArray, FloatArray, FloatArray, ComplexArray, ComplexArray]:
+    """Damped Newton iteration of one line.
+
+    Returns:
+        converged, z (nz,), local forces (r, size), inverse of the Jacobian (nz, nz), channels (c,), slopes (c, nz).
+    """
+    orders, offsets = tables[0], tables[1]
+    r = transfer.shape[2] - 1
+    size = offsets[orders.size - 1] + 2
+    z = z.copy()
+    nz = z.size
+    scale, weights = _scales(z, target, given, r, size)
+    g, dg, _ = harmonic_forces(z[: r * size].copy().reshape(r, size), omega, factor, tables)
+    residual, measured = balance(z, g, given, target, omega, transfer, orders, offsets, channels)
+    error = np.linalg.norm(residual * weights)
+    inverse = np.zeros((nz, nz))
+    slopes = np.zeros((channels.shape[0], nz), dtype=np.complex128)
+    converged = False
+    for _ in range(iterations):
+        if not np.isfinite(error):
+            break
+        jacobian, slopes = balance_slopes(dg, given, omega, transfer, orders, offsets, channels)
+        for i in range(nz):
+            for j in range(nz):
+                jacobian[i, j] *= weights[i] * scale[j]
+        inverse = np.linalg.inv(jacobian)
+        for i in range(nz):
+            for j in range(nz):
+                inverse[i, j] *= scale[i] * weights[j]
+        if converged:
+            return True, z, g, inverse, measured, slopes
+        step = -inverse @ residual
+        length = np.linalg.norm(step / scale)
+        fraction = 1.0
+        for _ in range(_HALVINGS):
+            trial = z + fraction * step
+            g, dg, _ = harmonic_forces(trial[: r * size].copy().reshape(r, size), omega, factor, tables)
+            residual, measured = balance(trial, g, given, target, omega, transfer, orders, offsets, channels)
+            after = np.linalg.norm(residual * weights)
+            if after < error * (1.0 - 0.1 * fraction) or after < 1e-10 or length < tolerance:
+                break
+            fraction *= 0.5
+        # Where no shorter step is better, the shortest is taken all the same: it may cross a kink.
+        z, error = trial, after
+        converged = bool(fraction == 1.0 and (length < tolerance or error < 1e-11))
+    return False, z, g, inverse, measured, slopes
+
+
+@njit(cache=True)
+def solve_lines(
+    start: FloatArray,
+    known: np.ndarray,
+    given: int,
+    target: ComplexArray,
+    omega: FloatArray,
+    stiffness: FloatArray,
+    damping: FloatArray,
+    poles: ComplexArray,
+    displacement: ComplexArray,
+    velocity: ComplexArray,
+    acceleration: ComplexArray,
+    inputs: ComplexArray,
+    feedthrough: ComplexArray,
+    channels: FloatArray,
+    factor: FloatArray,
+    tables: LocalTables,
+    iterations: int,
+    tolerance: float,
+) -> tuple[np.ndarray, FloatArray, FloatArray, FloatArray, ComplexArray, ComplexArray]:
+    """Solve every line for itself, from its start or from the system linearised at rest.
+
+    Args:
+        start: (lines, nz) unknowns to start from.
+        known: (lines,) whether a line has a start.
+        given: row of the channel whose fundamental is given; −1 = the amplitude of the drive is.
+        target: (lines,) given complex amplitudes.
+        omega: (lines,) true angular frequencies, rad/s.
+        stiffness, damping: (r,) tangents of the local forces at rest.
+        channels: sensor chains (c, 4).
+        factor: G, G b₁, G b₂.
+        tables: local elements.
+        iterations, tolerance: of Newton's method.
+
+    Returns:
+        converged (lines,), z (lines, nz), local forces (lines, r, size), inverse Jacobians (lines, nz, nz), channels
+        (lines, c) and their slopes (lines, c, nz).
+    """
+    orders, offsets = tables[0], tables[1]
+    lines, nz = start.shape
+    c = channels.shape[0]
+    r = inputs.shape[1] - 1
+    size = offsets[orders.size - 1] + 2
+    good = np.zeros(lines, dtype=np.bool_)
+    solved = np.full((lines, nz), np.nan)
+    forces = np.zeros((lines, r, size))
+    inverses = np.zeros((lines, nz, nz))
+    values = np.full((lines, c), np.nan + 0j)
+    slopes = np.zeros((lines, c, nz), dtype=np.complex128)
+    for line in range(lines):
+        w = omega[line]
+        transfer = transfers(w, orders, poles, displacement, velocity, acceleration, inputs, feedthrough)
+        done = False
+        if known[line]:
+            done, z, g, inverse, y, slope = newton_line(
+                start[line], given, target[line], w, transfer, channels, factor, tables, iterations, tolerance
+            )
+        if not done:
+            z = linear_start(given, target[line], w, stiffness, damping, transfer, orders, offsets, channels)
+            done, z, g, inverse, y, slope = newton_line(
+                z, given, target[line], w, transfer, channels, factor, tables, iterations, tolerance
+            )
+        if not done:
+            # Up from a small amplitude, in steps that shrink where they fail.
+            share, reached, ratio = _LOWEST, 0.0, 4.0
+            guess = linear_start(
+                given, share * target[line], w, stiffness, damping, transfer, orders, offsets, channels
+            )
+            for _ in range(_CLIMB_STEPS):
+                trial = newton_line(
+                    guess, given, share * target[line], w, transfer, channels, factor, tables, iterations, tolerance
+                )
+                if trial[0]:
+                    done, z, g, inverse, y, slope = trial
+                    reached = share
+                elif reached == 0.0:
+                    break
+                else:
+                    ratio = ratio**0.5
+                if reached == 1.0:
+                    break
+                share = min(1.0, reached * ratio)
+                guess = z * (share / reached)
+            done = reached == 1.0
+        if done:
+            good[line] = True
+            solved[line] = z
+            forces[line] = g
+            inverses[line] = inverse
+            values[line] = y
+            slopes[line] = slope
+    return good, solved, forces, inverses, values, slopes
+
+
+@njit(cache=True)
+def step_lines(
+    z: FloatArray,
+    forces: FloatArray,
+    same_forces: bool,
+    inverses: FloatArray,
+    slopes: ComplexArray,
+    given: int,
+    target: ComplexArray,
+    omega: FloatArray,
+    poles: ComplexArray,
+    displacement: ComplexArray,
+    velocity: ComplexArray,
+    acceleration: ComplexArray,
+    inputs: ComplexArray,
+    feedthrough: ComplexArray,
+    channels: FloatArray,
+    factor: FloatArray,
+    tables: LocalTables,
+) -> tuple[FloatArray, ComplexArray]:
+    """One Newton step to the solutions of a slightly different rig with the Jacobians of the solved one.
+
+    By the implicit function theorem the change is right to first order.
+
+    Args:
+        z, forces, inverses, slopes: solution of the neighbouring rig, as :func:`solve_lines` gives it.
+        same_forces: whether the local elements, and the frequencies, are the same.
+
+    Returns:
+        z (lines, nz) and channels (lines, c).
+    """
+    orders, offsets = tables[0], tables[1]
+    lines = z.shape[0]
+    c = channels.shape[0]
+    r = inputs.shape[1] - 1
+    size = offsets[orders.size - 1] + 2
+    moved = np.full(z.shape, np.nan)
+    values = np.full((lines, c), np.nan + 0j)
+    for line in range(lines):
+        if not np.isfinite(z[line, 0]):
+            continue
+        w = omega[line]
+        transfer = transfers(w, orders, poles, displacement, velocity, acceleration, inputs, feedthrough)
+        if same_forces:
+            g = forces[line]
+        else:
+            g = harmonic_forces(z[line, : r * size].copy().reshape(r, size), w, factor, tables)[0]
+        residual, y = balance(z[line], g, given, target[line], w, transfer, orders, offsets, channels)
+        step = -inverses[line] @ residual
+        moved[line] = z[line] + step
+        for k in range(c):
+            for b in range(step.size):
+                y[k] += slopes[line, k, b] * step[b]
+        values[line] = y
+    return moved, values

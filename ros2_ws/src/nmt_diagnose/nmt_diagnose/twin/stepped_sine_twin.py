@@ -1,0 +1,289 @@
+"""Frequency responses at held amplitudes: harmonic balance of the nonlinear model at every line.
+
+A frequency response at a held force has folds: near them it changes without limit while the parameters of a model
+hardly do, and beyond them it is another branch. A fit of such values stalls. The way round is that the measured
+response itself says how large the motion was. So each line is solved with that amplitude s given (which has one
+solution, on whatever branch) and the model tells what it needs for it: the reference R(s), force or acceleration of
+the base, in magnitude and phase. That is smooth in every parameter of the model, and nearly linear in most.
+
+The error e of the measured magnitude enters twice, by the response itself and by s. With u = ln s,
+
+    ln|R(s)| − ln(level) = ρ' e + e_level,     ρ' = ∂ ln|R| / ∂u,
+
+so the response at the held level differs from the measured one by ρ / ρ', ρ being the left side. This is what a row
+predicts where |ρ'| ≥ 1: the response at the held level, to first order in the difference, on the branch that was
+measured. Towards a fold ρ' vanishes, and the response there would tell the level better than any laboratory holds it;
+so no ρ counts for more than the noise of the response: where |ρ'| < 1 a row predicts ρ itself. The phase is corrected
+by the same error e = ρ ρ' / max(ρ'², 1), and what stays unknown of that is part of its uncertainty. ρ' is noise
+propagation, so it is traced about one solution (:func:`with_growth`) and the same for all models that are compared.
+
+Where a jump was measured thus says which branch a line belongs to and nothing else: real jumps come early, by any
+disturbance. :mod:`nmt_diagnose.twin.frequency_sweep` finds where a model itself would jump.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_diagnose.evidence.conditions import MeasuredChannel, SteppedSineTest
+from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines
+from nmt_diagnose.twin.linear_model import ComplexArray
+from nmt_diagnose.twin.parts_cache import PartsCache, Setup
+from nmt_diagnose.twin.phase_resonance_twin import resting_tangent
+from nmt_diagnose.twin.rig_parts import RigParts
+from nmt_diagnose.twin.settings import TwinSettings
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.rig import Rig, ShakingTableSection
+
+HARMONICS = 5
+# Standard deviations of a magnitude up to which its error corrects the phase.
+_MOST_ERROR = 4.0
+
+
+@dataclass(frozen=True)
+class SteppedSineState:
+    """Solutions of all lines of a test.
+
+    Attributes:
+        keys: identity of the coordinates.
+        tables: local elements and clock that the forces belong to.
+        z, forces, inverses, slopes: as the kernel gives them; NaN in ``z`` where a line has no solution.
+        responses: (lines, channels) over the reference.
+        growth: ∂ ln R / ∂ ln s of each line, complex, (lines,).
+    """
+
+    keys: tuple[str, ...]
+    tables: tuple[Any, ...]
+    clock: float
+    z: FloatArray
+    forces: FloatArray
+    inverses: FloatArray
+    slopes: ComplexArray
+    responses: ComplexArray
+    growth: ComplexArray
+
+
+class SteppedSineTwin:
+    """Predicts one test of frequency responses at a held amplitude.
+
+    Args:
+        test: the test.
+        rows: its rows; ``level`` is the line.
+        settings: of the twin.
+
+    Raises:
+        BenchError: an unknown reference, or one that was held in a way the model cannot follow.
+    """
+
+    def __init__(self, test: SteppedSineTest, rows: Rows, settings: TwinSettings) -> None:
+        if test.reference not in ("force", "base", "voltage"):
+            raise BenchError(f"test {test.name}: reference {test.reference!r} is unknown; use force, base or voltage.")
+        if test.held not in (test.reference, "response"):
+            raise BenchError(
+                f"test {test.name}: {test.held} was held, but the responses refer to the {test.reference}; give "
+                "responses over what was held, or the measured amplitude of the reference at each line."
+            )
+        self.test, self.rows, self.settings = test, rows, settings
+        channels = [*test.channels]
+        if test.reference == "force":
+            channels.append(force_channel(test))
+        self.channels = tuple(channels)
+        self.amplitudes = test.amplitudes * test.scale
+        self.growth = growth_of(test)
+        self.use(Setup(test.drive_point, test.reference == "force", self.channels, FourierBasis.up_to(HARMONICS)))
+
+    def use(self, setup: Setup) -> None:
+        """Take the parts of rigs from a setup that other tests share."""
+        self.setup = setup
+        self._own = np.array(setup.index(self.channels), dtype=np.int64)
+
+    @property
+    def levels(self) -> tuple[SteppedSineTest, ...]:
+        """One set of lines."""
+        return (self.test,)
+
+    def parts(self, rig: Rig, cache: PartsCache) -> RigParts:
+        """The rig taken apart.
+
+        Raises:
+            BenchError: the responses refer to a base that the model does not have.
+        """
+        if self.test.reference == "base" and not isinstance(rig.exciter, ShakingTableSection):
+            raise BenchError(
+                f"test {self.test.name} is over the acceleration of the base, but the exciter of rig {rig.name} is no "
+                "shaking table; write exciter: {kind: shaking_table, point: …} in the model."
+            )
+        return cache.parts(rig, self.setup)
+
+    def solve(
+        self, rig: Rig, cache: PartsCache, start: tuple[SteppedSineState | None, ...] | None
+    ) -> list[SteppedSineState | None]:
+        """One state for all lines."""
+        parts = self.parts(rig, cache)
+        before = start[0] if start else None
+        lines = self.amplitudes.size
+        size = parts.coordinates * parts.basis.size + 2
+        if before is not None and before.keys == parts.keys:
+            known = np.isfinite(before.z[:, 0])
+            first = np.where(known[:, None], before.z, 0.0)
+        else:
+            known, first = np.zeros(lines, dtype=bool), np.zeros((lines, size))
+        good, z, forces, inverses, values, slopes = solve_lines(
+            first, known, *self._given(parts), *_tangents(parts), *_model(parts),
+            self.settings.iterations, self.settings.tolerance,
+        )  # fmt: skip
+        z[~good] = np.nan
+        responses, reference = self._over_reference(parts, z, values)
+        # The closure's rows are its real and imaginary part: one of the real one is the change by s.
+        local = size - 2
+        along = inverses[:, :, local] * self.amplitudes[:, None]
+        change = along[:, local] + 1j * along[:, local + 1]
+        if self.test.reference == "force":
+            change = np.einsum("lk,lk->l", slopes[:, self._own[-1], :], along)
+        elif self.test.reference == "voltage":
+            change = change / parts.input_per_volt
+        with np.errstate(divide="ignore", invalid="ignore"):
+            growth = change / reference
+        return [
+            SteppedSineState(
+                parts.keys, parts.tables, parts.clock, z, forces, inverses, slopes, responses, np.asarray(growth)
+            )
+        ]
+
+    def stepped(
+        self, rig: Rig, cache: PartsCache, states: tuple[SteppedSineState | None, ...]
+    ) -> list[SteppedSineState | None]:
+        """Solutions of a slightly different rig by one Newton step from ``states``."""
+        state = states[0]
+        assert state is not None
+        parts = self.parts(rig, cache)
+        if parts.keys != state.keys:
+            # Other coordinates: nothing of the Jacobians can be kept.
+            return self.solve(rig, cache, None)
+        same = parts.clock == state.clock and _same_tables(parts.tables, state.tables)
+        z, values = step_lines(
+            state.z, state.forces, same, state.inverses, state.slopes, *self._given(parts), *_model(parts)
+        )
+        responses, _ = self._over_reference(parts, z, values)
+        return [replace(state, z=z, responses=responses)]
+
+    def values(self, rig: Rig, cache: PartsCache, states: list[SteppedSineState | None]) -> FloatArray:
+        """Observables of the test's rows; see the module."""
+        state = states[0]
+        result = np.full(len(self.rows), np.nan)
+        if state is None:
+            return result
+        magnitude, phase = self.predicted(state)
+        rows = self.rows
+        for part, values in ((Part.LOG_MAGNITUDE, magnitude), (Part.PHASE, phase)):
+            which = rows.part == part
+            result[which] = values[rows.level[which], rows.channel[which]]
+        result[np.isinf(result)] = np.nan
+        return result
+
+    def predicted(self, state: SteppedSineState) -> tuple[FloatArray, FloatArray]:
+        """ln of the magnitudes and phases (rad) that the rows predict, each (lines, channels)."""
+        measured = self.test.measured
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rest = np.log(measured / state.responses)
+        left = rest if self.test.held == "response" else whitened_difference(rest, self.growth, self.test.noise)
+        return np.log(np.abs(measured)) - left.real, np.angle(measured) - left.imag
+
+    def _given(self, parts: RigParts) -> tuple[int, ComplexArray, FloatArray]:
+        omega = 2.0 * np.pi * self.test.lines_hz * parts.clock
+        return int(self._own[0]), self.amplitudes.astype(np.complex128), omega
+
+    def _over_reference(
+        self, parts: RigParts, z: FloatArray, values: ComplexArray
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """Responses (lines, channels) over the reference, and the reference (lines,)."""
+        if self.test.reference == "force":
+            reference = values[:, self._own[-1]]
+        else:
+            reference = z[:, -2] + 1j * z[:, -1]
+            if self.test.reference == "voltage":
+                reference = reference / parts.input_per_volt
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return values[:, self._own[: len(self.test.channels)]] / reference[:, None], reference
+
+
+def force_channel(test: SteppedSineTest) -> MeasuredChannel:
+    """The force that the responses of a test are divided by."""
+    return MeasuredChannel(f"f{test.drive_point}", Quantity.FORCE, test.drive_point)
+
+
+def growth_of(test: SteppedSineTest) -> ComplexArray:
+    """∂ ln R / ∂ ln s that a test's noise is propagated by, (lines,): 1 of a linear rig."""
+    return np.ones(test.lines_hz.size, dtype=np.complex128) if test.growth is None else test.growth
+
+
+def with_growth(test: SteppedSineTest, state: SteppedSineState) -> SteppedSineTest:
+    """The test with its noise propagated as a solution says; lines without a solution as they were."""
+    found = np.where(np.isfinite(state.growth), state.growth, growth_of(test))
+    return replace(test, growth=found)
+
+
+def gain_error(test: SteppedSineTest) -> ComplexArray:
+    """Change of ln H that a relative error of a channel's gain makes of the rows, (lines, channels).
+
+    A phase error of i makes it of its own: real parts are rows for magnitudes, imaginary ones for phases. The amplitude
+    that the model is given stays as it is: an error of that is one of the scale of all strengths, which no row shows.
+    """
+    rest = np.ones_like(test.measured)
+    return rest if test.held == "response" else whitened_difference(rest, growth_of(test))
+
+
+def whitened_difference(rest: ComplexArray, growth: ComplexArray, noise: FloatArray | None = None) -> ComplexArray:
+    """What a response at the held level differs by from the measured one, ln of magnitude and phase in rad.
+
+    Args:
+        rest: ln of the measured response over the one that the model has at the measured amplitude of the first
+            channel, (lines, channels).
+        growth: ∂ ln R / ∂ ln s, (lines,).
+        noise: standard uncertainty of the magnitudes, (lines,): a difference many times as large is none of the
+            amplitude, and corrects no other row; None = corrections are not bounded.
+
+    Returns:
+        (lines, channels); no component has a larger variance than the measured one's errors.
+    """
+    slope, turn = growth.real, -growth.imag
+    sharpness = np.maximum(slope**2, 1.0)
+    lead = rest[:, 0].real / np.sqrt(sharpness)
+    # The error of the first channel's magnitude, as far as the level tells it, and the part of it that stays unknown.
+    error = (rest[:, 0].real * slope / sharpness)[:, None]
+    if noise is not None:
+        most = _MOST_ERROR * noise[:, None]
+        error = most * np.tanh(error / most)
+    unknown = 1.0 - slope**2 / sharpness
+    # Other responses follow the first in proportion: ∂ ln H ≈ 1 − ∂ ln R.
+    fall = 1.0 - slope
+    sizes = (rest.real + fall[:, None] * error) / np.sqrt(1.0 + fall**2 * unknown)[:, None]
+    phases = (rest.imag + turn[:, None] * error) / np.sqrt(1.0 + turn**2 * unknown)[:, None]
+    sizes[:, 0] = lead
+    return np.asarray(sizes + 1j * phases)
+
+
+def _tangents(parts: RigParts) -> tuple[FloatArray, FloatArray]:
+    """Stiffness and damping of the local forces at rest, (r,) each."""
+    stiffness = resting_tangent(parts, 0j).real.copy()
+    return stiffness, resting_tangent(parts, 1.0 + 0j).real - stiffness
+
+
+def _model(parts: RigParts) -> tuple[Any, ...]:
+    """Arguments of the kernel that describe the rig."""
+    model = parts.linear
+    return (
+        model.poles, model.displacement, model.velocity, model.acceleration, model.inputs, model.feedthrough,
+        parts.channels, parts.force_factor, parts.tables,
+    )  # fmt: skip
+
+
+def _same_tables(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
+    """Whether two tables hold the same elements."""
+    return a is b or all(x is y or (x.shape == y.shape and np.array_equal(x, y)) for x, y in zip(a, b, strict=True))

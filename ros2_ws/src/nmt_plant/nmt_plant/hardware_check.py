@@ -1,0 +1,623 @@
+"""Check of every channel and of the loop at low level, before a real test.
+
+A converter is listened to in silence, then driven with noise whose peaks stay below one hundredth of the drive's limit.
+What is measured is compared, port by port, in volts, with what the rig's model makes of the same drive: as frequency
+responses to the drive, by the same estimator, so that its errors are the same on both sides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import signal
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.records import DriveCommand
+from nmt_core.vocabulary import Waveform
+from nmt_plant.device import DeviceFault
+from nmt_plant.hardware_rig import HardwareRig
+from nmt_plant.specimen import Specimen
+from nmt_rig.linear_description import linear_description
+
+DRIVE_SHARE = 0.01
+"""Of the drive's limit: largest sample put out."""
+SILENCE, DRIVE = 4.0, 18.0
+"""s, of listening and of driving."""
+_RAMP = 0.5  # s
+_SURE_PEAK = 6.0  # of the rms: passed by one in 5e8 samples of a normal distribution
+_SEGMENT = 2.0  # s, of the frequency responses
+_MOST_NOISE, _MOST_MAINS, _MOST_OFFSET = 1e-4, 5e-4, 0.05  # of the range: rms, amplitude, mean
+_RAIL = 0.8  # of the range, from which an offset is that of a sensor without supply
+_CONNECTED = 0.3  # coherence below which a channel does not follow the drive
+_CLEAR = 0.9  # coherence of the lines that are compared
+_GAIN_TOLERANCE = 0.15  # relative, beside four times the sensitivity's own uncertainty
+_SAME_CHANNEL = 0.08  # mean logarithmic difference of responses that are the same
+_FREQUENCY_TOLERANCE = 0.03
+_HEADROOM = 0.9  # of the range that planned levels may reach
+_CLOCK_PPM = 200.0  # a short record knows no better
+_MAINS_HZ = (50.0, 60.0)
+_MOST_LOST = 0.02  # of the blocks; fewer are marked and cost a window each
+
+
+class Finding(NamedTuple):
+    """Something that is not right.
+
+    Attributes:
+        name: of the kind: noise, mains, offset, overload, open, short, icp, sign, force_response, permuted,
+            sensitivity, no_drive, headroom, rate, delay, resonance, losses, limit.
+        channels: that have it; empty = the whole bench.
+        sentence: what was found.
+        remedy: what mends it.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    sentence: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class ChannelFigures:
+    """What was found of a channel, at its port.
+
+    Attributes:
+        channel, port, unit: as in the channel map.
+        noise_v: rms without mains and mean, V.
+        noise: the same in the sensor's unit.
+        mains_v: amplitude at the mains' frequency, V.
+        offset_v: mean, V.
+        coherence: with the drive, median over the band.
+        gain: measured over expected, 1; NaN where it does not follow the drive.
+        headroom: share of the range that the planned levels reach by linear reckoning; NaN as above.
+    """
+
+    channel: str
+    port: str
+    unit: str
+    noise_v: float
+    noise: float
+    mains_v: float
+    offset_v: float
+    coherence: float
+    gain: float
+    headroom: float
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """Outcome of a check.
+
+    Attributes:
+        findings: what is not right; empty = passed.
+        channels: figures of every channel.
+        drive_peak_v: largest magnitude put out, V; drive_limit_v: what a hundredth of the limit is.
+        delay_samples, round_trip_samples, stated_samples: see `hardware_rig.ConverterFigures`.
+        clock_ppm: of the converter against the computer; NaN where it was not measured.
+        frequency_hz, expected_hz: of the target mode with exciter, found and expected, Hz.
+        lost_blocks: blocks with lost samples.
+    """
+
+    findings: tuple[Finding, ...]
+    channels: tuple[ChannelFigures, ...]
+    drive_peak_v: float
+    drive_limit_v: float
+    delay_samples: int
+    round_trip_samples: int
+    stated_samples: int
+    clock_ppm: float
+    frequency_hz: float
+    expected_hz: float
+    lost_blocks: int
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing was found."""
+        return not self.findings
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As JSON takes it; not-a-number becomes None."""
+        values = {**asdict(self), "findings": [each._asdict() for each in self.findings], "passed": self.passed}
+        cleaned: dict[str, Any] = _without_nan(values)
+        return cleaned
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@dataclass
+class CheckRecord:
+    """What a check measured: volts at the ports, (inputs, samples), and what was put out, V at the exciter."""
+
+    silent: FloatArray
+    driven: FloatArray
+    put_out: FloatArray
+    ended: str = ""
+    lost_blocks: int = 0
+    segments: list[int] = field(default_factory=list)
+
+
+def drive_level(limit: float) -> float:
+    """V rms of a noise whose peaks stay within the share of the limit that a check may use."""
+    return DRIVE_SHARE * limit / _SURE_PEAK
+
+
+def drive_band(device: HardwareRig) -> tuple[float, float]:
+    """Hz; about the target mode, with some of its neighbours."""
+    target = linear_description(device.rig).frequency_hz
+    return 0.4 * target, min(8.0 * target, 0.4 * device.sample_rate)
+
+
+def record_check(device: HardwareRig, on_progress: Callable[[float], None] | None = None) -> CheckRecord:
+    """Listen, then drive; the device is started and ends at zero.
+
+    Raises:
+        DeviceFault: the device failed.
+    """
+    limit = device.rig.limits.voltage_v or 0.0
+    low, high = drive_band(device)
+    noise = DriveCommand(Waveform.RANDOM, amplitude=drive_level(limit), ramp=_RAMP, band_low_hz=low, band_high_hz=high)
+    block = device.block_samples / device.sample_rate
+    silent, driven, put_out = [], [], []
+    lost, ended = 0, ""
+    total = SILENCE + DRIVE + _RAMP
+    blocks = math.ceil(total / block)
+    begun = math.ceil(SILENCE / block)
+    lead = 0
+    for n in range(blocks + 200):
+        if n >= begun:
+            device.write(noise)
+        got = device.read()
+        lost += not got
+        on = bool(device.put_out.any())
+        if n < begun and not on:
+            silent.append(device.measured.copy())
+        elif on:
+            lead += 1
+            if lead * block > _RAMP:
+                driven.append(device.measured.copy() if got else np.zeros_like(device.measured))
+                put_out.append(device.put_out.copy() if got else np.zeros_like(device.put_out))
+        if device.tripped:
+            ended = device.tripped
+            break
+        if on_progress is not None:
+            on_progress(min((n + 1) / blocks, 1.0))
+        if len(driven) * block >= DRIVE:
+            break
+    _to_zero(device)
+    inputs, size = device.measured.shape
+    nothing = np.zeros((inputs, size))
+    return CheckRecord(
+        np.concatenate(silent or [nothing], axis=1),
+        np.concatenate(driven or [nothing], axis=1),
+        np.concatenate(put_out or [nothing[0]]),
+        ended,
+        lost,
+    )
+
+
+def _to_zero(device: HardwareRig) -> None:
+    if not device.tripped:
+        device.write(DriveCommand(Waveform.OFF, ramp=0.2))
+    for _ in range(math.ceil(2.0 * device.sample_rate / device.block_samples)):
+        if device.is_quiet:
+            return
+        device.read()
+
+
+def expected_response(device: HardwareRig, put_out: FloatArray) -> FloatArray:
+    """Volts at the ports, (inputs, samples), that the rig's model makes of what was put out."""
+    model = Specimen(device.rig, device.section, bits=32, noise=0.0)
+    gain = device.section.output.amplifier_gain
+    parts = np.array_split(put_out / gain, max(1, put_out.size // 2000))
+    return np.concatenate([model.respond(part) for part in parts], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Responses:
+    """Frequency responses to the drive: lines (Hz), H of each channel, coherence."""
+
+    lines: FloatArray
+    values: Any
+    coherence: FloatArray
+
+
+def _responses(drive: FloatArray, measured: FloatArray, rate: float, band: tuple[float, float]) -> _Responses:
+    length = min(round(_SEGMENT * rate), drive.size // 4)
+    settings = {"fs": rate, "nperseg": length, "detrend": "constant"}
+    lines, power = signal.welch(drive, **settings)
+    _, cross = signal.csd(drive, measured, **settings)
+    _, own = signal.welch(measured, **settings)
+    inside = (lines >= 1.1 * band[0]) & (lines <= 0.9 * band[1])
+    power, cross, own = power[inside], cross[:, inside], own[:, inside]
+    coherence = np.abs(cross) ** 2 / np.maximum(power * own, 1e-300)
+    return _Responses(lines[inside], cross / power, np.where(own > 0.0, coherence, 0.0))
+
+
+class _Evaluation:
+    """The findings of a record, one question a method."""
+
+    def __init__(self, device: HardwareRig, record: CheckRecord, levels: Sequence[float], linear_hz: float) -> None:
+        self.device, self.record, self.levels = device, record, levels
+        self.rate = device.sample_rate
+        self.inputs = device.section.inputs
+        self.names = [entry.channel for entry in self.inputs]
+        self.ranges = np.array([entry.range_v for entry in self.inputs])
+        self.quantities = {sensor.channel: sensor.quantity for sensor in device.sensors}
+        self.points = {sensor.channel: sensor.point for sensor in device.sensors}
+        self.findings: list[Finding] = []
+        self.condemned: set[int] = set()  # what is wrong with them hides everything else
+        band = drive_band(device)
+        self.is_driven = record.put_out.size >= 8 * round(_SEGMENT * self.rate) // 2 and bool(record.put_out.any())
+        if self.is_driven:
+            self.found = _responses(record.put_out, record.driven, self.rate, band)
+            self.expected = _responses(record.put_out, expected_response(device, record.put_out), self.rate, band)
+            self.coherence = np.median(self.found.coherence, axis=1)
+        else:
+            self.coherence = np.zeros(len(self.names))
+        self.gains = np.full(len(self.names), math.nan)
+        self.expected_hz = linear_hz or linear_description(device.rig).frequency_hz
+        self.stretch = 1.0
+        self.noise, self.mains, self.offset = self._floor()
+
+    def add(self, name: str, rows: Sequence[int], sentence: str, remedy: str) -> None:
+        self.findings.append(Finding(name, tuple(self.names[row] for row in rows), sentence, remedy))
+
+    def _floor(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Noise (V rms), mains (V) and mean (V) of every channel in silence."""
+        silent = self.record.silent
+        offset = silent.mean(axis=1)
+        rest = silent - offset[:, None]
+        time = np.arange(silent.shape[1]) / self.rate
+        mains = np.zeros(len(self.names))
+        for frequency in _MAINS_HZ:
+            basis = np.stack([np.cos(2 * np.pi * frequency * time), np.sin(2 * np.pi * frequency * time)])
+            parts = 2.0 * rest @ basis.T / max(time.size, 1)
+            rest = rest - parts @ basis
+            mains = np.maximum(mains, np.hypot(parts[:, 0], parts[:, 1]))
+        return rest.std(axis=1), mains, offset
+
+    # -- questions -----------------------------------------------------------------------------------------------
+
+    def ask(self) -> None:
+        if self.record.ended:
+            late = self.record.ended.startswith("output:")
+            remedy = "end other programs, give real-time priority ('./nmt doctor')" if late else "look at the limit"
+            self.add("losses" if late else "limit", (), f"the drive was taken to zero: {self.record.ended}", remedy)
+        for row in range(len(self.names)):
+            self._ask_port(row)
+        self._ask_bench()
+        if self.is_driven and not any(finding.name in ("no_drive", "delay") for finding in self.findings):
+            self._ask_resonance()
+            self._ask_gains()
+            self._ask_headroom()
+
+    def _ask_port(self, row: int) -> None:
+        """What one port shows without a model."""
+        name, full = self.names[row], self.ranges[row]
+        peak = max(float(np.abs(self.record.silent[row]).max()), float(np.abs(self.record.driven[row]).max()))
+        if peak >= 0.999 * full:
+            self.condemned.add(row)
+            self.add(
+                "overload",
+                [row],
+                f"{name} reaches the end of its range ({full:g} V)",
+                "take a larger range or a less sensitive sensor; look for a broken sensor or amplifier",
+            )
+            return
+        if np.ptp(self.record.silent[row]) == 0.0 and np.ptp(self.record.driven[row]) == 0.0:
+            self.condemned.add(row)
+            self.add(
+                "short", [row], f"{name} does not move by a bit", "look for a short circuit, a muted or wrong port"
+            )
+            return
+        if abs(self.offset[row]) >= _RAIL * full:
+            self.condemned.add(row)
+            self.add(
+                "icp",
+                [row],
+                f"{name} sits at {self.offset[row]:.3g} V of {full:g} V, as an ICP input without supply does",
+                "switch the sensor's supply on, look for an open cable, set coupling: ac",
+            )
+            return
+        if abs(self.offset[row]) > _MOST_OFFSET * full:
+            self.add(
+                "offset",
+                [row],
+                f"{name} has a mean of {self.offset[row]:.3g} V",
+                "zero the conditioner or set coupling: ac",
+            )
+        if self.mains[row] > _MOST_MAINS * full:
+            self.add(
+                "mains",
+                [row],
+                f"{name} carries {self.mains[row]:.3g} V of the mains' frequency",
+                "look for a ground loop, insulate the sensor, connect the shield on one side",
+            )
+        if self.noise[row] > _MOST_NOISE * full:
+            self.add(
+                "noise",
+                [row],
+                f"{name} has {self.noise[row]:.3g} V rms of noise",
+                "look at cable and connector, at the conditioner's gain, and for vibration from elsewhere",
+            )
+
+    def _ask_bench(self) -> None:
+        """What concerns all channels: response at all, delay, clock, losses."""
+        figures = self.device.figures
+        if abs(figures.clock_ppm) > _CLOCK_PPM:
+            self.add(
+                "rate",
+                (),
+                f"the converter's clock is {figures.clock_ppm:+.0f} ppm off this computer's",
+                "set sample_rate_hz to the converter's true rate, look for a wrong external clock",
+            )
+        others = [
+            row
+            for row, name in enumerate(self.names)
+            if self.quantities[name] is not Quantity.VOLTAGE and row not in self.condemned
+        ]
+        deaf = [row for row in others if self.coherence[row] < _CONNECTED]
+        if self.is_driven and others and len(deaf) == len(others):
+            self.add(
+                "no_drive",
+                (),
+                "no channel responds to the drive: the loop does not close",
+                "switch the amplifier on, look at its gain, at the emergency stop and at the stinger",
+            )
+            return
+        monitors = [row for row, name in enumerate(self.names) if self.quantities[name] is Quantity.VOLTAGE]
+        for row in [
+            *deaf,
+            *(row for row in monitors if self.coherence[row] < _CONNECTED and row not in self.condemned),
+        ]:
+            if not self.is_driven:
+                continue
+            self.condemned.add(row)
+            if any(each.name in ("noise", "mains") and self.names[row] in each.channels for each in self.findings):
+                continue  # what hides the response has been named
+            self.add(
+                "open",
+                [row],
+                f"{self.names[row]} does not follow the drive (coherence {self.coherence[row]:.2f})",
+                "look at its cable, at the sensor's mounting and at the channel map",
+            )
+        if self.is_driven:
+            self._ask_delay(monitors)
+        if self.record.lost_blocks > _MOST_LOST * (self.record.put_out.size / self.device.block_samples):
+            self.add(
+                "losses",
+                (),
+                f"{self.record.lost_blocks} blocks had lost samples",
+                "give real-time priority ('./nmt doctor'), larger blocks, and end other programs",
+            )
+
+    def _ask_delay(self, monitors: Sequence[int]) -> None:
+        """Whether the delay from drive to monitor is the same in every second."""
+        rows = [row for row in monitors if row not in self.condemned]
+        if not rows:
+            return
+        size = round(self.rate)
+        lags = []
+        for start in range(0, self.record.put_out.size - size + 1, size):
+            drive, seen = self.record.put_out[start : start + size], self.record.driven[rows[0], start : start + size]
+            product = np.fft.irfft(np.fft.rfft(seen - seen.mean(), 2 * size) * np.conj(np.fft.rfft(drive, 2 * size)))
+            reach = size // 10
+            around = np.concatenate([product[-reach:], product[:reach]])
+            lags.append(int(np.argmax(np.abs(around))) - reach)
+        if lags and max(lags) - min(lags) > 1:
+            self.add(
+                "delay",
+                (),
+                f"the delay from drive to monitor moves by {max(lags) - min(lags)} samples",
+                "let output and input share one clock; look for lost samples",
+            )
+
+    def _ask_resonance(self) -> None:
+        """Where the responses lie in frequency, against the model's, whatever their gains."""
+        stretches = np.geomspace(0.8, 1.25, 181)
+        usable = [row for row in range(len(self.names)) if self._is_usable(row)]
+        if not usable:
+            return
+        costs = [float(np.median([self._misfit(row, row, stretch, True) for row in usable])) for stretch in stretches]
+        best = float(stretches[int(np.argmin(costs))])
+        # Only where it explains a good deal more than no stretch at all does.
+        if min(costs) < 0.7 * costs[stretches.size // 2]:
+            self.stretch = best
+        if abs(self.stretch - 1.0) > _FREQUENCY_TOLERANCE:
+            model_hz = linear_description(self.device.rig).frequency_hz
+            self.add(
+                "resonance",
+                (),
+                f"the structure's frequencies lie at {self.stretch:.3f} times those expected "
+                f"({self.stretch * model_hz:.4g} Hz for {model_hz:.4g} Hz)",
+                "look at the clamping and at the rig file, or make a linear test ('./nmt linear') and give its file",
+            )
+
+    def _is_usable(self, row: int) -> bool:
+        quantity = self.quantities[self.names[row]]
+        return row not in self.condemned and quantity is not Quantity.VOLTAGE and self.coherence[row] > _CONNECTED
+
+    def _ratio(self, row: int, other: int, stretch: float) -> FloatArray:
+        """Logarithm of found over expected, of the lines that are clear in both."""
+        lines = self.found.lines
+        at = lines / stretch
+        inside = (at >= lines[0]) & (at <= lines[-1]) & (self.found.coherence[row] > _CLEAR)
+        magnitude = np.abs(self.expected.values[other])
+        clear = np.interp(at, lines, self.expected.coherence[other]) > _CLEAR
+        expected = np.interp(at, lines, magnitude)
+        chosen = inside & clear & (expected > 0.0)
+        values = np.abs(self.found.values[row])[chosen]
+        return np.asarray(np.log(np.maximum(values, 1e-300) / expected[chosen]))
+
+    def _misfit(self, row: int, other: int, stretch: float, any_gain: bool = False) -> float:
+        ratio = self._ratio(row, other, stretch)
+        if ratio.size < 10:
+            return math.inf
+        if any_gain:
+            ratio = ratio - np.median(ratio)
+        return float(np.mean(np.minimum(np.abs(ratio), 3.0)))
+
+    def _ask_gains(self) -> None:
+        """Sign, exchanged channels, sensitivity."""
+        rows = [row for row in range(len(self.names)) if row not in self.condemned and self.coherence[row] > _CONNECTED]
+        for row in rows:
+            ratio = self._ratio(row, row, self._stretch_of(row))
+            if ratio.size >= 10:
+                self.gains[row] = math.exp(float(np.median(ratio)))
+        exchanged = self._exchanged(rows)
+        for row in rows:
+            if row in exchanged:
+                continue
+            entry = self.inputs[row]
+            tolerance = _GAIN_TOLERANCE + 4.0 * (entry.uncertainty or 0.0)
+            if abs(math.log(self.gains[row])) > math.log1p(tolerance):
+                self.add(
+                    "sensitivity",
+                    [row],
+                    f"{self.names[row]} measures {self.gains[row]:.3g} times what the model expects",
+                    "compare sensitivity_v with the calibration sheet, and the conditioner's gain",
+                )
+            if self._turn(row, row) < -0.5:
+                self.add(
+                    "sign",
+                    [row],
+                    f"{self.names[row]} has the wrong sign",
+                    "turn the sensor round, or write its sensitivity_v with a minus",
+                )
+
+    def _stretch_of(self, row: int) -> float:
+        return 1.0 if self.quantities[self.names[row]] is Quantity.VOLTAGE else self.stretch
+
+    def _turn(self, row: int, other: int) -> float:
+        """Mean cosine of the phase between found and expected."""
+        chosen = (self.found.coherence[row] > _CLEAR) & (self.expected.coherence[other] > _CLEAR)
+        if abs(self.stretch - 1.0) > 0.005:
+            # Phases are compared away from resonances where frequencies do not agree.
+            lines = self.found.lines
+            moved = np.interp(lines / self.stretch, lines, np.unwrap(np.angle(self.expected.values[other])))
+            return float(np.mean(np.cos(np.angle(self.found.values[row]) - moved)[chosen]))
+        product = self.found.values[row] * np.conj(self.expected.values[other])
+        return float(np.mean((product / np.maximum(np.abs(product), 1e-300)).real[chosen])) if chosen.any() else 0.0
+
+    def _exchanged(self, rows: Sequence[int]) -> set[int]:
+        """Channels whose response is that expected of another, whose own is not right either."""
+        own = {row: self._misfit(row, row, self._stretch_of(row)) for row in rows}
+        wrong = [row for row in rows if own[row] > _SAME_CHANNEL]
+        found: set[int] = set()
+        for index, one in enumerate(wrong):
+            for other in wrong[index + 1 :]:
+                crossed = [self._misfit(one, other, self.stretch), self._misfit(other, one, self.stretch)]
+                if one in found or other in found or max(crossed) > _SAME_CHANNEL:
+                    continue
+                if max(crossed) > 0.5 * max(own[one], own[other]):
+                    continue
+                found |= {one, other}
+                names = self.names[one], self.names[other]
+                with_force = Quantity.FORCE in (self.quantities[names[0]], self.quantities[names[1]])
+                self.add(
+                    "force_response" if with_force else "permuted",
+                    [one, other],
+                    f"{names[0]} and {names[1]} are exchanged",
+                    "exchange their cables, or their ports in the channel map",
+                )
+        return found
+
+    def headroom(self, row: int) -> float:
+        """Share of its range that a channel reaches at the highest planned level, by linear reckoning."""
+        if not self.is_driven or row in self.condemned or self.coherence[row] < _CONNECTED or not self.levels:
+            return math.nan
+        values = self.found.values[row]
+        clear = self.found.coherence[row] > 0.5
+        if not clear.any():
+            return math.nan
+        lines = self.found.lines
+        near = clear & (np.abs(lines / (self.stretch * self.expected_hz) - 1.0) < 0.15)
+        chosen = near if near.any() else clear
+        return float(np.abs(values[chosen]).max() * max(self.levels) / self.ranges[row])
+
+    def _ask_headroom(self) -> None:
+        for row, name in enumerate(self.names):
+            share = self.headroom(row)
+            if share > _HEADROOM:
+                self.add(
+                    "headroom",
+                    [row],
+                    f"{name} would reach {100 * share:.0f} % of its range at {max(self.levels):g} V",
+                    "take a larger range, a less sensitive sensor, or lower levels",
+                )
+
+
+def evaluate_check(
+    device: HardwareRig, record: CheckRecord, levels: Sequence[float] = (), linear_hz: float = 0.0
+) -> CheckResult:
+    """Findings and figures of a record.
+
+    Args:
+        device: that made it.
+        record: of `record_check`.
+        levels: planned drive amplitudes, V; empty = headroom is not asked for.
+        linear_hz: frequency of the target mode from a linear test, Hz; 0 = the model's.
+    """
+    asked = _Evaluation(device, record, levels, linear_hz)
+    asked.ask()
+    figures = device.figures
+    channels = tuple(
+        ChannelFigures(
+            entry.channel,
+            str(entry.port),
+            asked.quantities[entry.channel].unit,
+            float(asked.noise[row]),
+            float(asked.noise[row] / abs(entry.sensitivity_v)),
+            float(asked.mains[row]),
+            float(asked.offset[row]),
+            float(asked.coherence[row]),
+            float(asked.gains[row]),
+            asked.headroom(row),
+        )
+        for row, entry in enumerate(asked.inputs)
+    )
+    model_hz = linear_description(device.rig).frequency_hz
+    return CheckResult(
+        tuple(asked.findings),
+        channels,
+        float(np.abs(record.put_out).max(initial=0.0)),
+        DRIVE_SHARE * (device.rig.limits.voltage_v or 0.0),
+        figures.delay,
+        figures.round_trip,
+        figures.stated,
+        figures.clock_ppm,
+        asked.stretch * model_hz,
+        asked.expected_hz,
+        record.lost_blocks,
+    )
+
+
+def check(device: HardwareRig, levels: Sequence[float] = (), linear_hz: float = 0.0) -> CheckResult:
+    """Record and evaluate; the device is started, ends at zero and stays open.
+
+    Raises:
+        DeviceFault: the device failed.
+    """
+    return evaluate_check(device, record_check(device), levels, linear_hz)
+
+
+__all__ = [
+    "ChannelFigures",
+    "CheckRecord",
+    "CheckResult",
+    "DeviceFault",
+    "Finding",
+    "check",
+    "drive_level",
+    "evaluate_check",
+    "record_check",
+]

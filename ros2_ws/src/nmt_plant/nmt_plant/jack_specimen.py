@@ -1,0 +1,270 @@
+"""The simulated specimen on the other side of JACK's ports, in real time, in a process of its own.
+
+    python -m nmt_plant.jack_specimen RIG [options]
+
+It registers as a JACK client with one input port for the drive and one output port for every channel; PortAudio lists
+it among its devices under that name. Without a running JACK server it starts one with the dummy driver at the rig's
+sample rate, which needs no sound hardware, with real-time priority where the system allows it. It says ``ready`` when
+it answers, and ends with its standard input or a signal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import os
+import select
+import shutil
+import signal
+import stat
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_plant.hardware_rig import device_of
+from nmt_plant.specimen import Specimen
+from nmt_plant.specimen_faults import parse_fault
+from nmt_plant.specimen_options import add_options
+from nmt_rig.device_sections import SPECIMEN, PortAudioSection
+from nmt_rig.rig import load_rig
+
+_PRIORITY = 20
+_START_TIME = 15.0
+SERVER_VARIABLE = "JACK_DEFAULT_SERVER"
+
+
+def real_time_allowed(priority: int = _PRIORITY) -> bool:
+    """Whether this user may run processes at a real-time priority."""
+    allowed = subprocess.run(
+        [sys.executable, "-c", f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({priority}))"],
+        capture_output=True,
+    )
+    return allowed.returncode == 0
+
+
+class JackServer:
+    """A JACK server with the dummy driver.
+
+    Args:
+        name: of the server.
+        sample_rate: Hz.
+        period: samples.
+        log: file for what it says; None = nowhere.
+
+    Raises:
+        BenchError: jackd is not installed or does not start.
+    """
+
+    def __init__(self, name: str, sample_rate: int, period: int, log: Path | None = None) -> None:
+        if shutil.which("jackd") is None:
+            raise BenchError("JACK is not installed (jackd); type 'sudo apt install jackd2', then the command again.")
+        self.real_time = real_time_allowed()
+        priority = ["-R", "-P", str(_PRIORITY)] if self.real_time else ["-r"]
+        command = ["jackd", *priority, "-n", name, "-d", "dummy", "-r", str(sample_rate), "-p", str(period)]
+        command += ["-C", "0", "-P", "0"]
+        with contextlib.ExitStack() as stack:
+            output: Any = subprocess.DEVNULL if log is None else stack.enter_context(log.open("wb"))
+            self.process = subprocess.Popen(command, stdout=output, stderr=output, start_new_session=True)
+        end = time.monotonic() + _START_TIME
+        while not is_running(name):
+            if self.process.poll() is not None or time.monotonic() > end:
+                self.close()
+                raise BenchError(f"The JACK server '{name}' does not start; try 'jackd -d dummy -r {sample_rate}'.")
+
+    def close(self) -> None:
+        """End the server."""
+        if self.process.poll() is None:
+            self.process.terminate()
+            try:
+                self.process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
+
+def is_running(name: str) -> bool:
+    """Whether a JACK server of that name answers."""
+    if shutil.which("jack_wait") is None:
+        return False
+    asked = subprocess.run(["jack_wait", "-c", "-s", name], capture_output=True, text=True)
+    return "not running" not in asked.stdout and "running" in asked.stdout
+
+
+def load_jack() -> Any:
+    """The package JACK-Client with its library.
+
+    Raises:
+        BenchError: package or library is missing.
+    """
+    try:
+        import jack
+    except ModuleNotFoundError:
+        raise BenchError("The package JACK-Client is not installed; type: pip install JACK-Client.") from None
+    except OSError:
+        raise BenchError("JACK is not installed (libjack); type 'sudo apt install jackd2'.") from None
+    return jack
+
+
+class JackSpecimen:
+    """A specimen as a client of a JACK server.
+
+    Args:
+        specimen: what answers.
+        name: of the client.
+        record: most samples of the drive port that are kept, to be looked at later; 0 = none.
+    """
+
+    def __init__(self, specimen: Specimen, name: str = SPECIMEN, record: int = 0) -> None:
+        jack = load_jack()
+        try:
+            self._client = jack.Client(name, no_start_server=True)
+        except jack.JackError as error:
+            raise BenchError(f"The JACK server does not take the client {name}: {error}.") from None
+        self.sample_rate = self._client.samplerate
+        self._specimen = specimen
+        self._ranges = [1.0 / value for value in specimen.input_ranges]
+        self._drive = self._client.inports.register("drive")
+        self._ports = [self._client.outports.register(channel) for channel in specimen.channels]
+        self._record = np.zeros(record, np.float32)
+        self.recorded = 0
+        self.xruns = 0
+        self.failure = ""
+        self.gone = threading.Event()
+        self._client.set_process_callback(self._process)
+        self._client.set_xrun_callback(self._on_xrun)
+        self._client.set_shutdown_callback(lambda *_: self.gone.set())
+
+    def _on_xrun(self, _: float) -> None:
+        self.xruns += 1
+
+    def _process(self, frames: int) -> None:
+        if self.failure:
+            for port in self._ports:
+                port.get_array()[:] = 0.0
+            return
+        drive = self._drive.get_array()
+        if self.recorded + frames <= self._record.size:
+            self._record[self.recorded : self.recorded + frames] = drive
+        self.recorded += frames
+        try:
+            answer = self._specimen.respond(drive.astype(np.float64) * self._specimen.output_range)
+        except Exception as error:
+            self.failure = str(error)
+            return
+        for port, scale, values in zip(self._ports, self._ranges, answer, strict=True):
+            port.get_array()[:] = values * scale
+
+    def start(self) -> None:
+        """Answer from now on."""
+        # Compiled, or loaded, before the first period is due.
+        self._specimen.respond(np.zeros(self._client.blocksize))
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        self._client.activate()
+
+    def close(self) -> None:
+        """Leave the server."""
+        with contextlib.suppress(Exception):
+            self._client.deactivate()
+            self._client.close()
+
+    def write_record(self, path: Path) -> None:
+        """Write what was at the drive port, V, as a NumPy file."""
+        count = min(self.recorded, self._record.size)
+        np.save(path, self._record[:count] * self._specimen.output_range)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Start server and specimen, answer until told to end.
+
+    Raises:
+        BenchError: rig, option or JACK are refused.
+    """
+    changes = [*arguments.set, *([f"exciter.point={arguments.exciter}"] if arguments.exciter is not None else [])]
+    rig = load_rig(arguments.rig, changes)
+    device = rig.device if isinstance(rig.device, PortAudioSection) else device_of(rig, "portaudio")
+    if rig.sample_rate_hz != round(rig.sample_rate_hz):
+        raise BenchError(f"JACK needs a whole number of samples a second, got {rig.sample_rate_hz:g} Hz.")
+    specimen = Specimen(
+        rig,
+        device,
+        bits=arguments.bits,
+        noise=arguments.noise,
+        clock_error=1e-6 * arguments.clock_ppm,
+        delay=arguments.delay,
+        faults=[parse_fault(text) for text in arguments.fault],
+    )
+    load_jack()
+    server_name = os.environ.get(SERVER_VARIABLE, "default")
+    server = None
+    if not is_running(server_name):
+        period = arguments.period or max(rig.block_samples // 2, 32)
+        server = JackServer(server_name, int(rig.sample_rate_hz), period, arguments.log)
+    record = 0 if arguments.record is None else round(arguments.record_s * rig.sample_rate_hz)
+    try:
+        client = JackSpecimen(specimen, arguments.name, record)
+        if client.sample_rate != rig.sample_rate_hz:
+            client.close()
+            raise BenchError(
+                f"The JACK server runs at {client.sample_rate} Hz and the rig at {rig.sample_rate_hz:g} Hz; write "
+                f"--set sample_rate_hz={client.sample_rate}, or end the server."
+            )
+        with contextlib.suppress(OSError):
+            # A thread that holds the interpreter must not be held up itself while JACK's thread waits for it.
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
+        client.start()
+        priority = "" if server is None else (", real-time priority" if server.real_time else ", no real-time priority")
+        sys.stdout.write(
+            f"ready: {rig.name} behind JACK client {arguments.name}, {client.sample_rate} Hz, channels "
+            f"{', '.join(specimen.channels)}{priority}\n"
+        )
+        sys.stdout.flush()
+        told = threading.Event()
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, lambda *_: told.set())
+        follow_input(told, client.gone.is_set, lambda: bool(client.failure))
+        client.close()
+        if arguments.record is not None:
+            client.write_record(arguments.record)
+        sys.stdout.write(
+            f"ended: {client.recorded} samples, {client.xruns} xruns{client.failure and ', '}{client.failure}\n"
+        )
+        return 1 if client.failure else 0
+    finally:
+        if server is not None:
+            server.close()
+
+
+def follow_input(told: threading.Event, *ends: Callable[[], bool]) -> None:
+    """Wait for an event, for one of the ends, or for the end of the standard input where it is a pipe."""
+    follow = False
+    with contextlib.suppress(OSError, ValueError):
+        follow = stat.S_ISFIFO(os.fstat(sys.stdin.fileno()).st_mode)
+    while not told.is_set() and not any(end() for end in ends):
+        if follow and select.select([sys.stdin], [], [], 0.0)[0] and not os.read(sys.stdin.fileno(), 100):
+            return
+        told.wait(0.1)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run it; one sentence and exit code 2 for what the user can mend."""
+    parser = argparse.ArgumentParser(prog="nmt_plant.jack_specimen", description=__doc__)
+    add_options(parser)
+    try:
+        return run(parser.parse_args(arguments))
+    except BenchError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,266 @@
+"""NI hardware as the converter of an output, by NI's own driver or by NI's gRPC device server on another computer.
+
+The pattern is that of shaker controllers: continuous input and output on one sample clock, the output started by the
+input's start trigger, no regeneration, an output buffer of a few blocks; the end writes zeros and waits until they are
+out. Source: NI-DAQmx Help, "Synchronization" and "Regeneration".
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
+from nmt_plant.converter import Converter, Taken
+
+_CONNECT_TIME = 5.0  # s
+_MOST_RESTARTS = 5
+_RESTARTS_WITHIN = 10.0  # s
+_NOT_FED = -200290
+_LOST_CODES = frozenset({-200279, -200278, _NOT_FED, -200621, -200016, -50411})
+"""DAQmx errors of samples that came too late: input overwritten, output not fed in time (NI-DAQmx error codes)."""
+
+
+def load_nidaqmx() -> ModuleType:
+    """The package nidaqmx.
+
+    Raises:
+        BenchError: it is not installed.
+    """
+    try:
+        import nidaqmx
+    except ModuleNotFoundError:
+        raise BenchError("The package nidaqmx is not installed; type: pip install 'nidaqmx[grpc]'.") from None
+    return nidaqmx  # type: ignore[no-any-return]
+
+
+def session_options(address: str, name: str) -> Any:
+    """Options of a session with NI's gRPC device server; None for the driver of this computer.
+
+    Raises:
+        BenchError: the server does not answer.
+    """
+    if not address:
+        return None
+    try:
+        import grpc
+    except ModuleNotFoundError:
+        raise BenchError("The package grpcio is not installed; type: pip install 'nidaqmx[grpc]'.") from None
+    nidaqmx = load_nidaqmx()
+    channel = grpc.insecure_channel(address)
+    try:
+        grpc.channel_ready_future(channel).result(timeout=_CONNECT_TIME)
+    except grpc.FutureTimeoutError:
+        channel.close()
+        raise BenchError(
+            f"No NI gRPC device server answers at {address}; start 'ni_grpc_device_server' on the NI computer, or for "
+            "the simulated specimen './nmt specimen RIG --device nidaqmx'."
+        ) from None
+    return nidaqmx.GrpcSessionOptions(channel, name)
+
+
+def find_channels(address: str, ports: Sequence[str]) -> None:
+    """Refuse physical channels whose device the driver does not know.
+
+    Raises:
+        BenchError: driver, server or device is missing.
+    """
+    nidaqmx = load_nidaqmx()
+    from nidaqmx.system import System
+
+    options = session_options(address, "")
+    try:
+        system = System.remote(options) if options is not None else System.local()
+        names = list(system.devices.device_names)
+    except nidaqmx.errors.DaqNotFoundError:
+        raise BenchError(
+            "NI's driver NI-DAQmx is not installed here; install it from ni.com, or give the address of NI's gRPC "
+            "device server (device.address, or --device nidaqmx@HOST:PORT)."
+        ) from None
+    except nidaqmx.errors.Error as error:
+        raise BenchError(f"NI-DAQmx refuses: {_first_line(error)}.") from None
+    for port in ports:
+        if port.partition("/")[0] not in names:
+            raise BenchError(
+                f"NI-DAQmx knows no device {port.partition('/')[0]} (channel {port}); it lists "
+                f"{', '.join(names) or 'none'}."
+            )
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
+
+
+class NiDaqmxConverter(Converter):
+    """Analog input and output of NI hardware on one clock.
+
+    Args:
+        sample_rate: Hz.
+        outputs: (physical channel, range in V, amplifier gain) of each.
+        inputs: (physical channel, range in V, coupling ``dc`` or ``ac``, ICP current in mA or 0) of each.
+        block_samples: samples of a call.
+        address: of NI's gRPC device server; empty = this computer's driver.
+        start_trigger: terminal that starts the output; empty = the start trigger of the first input's device.
+        clock_source: terminal of the sample clock of the output; empty = that of the input.
+        buffer_blocks: blocks that the output buffer holds.
+
+    Raises:
+        BenchError: the driver refuses a setting.
+    """
+
+    def __init__(
+        self,
+        sample_rate: float,
+        outputs: Sequence[Sequence[Any]],
+        inputs: Sequence[Sequence[Any]],
+        block_samples: int,
+        address: str = "",
+        start_trigger: str = "",
+        clock_source: str = "",
+        buffer_blocks: int = 3,
+    ) -> None:
+        self._daq = load_nidaqmx()
+        self.outputs, self.inputs = len(outputs), len(inputs)
+        self.chunk_samples = block_samples
+        self._blocks = buffer_blocks
+        self.delay = buffer_blocks * block_samples
+        self.stated = self.delay + block_samples
+        self._rate = sample_rate
+        self._scale = np.array([[1.0 / entry[2]] for entry in outputs])
+        self._measured = np.zeros((self.inputs, block_samples))
+        self._running = False
+        self._restarts: list[float] = []
+        self._echo = 0
+        device = str(inputs[0][0]).partition("/")[0]
+        self._tasks: list[Any] = []
+        try:
+            self._set_up(
+                outputs,
+                inputs,
+                address,
+                start_trigger or f"/{device}/ai/StartTrigger",
+                clock_source or f"/{device}/ai/SampleClock",
+            )
+        except self._daq.errors.DaqNotFoundError:
+            raise BenchError(
+                "NI's driver NI-DAQmx is not installed here; install it, or give device.address."
+            ) from None
+        except self._daq.errors.Error as error:
+            self.close()
+            raise BenchError(f"NI-DAQmx refuses the channels or their settings: {_first_line(error)}.") from None
+
+    def _set_up(
+        self,
+        outputs: Sequence[Sequence[Any]],
+        inputs: Sequence[Sequence[Any]],
+        address: str,
+        start_trigger: str,
+        clock_source: str,
+    ) -> None:
+        from nidaqmx import constants
+        from nidaqmx.stream_readers import AnalogMultiChannelReader
+        from nidaqmx.stream_writers import AnalogMultiChannelWriter
+
+        continuous = constants.AcquisitionType.CONTINUOUS
+        block = self.chunk_samples
+
+        def task(name: str) -> Any:
+            made = self._daq.Task(name, grpc_options=session_options(address, name))
+            self._tasks.append(made)
+            return made
+
+        self._input = task("nmt_input")
+        for port, reach, coupling, current in inputs:
+            channel = self._input.ai_channels.add_ai_voltage_chan(str(port), min_val=-reach, max_val=reach)
+            if coupling == "ac":
+                channel.ai_coupling = constants.Coupling.AC
+            if current:
+                channel.ai_excit_src = constants.ExcitationSource.INTERNAL
+                channel.ai_excit_voltage_or_current = constants.ExcitationVoltageOrCurrent.USE_CURRENT
+                channel.ai_excit_val = 1e-3 * float(current)
+        self._input.timing.cfg_samp_clk_timing(
+            self._rate, sample_mode=continuous, samps_per_chan=max(20 * block, int(self._rate))
+        )
+        self._output = task("nmt_output")
+        for port, reach, _ in outputs:
+            channel = self._output.ao_channels.add_ao_voltage_chan(str(port), min_val=-reach, max_val=reach)
+            with contextlib.suppress(self._daq.errors.Error):  # not every device can; see the guide
+                channel.ao_idle_output_behavior = constants.AOIdleOutputBehavior.ZERO_VOLTS
+        self._output.timing.cfg_samp_clk_timing(
+            self._rate, source=clock_source, sample_mode=continuous, samps_per_chan=self._blocks * block
+        )
+        self._output.out_stream.regen_mode = constants.RegenerationMode.DONT_ALLOW_REGENERATION
+        self._output.out_stream.output_buf_size = self._blocks * block
+        self._output.triggers.start_trigger.cfg_dig_edge_start_trig(start_trigger)
+        self._reader = AnalogMultiChannelReader(self._input.in_stream)
+        self._writer = AnalogMultiChannelWriter(self._output.out_stream, auto_start=False)
+        self._reader.verify_array_shape = self._writer.verify_array_shape = False
+
+    def _start(self) -> None:
+        """Fill the buffer with zeros, arm the output, start the input, which triggers it."""
+        self._write(np.zeros((self.outputs, self._blocks * self.chunk_samples)))
+        self._output.start()
+        self._input.start()
+        self._running = True
+
+    @property
+    def _timeout(self) -> float:
+        return 1.0 + 4.0 * self._blocks * self.chunk_samples / self._rate
+
+    def _write(self, values: FloatArray) -> None:
+        written = self._writer.write_many_sample(np.ascontiguousarray(values * self._scale), timeout=self._timeout)
+        if written != values.shape[1]:
+            raise self._daq.errors.DaqWriteError("Samples were not taken.", _NOT_FED, written)
+
+    def exchange(self, values: FloatArray) -> Taken:
+        """Write a block, read a block; begins anew where the driver says that samples were lost."""
+        try:
+            if not self._running:
+                self._start()
+            self._write(values)
+            self._reader.read_many_sample(self._measured, values.shape[1], timeout=self._timeout)
+        except self._daq.errors.DaqError as error:
+            if error.error_code not in _LOST_CODES:
+                raise RuntimeError(f"NI-DAQmx: {_first_line(error)}") from error
+            self._begin_anew(error)
+            return Taken(np.zeros((self.inputs, values.shape[1])), True)
+        lost = self._echo > 0
+        self._echo = max(self._echo - 1, 0)
+        return Taken(self._measured.copy(), lost)
+
+    def _begin_anew(self, error: Exception) -> None:
+        now = time.monotonic()
+        self._restarts = [*(at for at in self._restarts if now - at < _RESTARTS_WITHIN), now]
+        if len(self._restarts) > _MOST_RESTARTS:
+            raise RuntimeError(
+                f"NI-DAQmx lost samples {len(self._restarts)} times within {_RESTARTS_WITHIN:g} s "
+                f"({_first_line(error)}); give larger blocks (block_samples) or a larger output buffer (buffer_blocks)"
+            ) from error
+        self._stop()
+        # What waited in the buffer was never put out: what is measured until it would have been belongs to nothing.
+        self._echo = self._blocks + 1
+
+    def _stop(self) -> None:
+        self._running = False
+        for task in (self._output, self._input):
+            with contextlib.suppress(self._daq.errors.Error):
+                task.stop()
+
+    def close(self) -> None:
+        """Write zeros, wait until they are out, release the device."""
+        if self._running:
+            with contextlib.suppress(self._daq.errors.Error):
+                for _ in range(self._blocks + 1):
+                    self._write(np.zeros((self.outputs, self.chunk_samples)))
+                time.sleep(self._blocks * self.chunk_samples / self._rate)
+            self._stop()
+        for task in self._tasks:
+            with contextlib.suppress(self._daq.errors.Error):
+                task.close()
+        self._tasks = []

@@ -1,0 +1,108 @@
+"""Requests to steer a run, and what they make of its plan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from nmt_core.errors import BenchError
+from nmt_core.vocabulary import SteeringAct
+from nmt_sequencer.level_plan import MAX_LEVELS
+
+if TYPE_CHECKING:
+    from nmt_sequencer.run_machine import RunPlan
+
+PRESENT_LEVEL = 2**32 - 1
+"""Stands for the level that is present when the request comes; as in ``nmt_msgs/Steer``."""
+
+_LONGEST_SOURCE = 100
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringRequest:
+    """What a person or a program asks of a run; fields as in ``nmt_msgs/Steer``.
+
+    Attributes:
+        act: what is asked for.
+        level_index: SKIP_LEVEL, REPEAT_LEVEL: the level that is meant; ignored by the others.
+        levels: CHANGE_LEVELS: what follows the present level, in the unit of the plan; ignored by the others.
+        frequencies_hz: CHANGE_LEVELS: one for each of ``levels``, Hz, or none.
+        at_sample: it is decided when all samples before this one are known; 0 = as soon as possible.
+        source: who asks.
+
+    Raises:
+        BenchError: a value is out of range.
+    """
+
+    act: SteeringAct
+    level_index: int = PRESENT_LEVEL
+    levels: tuple[float, ...] = ()
+    frequencies_hz: tuple[float, ...] = ()
+    at_sample: int = 0
+    source: str = "a program"
+
+    def __post_init__(self) -> None:
+        if self.act is SteeringAct.UNKNOWN:
+            raise BenchError("Nothing is asked of the run; name the act, see the message Steering.")
+        if len(self.source) > _LONGEST_SOURCE or not self.source.isprintable():
+            raise BenchError(f"The source of a request must be at most {_LONGEST_SOURCE} printable characters.")
+        for level in self.levels:
+            if not (math.isfinite(level) and level > 0.0):
+                raise BenchError(f"A level must be finite and > 0, got {level}.")
+        if self.act is SteeringAct.RESUME and self.at_sample:
+            raise BenchError("A run goes on at once; leave at_sample at 0.")
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """Fields of ``nmt_msgs/Steer``."""
+        return {
+            "act": int(self.act),
+            "level_index": self.level_index,
+            "levels": list(self.levels),
+            "frequencies_hz": list(self.frequencies_hz),
+            "at_sample": self.at_sample,
+            "source": self.source,
+        }
+
+
+def with_rest(plan: RunPlan, present: int, levels: Sequence[float], frequencies_hz: Sequence[float]) -> RunPlan:
+    """The plan with other levels after the present one.
+
+    Args:
+        plan: the plan.
+        present: index of the present level.
+        levels: what follows it.
+        frequencies_hz: one for each of them, Hz; empty: as the plan has it, if all its levels have the same.
+
+    Raises:
+        BenchError: too many levels, or frequencies are missing or too many.
+    """
+    if present + 1 + len(levels) > MAX_LEVELS:
+        raise BenchError(
+            f"A plan has at most {MAX_LEVELS} levels; {present + 1} are begun, {len(levels)} would follow."
+        )
+    given = tuple(frequencies_hz)
+    if plan.frequencies_hz and not given and len(set(plan.frequencies_hz)) == 1:
+        given = (plan.frequencies_hz[0],) * len(levels)
+    if len(given) != (len(levels) if plan.frequencies_hz else 0):
+        needed = "a frequency for each of the levels" if plan.frequencies_hz else "no frequencies"
+        raise BenchError(f"This plan takes {needed}; {len(levels)} levels and {len(given)} frequencies are given.")
+    kept = slice(0, present + 1)
+    return replace(plan, levels=(*plan.levels[kept], *levels), frequencies_hz=(*plan.frequencies_hz[kept], *given))
+
+
+def with_repetition(plan: RunPlan, present: int, index: int) -> RunPlan:
+    """The plan with a level once more, after the present one.
+
+    Raises:
+        BenchError: the plan has no room for it.
+    """
+    rest = slice(present + 1, None)
+    return with_rest(
+        plan,
+        present,
+        (plan.levels[index], *plan.levels[rest]),
+        (*plan.frequencies_hz[index : index + 1], *plan.frequencies_hz[rest]),
+    )

@@ -1,0 +1,44 @@
+"""Signals to the command line while a test runs."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from nmt_bench.orchestration.interrupts import deferred_interrupts, terminate_as_interrupt
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_wish_to_end_is_as_ctrl_c(number: int) -> None:
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt), terminate_as_interrupt():
+        os.kill(os.getpid(), number)
+    assert signal.getsignal(number) == before
+
+
+def test_what_is_ignored_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with terminate_as_interrupt(), deferred_interrupts() as deferred:
+            os.kill(os.getpid(), signal.SIGHUP)
+        assert not deferred.came
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_one_signal_waits_and_a_second_one_breaks_in(number: int) -> None:
+    with terminate_as_interrupt(), deferred_interrupts() as deferred:
+        os.kill(os.getpid(), number)
+        assert deferred.came  # and the work goes on
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), number)
+
+
+def test_patient_work_is_never_broken() -> None:
+    with deferred_interrupts(patient=True) as deferred:
+        for _ in range(3):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert deferred.came

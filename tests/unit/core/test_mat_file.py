@@ -1,0 +1,154 @@
+"""MATLAB files against scipy's and h5py's writers, and files that want to harm."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from nmt_core.errors import BenchError
+from nmt_core.mat_file import read_mat
+
+DRAW = np.random.default_rng(3)
+CONTENT = {
+    "force": DRAW.standard_normal((50, 1)),
+    "counts": np.arange(-3, 9, dtype=np.int16).reshape(3, 4),
+    "frf": DRAW.standard_normal(6) + 1j * DRAW.standard_normal(6),
+    "title": "a text",
+    "test": {"fs": 2048.0, "channel": {"a1": DRAW.standard_normal(40).astype(np.float32)}},
+}
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_numbers_of_structs_are_named_by_their_path(tmp_path: Path, compressed: bool) -> None:
+    path = tmp_path / "run.mat"
+    savemat(path, CONTENT, do_compression=compressed)
+    found = read_mat(path, "data file")
+    assert set(found) == {"force", "counts", "frf", "test.fs", "test.channel.a1"}
+    np.testing.assert_array_equal(found["force"], CONTENT["force"])
+    np.testing.assert_array_equal(found["counts"], CONTENT["counts"])
+    np.testing.assert_array_equal(found["frf"].ravel(), CONTENT["frf"])
+    np.testing.assert_array_equal(found["test.channel.a1"].ravel(), CONTENT["test"]["channel"]["a1"])
+    assert found["test.fs"].item() == 2048.0
+
+
+def test_elements_of_a_struct_array_are_numbered(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    runs = np.zeros((1, 2), dtype=[("x", object)])
+    runs["x"][0, 0], runs["x"][0, 1] = np.arange(3.0), np.arange(4.0)
+    savemat(path, {"runs": runs})
+    found = read_mat(path, "data file")
+    assert {key: value.size for key, value in found.items()} == {"runs.1.x": 3, "runs.2.x": 4}
+
+
+def hdf5(path: Path) -> Path:
+    """As MATLAB writes version 7.3: columns are rows, complex numbers a pair, structs groups."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        matrix = file.create_dataset("force", data=np.arange(12.0).reshape(2, 6), compression="gzip")
+        matrix.attrs["MATLAB_class"] = np.bytes_("double")
+        pair = np.zeros(5, dtype=[("real", "f8"), ("imag", "f8")])
+        pair["real"], pair["imag"] = np.arange(5.0), -1.0
+        file.create_dataset("test/frf", data=pair).attrs["MATLAB_class"] = np.bytes_("double")
+        text = file.create_dataset("title", data=np.array([97, 98], dtype=np.uint16))
+        text.attrs["MATLAB_class"] = np.bytes_("char")
+        file.create_dataset("#refs#/a", data=np.arange(3.0))
+        file["elsewhere"] = h5py.ExternalLink("/etc/passwd", "/x")
+        file["alias"] = h5py.SoftLink("/force")
+    with open(path, "r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    return path
+
+
+def test_version_7_3_is_read_as_matlab_shows_it(tmp_path: Path) -> None:
+    found = read_mat(hdf5(tmp_path / "run.mat"), "data file")
+    assert set(found) == {"force", "test.frf"}
+    np.testing.assert_array_equal(found["force"], np.arange(12.0).reshape(2, 6).T)
+    np.testing.assert_array_equal(found["test.frf"], np.arange(5.0) - 1j)
+
+
+def test_what_lies_in_other_files_is_not_read(tmp_path: Path) -> None:
+    (tmp_path / "secret.bin").write_bytes(b"\1" * 64)
+    with h5py.File(tmp_path / "out.h5", "w") as file:
+        file.create_dataset("x", (8,), "f8", external=[(str(tmp_path / "secret.bin"), 0, 64)])
+    layout = h5py.VirtualLayout((4,), "f8")
+    layout[:] = h5py.VirtualSource(str(tmp_path / "other.h5"), "x", (4,))
+    with h5py.File(tmp_path / "virtual.h5", "w") as file:
+        file.create_virtual_dataset("x", layout)
+    for name in ("out.h5", "virtual.h5"):
+        with pytest.raises(BenchError, match="another file"):
+            read_mat(tmp_path / name, "data file")
+
+
+def test_claims_are_weighed_before_memory_is_taken(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "large.h5", "w") as file:
+        file.create_dataset("x", (2**40,), "f8", chunks=(2**16,))
+    with pytest.raises(BenchError, match="more than the"):
+        read_mat(tmp_path / "large.h5", "data file")
+    header = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
+    bomb = zlib.compress(bytes(2**22), 9)
+    (tmp_path / "bomb.mat").write_bytes(header + struct.pack("<II", 15, len(bomb)) + bomb)
+    with pytest.raises(BenchError, match="more than the"):
+        read_mat(tmp_path / "bomb.mat", "data file", largest=2**20)
+    # A matrix of 2³¹ − 1 squared numbers in forty bytes.
+    body = struct.pack("<IIII", 6, 8, 6, 0) + struct.pack("<IIii", 5, 8, 2**31 - 1, 2**31 - 1)
+    body += struct.pack("<IHH", 1 << 16 | 1, 0x78, 0)[:8] + struct.pack("<II", 9, 0)
+    (tmp_path / "claim.mat").write_bytes(header + struct.pack("<II", 14, len(body)) + body)
+    with pytest.raises(BenchError):
+        read_mat(tmp_path / "claim.mat", "data file")
+
+
+def test_nesting_has_an_end(tmp_path: Path) -> None:
+    nested: dict[str, object] = {"x": 1.0}
+    for _ in range(30):
+        nested = {"s": nested}
+    savemat(tmp_path / "deep.mat", nested)
+    with pytest.raises(BenchError, match="nested too deeply"):
+        read_mat(tmp_path / "deep.mat", "data file")
+    with h5py.File(tmp_path / "deep.h5", "w") as file:
+        group = file
+        for _ in range(30):
+            group = group.create_group("g")
+        group["again"] = file["/"]
+    with pytest.raises(BenchError, match="nested too deeply"):
+        read_mat(tmp_path / "deep.h5", "data file")
+
+
+def test_only_regular_files_of_the_kind_are_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.mat")
+    (tmp_path / "text.mat").write_text("1, 2, 3\n")
+    (tmp_path / "cut.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(40))
+    for name, words in (("pipe.mat", "pipe or a device"), ("text.mat", "save -v7"), ("cut.h5", "cut off or damaged")):
+        with pytest.raises(BenchError, match=words):
+            read_mat(tmp_path / name, "data file")
+
+
+@given(st.integers(0, 10**6), st.integers(0, 255), st.booleans())
+def test_a_file_with_any_byte_changed_or_cut_is_read_or_refused(place: int, value: int, cut: bool) -> None:
+    data = bytearray(_EXAMPLE)
+    data[place % len(data)] = value
+    path = _FOLDER / "changed.mat"
+    path.write_bytes(bytes(data[: place % len(data)] if cut else data))
+    try:
+        found = read_mat(path, "data file")
+    except BenchError:
+        return
+    assert all(array.nbytes <= 2**20 for array in found.values())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _example(tmp_path_factory: pytest.TempPathFactory) -> None:
+    global _EXAMPLE, _FOLDER
+    _FOLDER = tmp_path_factory.mktemp("mat")
+    savemat(_FOLDER / "own.mat", CONTENT)
+    _EXAMPLE = (_FOLDER / "own.mat").read_bytes()
+
+
+_EXAMPLE, _FOLDER = b"", Path()

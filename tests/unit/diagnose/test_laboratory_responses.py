@@ -1,0 +1,95 @@
+"""Frequency responses as a laboratory has them, their truth known: see the README of the data."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from nmt_bench.data_import import import_data
+from nmt_diagnose.effects.calibration import calibration_parameters
+from nmt_diagnose.effects.library import candidates
+from nmt_diagnose.evidence.read_evidence import read_evidence
+from nmt_diagnose.inference.contest import Contender, Contest
+from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
+from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.twin.operating_range import operating_range
+from nmt_rig.rig import load_rig
+
+ONE_MODE = "structure: {kind: modal, modes: [{frequency_hz: 50.0, damping_ratio: 0.01, modal_mass_kg: 1.0}]}\n"
+ON_TABLE = (
+    "structure: {kind: modal, modes: [{frequency_hz: 31.4, damping_ratio: 0.004, modal_mass_kg: 1.0, "
+    "participation: 1.57}]}\nexciter: {kind: shaking_table, point: 1}\n"
+)
+
+
+def imported(
+    source: Path, folder: Path, name: str, levels: tuple[float, ...], model: str, keys: dict[str, object]
+) -> tuple[Path, Path]:
+    """The bag of a table's levels, and the rig file."""
+    if not (source / f"{name}_{levels[0]:g}_up.csv").is_file():
+        pytest.skip(f"the laboratory's data ({source}) is not on this machine")
+    segments = []
+    for level in levels:
+        for direction in ("up", "down"):
+            file = f"{name}_{level:g}_{direction}.csv"
+            shutil.copy(source / file, folder / file)
+            own = {"kind": "frf", "file": file, "point": 1, "drive_point": 1, "level": level, "direction": direction}
+            segments.append({**own, "name": f"{level:g} {direction}", **keys})
+    sidecar = {"rig": "one_mode", "file": segments[0]["file"], "segments": segments}
+    (folder / "sidecar.yaml").write_text(yaml.safe_dump(sidecar), encoding="utf-8")
+    (folder / "model.yaml").write_text(f"name: one_mode\n{model}", encoding="utf-8")
+    import_data(folder / "sidecar.yaml", folder / "bag")
+    return folder / "bag", folder / "model.yaml"
+
+
+def diagnosed(*words: Any) -> Diagnosis:
+    bag, model = imported(*words)
+    return diagnose_bags(str(model), [bag], settings=DiagnosisSettings(look_ahead=False)).diagnosis
+
+
+def test_a_duffing_oscillator_at_four_forces(data_folder: Path, tmp_path: Path) -> None:
+    keys: dict[str, object] = {"unit": "m/s^2/N", "level_unit": "N"}
+    found = diagnosed(data_folder / "laboratory", tmp_path, "duffing", (0.5, 2.0, 5.0, 8.0), ONE_MODE, keys)
+    assert found.verdict is Verdict.EFFECT
+    first = found.ranking[0]
+    assert first.effect == "cubic_stiffness"
+    assert first.probability >= 0.9
+    k = first.parameters["k"]
+    assert abs(k.value - 2.4e9) < 3.0 * k.std
+    # The scale of the motion, 1 %, is 2 % of k.
+    assert 0.02 * k.value < k.std < 0.05 * k.value
+    assert found.gap.closed >= 0.9
+
+
+def test_a_cantilever_that_softens_gets_its_damping_beside(data_folder: Path, tmp_path: Path) -> None:
+    """A scan about the cubic spring alone ranks gaps, stops and other springs before the damping that is there."""
+    keys: dict[str, object] = {"unit": "(m/s^2)/(m/s^2)", "level_unit": "g"}
+    bag, model = imported(data_folder / "laboratory", tmp_path, "table", (0.02, 0.1, 0.3), ON_TABLE, keys)
+    rig = load_rig(str(model))
+    evidence = read_evidence([bag], rig)
+    problem = Problem(evidence, Forward(evidence.tests, evidence.rows))
+    effects = candidates(rig, operating_range(rig, evidence.tests, evidence=evidence))
+    contest = Contest(problem, rig, calibration_parameters(rig), effects)
+    (cubic,) = [own for own in effects if own.effect.name == "cubic_stiffness"]
+    alone = contest._together((cubic,), (1.0,), np.zeros(1))
+    assert alone is not None
+    pairs = contest._with_partners([alone], ())
+    assert {own.effects[0] for own in pairs} == {"air_drag", "amplitude_damping", "cubic_stiffness"}
+    best = max(pairs, key=lambda own: own.fit.log_evidence)
+    assert best.effects == ("amplitude_damping", "cubic_stiffness")
+    # The noise is not traced about the solution here, so the truth is near, not within a deviation.
+    said = [contest_value(best, member) for member in range(2)]
+    assert said == pytest.approx([-0.10 * (2.0 * np.pi * 31.4) ** 2 / 0.008**2, 2.4e4], rel=0.05)
+
+
+def contest_value(pair: Contender, member: int) -> float:
+    """The strength of one of its effects, in its unit."""
+    (value,) = pair.fit.parametrisation.values(pair.fit.theta, member).values()
+    return value

@@ -1,0 +1,223 @@
+"""Ring-downs as laboratories have them, against closed forms, an ordinary integrator and the twin."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.special import ellipk
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_diagnose.evidence.bag_samples import Stretch
+from nmt_diagnose.evidence.conditions import MeasuredChannel, RingDownTest
+from nmt_diagnose.evidence.decay_signal import demodulated, middles, window
+from nmt_diagnose.evidence.model_view import ModelView
+from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.evidence.ring_down_evidence import ring_down_evidence
+from nmt_diagnose.evidence.settings import EvidenceSettings
+from nmt_diagnose.twin.forward import Forward
+from nmt_rig.rig import Rig, validate_rig
+from nmt_rig.rig_file import RigDocument
+
+HZ, RATIO, TOP = 50.0, 0.004, 1e-3
+OMEGA = 2.0 * math.pi * HZ
+LASER = MeasuredChannel("v1", Quantity.VELOCITY, 1)
+
+
+def rig(cubic: float = 0.0, modes: tuple[tuple[float, float], ...] = ((HZ, RATIO),)) -> Rig:
+    """Modes of 1 kg, their shapes alike at points 1 and 2."""
+    values = {
+        "name": "modes",
+        "structure": {
+            "kind": "modal",
+            "points": [1, 2],
+            "modes": [
+                {"frequency_hz": hz, "damping_ratio": ratio, "modal_mass_kg": 1.0, "shape": [1.0, 0.4]}
+                for hz, ratio in modes
+            ],
+        },
+        "exciter": {"kind": "force", "point": 1},
+        "sensors": [{"quantity": "force", "point": "drive"}, {"quantity": "velocity", "point": 1}],
+        "extraction": {"quantity": "velocity", "linear_modes": 1},
+    }
+    if cubic:
+        values["local_elements"] = [{"kind": "cubic_spring", "point": 1, "stiffness_n_m3": cubic}]
+    return validate_rig(RigDocument("test", values, {}))
+
+
+def decay(rate: float, seconds: float, cubic: float = 0.0) -> FloatArray:
+    """Velocity of 1 kg on a linear and a cubic spring, let go at ``TOP``."""
+    times = np.arange(round(seconds * rate)) / rate
+    run = solve_ivp(
+        lambda _, y: [y[1], -(OMEGA**2) * y[0] - cubic * y[0] ** 3 - 2.0 * RATIO * OMEGA * y[1]],
+        (0.0, times[-1]), [TOP, 0.0], t_eval=times, rtol=1e-9, atol=1e-14, method="DOP853",
+    )  # fmt: skip
+    return np.asarray(run.y[1])
+
+
+def linear(rate: float, seconds: float, hz: float = HZ, ratio: float = RATIO) -> FloatArray:
+    """Exponentially decaying velocity of amplitude 1 m/s."""
+    t = np.arange(round(seconds * rate)) / rate
+    omega = 2.0 * math.pi * hz
+    return np.asarray(np.exp(-ratio * omega * t) * np.sin(omega * math.sqrt(1.0 - ratio**2) * t + 0.4))
+
+
+def evidence_of(samples: FloatArray, rate: float, model: Rig, **others: FloatArray) -> Evidence:
+    """Evidence of a laser's samples, and of further channels by name: quantity letter and point."""
+    channels = [LASER]
+    channels += [MeasuredChannel(name, Quantity.ACCELERATION, int(name[1:])) for name in others]
+    stretch = Stretch(0, rate, tuple(channels), np.stack([samples, *others.values()]), None, {}, math.nan)
+    view = ModelView.of(model, 1)
+    return ring_down_evidence("decay", stretch, math.nan, view, {c.name: c for c in channels}, EvidenceSettings())
+
+
+def values(evidence: Evidence, part: Part) -> FloatArray:
+    return evidence.values[evidence.rows.part == part]
+
+
+def z_scores(evidence: Evidence, model: Rig) -> FloatArray:
+    forward = Forward(evidence.tests, evidence.rows)
+    return np.asarray(forward.difference(evidence.values, forward.predict(model).values) / evidence.sigma)
+
+
+def exact_frequency(velocity: FloatArray, cubic: float) -> FloatArray:
+    """ω of the undamped oscillator at fundamental amplitudes of its velocity, by elliptic functions.
+
+    x = a cn(Ωt, m), Ω² = ω₀² + k₃a², m = k₃a²/(2Ω²), of the period 4K/Ω; fundamental of cn: 2π/(√m K) √q/(1+q) with
+    the nome q (Abramowitz and Stegun, 16.23.2).
+    """
+    a = np.geomspace(1e-4 * TOP, 2.0 * TOP, 4000)
+    fast = np.sqrt(OMEGA**2 + cubic * a**2)
+    m = cubic * a**2 / (2.0 * fast**2)
+    nome = np.exp(-math.pi * ellipk(1.0 - m) / ellipk(m))
+    omega = math.pi * fast / (2.0 * ellipk(m))
+    fundamental = a * 2.0 * math.pi / (np.sqrt(m) * ellipk(m)) * np.sqrt(nome) / (1.0 + nome)
+    return np.asarray(np.interp(velocity, omega * fundamental, omega))
+
+
+@pytest.mark.parametrize("rate", [5000.0, 1024.0])
+def test_a_decay_that_starts_at_twice_its_frequency(rate: float) -> None:
+    """The last has ten samples a period at the start; the model knows the frequency at rest only."""
+    cubic = 4.5 * OMEGA**2 / TOP**2
+    evidence = evidence_of(decay(rate, 5.0, cubic), rate, rig())
+    test = evidence.tests[0]
+    assert isinstance(test, RingDownTest)
+    assert test.amplitudes.size >= 10
+    log = values(evidence, Part.LOG_FREQUENCY)
+    assert math.exp(log[0]) > 1.6 * OMEGA
+    assert math.exp(log[-1]) == pytest.approx(OMEGA, rel=2e-4)
+    assert log == pytest.approx(np.log(exact_frequency(test.amplitudes, cubic)), abs=5e-4)
+    assert test.frequency_hz == pytest.approx(HZ, rel=2e-4)
+    # The twin agrees with the integrator in frequency and in damping, a third of it from the change of frequency.
+    assert np.abs(z_scores(evidence, rig(cubic))).max() < 4.0
+    assert np.abs(z_scores(evidence, rig())).max() > 100.0
+
+
+def test_uncertainties_are_those_of_the_noise() -> None:
+    rate, found = 1000.0, []
+    for seed in range(25):
+        noise = 3e-3 * np.random.default_rng(seed).standard_normal(4000)
+        evidence = evidence_of(linear(rate, 4.0) + noise, rate, rig())
+        found.append((evidence.values - Forward(evidence.tests, evidence.rows).predict(rig()).values) / evidence.std)
+    scores = np.concatenate(found)
+    assert scores.size > 300
+    assert 0.75 < float(np.sqrt(np.mean(scores**2))) < 1.25
+    assert np.abs(scores).max() < 6.0
+
+
+@pytest.mark.parametrize("per_period", [3.3, 5.0, 9.7])
+def test_few_samples_a_period(per_period: float) -> None:
+    rate = per_period * HZ
+    evidence = evidence_of(linear(rate, 5.0), rate, rig())
+    assert values(evidence, Part.LOG_FREQUENCY) == pytest.approx(np.log(OMEGA * math.sqrt(1.0 - RATIO**2)), abs=1e-4)
+    assert values(evidence, Part.DAMPING) == pytest.approx(RATIO, rel=0.02)
+
+
+def test_fewer_than_three_samples_a_period_are_refused_with_the_numbers() -> None:
+    evidence = evidence_of(linear(2.5 * HZ, 5.0), 2.5 * HZ, rig())
+    assert not len(evidence.rows)
+    assert "2.5 samples a period" in evidence.notes[0]
+
+
+def test_what_lies_before_the_impact_is_not_used() -> None:
+    rate = 2000.0
+    quiet = 1e-4 * np.random.default_rng(3).standard_normal(800)
+    evidence = evidence_of(np.concatenate((quiet, linear(rate, 4.0))), rate, rig())
+    assert evidence.rows.time_s.min() > 0.4
+    assert any("is used from 0.4" in note for note in evidence.notes)
+    assert np.abs(z_scores(evidence, rig())).max() < 4.0
+
+
+def test_another_mode_and_the_hammer_are_filtered_out() -> None:
+    rate, t = 4000.0, np.arange(16000) / 4000.0
+    ringing = 2.0 * np.exp(-300.0 * t) * np.sin(2.0 * math.pi * 1200.0 * t)
+    own = linear(rate, 4.0) + 0.5 * linear(rate, 4.0, 1.7 * HZ, 0.005) + ringing
+    evidence = evidence_of(own, rate, rig(modes=((HZ, RATIO), (1.7 * HZ, 0.005))))
+    frequency = values(evidence, Part.LOG_FREQUENCY)
+    assert frequency.size >= 6
+    assert frequency[2:] == pytest.approx(np.log(OMEGA), abs=3e-4)
+    assert np.abs(z_scores(evidence, rig())).max() < 5.0
+
+
+def test_a_knock_spoils_its_own_amplitudes_only() -> None:
+    rate = 2000.0
+    bad = linear(rate, 5.0)
+    bad[4000:4200] += 0.3 * np.random.default_rng(1).standard_normal(200)
+    evidence = evidence_of(bad, rate, rig())
+    log = evidence.rows.part == Part.LOG_FREQUENCY
+    time, std = evidence.rows.time_s[log], evidence.std[log]
+    near = np.abs(time - 2.05) < 0.5
+    assert near.any()
+    assert std[near].max() > 1e-3
+    assert std[~near].max() < 1e-6
+    assert np.abs(z_scores(evidence, rig())).max() < 5.0
+
+
+def test_several_responses_have_the_shape_of_the_mode() -> None:
+    rate = 2000.0
+    own = linear(rate, 4.0)
+    later = linear(rate, 4.0 + 2.0 / rate)[1:-1]
+    acceleration = 0.4 * (later - own)[: own.size] * rate
+    evidence = evidence_of(own, rate, rig(), a2=0.4 * np.gradient(own) * rate)
+    assert acceleration.size == own.size
+    size = values(evidence, Part.LOG_MAGNITUDE)
+    amplitudes = evidence.rows.amplitude[evidence.rows.part == Part.LOG_MAGNITUDE]
+    # Central differences are smaller by sin(x)/x.
+    loss = np.sinc(HZ * 2.0 / rate)
+    assert size == pytest.approx(np.log(0.4 * OMEGA * loss * amplitudes), abs=2e-4)
+    assert values(evidence, Part.PHASE) == pytest.approx(math.pi / 2.0 + RATIO, abs=1e-3)
+    predicted = Forward(evidence.tests, evidence.rows).predict(rig()).values
+    assert predicted[evidence.rows.part == Part.LOG_MAGNITUDE] == pytest.approx(size - np.log(loss), abs=2e-4)
+    assert predicted[evidence.rows.part == Part.PHASE] == pytest.approx(values(evidence, Part.PHASE), abs=1e-3)
+
+
+def test_a_decay_of_no_mode_of_the_model_is_left_out_with_both_frequencies() -> None:
+    evidence = evidence_of(linear(2000.0, 4.0, 3.0 * HZ), 2000.0, rig())
+    assert not len(evidence.rows)
+    assert "150" in evidence.notes[0]
+    assert "50" in evidence.notes[0]
+
+
+def test_the_window_passes_a_constant_and_no_harmonic() -> None:
+    cycles = np.linspace(0.0, 12.0, 2401)
+    for width in (1, 2):
+        assert window(np.linspace(-8.0, 8.0, 16001), width).sum() * 1e-3 == pytest.approx(1.0, abs=1e-6)
+        for order in (0, 2, 3):
+            signal = np.cos(2.0 * math.pi * order * cycles + 0.3)
+            assert np.abs(demodulated(signal, cycles, width)).max() < 1e-4
+        found = demodulated(np.cos(2.0 * math.pi * cycles + 0.3), cycles, width)
+        assert found.size == middles(cycles, width).size
+        assert found == pytest.approx(np.exp(0.3j), abs=1e-4)
+
+
+def test_a_state_at_the_pole_of_the_linear_system_starts_one_with_a_spring() -> None:
+    """The linear decay is the pole to the last bit, where transfer functions are infinite."""
+    evidence = evidence_of(linear(2000.0, 4.0), 2000.0, rig())
+    forward = Forward(evidence.tests, evidence.rows)
+    start = forward.predict(rig())
+    again = forward.predict(rig(), start)
+    spring = forward.predict(rig(1e6), again)
+    assert np.isfinite(spring.values).all()
+    assert spring.values == pytest.approx(forward.predict(rig(1e6)).values, rel=1e-7)

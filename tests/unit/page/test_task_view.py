@@ -1,0 +1,137 @@
+"""The progress page of commands that compute: what they tell, through the pipe, and a diagnosis's own telling."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from types import SimpleNamespace
+from typing import Any
+
+import aiohttp
+import pytest
+
+from nmt_bench.commands.diagnose_command import _tell
+from nmt_bench.page.bench_link import StartRequest
+from nmt_bench.page.frames import read_frame
+from nmt_bench.page.start_goal import goal_of, start_request
+from nmt_bench.page.task_feed import TaskFeed, task_page
+from nmt_bench.page.task_view import TaskView
+from nmt_core.errors import BenchError
+from nmt_core.vocabulary import TestKind
+from nmt_diagnose.inference.progress import Told
+
+
+def heads(view: TaskView) -> tuple[dict[str, Any], dict[str, Any]]:
+    return read_frame(view.facts())[0], read_frame(view.live(0))[0]
+
+
+def test_what_a_command_tells_arrives_with_its_times() -> None:
+    now = [0.0]
+    view = TaskView(clock=lambda: now[0])
+    reading, writing = os.pipe()
+    feed = TaskFeed(writing)
+    with os.fdopen(reading, "rb") as pipe:
+        feed.tell(title="Diagnosis of beam")
+        feed.step("reading")
+        feed.step("fitting gap@7", 0, 4)
+        for _ in range(3):
+            view.take_line(pipe.readline())
+        now[0] = 10.0
+        feed.step("fitting cubic@3", 1, 4)
+        feed.table(("explanation", "ln"), [("gap@7", "best"), ("none", "40.0 behind")])
+        for _ in range(2):
+            view.take_line(pipe.readline())
+        now[0] = 20.0
+        facts, live = heads(view)
+        os.close(writing)
+    assert facts["title"] == "Diagnosis of beam"
+    assert [step["text"] for step in facts["steps"]] == ["reading", "fitting gap@7", "fitting cubic@3"]
+    assert [step["took"] for step in facts["steps"]] == ["0.0\u202fs", "10.0\u202fs", ""]
+    assert facts["rows"] == [["gap@7", "best"], ["none", "40.0 behind"]]
+    assert (live["present"], live["done"], live["total"]) == ("fitting cubic@3", 1, 4)
+    assert live["left"].startswith("1\u202fmin")  # one in 20 s, three to come
+    view.end()
+    assert "has ended" in heads(view)[0]["outcome"]
+
+
+@pytest.mark.parametrize("line", [b"", b"[1]", b"{", b'{"step": 3, "done": "x", "total": [], "rows": {}}', b"[" * 9999])
+def test_strange_lines_break_nothing(line: bytes) -> None:
+    view = TaskView()
+    view.take_line(line)
+    json.dumps(heads(view))
+
+
+def test_a_page_that_is_gone_or_hangs_stops_no_command() -> None:
+    reading, writing = os.pipe()
+    feed = TaskFeed(writing)
+    for number in range(20_000):  # nobody reads
+        feed.step(f"step {number}")
+    os.close(reading)
+    feed.step("nobody is there")
+    os.close(writing)
+    TaskFeed().step("no page")
+
+
+def test_a_sentence_of_progress_may_carry_more() -> None:
+    told = Told("fitting gap@7", 2, 9, [("gap@7", 0.0)])
+    assert told == "fitting gap@7"
+    assert (told.done, told.total, told.ranking) == (2, 9, (("gap@7", 0.0),))
+
+
+def test_a_run_from_the_page_is_the_run_before_with_other_levels() -> None:
+    asked = start_request({"levels": "0.2:0.8:3", "window_periods": 50})
+    assert asked.levels == pytest.approx((0.2, 0.4, 0.8))
+    before = {
+        "control": 3,
+        "ramp": 0.5,
+        "window_periods": 200,
+        "test": "sweep",
+        "frequencies_hz": [18.0],
+        "pacing": "x",
+    }
+    goal = goal_of(asked, before)
+    assert goal["test"] == TestKind.SWEEP
+    assert (goal["control"], goal["window_periods"], goal["frequencies_hz"]) == (3, 50, [18.0] * 3)
+    assert "pacing" not in goal
+    assert goal_of(StartRequest((0.1,)), {}) == {"test": 1, "levels": [0.1], "frequencies_hz": [], "run_id": ""}
+    with pytest.raises(BenchError, match="ask for as many levels"):
+        goal_of(asked, {"frequencies_hz": [18.0, 19.0]})
+    for order in (
+        {},
+        {"levels": 3},
+        {"levels": "a"},
+        {"levels": "1", "act": "end"},
+        {"levels": "1", "window_periods": -1},
+    ):
+        with pytest.raises(BenchError):
+            start_request(order)
+
+
+def test_a_command_serves_its_progress_in_a_process_of_its_own() -> None:
+    said: list[str] = []
+    console = SimpleNamespace(print=lambda line, **_: said.append(line))
+
+    async def watch() -> dict[str, Any]:
+        origin, _, _ = address.partition("/?")
+        async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as client:
+            async with client.get(address) as answer:
+                assert "task.js" in await answer.text()
+            async with client.ws_connect(f"{origin}/live", headers={"Origin": origin}) as live:
+                async for message in live:
+                    head, _ = read_frame(message.data)
+                    if head["kind"] == "task" and head["rows"]:
+                        return head
+        raise AssertionError("the page has ended")
+
+    with task_page(True, "Diagnosis of beam", console) as page:
+        (line,) = said
+        address = line.partition(": ")[2]
+        _tell(page, "reading")
+        _tell(page, Told("fitting gap@7", 1, 4, [("cubic_stiffness@3", 0.0), ("gap@7", 12.34)]))
+        head = asyncio.run(asyncio.wait_for(watch(), 60.0))
+    assert [step["text"] for step in head["steps"]] == ["reading", "fitting gap@7"]
+    assert head["rows"] == [["cubic_stiffness@3", "best"], ["gap@7", "12.3 behind"]]
+    with task_page(False, "none", console) as page:
+        page.step("nobody is told")
+    assert len(said) == 1

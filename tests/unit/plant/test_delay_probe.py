@@ -1,0 +1,82 @@
+"""The delay that a probe finds is that of the line, whatever its length, noise and filter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from nmt_plant.delay_probe import DelayProbe
+from nmt_plant.output_link import OutputLink
+from nmt_plant.output_owner import OwnerSettings
+
+RATE = 10_000.0
+
+
+def probed(respond, chunk=100, lose=()):
+    probe = DelayProbe(0.25, RATE, settling=0.05)
+    turn = 0
+    while not (probe.done or probe.failed):
+        put_out = probe.next(chunk)
+        probe.take(respond(put_out), turn in lose)
+        turn += 1
+    return probe
+
+
+class Line:
+    """A delay with noise, gain and an anti-alias filter; block by block."""
+
+    def __init__(self, delay, noise=0.0, gain=1.0, sections=None):
+        self._line = np.zeros(delay)
+        self._noise, self._gain = noise, gain
+        self._random = np.random.default_rng(3)
+        self._sections = sections
+        self._state = None if sections is None else np.zeros((sections.shape[0], 2))
+
+    def __call__(self, values):
+        line = np.concatenate([self._line, values])
+        out, self._line = line[: values.size], line[values.size :]
+        if self._sections is not None:
+            out, self._state = signal.sosfilt(self._sections, out, zi=self._state)
+        return self._gain * out + self._noise * self._random.standard_normal(values.size)
+
+
+def test_twenty_random_delays_are_found_to_the_sample():
+    for delay in np.random.default_rng(13).integers(0, 3900, 20):
+        found = probed(Line(int(delay), noise=0.1, gain=-0.7)).delay()
+        assert abs(found.samples - delay) <= 1
+        assert found.is_clear
+        assert found.gain == pytest.approx(-0.7, abs=0.05)
+
+
+def test_a_filter_on_the_way_adds_its_own_delay_only():
+    sections = signal.butter(4, 0.8, output="sos")
+    found = probed(Line(500, sections=sections)).delay()
+    assert 500 <= found.samples <= 503
+    assert found.is_clear
+
+
+def test_a_line_that_is_cut_is_not_clear():
+    assert not probed(Line(0, noise=0.1, gain=0.0)).delay().is_clear
+    assert not probed(Line(0, gain=0.0)).delay().is_clear
+
+
+def test_lost_samples_start_it_again_and_too_many_end_it():
+    assert probed(Line(77), lose={30, 60}).delay().samples == 77
+    assert probed(Line(77), lose=set(range(0, 5000, 20))).failed
+
+
+def test_an_owner_measures_the_delay_of_its_converter():
+    settings = OwnerSettings(
+        RATE, 200, lead_blocks=10, deadline=2.0, limit=10.0, inputs=1, probe=0.05, probe_settling=0.05
+    )
+    converter = "nmt_plant.converter:LoopbackConverter"
+    with OutputLink(settings, converter, {"sample_rate": RATE, "delay": 333}) as link:
+        report = link.last_report
+        assert report.delay == 333
+        assert report.monitor_gain == pytest.approx(1.0, abs=1e-6)
+        fed = np.cos(2 * np.pi * 50.0 * np.arange(20 * 200) / RATE)
+        for block in fed.reshape(20, 200):
+            link.feed(block)
+        got = link.collect(10 * 200, 20.0)
+        np.testing.assert_array_equal(got.measured[0], got.put_out[0])

@@ -1,0 +1,95 @@
+"""The check names every planted fault with its channel, nothing on a healthy bench, and stays below its drive."""
+
+from __future__ import annotations
+
+import pytest
+
+from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
+from nmt_plant.hardware_check import check
+from nmt_plant.hardware_rig import HardwareRig, device_of
+from nmt_plant.specimen import Specimen
+from nmt_plant.specimen_faults import FAULTS, Fault, parse_fault
+from nmt_rig.rig import Rig, load_rig
+
+CHANNELS = {
+    "noise": "a2",
+    "mains": "f2",
+    "offset": "x6",
+    "overload": "x2",
+    "open": "x4",
+    "short": "x5",
+    "icp": "a2",
+    "sign": "x4",
+    "permuted": "x4",
+    "sensitivity": "x5",
+}
+FOUND = {"force_response": ("f2", "x2"), "permuted": ("x4", "x6")}
+LEVELS = (0.05, 1.5)
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return load_rig("beam")
+
+
+def outcome(rig, faults=(), seed=1, levels=LEVELS):
+    section = device_of(rig, "portaudio")
+    specimen = Specimen(rig, section, faults=faults, seed=seed)
+    device = HardwareRig(rig.model_copy(update={"seed": seed}), section, specimen=specimen)
+    device.configure()
+    device.start()
+    try:
+        result = check(device, levels)
+    finally:
+        device.close()
+    assert 0.0 < result.drive_peak_v <= result.drive_limit_v == 0.5
+    return result
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_planted_fault_is_named_with_its_channel(rig, name):
+    channel = CHANNELS.get(name, "")
+    result = outcome(rig, [Fault(name, channel)])
+    expected = FOUND.get(name, (channel,) if channel else ())
+    assert [(each.name, each.channels) for each in result.findings] == [(name, expected)]
+    assert not result.passed
+
+
+def test_two_faults_at_once_are_both_named(rig):
+    result = outcome(rig, [Fault("sign", "x4"), Fault("offset", "a2")], seed=4)
+    assert {(each.name, each.channels) for each in result.findings} == {("sign", ("x4",)), ("offset", ("a2",))}
+
+
+def test_a_healthy_bench_passes(rig):
+    result = outcome(rig, seed=11)
+    assert result.findings == ()
+    assert [round(each.gain, 2) for each in result.channels] == [1.0] * 7
+    assert result.to_mapping()["passed"] is True
+
+
+def test_levels_beyond_a_range_are_named(rig):
+    """A displacement range of a fiftieth, on the bench and in its file."""
+    section = device_of(rig, "portaudio")
+    inputs = [entry.model_copy(update={"range_v": 0.2}) if entry.channel == "x6" else entry for entry in section.inputs]
+    narrow = rig.model_copy(update={"device": section.model_copy(update={"inputs": inputs})})
+    result = outcome(narrow, levels=(3.0,))
+    assert [(each.name, each.channels) for each in result.findings] == [("headroom", ("x6",))]
+
+
+def test_an_unknown_fault_or_channel_is_refused(rig):
+    with pytest.raises(BenchError, match="There is no fault 'rust'"):
+        parse_fault("rust")
+    with pytest.raises(BenchError, match="There is no channel x9"):
+        Specimen(rig, device_of(rig, "portaudio"), faults=[Fault("sign", "x9")])
+
+
+def test_a_specimen_measures_in_the_units_of_its_channel_map(rig):
+    """Sensitivities go in and out: what the device reads is what the rig did."""
+    section = device_of(rig, "portaudio")
+    by_name = {entry.channel: entry for entry in section.inputs}
+    assert HardwareRig(rig, section).overloaded == ()
+    assert by_name["f2"].sensitivity_v == pytest.approx(10.0 / 50.0)
+    assert section.output.amplifier_gain == pytest.approx(5.0)
+    quantities = {sensor.channel: sensor.quantity for sensor in HardwareRig(rig, section).sensors}
+    assert quantities["u"] is Quantity.VOLTAGE

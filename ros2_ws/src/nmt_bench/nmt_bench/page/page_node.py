@@ -42,7 +42,7 @@ from nmt_msgs.action import RunLevels
 from nmt_msgs.srv import Steer
 from nmt_sequencer.steering import SteeringRequest
 
-_ANSWER_TIMEOUT = 3.0  # s
+_ANSWER_TIMEOUT = 8.0  # s
 _RETRY_PERIOD = 0.25  # s
 _LOOK_PERIOD = 0.04  # s
 _DEPTH = 200
@@ -195,7 +195,7 @@ class NodeLink:
 
     async def steer(self, request: SteeringRequest) -> Answer:
         """Ask the sequencer; it answers within a few seconds or is not there."""
-        if not self.node.steer_client.service_is_ready():
+        if not await self._found(self.node.steer_client.service_is_ready):
             return Answer(False, "no sequencer is there to be asked")
         answer = await self._answer(self.node.steer_client.call_async(Steer.Request(**request.fields)))
         if answer is None:
@@ -206,7 +206,7 @@ class NodeLink:
         """Send the sequencer a goal; the run goes on whatever becomes of the page."""
         if self._view.active:
             return Answer(False, "a run is under way")
-        if not self.node.run_client.server_is_ready():
+        if not await self._found(self.node.run_client.server_is_ready):
             return Answer(False, "no sequencer is there to be asked")
         try:
             goal = goal_of(request, self._view.run_plan)
@@ -224,6 +224,16 @@ class NodeLink:
                 return Answer(False, "the sequencer refuses this plan, or has not done with a run; its log says which")
             await asyncio.sleep(_RETRY_PERIOD)
         return Answer(True, "the run begins when every node is ready")
+
+    @staticmethod
+    async def _found(ready: Callable[[], bool]) -> bool:
+        """Whether a service is there, or comes soon: discovery finds a node's topics before its services."""
+        end = asyncio.get_running_loop().time() + _ANSWER_TIMEOUT
+        while not ready():
+            if asyncio.get_running_loop().time() > end:
+                return False
+            await asyncio.sleep(_RETRY_PERIOD)
+        return True
 
     async def _answer(self, future: Any) -> Any:
         """What a future of the node comes to; None if that takes too long."""

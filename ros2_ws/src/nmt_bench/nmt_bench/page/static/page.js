@@ -500,7 +500,8 @@
 
   // -- steering ------------------------------------------------------------------------------------------------------
 
-  function say(words) { text("answer", words); clearTimeout(answerTimer); answerTimer = setTimeout(() => text("answer", ""), 8000); }
+  // What was refused stays until the next order; a person may look away.
+  function say(words) { text("answer", words); clearTimeout(answerTimer); if (words.startsWith("Taken")) { answerTimer = setTimeout(() => text("answer", ""), 8000); } }
 
   function post(path, order) {
     return fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(order) }).then(async (answer) => {

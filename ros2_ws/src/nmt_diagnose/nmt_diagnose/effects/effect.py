@@ -22,6 +22,8 @@ class EffectParameter:
         signed: a strength may be negative.
         grid: multiples of the scale to start a fit from. A strength has one where its first-order signature vanishes
             at 0 (clipping, for example); a shape where its likelihood has several maxima.
+        even: multiple of the scale to start a strength from where the evidence does not show its first order, such as
+            the frequency of an even force; 0 = always at zero.
     """
 
     name: str
@@ -29,6 +31,7 @@ class EffectParameter:
     kind: Literal["strength", "shape"] = "strength"
     signed: bool = False
     grid: tuple[float, ...] = ()
+    even: float = 0.0
 
 
 @dataclass(frozen=True)

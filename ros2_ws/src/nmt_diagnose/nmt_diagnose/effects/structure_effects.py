@@ -180,7 +180,7 @@ STRUCTURE_EFFECTS: tuple[Effect, ...] = (
         force="elastic",
     ),
     _single(
-        "quadratic_stiffness", "k x²", EffectParameter("k", "N/m²", signed=True), QuadraticSpringSection,
+        "quadratic_stiffness", "k x²", EffectParameter("k", "N/m²", signed=True, even=4.0), QuadraticSpringSection,
         "stiffness_n_m2", lambda a, k, w: {"k": 0.05 * k / a}, "Nayfeh and Mook, Nonlinear Oscillations (1979)",
         force="elastic",
     ),

@@ -43,6 +43,8 @@ _BEYOND = 3.0
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
 # Known explanations that go on under other noise; share of what the best of them explains that a scan has to promise.
 _CARRIED, _ENOUGH = 3, 0.5
+# Standard deviations by which a strength of one scale has to show to first order.
+_SHOWN = 1.0
 # Candidates whose directions are found in one piece of work.
 _TOGETHER = 16
 
@@ -250,8 +252,9 @@ class Contest:
                 pieces.append((own, [starts[k][turn] for k in own]))
         return [found for piece in self.workers.map(_directions_of, (self, base), pieces) for found in piece]
 
-    def _directions(self, base: Contender, chosen: list[int], starts: list[FloatArray]) -> list[Direction]:
+    def _directions(self, base: Contender, chosen: list[int], wanted: list[FloatArray]) -> list[Direction]:
         """Directions of candidates at one start each: derivatives at zero strength, differences where those vanish."""
+        starts = list(wanted)
         added = tuple(self.candidates[k] for k in chosen)
         parametrisation = Parametrisation(self.rig, self.calibration, base.candidates + added)
         first = base.fit.theta.size
@@ -263,16 +266,21 @@ class Contest:
             columns.append(offset + _strength(self.candidates[k]))
             offset += len(self.candidates[k].effect.parameters)
         smooth = [i for i, start in enumerate(starts) if start[_strength(self.candidates[chosen[i]])] == 0.0]
-        result = []
+        result: list[Direction] = []
+        shown: set[int] = set()
         if smooth:
             which = [columns[i] for i in smooth]
             jacobian = self.problem.whitened(
                 self.problem.forward.jacobian(parametrisation, theta, base.fit.prediction, which)
             )
             for position, i in enumerate(smooth):
-                signed = _parameter(self.candidates[chosen[i]]).signed
-                result.append(Direction(chosen[i], starts[i], jacobian[:, position], signed))
-        for i in set(range(len(chosen))) - set(smooth):
+                parameter, column = _parameter(self.candidates[chosen[i]]), jacobian[:, position]
+                if parameter.even and not np.linalg.norm(np.nan_to_num(column)) > _SHOWN:
+                    starts[i] = _at(self.candidates[chosen[i]], starts[i], parameter.even)
+                else:
+                    shown.add(i)
+                    result.append(Direction(chosen[i], starts[i], column, parameter.signed))
+        for i in sorted(set(range(len(chosen))) - shown):
             start = starts[i]
             strength = float(start[_strength(self.candidates[chosen[i]])])
             own = Parametrisation(self.rig, self.calibration, (*base.candidates, self.candidates[chosen[i]]))
@@ -282,7 +290,10 @@ class Contest:
             except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
                 continue  # no rig there
             change = base.fit.residual - self.problem.residual(moved)
-            result.append(Direction(chosen[i], start, change / strength, _parameter(self.candidates[chosen[i]]).signed))
+            parameter = _parameter(self.candidates[chosen[i]])
+            # What does not show to first order goes with the square: the same way for either sign.
+            signed = parameter.signed and not parameter.even
+            result.append(Direction(chosen[i], start, change / strength, signed))
         return result
 
     def add(self, base: Contender, score: Score, used: BoolArray | None = None) -> Contender | None:
@@ -690,10 +701,14 @@ def _parameter(candidate: Candidate) -> EffectParameter:
     return candidate.effect.parameters[_strength(candidate)]
 
 
-def _at_zero(candidate: Candidate, start: FloatArray) -> FloatArray:
+def _at(candidate: Candidate, start: FloatArray, strength: float) -> FloatArray:
     result = start.copy()
-    result[_strength(candidate)] = 0.0
+    result[_strength(candidate)] = strength
     return result
+
+
+def _at_zero(candidate: Candidate, start: FloatArray) -> FloatArray:
+    return _at(candidate, start, 0.0)
 
 
 def _starts(candidate: Candidate) -> list[FloatArray]:

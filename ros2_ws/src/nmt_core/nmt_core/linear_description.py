@@ -65,6 +65,7 @@ class LinearDescription:
         moving_mass_kg: moving mass of the exciter, kg.
         force_per_volt: fundamental force at linear phase resonance, N/V; NaN if not known.
         displacement_per_volt: drive-point displacement there, m/V; NaN if not known.
+        shape_stds: standard uncertainties of ``shapes``, 1/√kg; empty if not known.
     """
 
     source: str
@@ -80,6 +81,7 @@ class LinearDescription:
     moving_mass_kg: float
     force_per_volt: float = math.nan
     displacement_per_volt: float = math.nan
+    shape_stds: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
         modes = len(self.frequencies_rad_s)
@@ -88,6 +90,10 @@ class LinearDescription:
         if len(self.shapes) != len(self.points) or any(len(row) != modes for row in self.shapes):
             raise BenchError(
                 f"The linear description's shapes must have {len(self.points)} rows (points) of {modes} modes each."
+            )
+        if self.shape_stds and [len(row) for row in self.shape_stds] != [modes] * len(self.points):
+            raise BenchError(
+                f"The linear description's shape_stds must have {len(self.points)} rows (points) of {modes} modes each."
             )
         if not 0 <= self.target_mode < modes:
             raise BenchError(f"The linear description's target_mode must be below {modes}, got {self.target_mode}.")
@@ -105,6 +111,7 @@ class LinearDescription:
     def to_json(self) -> str:
         """JSON text; NaN becomes null."""
         values = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(self).items()}
+        values["shape_stds"] = [[None if math.isnan(x) else x for x in row] for row in self.shape_stds]
         return json.dumps(values)
 
     @classmethod
@@ -119,6 +126,7 @@ class LinearDescription:
             for key in ("points", "frequencies_rad_s", "damping_ratios"):
                 data[key] = tuple(data[key])
             data["shapes"] = tuple(tuple(float(x) for x in row) for row in data["shapes"])
+            data["shape_stds"] = _stds(values)
             for key in ("force_per_volt", "displacement_per_volt"):
                 if data.get(key) is None:
                     data[key] = math.nan
@@ -138,6 +146,13 @@ class LinearDescription:
         if not isinstance(values, dict):
             raise BenchError("The linear description must be a JSON object.")
         return cls.from_mapping(values)
+
+
+def _stds(values: dict[str, Any]) -> tuple[tuple[float, ...], ...]:
+    """Uncertainties of the shapes: those of a linear test stand in an entry of their own."""
+    test = values.get("uncertainties")
+    rows = values.get("shape_stds") or (test.get("shapes") if isinstance(test, dict) else None) or ()
+    return tuple(tuple(math.nan if x is None else float(x) for x in row) for row in rows)
 
 
 def _check_magnitudes(values: dict[str, Any]) -> None:

@@ -97,6 +97,9 @@ def description(test: LinearTest) -> LinearDescription:
         damping_ratios=tuple(mode.damping_ratio for mode in test.modes),
         shapes=tuple(tuple(float(value) for value in row) for row in test.shapes),
         drive_point_shape=target.drive_shape,
+        shape_stds=tuple(
+            tuple(float(value) for value in row) for row in np.column_stack([mode.shape_std for mode in test.modes])
+        ),
         **known,
     )
 
@@ -122,6 +125,7 @@ def linear_mapping(test: LinearTest, check: Linearity | None = None, level: floa
         level: of the record, V rms.
     """
     values: dict[str, Any] = dict(asdict(description(test)))
+    del values["shape_stds"]  # they stand among the uncertainties
     modes, plant = test.modes, test.plant
     values["uncertainties"] = {
         "frequencies_rad_s": [2.0 * math.pi * mode.frequency_std for mode in modes],

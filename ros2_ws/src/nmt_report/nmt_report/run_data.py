@@ -15,6 +15,7 @@ from nmt_core.errors import BenchError
 from nmt_core.hardened import read_text
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.modal_point import ModalPoint, Status
+from nmt_extract.uncertainty_budget import BudgetInputs, PointBudget
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -165,6 +166,8 @@ class RunReportData:
         files: files of the results.
         loss: one sentence on what a damaged recording lost, else None.
         end_sample: sample after the last recorded one.
+        budgets: uncertainty budget of each point with values.
+        budget_inputs: what it was made from; None = there is none.
     """
 
     points: Sequence[ModalPoint]
@@ -182,6 +185,8 @@ class RunReportData:
     files: Sequence[FileEntry] = ()
     loss: str | None = None
     end_sample: int = 0
+    budgets: Sequence[PointBudget] = ()
+    budget_inputs: BudgetInputs | None = None
 
     @property
     def good_points(self) -> list[ModalPoint]:

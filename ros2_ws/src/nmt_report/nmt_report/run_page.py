@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from nmt_core.vocabulary import ControlKind
 from nmt_extract.modal_point import Status
+from nmt_extract.uncertainty_budget import Source, channel_tolerances_used, left_out
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.html_page import Column, Row, Table, part, render
 from nmt_report.quantity_format import (
@@ -48,6 +49,8 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         shape_figures=figures.get("shape", ()),
         run_figures=figures.get("run", ()),
         level_table=_level_table(data),
+        budget_tables=_budget_tables(data),
+        budget_notes=_budget_notes(data),
         assumptions=_assumptions(data),
         file_table=_file_table(data),
         settings=_settings(data),
@@ -203,6 +206,46 @@ def _modal_table(data: RunReportData) -> Table | None:
     if data.reference is not None:
         note = f"Δω̃, Δδ̃: deviation from {data.reference.label} at the same modal amplitude."
     return Table(head, rows, note)
+
+
+_BUDGET_SYMBOLS = {"omega_rad_s": "ω̃", "damping_ratio": "δ̃", "modal_amplitude": "q", "force_n": "F₁"}
+
+
+def _budget_tables(data: RunReportData) -> list[Table]:
+    """Standard uncertainties by source, relative to the value, for each quantity."""
+    tables = []
+    unit = unit_text(data.points[0].level_unit) if data.points else ""
+    for name, symbol in _BUDGET_SYMBOLS.items():
+        budgets = [(point.level, point.budgets[name]) for point in data.budgets if name in point.budgets]
+        sources = [s for s in Source if any(budget.parts.get(s, 0.0) > 0.0 for _, budget in budgets)]
+        if not sources:
+            continue
+        columns = [Column("Level", unit), *(Column(source.value, "%") for source in sources)]
+        columns += [Column("repeatability", "%"), Column("total", "%"), Column("k"), Column("95 % interval", "± %")]
+        rows = []
+        for level, budget in budgets:
+            shares = [budget.parts.get(source, math.nan) for source in sources]
+            cells = [_relative(value, budget.value) for value in (*shares, budget.repeatability, budget.total)]
+            cells += [plain(budget.coverage_factor, 2), _relative(budget.expanded, budget.value)]
+            rows.append(Row([significant(level), *cells]))
+        tables.append(Table(columns, rows, heading=f"Uncertainty of {symbol}"))
+    return tables
+
+
+def _relative(std: float, value: float) -> str:
+    return significant(100.0 * std / abs(value), 2) if math.isfinite(std) and value else "—"
+
+
+def _budget_notes(data: RunReportData) -> list[str]:
+    """What the budget took for the channels, and what it does not know."""
+    if data.budget_inputs is None or not data.budgets:
+        return []
+    notes = []
+    for channel, gain, phase, source in channel_tolerances_used(data.budget_inputs):
+        if gain or phase:
+            turned = significant(math.degrees(phase), 2)
+            notes.append(f"{channel}: gain ± {significant(100 * gain, 2)} %, phase ± {turned}° ({source}).")
+    return [*notes, *left_out(data.budget_inputs)]
 
 
 _LEVEL_COLUMNS = (

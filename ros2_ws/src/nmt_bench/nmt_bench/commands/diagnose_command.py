@@ -81,6 +81,13 @@ def add_parser(subparsers: Subparsers) -> None:
     add_output_options(parser, "diagnosis.json, report.html, model.yaml, observables.csv")
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="seed of the intervals (default: 0)")
     parser.add_argument(
+        "--calibration",
+        metavar="FILE",
+        type=Path,
+        help="calibration file with uncertainties of the real sensors' sensitivities (default: what the bags say, else "
+        "ordinary tolerances)",
+    )
+    parser.add_argument(
         "--allow-own-model",
         action="store_true",
         help="take recordings that were simulated from the model itself, too: they show what a rig without a gap looks "
@@ -112,6 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
     from nmt_bench.page.task_feed import task_page
     from nmt_diagnose.effects.library import effect_named
     from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
+    from nmt_record.channel_tolerances import read_calibration
     from nmt_report.diagnosis_files import write_diagnosis
     from nmt_rig.rig import load_rig
 
@@ -122,6 +130,7 @@ def run(arguments: argparse.Namespace) -> int:
         except BenchError as error:
             raise BenchError(f"--without: {error}") from error
     rig = load_rig(arguments.model, arguments.set)
+    calibration = None if arguments.calibration is None else read_calibration(arguments.calibration)
     console = make_console()
     started = time.monotonic()
     with (
@@ -135,6 +144,7 @@ def run(arguments: argparse.Namespace) -> int:
             hold_out=held_out,
             jobs=jobs,
             allow_own_model=arguments.allow_own_model,
+            calibration=calibration,
         )
         outcome = diagnose_bags(rig, arguments.real, arguments.floor, settings, progress.update)
         progress.update("writing the report")

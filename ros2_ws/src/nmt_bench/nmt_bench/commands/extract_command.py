@@ -14,6 +14,7 @@ from nmt_core.errors import BenchError
 if TYPE_CHECKING:
     from nmt_extract.modal_point import ModalPoint
     from nmt_extract.settings import ExtractionSettings
+    from nmt_extract.uncertainty_budget import MethodError
     from nmt_record.bag_reader import Bag
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -36,7 +37,7 @@ def add_parser(subparsers: Subparsers) -> None:
         type=Path,
         help="rosbag2 folder (MCAP or SQLite), .mcap or .db3 file, or the results folder of a run",
     )
-    add_output_options(parser, "modal.csv, modal.json, report.html")
+    add_output_options(parser, "modal.csv, modal.json, uncertainty.csv, uncertainty.json, report.html")
     parser.add_argument(
         "--linear",
         metavar="FILE",
@@ -55,6 +56,20 @@ def add_parser(subparsers: Subparsers) -> None:
         type=Path,
         help="reference.csv of './nmt reference' to compare with in table and report",
     )
+    parser.add_argument(
+        "--calibration",
+        metavar="FILE",
+        type=Path,
+        help="calibration file with uncertainties of the sensors' sensitivities, for the uncertainty budget (default: "
+        "what the bag says, else ordinary tolerances)",
+    )
+    parser.add_argument(
+        "--model-run",
+        metavar="DIR",
+        type=Path,
+        help="results folder of a run of the rig's model with its reference.csv: shows the error of single-point "
+        "excitation for the uncertainty budget",
+    )
     parser.add_argument("--no-report", action="store_true", help="write modal.csv and modal.json only")
 
 
@@ -68,11 +83,16 @@ def run(arguments: argparse.Namespace) -> int:
 
     from nmt_bench.commands.linear_input import read_linear
     from nmt_bench.commands.terminal import make_console, print_modal_table
+    from nmt_extract.bag_budget import bag_budget
     from nmt_extract.modal_table import write_results
     from nmt_extract.offline import extract_opened_bag
+    from nmt_extract.uncertainty_budget import write_budget
     from nmt_record.bag_reader import Bag
+    from nmt_record.channel_tolerances import read_calibration
     from nmt_report.run_data import read_reference
 
+    sheet = None if arguments.calibration is None else read_calibration(arguments.calibration)
+    method = None if arguments.model_run is None else _method_error(arguments.model_run)
     linear = read_linear(arguments.linear) if arguments.linear is not None else None
     reference = read_reference(arguments.reference) if arguments.reference is not None else None
     bag = Bag.open(arguments.bag)
@@ -80,13 +100,16 @@ def run(arguments: argparse.Namespace) -> int:
     result = extract_opened_bag(bag, linear, settings)
     if not result.points:
         raise BenchError(f"The bag {arguments.bag} gave no modal point; its run may have ended before the first lock.")
+    expected = None if reference is None else reference.at
+    budgets, known = bag_budget(bag, result.points, result.linear, result.settings, sheet, method, expected)
     with OutputFolder(arguments.out, arguments.force) as folder:
         write_results(result.points, folder, result.inputs)
+        write_budget(budgets, folder, known)
         if not arguments.no_report:
             from nmt_report.run_report import list_files, report_data_from_bag, write_report
 
             data = report_data_from_bag(bag, result.points, reference)
-            data.linear = result.linear
+            data.linear, data.budgets, data.budget_inputs = result.linear, budgets, known
             data.files = list_files(folder)
             write_report(data, folder / "report.html")
     console = make_console()
@@ -95,11 +118,23 @@ def run(arguments: argparse.Namespace) -> int:
     print_modal_table(result.points, reference, console)
     if linear is None and settings is None:
         console.print(_comparison(result.points, recorded_points(bag)), markup=False)
-    written = ("modal.csv", "modal.json", "hysteresis.csv", "report.html")
+    written = ("modal.csv", "modal.json", "uncertainty.csv", "uncertainty.json", "hysteresis.csv", "report.html")
     names = ", ".join(name for name in written if (arguments.out / name).exists())
     console.print(f"Results in {arguments.out}: {names}", markup=False)
     sys.stdout.flush()
     return 0
+
+
+def _method_error(folder: Path) -> MethodError | None:
+    from nmt_extract.modal_table import read_json
+    from nmt_extract.uncertainty_budget import MethodError
+    from nmt_report.run_data import read_reference
+
+    points, _ = read_json(folder / "modal.json")
+    found = MethodError.of(points, read_reference(folder / "reference.csv").at)
+    if found is None:
+        raise BenchError(f"--model-run: no point of {folder / 'modal.json'} lies on {folder / 'reference.csv'}.")
+    return found
 
 
 def recorded_points(bag: Bag) -> list[ModalPoint]:

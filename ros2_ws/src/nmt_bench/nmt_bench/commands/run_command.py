@@ -21,9 +21,10 @@ from nmt_bench.orchestration.interrupts import deferred_interrupts, terminate_as
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from nmt_bench.harness import Bench
+    from nmt_record.channel_tolerances import CalibrationSheet
     from nmt_report.run_data import ReferenceCurve
     from nmt_session.run_result import RunResult
 
@@ -44,7 +45,7 @@ def add_parser(subparsers: Subparsers) -> None:
         ),
     )
     parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
-    add_output_options(parser, "bag/, modal.csv, modal.json, report.html, rig.yaml, run.json")
+    add_output_options(parser, "bag/, modal.csv, modal.json, uncertainty.csv, report.html, rig.yaml, run.json")
     parser.add_argument(
         "--linear",
         metavar="FILE",
@@ -100,6 +101,13 @@ def add_parser(subparsers: Subparsers) -> None:
         help="reference.csv to compare with; 'none' for no comparison (default: computed from the rig's model)",
     )
     parser.add_argument(
+        "--calibration",
+        metavar="FILE",
+        type=Path,
+        help="calibration file with uncertainties of the sensors' sensitivities, for the uncertainty budget (default: "
+        "section device of the rig file, else ordinary tolerances; none for a simulated rig)",
+    )
+    parser.add_argument(
         "--no-report", action="store_true", help="tables only; './nmt extract' makes a report of the bag at any time"
     )
     add_process_options(parser)
@@ -120,8 +128,10 @@ def run(arguments: argparse.Namespace) -> int:
     from nmt_bench.commands.linear_input import check_fits, read_linear
     from nmt_bench.commands.terminal import make_console
     from nmt_bench.harness import Bench
+    from nmt_record.channel_tolerances import read_calibration
 
     linear = read_linear(arguments.linear) if arguments.linear is not None else None
+    sheet = None if arguments.calibration is None else read_calibration(arguments.calibration)
     bench = Bench(
         arguments.rig,
         levels=_levels(arguments),
@@ -147,7 +157,7 @@ def run(arguments: argparse.Namespace) -> int:
     with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
         result = measure(bench, console, arguments.quiet, arguments.page)
         reference, unwritten, interrupted = evaluate(
-            result, bench, folder, arguments.reference, not arguments.no_report
+            result, bench, folder, arguments.reference, not arguments.no_report, sheet
         )
     _summarise(result, bench, reference, console, folder, unwritten)
     sys.stdout.flush()
@@ -157,7 +167,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def evaluate(
-    result: RunResult, bench: Bench, folder: Path, choice: str | None, report: bool = True
+    result: RunResult,
+    bench: Bench,
+    folder: Path,
+    choice: str | None,
+    report: bool = True,
+    sheet: CalibrationSheet | None = None,
 ) -> tuple[ReferenceCurve | None, str, bool]:
     """Write tables and report; the tables first, since Ctrl-C may end the rest.
 
@@ -167,6 +182,7 @@ def evaluate(
         folder: of the results.
         choice: of the reference, see ``--reference``.
         report: whether a report is wanted.
+        sheet: calibration sheet of the sensors, for the uncertainty budget.
 
     Returns:
         The reference; what could not be written, as a sentence; whether Ctrl-C came. One leaves out the comparison that
@@ -184,8 +200,10 @@ def evaluate(
     if unwritten:
         return reference, unwritten, interrupted
     try:
-        if report:
-            unwritten = _saving(folder, lambda: _write_report(result, folder, reference))
+        budgets: list[Any] = []
+        unwritten = _saving(folder, lambda: budgets.extend(_write_budget(result, bench, folder, reference, sheet)))
+        if report and not unwritten:
+            unwritten = _saving(folder, lambda: _write_report(result, folder, reference, budgets))
     except KeyboardInterrupt:
         interrupted = True
         unwritten = (
@@ -272,7 +290,39 @@ def _write_tables(result: RunResult, bench: Bench, folder: Path) -> None:
         write_results(result.points, folder, inputs)
 
 
-def _write_report(result: RunResult, folder: Path, reference: ReferenceCurve | None) -> None:
+def _write_budget(
+    result: RunResult,
+    bench: Bench,
+    folder: Path,
+    reference: ReferenceCurve | None,
+    sheet: CalibrationSheet | None,
+) -> tuple[Any, ...]:
+    """Write the uncertainty budget; the budgets and what they were made from, or nothing where there are no points."""
+    from nmt_core.linear_description import LinearDescription
+    from nmt_core.vocabulary import PointStatus
+    from nmt_extract.bag_budget import bag_budget
+    from nmt_extract.settings import ExtractionSettings
+    from nmt_extract.uncertainty_budget import write_budget
+    from nmt_record.bag_reader import Bag
+
+    good = [point for point in result.points if point.status is PointStatus.OK]
+    if not good or result.bag is None or not result.bag.exists():
+        return ()
+    budgets, inputs = bag_budget(
+        Bag.open(result.bag),
+        result.points,
+        LinearDescription.from_mapping(dict(bench.plan.run["linear"])),
+        ExtractionSettings.from_mapping(dict(bench.plan.run["extraction"])),
+        sheet,
+        expected=None if reference is None else reference.at,
+    )
+    write_budget(budgets, folder, inputs)
+    return budgets, inputs
+
+
+def _write_report(
+    result: RunResult, folder: Path, reference: ReferenceCurve | None, budgets: Sequence[Any] = ()
+) -> None:
     from nmt_report.run_report import list_files, report_data_from_bag, write_report
 
     if result.bag is not None and result.bag.exists():
@@ -281,6 +331,8 @@ def _write_report(result: RunResult, folder: Path, reference: ReferenceCurve | N
 
             write_reference_csv(reference, folder / "reference.csv")
         data = report_data_from_bag(result.bag, list(result.points) or None, reference)
+        if budgets:
+            data.budgets, data.budget_inputs = budgets
         data.files = list_files(folder)
         write_report(data, folder / "report.html")
 

@@ -8,32 +8,24 @@ multiplexers, a drive that is held from sample to sample.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from nmt_core.blocks import Quantity
 from nmt_diagnose.evidence.conditions import MeasuredChannel
-from nmt_record.run_device import SIMULATED_RIG
+from nmt_record.channel_tolerances import (
+    CLOCK_STD,
+    DELAY_STD_S,
+    GAIN_STD,
+    CalibrationSheet,
+    ChannelTolerance,
+    is_simulated,
+    tolerances,
+)
 
-GAIN_STD = 0.01
-PHASE_STD_DEG = 0.2
-DELAY_STD_S = 1e-5
 SHARED_DELAY_STD_S = 1e-4
-
-
-@dataclass(frozen=True)
-class ChannelTolerance:
-    """Standard deviations of what a channel may be off by.
-
-    Attributes:
-        gain: relative.
-        phase: the same at all frequencies, rad.
-        delay_s: its own, s.
-    """
-
-    gain: float = GAIN_STD
-    phase: float = math.radians(PHASE_STD_DEG)
-    delay_s: float = DELAY_STD_S
+_VOLTAGE = Quantity.VOLTAGE
 
 
 @dataclass(frozen=True)
@@ -55,7 +47,7 @@ class MeasuringChain:
     shared_delay_s: float = SHARED_DELAY_STD_S
     hold_hz: float = math.inf
     mains: float = 1e-3
-    clock: float = 3e-5
+    clock: float = CLOCK_STD
 
     def of(self, channel: str) -> ChannelTolerance:
         """Tolerance of a channel."""
@@ -63,57 +55,49 @@ class MeasuringChain:
 
 
 def measuring_chain(
-    run: Mapping[str, Any], channels: Mapping[str, MeasuredChannel], sample_rate: float
+    run: Mapping[str, Any],
+    channels: Mapping[str, MeasuredChannel],
+    sample_rate: float,
+    rig_yaml: str | None = None,
+    sheet: CalibrationSheet | None = None,
 ) -> MeasuringChain | None:
-    """Tolerances by what made a bag; None for a run of the bench's own simulator.
+    """Tolerances by what made a bag; None for a run of the bench's own simulator without a calibration sheet.
 
-    A run on a device has the ordinary ones.
+    A run on a device has the ordinary ones, or those of its rig file's section ``device``.
 
     Args:
         run: start record of the bag; ``device`` is what it measured. The entry ``imported`` holds the sidecar, whose
             channels may have ``gain_std``, ``phase_std_deg`` and ``delay_std_s``.
         channels: the model's channel by recorded name.
         sample_rate: Hz.
+        rig_yaml: rig file in the bag.
+        sheet: calibration sheet; counts before what the bag says.
     """
-    imported = run.get("imported")
-    if not isinstance(imported, dict):
-        device = run.get("device")
-        measured = isinstance(device, str) and device not in ("", SIMULATED_RIG)
-        return MeasuringChain(hold_hz=sample_rate) if measured else None
-    sidecar = imported.get("sidecar")
-    sections = sidecar.get("channels") if isinstance(sidecar, dict) else None
-    by_name: dict[str, ChannelTolerance] = {}
-    voltage, shared = GAIN_STD, SHARED_DELAY_STD_S
-    for section in sections if isinstance(sections, list) else ():
-        if section.get("quantity") == "voltage":
-            voltage = _stated(section, "gain_std", voltage)
-            # Of the voltage's delay against the sensors nothing differs from one of all sensors together.
-            shared = _stated(section, "delay_std_s", shared)
-            continue
-        own = _channel(section, channels)
-        if own is not None:
-            by_name[own] = ChannelTolerance(
-                _stated(section, "gain_std", GAIN_STD),
-                math.radians(_stated(section, "phase_std_deg", PHASE_STD_DEG)),
-                _stated(section, "delay_std_s", DELAY_STD_S),
-            )
-    return MeasuringChain(by_name, voltage, shared, sample_rate)
+    if is_simulated(run) and sheet is None:
+        return None
+    stated = tolerances(run, rig_yaml, sheet)
+    by_name = {
+        own.name: stated.of(own.quantity, own.point) for own in channels.values() if own.quantity is not _VOLTAGE
+    }
+    usual = ChannelTolerance()
+    named = {name: own for name, own in by_name.items() if own != usual}
+    voltage = stated.of(_VOLTAGE, 0)
+    # Of the voltage's delay against the sensors nothing differs from one of all sensors together.
+    said = voltage.delay_s != DELAY_STD_S
+    return MeasuringChain(
+        named, voltage.gain, voltage.delay_s if said else SHARED_DELAY_STD_S, sample_rate, clock=stated.clock
+    )
 
 
-def table_chain() -> MeasuringChain:
-    """Tolerances of frequency responses that an analyser has reduced: its channels are sampled together."""
-    return MeasuringChain(shared_delay_s=DELAY_STD_S)
+def table_chain(channels: Sequence[MeasuredChannel] = (), sheet: CalibrationSheet | None = None) -> MeasuringChain:
+    """Tolerances of frequency responses that an analyser has reduced: its channels are sampled together.
 
-
-def _stated(section: Mapping[str, Any], key: str, default: float) -> float:
-    value = section.get(key)
-    return default if value is None else float(value)
-
-
-def _channel(section: Mapping[str, Any], channels: Mapping[str, MeasuredChannel]) -> str | None:
-    """The model's name of a sidecar's channel."""
-    recorded = section.get("name")
-    if recorded in channels:
-        return channels[str(recorded)].name
-    place = section.get("quantity"), section.get("point", 0)
-    return next((own.name for own in channels.values() if (own.quantity.name.lower(), own.point) == place), None)
+    Args:
+        channels: of the table.
+        sheet: calibration sheet of the analyser's sensors; None = ordinary tolerances.
+    """
+    if sheet is None:
+        return MeasuringChain(shared_delay_s=DELAY_STD_S)
+    stated = tolerances({"imported": {}}, None, sheet)
+    named = {own.name: stated.of(own.quantity, own.point) for own in channels}
+    return MeasuringChain(named, shared_delay_s=DELAY_STD_S, clock=stated.clock)

@@ -152,7 +152,10 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: EvidenceSettings) -> Evi
     for number, table in enumerate(tables):
         own = name if len(tables) == 1 and not usable else f"{name}/{table.name or f'table {number + 1}'}"
         reduced = table_evidence(own, table, model, settings)
-        chains = tuple(table_chain() if isinstance(test, SteppedSineTest) else None for test in reduced.tests)
+        chains = tuple(
+            table_chain(test.channels, settings.calibration) if isinstance(test, SteppedSineTest) else None
+            for test in reduced.tests
+        )
         parts.append(replace(reduced, chains=chains))
     if not found and not tables:
         notes.append(f"{name}: no level was locked and no window was marked, so there is nothing to compare.")
@@ -244,7 +247,8 @@ def _signals(
         own = f"{name}/record" if len(records) < len(windows) else name
         taken = [window.stretch for window in records]
         parts.append(record_evidence(own, taken, view, channels, settings, math.isfinite(rate)))
-    chain = measuring_chain(run, channels, windows[0].stretch.sample_rate)
+    sampling = windows[0].stretch.sample_rate
+    chain = measuring_chain(run, channels, sampling, bag.rig_yaml, settings.calibration)
     return [replace(part, chains=(chain,) * len(part.tests)) for part in parts]
 
 

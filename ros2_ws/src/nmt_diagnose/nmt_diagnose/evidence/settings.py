@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from nmt_diagnose.evidence.floors import Floors
+from nmt_record.channel_tolerances import CalibrationSheet
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class EvidenceSettings:
         record_rows: most samples of a record, over all channels, that become observables.
         record_segments: segments into which a long record is cut, for what is held out.
         floors: uncertainties that no amount of data removes.
+        calibration: sheet of the measuring chain; None = what the bags say, else ordinary tolerances.
     """
 
     harmonics: int = 5
@@ -35,3 +37,4 @@ class EvidenceSettings:
     record_rows: int = 4000
     record_segments: int = 20
     floors: Floors = field(default_factory=lambda: Floors())
+    calibration: CalibrationSheet | None = None

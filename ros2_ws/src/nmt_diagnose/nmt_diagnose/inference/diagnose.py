@@ -19,6 +19,7 @@ from nmt_diagnose.effects.placement import Explanation, joined
 from nmt_diagnose.evidence.conditions import BackboneTable, RecordTest, RingDownTest, SteppedSineTest
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.read_evidence import read_evidence
+from nmt_diagnose.evidence.settings import EvidenceSettings
 from nmt_diagnose.inference.chain_errors import chain_errors, with_chain_errors, with_shared
 from nmt_diagnose.inference.confidence import Confidence, confidence, confidence_digest
 from nmt_diagnose.inference.contest import Contender, Contest, ContestSettings
@@ -60,6 +61,7 @@ from nmt_diagnose.inference.warnings import warned
 from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.twin.forward import Forward, Prediction, traced
 from nmt_diagnose.twin.operating_range import operating_range
+from nmt_record.channel_tolerances import CalibrationSheet
 from nmt_rig.rig import Rig, load_rig
 
 _RANKED = 8
@@ -93,6 +95,7 @@ class DiagnosisSettings:
             tests in turn.
         jobs: processes that share the work; the result is the same for any number.
         allow_own_model: take recordings that the model itself made for a real side, too.
+        calibration: sheet of the measuring chain of the real side; None = what its bags say.
     """
 
     withheld: tuple[str, ...] = ()
@@ -102,6 +105,7 @@ class DiagnosisSettings:
     hold_out: tuple[str, ...] = ()
     jobs: int = 1
     allow_own_model: bool = False
+    calibration: CalibrationSheet | None = None
 
 
 @dataclass(frozen=True)
@@ -149,7 +153,8 @@ def diagnose_bags(
     settings = settings or DiagnosisSettings()
     # Helpers start while the bags are read.
     with Workers(settings.jobs) as workers:
-        evidence = read_evidence(bags, rig, floor_bags, progress=progress, allow_own_model=settings.allow_own_model)
+        reading = EvidenceSettings(calibration=settings.calibration)
+        evidence = read_evidence(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
         return _Diagnoser(rig, evidence, settings, progress or (lambda _: None), bool(floor_bags), workers).run()
 
 

@@ -1,0 +1,238 @@
+"""What the channels of a recording may be off by: a calibration sheet, what the bag says itself, or ordinary values.
+
+The bench's own simulator measures as the rig file says; its bags have no tolerances. A laboratory's sensors and
+converters have ordinary ones: gains by the calibration sheet, phases of conditioners, delays of filters and
+multiplexers, the converter's clock.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
+from nmt_core.hardened import yaml_value
+from nmt_core.validation_sentence import validation_sentence
+from nmt_core.yaml_document import read_document
+from nmt_record.import_sidecar import QuantityName
+from nmt_record.run_device import SIMULATED_RIG
+
+GAIN_STD = 0.01
+PHASE_STD_DEG = 0.2
+DELAY_STD_S = 1e-5
+CLOCK_STD = 3e-5
+_LETTERS = {"f": "force", "x": "displacement", "v": "velocity", "a": "acceleration", "u": "voltage", "i": "current"}
+Share = Annotated[float, Field(ge=0, lt=1)]
+Place = tuple[Quantity, int]
+
+
+@dataclass(frozen=True)
+class ChannelTolerance:
+    """Standard deviations of what a channel may be off by.
+
+    Attributes:
+        gain: relative.
+        phase: the same at all frequencies, rad.
+        delay_s: its own, s.
+        source: where the gain's comes from.
+    """
+
+    gain: float = GAIN_STD
+    phase: float = math.radians(PHASE_STD_DEG)
+    delay_s: float = DELAY_STD_S
+    source: str = field(default="ordinary values", compare=False)
+
+    def phase_at(self, omega: float) -> float:
+        """Standard deviation of the phase at an angular frequency (rad/s), rad."""
+        return math.hypot(self.phase, omega * self.delay_s)
+
+
+NO_TOLERANCE = ChannelTolerance(0.0, 0.0, 0.0, "none: simulated")
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class CalibratedChannel(_Section):
+    """A channel of a calibration sheet, or all of a quantity where no point is given.
+
+    Attributes:
+        quantity: what it measures.
+        point: measurement point.
+        gain_std: relative standard uncertainty of the sensitivity (half of the sheet's expanded one, for k = 2).
+        phase_std_deg: standard uncertainty of the phase, degrees.
+        delay_std_s: standard uncertainty of the delay against the other channels, s.
+        calibrated: date of the sheet.
+        serial: serial number of the sensor.
+        certificate: number of the sheet.
+    """
+
+    quantity: QuantityName
+    point: Annotated[int, Field(ge=0)] | None = None
+    gain_std: Share | None = None
+    phase_std_deg: Annotated[float, Field(ge=0, lt=90)] | None = None
+    delay_std_s: Annotated[float, Field(ge=0, lt=1)] | None = None
+    calibrated: Annotated[datetime.date, Field(strict=False)] | None = None
+    serial: str = ""
+    certificate: str = ""
+
+    @property
+    def source(self) -> str:
+        """Where its values come from, for reports."""
+        words = [f"serial {self.serial}"] if self.serial else []
+        words += [f"certificate {self.certificate}"] if self.certificate else []
+        words += [str(self.calibrated)] if self.calibrated else []
+        return "calibration sheet" + (f" ({', '.join(words)})" if words else "")
+
+
+class CalibrationSheet(_Section):
+    """Sensitivities' uncertainties of a set-up, as their calibration sheets state them.
+
+    Attributes:
+        channels: by channel, or by quantity.
+        clock_std: relative standard uncertainty of the sampling clock.
+        shapes_with_same_sensors: the linear modes were measured with the sensors of the run.
+    """
+
+    channels: Annotated[list[CalibratedChannel], Field(min_length=1)]
+    clock_std: Share | None = None
+    shapes_with_same_sensors: bool = True
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """Tolerances of all channels of a recording.
+
+    Attributes:
+        channels: by quantity and point; point −1 stands for all points of the quantity.
+        default: of the others.
+        clock: relative standard deviation of the sampling clock.
+        same_sensors: measured linear shapes were measured with these sensors.
+    """
+
+    channels: Mapping[Place, ChannelTolerance]
+    default: ChannelTolerance
+    clock: float
+    same_sensors: bool = True
+
+    def of(self, quantity: Quantity, point: int) -> ChannelTolerance:
+        """Tolerance of a channel; a force that is the only one counts wherever it is measured."""
+        for place in ((quantity, point), (quantity, -1)):
+            if place in self.channels:
+                return self.channels[place]
+        forces = [own for (kind, _), own in self.channels.items() if kind is Quantity.FORCE]
+        if quantity is Quantity.FORCE and len(forces) == 1:
+            return forces[0]
+        return self.default
+
+
+def read_calibration(path: Path | str) -> CalibrationSheet:
+    """Read a calibration file.
+
+    Raises:
+        BenchError: not there, not YAML, or the first thing that is wrong in it, with its line.
+    """
+    document = read_document(Path(path), "calibration file", "channels")
+    try:
+        sheet = CalibrationSheet.model_validate(document.values)
+    except ValidationError as failure:
+        errors = failure.errors(include_url=False)
+        raise BenchError(validation_sentence(errors, document, CalibrationSheet, "the calibration")) from failure
+    seen: set[tuple[str, int | None]] = set()
+    for number, channel in enumerate(sheet.channels):
+        if (channel.quantity, channel.point) in seen:
+            raise BenchError(
+                f"{document.place(('channels', number))}: {channel.quantity} at point {channel.point} stands twice; "
+                "leave one out."
+            )
+        seen.add((channel.quantity, channel.point))
+    return sheet
+
+
+def tolerances(
+    run: Mapping[str, Any], rig_yaml: str | None = None, sheet: CalibrationSheet | None = None
+) -> Tolerances:
+    """Tolerances of a recording's channels.
+
+    A calibration sheet counts before what the bag says: the sidecar of an import, or the section ``device`` of its rig
+    file. Channels that neither names have ordinary values, or none where the bench's simulator made the bag.
+
+    Args:
+        run: start record of the bag.
+        rig_yaml: rig file in the bag.
+        sheet: None = none.
+
+    Raises:
+        BenchError: what the bag says of a channel is no number.
+    """
+    simulated = is_simulated(run)
+    default = NO_TOLERANCE if simulated else ChannelTolerance()
+    found: dict[Place, ChannelTolerance] = {}
+    for place, stated, source in _stated(run, rig_yaml):
+        found[place] = _changed(found.get(place, default), stated, source)
+    for channel in sheet.channels if sheet is not None else ():
+        place = Quantity[channel.quantity.upper()], -1 if channel.point is None else channel.point
+        found[place] = _changed(found.get(place, default), channel.model_dump(), channel.source)
+    clock = 0.0 if simulated else CLOCK_STD
+    if sheet is not None and sheet.clock_std is not None:
+        clock = sheet.clock_std
+    return Tolerances(found, default, clock, sheet is None or sheet.shapes_with_same_sensors)
+
+
+def is_simulated(run: Mapping[str, Any]) -> bool:
+    """Whether the bench's own simulator made a bag, by its start record; one that says nothing is taken for it."""
+    if isinstance(run.get("imported"), dict):
+        return False
+    device = run.get("device")
+    return not (isinstance(device, str) and device not in ("", SIMULATED_RIG))
+
+
+def _changed(before: ChannelTolerance, stated: Mapping[str, Any], source: str) -> ChannelTolerance:
+    gain, phase, delay = (stated.get(key) for key in ("gain_std", "phase_std_deg", "delay_std_s"))
+    return replace(
+        before,
+        gain=before.gain if gain is None else float(gain),
+        phase=before.phase if phase is None else math.radians(float(phase)),
+        delay_s=before.delay_s if delay is None else float(delay),
+        source=before.source if gain is None else source,
+    )
+
+
+def _stated(run: Mapping[str, Any], rig_yaml: str | None) -> Iterator[tuple[Place, Mapping[str, Any], str]]:
+    imported = run.get("imported")
+    if isinstance(imported, dict):
+        sidecar = imported.get("sidecar")
+        for section in _mappings(sidecar.get("channels") if isinstance(sidecar, dict) else None):
+            quantity = str(section.get("quantity", "")).upper()
+            if quantity in Quantity.__members__:
+                yield (Quantity[quantity], int(section.get("point", 0))), section, "sidecar"
+        return
+    if is_simulated(run) or not rig_yaml:
+        return
+    try:
+        rig = yaml_value(rig_yaml, "rig.yaml")
+    except BenchError:
+        return
+    device = rig.get("device") if isinstance(rig, dict) else None
+    for section in _mappings(device.get("inputs") if isinstance(device, dict) else None):
+        name = str(section.get("channel", ""))
+        quantity, point = _LETTERS.get(name[:1], ""), name[1:]
+        if quantity and (point.isdigit() or not point):
+            date = section.get("calibrated")
+            source = "rig file, section device" + (f" ({date})" if date else "")
+            stated = {"gain_std": section.get("uncertainty")}
+            yield (Quantity[quantity.upper()], int(point or 0)), stated, source
+
+
+def _mappings(sections: Any) -> Iterator[Mapping[str, Any]]:
+    for section in sections if isinstance(sections, list) else ():
+        if isinstance(section, dict):
+            yield section

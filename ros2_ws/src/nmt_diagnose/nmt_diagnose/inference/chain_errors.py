@@ -46,6 +46,7 @@ _IMAGE_FLOOR, _SAME_FOR_LEVELS = 1.0, 0.2
 # What the model's response to a harmonic of the drive may be off by, relative.
 _DRIVEN_FLOOR = 0.03
 _CLOCK_STEP = 1e-5
+_SHIFT_STEP = 1e-6
 # What a loop may hold other than it was told, for all levels and for each, rad.
 _AIM_STD, _LOCK_STD = math.radians(1.0), math.radians(0.5)
 _FUNDAMENTAL = (Part.LOG_MAGNITUDE, Part.PHASE)
@@ -73,19 +74,15 @@ def with_shared(problem: Problem, columns: FloatArray) -> Problem:
 
 
 def chain_errors(
-    problem: Problem, rig: Rig, prediction: Prediction, scatter: FloatArray | None = None
+    problem: Problem, rig: Rig, prediction: Prediction, scatter: FloatArray | None = None, drift: float = 0.0
 ) -> tuple[Problem, FloatArray]:
     """The problem with the floors of its measuring chains and scatter, and the errors of the chains, shape (m, r).
 
-    Arguments as for :func:`with_chain_errors`.
+    Arguments as for :func:`with_chain_errors`; ``drift`` is the relative standard deviation of the resonance from sweep
+    to sweep, see sweep_drift.py.
     """
     evidence = problem.evidence
-    chains = {
-        number: chain
-        for number, chain in enumerate(evidence.chains)
-        if chain is not None
-        and isinstance(evidence.tests[number], PhaseResonanceTest | RandomTest | RingDownTest | SteppedSineTest)
-    }
+    chains = _chains(evidence)
     if not chains:
         if scatter is not None and scatter.any():
             problem = replace(problem, evidence=replace(evidence, floor=np.hypot(evidence.floor, scatter)))
@@ -98,7 +95,33 @@ def chain_errors(
     columns = np.nan_to_num(builder.columns(prediction), posinf=0.0, neginf=0.0)
     if scatter is not None:
         columns = np.hstack([columns, builder.between_tests(scatter)])
+    if drift > 0.0:
+        columns = np.hstack([columns, drift * builder.sweeps(prediction)])
     return problem, columns
+
+
+def sweep_directions(evidence: Evidence, rig: Rig, prediction: Prediction) -> FloatArray:
+    """What a relative shift of the resonance does to the rows of each sweep at a held amplitude, shape (m, tests).
+
+    Args:
+        evidence: the real side.
+        rig: an explanation of it.
+        prediction: of that explanation.
+    """
+    chains = _chains(evidence)
+    if not any(isinstance(evidence.tests[number], SteppedSineTest) for number in chains):
+        return np.zeros((len(evidence.rows), len(evidence.tests)))
+    return _Columns(evidence, rig, chains).sweeps(prediction)
+
+
+def _chains(evidence: Evidence) -> dict[int, MeasuringChain]:
+    """Measuring chains of the tests that tell of them, by number of the test."""
+    return {
+        number: chain
+        for number, chain in enumerate(evidence.chains)
+        if chain is not None
+        and isinstance(evidence.tests[number], PhaseResonanceTest | RandomTest | RingDownTest | SteppedSineTest)
+    }
 
 
 class _Columns:
@@ -166,6 +189,22 @@ class _Columns:
         found += self._aims()
         found += self._stepped()
         return np.column_stack([self._full(column) for column in found])
+
+    def sweeps(self, prediction: Prediction) -> FloatArray:
+        """Change of each sweep's rows over the relative shift of its resonance, shape (m, tests).
+
+        A response per force is a function of the frequency over the resonance's: the lines shift the other way.
+        """
+        base = self.forward.predict(self.rig, self._start(prediction))
+        moved = tuple(
+            replace(t, lines_hz=t.lines_hz * (1.0 - _SHIFT_STEP)) if isinstance(t, SteppedSineTest) else t
+            for t in self.tests
+        )
+        change = np.nan_to_num(self._moved(moved, base) / _SHIFT_STEP, posinf=0.0, neginf=0.0)
+        result = np.zeros((len(self.evidence.rows), len(self.evidence.tests)))
+        for number, own in enumerate(self.numbers):
+            result[:, own] = self._full(change * (self.rows.test == number))
+        return result
 
     def _start(self, prediction: Prediction) -> Prediction:
         """The part of a prediction of all evidence that belongs to these tests."""

@@ -20,7 +20,7 @@ from nmt_diagnose.evidence.conditions import BackboneTable, RecordTest, RingDown
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.evidence.read_evidence import read_evidence
 from nmt_diagnose.evidence.settings import EvidenceSettings
-from nmt_diagnose.inference.chain_errors import chain_errors, with_chain_errors, with_shared
+from nmt_diagnose.inference.chain_errors import chain_errors, sweep_directions, with_chain_errors, with_shared
 from nmt_diagnose.inference.confidence import Confidence, confidence, confidence_digest
 from nmt_diagnose.inference.contest import Contender, Contest, ContestSettings
 from nmt_diagnose.inference.diagnosis import (
@@ -57,6 +57,7 @@ from nmt_diagnose.inference.scan import Score
 from nmt_diagnose.inference.scatter import scatter_floor
 from nmt_diagnose.inference.sentences import sentences
 from nmt_diagnose.inference.sources import generic_sources, places
+from nmt_diagnose.inference.sweep_drift import sweep_drift
 from nmt_diagnose.inference.warnings import warned
 from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.twin.forward import Forward, Prediction, traced
@@ -348,10 +349,11 @@ class _Diagnoser:
         near = singles[0].fit if moves else null.fit
         difference = self.plain.difference(near.prediction.values)
         scatter = scatter_floor(self.evidence, difference)
-        if not moves and not scatter.any():
+        drift = self._drift(near, difference)
+        if not moves and not scatter.any() and drift == 0.0:
             return False
         self.progress("tracing errors of the measuring chain and of the best explanation")
-        noisy, columns = self._trace(near, scatter)
+        noisy, columns = self._trace(near, scatter, drift)
         for _ in range(_TRACED if self._amplitudes_measured else 0):
             # Near folds the noise of measured amplitudes depends much on the solution that it is propagated about.
             try:
@@ -362,7 +364,8 @@ class _Diagnoser:
             near = after
             if settled:
                 break
-            noisy, columns = self._trace(near, scatter)
+            drift = self._drift(near, self.plain.difference(near.prediction.values))
+            noisy, columns = self._trace(near, scatter, drift)
         difference = self.plain.difference(near.prediction.values)
         smooth = np.zeros((len(self.evidence.rows), 0))
         if moves:
@@ -385,12 +388,18 @@ class _Diagnoser:
         """Whether two effects move the solution far from that of one."""
         return bool(pairs) and pairs[0].fit.log_evidence > singles[0].fit.log_evidence + _MOVES
 
-    def _trace(self, near: Fit, scatter: FloatArray) -> tuple[Problem, FloatArray]:
+    def _drift(self, near: Fit, difference: FloatArray) -> float:
+        """Relative standard deviation of the resonance from sweep to sweep, about a fit."""
+        rig = near.parametrisation.rig(near.theta)
+        evidence = self.plain.evidence
+        return sweep_drift(evidence, difference, sweep_directions(evidence, rig, near.prediction))
+
+    def _trace(self, near: Fit, scatter: FloatArray, drift: float) -> tuple[Problem, FloatArray]:
         """Noise of measured amplitudes and errors of the measuring chain as they act about a fit: see chain_errors."""
         self.evidence = self.plain.evidence
         self.plain = self._plain(near.prediction)
         moved = near.parametrisation.rig(near.theta)
-        noisy, columns = chain_errors(self.plain, moved, near.prediction, scatter)
+        noisy, columns = chain_errors(self.plain, moved, near.prediction, scatter, drift)
         self.problem = with_shared(noisy, columns)
         self.evidence = self.problem.evidence
         return noisy, columns

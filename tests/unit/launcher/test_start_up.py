@@ -9,9 +9,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from unit.bench.synthetic_run import synthetic_run
 
 from nmt_bench import cli
 from nmt_core import bench_version
+from nmt_extract.modal_table import write_results
 
 ROOT = Path(__file__).resolve().parents[3]
 OWN = {"__main__", "launcher", "nmt_bench", "nmt_core"}
@@ -63,3 +65,25 @@ def test_help_of_every_command_needs_no_large_library(command: str) -> None:
     )
     answer = subprocess.run([sys.executable, "-c", code, command], capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr
+
+
+LARGE = "{'h5py', 'matplotlib', 'numba', 'pandas', 'pydantic', 'rclpy', 'scipy'}"
+
+
+def loaded_large(code: str, *words: str) -> str:
+    """Large libraries that a script loads, on its last line."""
+    whole = f"import sys\n{code}\nprint(sorted({LARGE} & set(sys.modules)))"
+    answer = subprocess.run([sys.executable, "-c", whole, *words], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+    return answer.stdout.splitlines()[-1]
+
+
+def test_extract_refuses_before_it_loads_a_kernel(tmp_path: Path) -> None:
+    code = "from nmt_bench import cli; assert cli.main(['extract', sys.argv[1], '--out', sys.argv[2]]) == 2"
+    assert loaded_large(code, str(tmp_path / "nowhere"), str(tmp_path / "out")) == "[]"
+
+
+def test_opening_results_loads_no_kernel(tmp_path: Path) -> None:
+    write_results(synthetic_run().points, tmp_path, {"rig": "beam"})
+    code = "import nmt; assert len(nmt.open(sys.argv[1]).rows()) > 3"
+    assert loaded_large(code, str(tmp_path)) == "[]"

@@ -6,8 +6,8 @@
 
 A page holds its tables between ``<!-- generated: KIND NAME -->`` and ``<!-- end -->``; everything else is
 written by hand. KIND is ``message`` (a .msg, .srv or .action file), ``parameters`` (the table of a node), ``rig``
-(a section of the rig file), ``options`` (a command), ``effects`` (a place of the diagnosis) or ``priors``. The
-tables of parameters stand in the node modules, so they need ROS 2.
+(a section of the rig file), ``options`` (a command), ``python`` (the public names of a package), ``effects`` (a place
+of the diagnosis) or ``priors``. The tables of parameters stand in the node modules, so they need ROS 2.
 """
 
 from __future__ import annotations
@@ -503,6 +503,8 @@ def options_table(name: str) -> str:
 def _option_lines(command: argparse.ArgumentParser) -> list[str]:
     lines = ["| argument | meaning |", "|---|---|"]
     for action in command._actions:
+        if action.help == argparse.SUPPRESS:
+            continue
         if action.dest == "help" or (action.dest == "json" and action.nargs == 0):  # every command has them
             continue
         value = str(action.metavar or ("{" + ",".join(map(str, action.choices)) + "}" if action.choices else ""))
@@ -511,6 +513,18 @@ def _option_lines(command: argparse.ArgumentParser) -> list[str]:
         need = " **Required.**" if action.required and words else ""
         lines.append(f"| `{_cell(shown)}` | {_cell((action.help or '').replace('%%', '%'))}{need} |")
     return lines
+
+
+def python_table(package: str) -> str:
+    """Public names of a package, where each is defined, and the first sentence of its docstring."""
+    module = importlib.import_module(package)
+    lines = ["| name | defined in | what it is |", "|---|---|---|"]
+    for name in module.__all__:
+        value = getattr(module, name)
+        first = (value.__doc__ or "").strip().partition("\n\n")[0]
+        sentence = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", " ".join(first.replace("``", "`").split()))
+        lines.append(f"| `{package}.{name}` | `{value.__module__}.{value.__qualname__}` | {_cell(sentence)} |")
+    return "\n".join(lines)
 
 
 def effects_table(place: str) -> str:
@@ -551,6 +565,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "parameters": parameters_table,
     "rig": rig_table,
     "options": options_table,
+    "python": python_table,
 }
 
 

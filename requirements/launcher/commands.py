@@ -10,12 +10,7 @@ import signal
 import sys
 from typing import Any
 
-from .doctor import doctor
-from .environment import command_environment
-from .machine import choose_source
-from .places import FAILED, INSTALL, INTERRUPTED, MISUSED, ROOT, STATE_FOLDER, VENV_PYTHON, SetupError
-from .set_up import discard_set_up, set_up
-from .stamps import packages, pending_steps, read_state
+from .places import FAILED, INSTALL, INTERRUPTED, MISUSED, ROOT, SOURCE, STATE_FOLDER, VENV_PYTHON, SetupError
 
 USAGE = """usage: ./nmt [--wheels | --system] COMMAND [ARGUMENTS]
 
@@ -33,6 +28,8 @@ Every other command (demo, run, extract, ...) belongs to the bench and is set up
 
 def executables() -> dict[str, list[str]]:
     """The nodes of the workspace: package -> executables."""
+    from .stamps import packages
+
     found = {}
     for name in packages():
         paths = sorted(glob.glob(os.path.join(INSTALL, name, "lib", name, "*")))
@@ -50,12 +47,16 @@ def run_node(state: dict[str, Any], arguments: list[str]) -> int:
     package, executable = arguments[0], arguments[1] if len(arguments) > 1 else ""
     if executable not in known.get(package, []):
         raise SetupError(f"There is no executable '{executable}' in package '{package}'; there are\n{listing}", MISUSED)
+    from .environment import command_environment
+
     path = os.path.join(INSTALL, package, "lib", package, executable)
     os.execve(path, [path, *arguments[2:]], command_environment(state))
 
 
 def open_shell(state: dict[str, Any]) -> int:
     """``shell``: an interactive shell in the bench's environment."""
+    from .environment import command_environment
+
     environment = command_environment(state)
     shell = os.environ.get("SHELL") or "/bin/sh"
     sys.stderr.write("In the bench's environment; 'exit' leaves it. One node: ./nmt ros PACKAGE EXECUTABLE\n")
@@ -78,11 +79,34 @@ def open_shell(state: dict[str, Any]) -> int:
 
 def run_tests(state: dict[str, Any], arguments: list[str]) -> int:
     """``test``: pytest on two workers; later arguments win."""
+    from .environment import command_environment
+
     environment = command_environment(state)
     environment.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
     environment.setdefault("ROS_LOG_DIR", os.path.join(STATE_FOLDER, "ros_log"))
     os.chdir(ROOT)
     os.execve(VENV_PYTHON, [VENV_PYTHON, "-m", "pytest", "-n", "2", *arguments], environment)
+
+
+def show_version() -> int:
+    """``--version``: from the sources, so without the set-up; returns the exit code."""
+    sys.path.insert(0, os.path.join(SOURCE, "nmt_core"))
+    from nmt_core.bench_version import bench_version
+
+    sys.stdout.write(f"nmt {bench_version()}\n")
+    return 0
+
+
+def show_help() -> int:
+    """``--help``: the launcher's own commands, then the bench's; returns the exit code."""
+    sys.stdout.write(USAGE)
+    sys.path[:0] = [os.path.join(SOURCE, name) for name in ("nmt_core", "nmt_bench")]
+    with contextlib.suppress(ImportError):  # a clone that lacks them still says how to use the doctor
+        from nmt_bench import cli
+
+        cli.PROGRAM = "./nmt"
+        sys.stdout.write("\n" + cli.build_parser().format_help())
+    return 0
 
 
 def main(arguments: list[str]) -> int:
@@ -92,10 +116,22 @@ def main(arguments: list[str]) -> int:
         wanted = arguments.pop(0)[2:]
     command = arguments[0] if arguments else "--help"
     rest = arguments[1:]
+    if command == "--version" and not rest:
+        return show_version()
+    if command in ("-h", "--help"):
+        return show_help()
+
+    from .environment import command_environment
+
     if command == "doctor":
+        from .doctor import doctor
+
         if rest:
             raise SetupError("doctor takes no arguments.", MISUSED)
         return doctor(wanted)
+
+    from .set_up import discard_set_up, set_up
+
     if command == "setup":
         for argument in rest:
             if argument in ("--wheels", "--system"):
@@ -106,20 +142,14 @@ def main(arguments: list[str]) -> int:
             sys.stdout.write(USAGE)
             return 0
         if "--fresh" in rest:
+            from .machine import choose_source
+            from .stamps import read_state
+
             wanted = choose_source(wanted, read_state())
             discard_set_up()
         set_up(wanted)
         return 0
-    if command in ("-h", "--help"):
-        sys.stdout.write(USAGE)
-        state = read_state()
-        if pending_steps(state):
-            sys.stdout.write("\nThe bench's commands are listed here once it is set up (./nmt setup).\n")
-            return 0
-        sys.stdout.write("\n")
-        sys.stdout.flush()
-    else:
-        state = set_up(wanted)
+    state = set_up(wanted)
     if command == "test":
         return run_tests(state, rest)
     if command == "shell":

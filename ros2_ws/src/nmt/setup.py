@@ -10,9 +10,11 @@ setup(
         ("share/nmt", ["package.xml"]),
     ],
     install_requires=[
+        "h5py>=3.10",
         "matplotlib>=3.6",
         "numpy>=1.26",
         "pandas>=2.0",
+        "scipy>=1.11",
         "xarray>=2023.6",
     ],
     extras_require={"test": ["pytest"]},

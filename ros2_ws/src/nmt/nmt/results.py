@@ -1,7 +1,7 @@
-"""Results of the bench's commands as frozen objects: tables, arrays, plots.
+"""Results of the bench's commands as frozen objects: tables, arrays, plots, files.
 
-``to_dataframe`` needs pandas and ``to_xarray`` needs xarray, which ``pip install 'nmt[analysis]'`` brings; all else
-works without them.
+Every class has all of ``rows``, ``to_dataframe``, ``to_xarray``, ``export``, ``plot``, ``figures``. ``to_dataframe``
+needs pandas and ``to_xarray`` needs xarray, which ``pip install 'nmt[analysis]'`` brings; all else works without them.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nmt.dataset_files import write_dataset
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_json
+from nmt_core.hardened import read_json, read_text
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.modal_point import COMPLEX, MEASURED, ModalPoint, Status
 from nmt_report.html_page import Column, Row, Table, part
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from nmt_extract.swept_response import FrequencyResponseTable
     from nmt_record.frf_table import FrequencyResponse
+    from nmt_rig.reference import PointShapes
 
 ComplexArray = NDArray[np.complex128]
 
@@ -63,10 +65,18 @@ class Results:
         return _pandas().DataFrame(self.rows())
 
     def to_xarray(self) -> Any:
-        """Everything as an ``xarray.Dataset``.
+        """Everything as one ``xarray.Dataset``.
 
         Raises:
             NotImplementedError: a class of results without one.
+        """
+        raise NotImplementedError
+
+    def plot(self, **options: Any) -> Axes:
+        """What the results show best, on axes of matplotlib.
+
+        Raises:
+            NotImplementedError: a class of results without a plot.
         """
         raise NotImplementedError
 
@@ -74,7 +84,7 @@ class Results:
         """Write :meth:`to_xarray` as NetCDF 3; a complex variable becomes two, ``NAME_real`` and ``NAME_imag``.
 
         Args:
-            path: the file.
+            path: the file, whatever its ending.
 
         Returns:
             The path.
@@ -82,14 +92,29 @@ class Results:
         Raises:
             BenchError: xarray is not installed, or the file cannot be written.
         """
-        data = self.to_xarray()
-        for name in [name for name, values in data.data_vars.items() if values.dtype.kind == "c"]:
-            data = data.assign({f"{name}_real": data[name].real, f"{name}_imag": data[name].imag}).drop_vars(name)
+        return write_dataset(self.to_xarray(), Path(path), ".nc")
+
+    def export(self, path: Path | str) -> Path:
+        """Write the results to a file; its ending chooses what and how.
+
+        Args:
+            path: ``.csv``: the rows of :meth:`to_dataframe`; ``.nc``, ``.npz``, ``.h5`` or ``.mat``: the arrays of
+                :meth:`to_xarray`.
+
+        Returns:
+            The path.
+
+        Raises:
+            BenchError: no such format, pandas or xarray is not installed, or the file cannot be written.
+        """
+        target = Path(path)
+        if target.suffix != ".csv":
+            return write_dataset(self.to_xarray(), target)
         try:
-            data.to_netcdf(path, engine="scipy")
+            self.to_dataframe().to_csv(target, index=False)
         except OSError as error:
-            raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
-        return Path(path)
+            raise BenchError(f"{target} cannot be written: {error.strerror or error}.") from error
+        return target
 
     def figures(self, folder: Path | str, **options: Any) -> list[Any]:
         """Write the figures of the report; options as of :func:`nmt_report.write_figures`.
@@ -311,12 +336,30 @@ class LinearResult(Results):
         ]
 
     def to_xarray(self) -> Any:
-        """The frequency responses as an ``xarray.Dataset`` over ``frequency_hz``, complex.
+        """Modes and frequency responses as an ``xarray.Dataset``.
+
+        ``natural_frequency_hz`` and ``damping_ratio`` over ``mode``, ``shape`` over point and mode. Where there is a
+        ``frf.csv``: complex ``response`` over ``channel`` and ``frequency_hz``, NaN where a channel has no line.
 
         Raises:
-            BenchError: xarray is not installed, or there is no ``frf.csv``.
+            BenchError: xarray is not installed.
         """
-        return _responses_as_xarray(self.folder, self.responses)
+        own = self.description
+        data: dict[str, Any] = {
+            "natural_frequency_hz": ("mode", np.array(own.frequencies_rad_s) / _TAU, {"units": "Hz"}),
+            "damping_ratio": ("mode", np.array(own.damping_ratios)),
+            "shape": (("point", "mode"), np.array(own.shapes), {"units": "kg**-0.5"}),
+        }
+        coordinates: dict[str, Any] = {"mode": np.arange(1, len(own.frequencies_rad_s) + 1), "point": list(own.points)}
+        if self.responses:
+            frequency = np.unique(np.concatenate([response.frequency_hz for response in self.responses]))
+            values = np.full((len(self.responses), frequency.size), np.nan + 0j)
+            for row, response in enumerate(self.responses):
+                values[row, np.searchsorted(frequency, response.frequency_hz)] = response.values
+            data["response"] = (("channel", "frequency_hz"), values)
+            coordinates |= {"channel": [response.name for response in self.responses], "frequency_hz": frequency}
+        attributes = {"folder": str(self.folder), "target_mode": own.target_mode + 1, "drive_point": own.drive_point}
+        return _xarray().Dataset(data, coordinates, attributes)
 
     def plot(self, axes: Axes | None = None, **style: Any) -> Axes:
         """Modulus of the frequency responses over frequency; style of :meth:`matplotlib.axes.Axes.loglog`.
@@ -368,26 +411,46 @@ class FrequencyResponses(Results):
             for line in range(table.frequency_hz.size)
         ]
 
-    def to_xarray(self) -> list[Any]:
-        """One ``xarray.Dataset`` a level over ``frequency_hz``: the levels may have other frequencies.
+    def to_xarray(self) -> Any:
+        """All levels as an ``xarray.Dataset`` over ``level``, ``channel`` and ``line``.
+
+        The levels may have other frequencies: ``frequency_hz`` is over level and line, and a level with fewer lines
+        ends in NaN, as does a channel that a level lacks.
 
         Raises:
             BenchError: xarray is not installed.
         """
         library = _xarray()
-        return [
-            library.Dataset(
-                {
-                    "response": (("channel", "frequency_hz"), table.frf),
-                    "response_std": (("channel", "frequency_hz"), table.frf_std),
-                    "force_n": ("frequency_hz", table.force_n),
-                    "voltage_v": ("frequency_hz", table.voltage_v),
-                },
-                {"frequency_hz": table.frequency_hz, "channel": list(table.channels)},
-                {"level": table.level, "level_unit": table.level_unit, "rate_hz_s": table.rate_hz_s},
-            )
-            for table in self.levels
-        ]
+        levels = self.levels
+        channels = list(dict.fromkeys(name for table in levels for name in table.channels))
+        lines = max((table.frequency_hz.size for table in levels), default=0)
+        scalars = {name: np.full((len(levels), lines), np.nan) for name in ("frequency_hz", "force_n", "voltage_v")}
+        response = np.full((len(levels), len(channels), lines), np.nan + 0j)
+        spread = np.full(response.shape, np.nan)
+        for number, table in enumerate(levels):
+            own = slice(table.frequency_hz.size)
+            for name, values in scalars.items():
+                values[number, own] = getattr(table, name)
+            rows = [channels.index(name) for name in table.channels]
+            response[number, rows, own] = table.frf
+            spread[number, rows, own] = table.frf_std
+        per_line, per_channel = ("level", "line"), ("level", "channel", "line")
+        unit = {"units": levels[0].level_unit} if levels else {}
+        return library.Dataset(
+            {
+                "response": (per_channel, response),
+                "response_std": (per_channel, spread),
+                "force_n": (per_line, scalars["force_n"]),
+                "voltage_v": (per_line, scalars["voltage_v"]),
+                "rate_hz_s": ("level", np.array([table.rate_hz_s for table in levels])),
+            },
+            {
+                "level": ("level", np.array([table.level for table in levels]), unit),
+                "channel": channels,
+                "frequency_hz": (per_line, scalars["frequency_hz"]),
+            },
+            {"folder": str(self.folder)},
+        )
 
     def plot(self, channel: str | None = None, axes: Axes | None = None, **style: Any) -> Axes:
         """Modulus of one channel's response at every level.
@@ -420,18 +483,22 @@ class ReferenceResult(Results):
 
     Attributes:
         curve: ω̃ and δ̃ over q.
+        shapes: φ̃ₙ beside it; None where there is no ``shapes.csv``.
     """
 
     curve: ReferenceCurve
+    shapes: PointShapes | None = None
 
     @classmethod
     def read(cls, folder: Path) -> ReferenceResult:
-        """Read ``reference.csv``.
+        """Read ``reference.csv``, and ``shapes.csv`` where there is one.
 
         Raises:
-            BenchError: damaged.
+            BenchError: damaged, or the two files have other amplitudes.
         """
-        return cls(folder, read_reference(folder / "reference.csv"))
+        curve = read_reference(folder / "reference.csv")
+        table = folder / "shapes.csv"
+        return cls(folder, curve, _read_shapes(table, curve.modal_amplitude) if table.is_file() else None)
 
     def rows(self) -> list[dict[str, Any]]:
         """One row a point of the curve."""
@@ -447,17 +514,22 @@ class ReferenceResult(Results):
         ]
 
     def to_xarray(self) -> Any:
-        """The curve as an ``xarray.Dataset`` over ``modal_amplitude``.
+        """The curve as an ``xarray.Dataset`` over ``modal_amplitude``; shapes over it, ``order`` and ``point``.
 
         Raises:
             BenchError: xarray is not installed.
         """
         curve = self.curve
-        data = {
+        data: dict[str, Any] = {
             "omega_rad_s": ("modal_amplitude", curve.omega_rad_s),
+            "frequency_hz": ("modal_amplitude", curve.omega_rad_s / _TAU),
             "damping_ratio": ("modal_amplitude", curve.damping_ratio),
         }
-        return _xarray().Dataset(data, {"modal_amplitude": curve.modal_amplitude})
+        coordinates: dict[str, Any] = {"modal_amplitude": curve.modal_amplitude}
+        if self.shapes is not None:
+            data["shape_harmonics"] = (("modal_amplitude", "order", "point"), self.shapes.shape)
+            coordinates |= {"order": list(self.shapes.orders), "point": list(self.shapes.points)}
+        return _xarray().Dataset(data, coordinates, {"folder": str(self.folder)})
 
     def plot(self, y: str = "frequency_hz", axes: Axes | None = None, **style: Any) -> Axes:
         """The curve over modal amplitude; ``y``: ``frequency_hz``, ``omega_rad_s`` or ``damping_ratio``.
@@ -531,14 +603,21 @@ class DiagnosisResult(Results):
         ]
 
     def to_xarray(self) -> Any:
-        """The residual map as an ``xarray.Dataset`` over ``row``, in standard deviations of the measurement.
+        """The residual map and the explanations as an ``xarray.Dataset``.
+
+        Over ``row``: test, level, channel, harmonic and the residuals in standard deviations of the measurement. Over
+        ``explanation``, the most probable first: the columns of :meth:`rows`, their names preceded by ``explanation_``.
 
         Raises:
             BenchError: xarray is not installed.
         """
         cells: Sequence[Mapping[str, Any]] = self.document.get("residual_map", ())
-        names = list(cells[0]) if cells else []
-        return _xarray().Dataset({name: ("row", [cell[name] for cell in cells]) for name in names})
+        data = {name: ("row", _column([cell[name] for cell in cells])) for name in (cells[0] if cells else ())}
+        ranked = self.rows()
+        for name in ranked[0] if ranked else ():
+            data[f"explanation_{name}"] = ("explanation", _column([row[name] for row in ranked]))
+        attributes = {"folder": str(self.folder), "verdict": self.verdict, "closed": self.closed}
+        return _xarray().Dataset(data, attrs=attributes)
 
     def plot(self, axes: Axes | None = None, **style: Any) -> Axes:
         """Probabilities of the explanations as bars; style of :meth:`matplotlib.axes.Axes.barh`."""
@@ -551,6 +630,38 @@ class DiagnosisResult(Results):
         return drawn
 
 
+def _column(values: Sequence[Any]) -> NDArray[Any]:
+    """Texts or numbers as one array; what JSON has no number for is NaN."""
+    return np.array([math.nan if value is None else value for value in values])
+
+
+def _read_shapes(path: Path, amplitudes: FloatArray) -> PointShapes:
+    """The shapes of ``shapes.csv`` at the amplitudes of the curve, shape ``(k,)``."""
+    from nmt_rig.reference import PointShapes
+
+    table = _shapes_table(path)
+    orders, points = np.unique(table["order"]), np.unique(table["point"])
+    rows = np.lexsort((table["point"], table["order"], table["modal_amplitude"]))
+    expected = np.repeat(amplitudes, orders.size * points.size)
+    if expected.size != rows.size or not np.allclose(table["modal_amplitude"][rows], expected, rtol=1e-9, atol=0.0):
+        raise BenchError(f"{path} does not fit reference.csv beside it; compute both again with './nmt reference'.")
+    values = (table["real"] + 1j * table["imaginary"])[rows].reshape(amplitudes.size, orders.size, points.size)
+    return PointShapes(tuple(map(int, points)), tuple(map(int, orders)), values)
+
+
+def _shapes_table(path: Path) -> dict[str, FloatArray]:
+    """Columns of a table of numbers."""
+    names = ("modal_amplitude", "order", "point", "real", "imaginary")
+    lines = read_text(path, "table of shapes").splitlines()
+    try:
+        if tuple(lines[0].split(",")) != names:
+            raise ValueError
+        values = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]]).reshape(-1, len(names))
+    except (ValueError, IndexError) as error:
+        raise BenchError(f"{path} is not a table with the columns {', '.join(names)}.") from error
+    return dict(zip(names, values.T, strict=True))
+
+
 def _closed_share(entry: Mapping[str, Any]) -> float:
     value = (entry.get("closed") or {}).get("value")
     return math.nan if value is None else float(value)
@@ -559,17 +670,6 @@ def _closed_share(entry: Mapping[str, Any]) -> float:
 def _parameter(name: str, item: Mapping[str, Any]) -> str:
     std = item.get("std")
     return f"{name} = {uncertain(float(item['value']), math.nan if std is None else float(std))} {item.get('unit', '')}"
-
-
-def _responses_as_xarray(folder: Path, responses: Sequence[FrequencyResponse]) -> Any:
-    library = _xarray()
-    if not responses:
-        raise BenchError(f"{folder} has no frf.csv, so there are no frequency responses.")
-    arrays = {
-        own.name: library.DataArray(own.values, {"frequency_hz": own.frequency_hz}, ("frequency_hz",))
-        for own in responses
-    }
-    return library.Dataset(arrays)
 
 
 def _plot_responses(

@@ -1,7 +1,7 @@
 """The command line: picks the command, loads only its module, and turns every end into an exit code.
 
 Each command is a module with ``add_parser(subparsers)`` and ``run(arguments) -> int``. Nothing but the chosen
-command's module is imported, so help and refusals come at once.
+command's module is imported, so help and refusals come at once; what few ends need is imported where they need it.
 
 Exit codes: 0 done, 1 unexpected error (its traceback is in a log file), 2 a mistake that the user can mend,
 130 interrupted.
@@ -15,23 +15,22 @@ import errno
 import importlib
 import os
 import sys
-import tempfile
-import time
-import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 from nmt_bench.command_parser import EXIT_USER, CommandParser, Refusal, leaf_parsers
 from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
 EXIT_DONE = 0
 EXIT_UNEXPECTED = 1
 EXIT_INTERRUPTED = 130
 
-PROGRAM = "nmt" if Path(sys.argv[0]).name == "nmt" else "./nmt"
+PROGRAM = "nmt" if os.path.basename(sys.argv[0]) == "nmt" else "./nmt"
 """As the user calls it: the script that pip installs, or the launcher, which starts ``python -m nmt_bench``."""
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -128,8 +127,6 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     Raises:
         BenchError: the command's module is not installed.
     """
-    from nmt_bench.commands.json_output import add_json_option
-
     parser = CommandParser(
         prog=PROGRAM,
         description="A test bench for nonlinear modal testing, on simulated rigs and on hardware.",
@@ -140,6 +137,8 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
     for name, (module, summary) in COMMANDS.items():
         if name == command:
+            from nmt_bench.commands.json_output import add_json_option
+
             _load(name, module).add_parser(subparsers)
             for leaf in leaf_parsers(subparsers.choices[name]):
                 add_json_option(leaf)
@@ -190,7 +189,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_UNEXPECTED
 
 
-@dataclass
 class _End:
     """How a command ended, beside its exit code.
 
@@ -199,8 +197,9 @@ class _End:
         sentence: of a refusal or failure; None where there was none.
     """
 
-    arguments: argparse.Namespace | None = None
-    sentence: str | None = None
+    def __init__(self) -> None:
+        self.arguments: argparse.Namespace | None = None
+        self.sentence: str | None = None
 
 
 def _document(words: Sequence[str], end: _End, status: int) -> str:
@@ -283,6 +282,11 @@ def write_error_log(words: Sequence[str]) -> Path:
     Returns:
         Path of the file, in the folder for temporary files.
     """
+    import tempfile
+    import time
+    import traceback
+    from pathlib import Path
+
     stamp = time.strftime("%Y%m%d-%H%M%S")
     handle, name = tempfile.mkstemp(prefix=f"nmt-error-{stamp}-", suffix=".log", text=True)
     with os.fdopen(handle, "w", encoding="utf-8") as file:

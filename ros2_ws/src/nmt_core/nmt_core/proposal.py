@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 
 
@@ -13,5 +12,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
         word: as typed.
         known: what there is.
     """
+    import difflib  # takes longer than the rest of a command line that only prints its help
+
     near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
     return f"; did you mean '{near[0]}'" if near else ""

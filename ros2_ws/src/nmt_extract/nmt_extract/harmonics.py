@@ -10,9 +10,11 @@ Convention: x(t) = Re Σ ψ_n exp(i n θ); ψ_0 is real.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,7 +64,7 @@ def segment_moments(cycles: FloatArray, data: FloatArray, harmonics: int, bounds
     Returns:
         The sums, one set for each segment.
     """
-    basis, projections = _segment_moments(
+    basis, projections = _compiled(_segment_moments)(
         np.ascontiguousarray(cycles, dtype=np.float64),
         np.ascontiguousarray(data, dtype=np.float64),
         int(harmonics),
@@ -84,7 +86,7 @@ def solve_moments(moments: Moments) -> ComplexArray:
         BenchError: the samples do not determine the harmonics (too few samples in a period or in the
             segment).
     """
-    amplitudes, regular = _solve_moments(moments.basis, moments.projections)
+    amplitudes, regular = _compiled(_solve_moments)(moments.basis, moments.projections)
     if not regular:
         harmonics = moments.projections.shape[-1] - 1
         raise BenchError(
@@ -160,7 +162,15 @@ def compile_kernels() -> None:
     harmonic_amplitudes(cycles, np.zeros((1, 64)), 2)
 
 
-@numba.njit(cache=True)
+@cache
+def _compiled(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """The kernel as machine code. numba is imported here: reading results needs no kernel and starts twice as fast."""
+    import numba
+
+    compiled: Callable[..., Any] = numba.njit(cache=True)(kernel)
+    return compiled
+
+
 def _segment_moments(
     cycles: FloatArray, data: FloatArray, harmonics: int, bounds: IndexArray
 ) -> tuple[ComplexArray, ComplexArray]:
@@ -237,7 +247,6 @@ def _segment_moments(
     return basis, projections
 
 
-@numba.njit(cache=True)
 def _solve_moments(basis: ComplexArray, projections: ComplexArray) -> tuple[ComplexArray, bool]:
     segments, channels, terms = projections.shape
     harmonics = terms - 1

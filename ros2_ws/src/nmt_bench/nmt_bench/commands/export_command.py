@@ -1,4 +1,4 @@
-"""``./nmt export``: a recording as UFF58, CSV or NPZ, with the sidecar that imports it again."""
+"""``./nmt export``: a recording as UFF58, CSV, NPZ, HDF5 or MATLAB, with the sidecar that imports it again."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
+from nmt_record.export_formats import FORMATS
 
 if TYPE_CHECKING:
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
-
-FORMATS = ("uff", "csv", "npz", "h5", "mat")
 
 
 def add_parser(subparsers: Subparsers) -> None:

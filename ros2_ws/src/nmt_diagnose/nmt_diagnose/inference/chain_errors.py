@@ -22,13 +22,13 @@ from nmt_diagnose.evidence.conditions import (
 )
 from nmt_diagnose.evidence.drive_hold import zero_order_images
 from nmt_diagnose.evidence.measuring_chain import MeasuringChain
-from nmt_diagnose.evidence.model_view import ModelView
+from nmt_diagnose.evidence.model_view import ORDER, ModelView
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.inference.problem import BoolArray, Problem
 from nmt_diagnose.inference.shared_errors import SharedErrors
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.stepped_sine_twin import gain_error
-from nmt_rig.rig import Rig, SensorSection
+from nmt_rig.rig import ModalSection, Rig, SensorSection
 
 ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.intp]
@@ -46,6 +46,9 @@ _IMAGE_FLOOR, _SAME_FOR_LEVELS = 1.0, 0.2
 # What the model's response to a harmonic of the drive may be off by, relative.
 _DRIVEN_FLOOR = 0.03
 _CLOCK_STEP = 1e-5
+# Modes that a model leaves out, as shares of the static flexibility of those that it has; frequency over the
+# resonance's at which that is taken.
+_ABOVE, _BELOW, _STATIC = 0.1, 0.05, 0.1
 _SHIFT_STEP = 1e-6
 # What a loop may hold other than it was told, for all levels and for each, rad.
 _AIM_STD, _LOCK_STD = math.radians(1.0), math.radians(0.5)
@@ -187,7 +190,7 @@ class _Columns:
         moved = forward.difference(forward.predict(clock, base).values, base.values)
         found.append(max(chain.clock for chain in self.own) * moved / _CLOCK_STEP)
         found += self._aims()
-        found += self._stepped()
+        found += [*self._stepped(), *self._other_modes()]
         return np.column_stack([self._full(column) for column in found])
 
     def sweeps(self, prediction: Prediction) -> FloatArray:
@@ -314,6 +317,36 @@ class _Columns:
             # Both channels of the quotient.
             sizes = math.sqrt(2.0) * np.array([tolerance.gain, tolerance.phase, tolerance.delay_s])
             found += list(sizes[:, None] * columns)
+        return found
+
+    def _other_modes(self) -> list[FloatArray]:
+        """What modes that a modal model leaves out add to responses at held amplitudes.
+
+        Those above the band add a flexibility, those below it minus one over a mass (Ewins, Modal Testing, 2000,
+        section 4.3): constants that nobody states, of either sign.
+        """
+        structure = self.rig.structure
+        if not isinstance(structure, ModalSection) or structure.residual is not None:
+            return []
+        found = []
+        resonance = self._resonance()
+        for channel, own in self.channels.items():
+            columns = np.zeros((2, len(self.rows)))
+            for number, test in enumerate(self.tests):
+                if not isinstance(test, SteppedSineTest) or test.held == "response":
+                    continue
+                mine = np.flatnonzero((self.rows.test == number) & self._rows_of(channel))
+                frequency = self.rows.frequency_hz[mine]
+                view = ModelView.of(self.rig, test.drive_point)
+                static = abs(complex(view.responses((own,), np.array([_STATIC * resonance]))[0, 0]))
+                static /= (2.0 * np.pi * _STATIC * resonance) ** ORDER[own.quantity]
+                omega = 2.0 * np.pi * frequency
+                measured = test.measured[self.rows.level[mine], self.rows.channel[mine]]
+                added = static * (1j * omega) ** ORDER[own.quantity] / measured
+                turned = self.rows.part[mine] == Part.PHASE
+                columns[0, mine] = _ABOVE * np.where(turned, added.imag, added.real)
+                columns[1, mine] = _BELOW * (resonance / frequency) ** 2 * np.where(turned, added.imag, added.real)
+            found += list(columns)
         return found
 
     def _referred(self) -> list[int]:

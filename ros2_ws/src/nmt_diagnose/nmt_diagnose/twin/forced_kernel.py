@@ -15,8 +15,8 @@ import numpy as np
 from numba import njit
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.twin.linear_model import ComplexArray, transfer_at
-from nmt_diagnose.twin.periodic_kernel import harmonic_forces, sensor_gain
+from nmt_diagnose.twin.linear_model import ComplexArray, response_at
+from nmt_diagnose.twin.periodic_kernel import harmonic_forces, local_amounts, sensor_gain
 from nmt_rig.model.aft import LocalTables
 
 _HALVINGS = 8
@@ -38,9 +38,9 @@ def transfers(
     """T at i n ω for every order n, (n_orders, outputs, r + 1)."""
     result = np.empty((orders.size, displacement.shape[0], inputs.shape[1]), dtype=np.complex128)
     for n in range(orders.size):
-        result[n] = transfer_at(
+        result[n] = response_at(
             1j * orders[n] * omega, poles, displacement, velocity, acceleration, inputs, feedthrough
-        )[0]
+        )
     return result
 
 
@@ -410,7 +410,7 @@ def step_lines(
         if same_forces:
             g = forces[line]
         else:
-            g = harmonic_forces(z[line, : r * size].copy().reshape(r, size), w, factor, tables)[0]
+            g = local_amounts(z[line, : r * size].copy().reshape(r, size), w, factor, tables)
         residual, y = balance(z[line], g, given, target[line], w, transfer, orders, offsets, channels)
         step = -inverses[line] @ residual
         moved[line] = z[line] + step

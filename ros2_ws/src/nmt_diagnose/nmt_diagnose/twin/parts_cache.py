@@ -73,7 +73,7 @@ class PartsCache:
         found = self._known.get(key)
         if found is None:
             near = self._near(key)
-            parts = None if near is None else self._shared(rig, setup, key, *near)
+            parts = self._later(rig, setup, key) if near is None else self._shared(rig, setup, key, *near)
             if parts is None:
                 parts = rig_parts(
                     with_exciter_at(rig, setup.drive_point), setup.channels, setup.basis, self.settings, seconds,
@@ -82,6 +82,16 @@ class PartsCache:
             found = (rig, parts)
             self._known[key] = found
         return found[1]
+
+    def _later(self, rig: Rig, setup: Setup, key: tuple[int, float, float]) -> RigParts | None:
+        """Parts of the rig at another moment where only its slip forces drift: its linear model stays."""
+        if rig.drift.stiffness_per_s != 0.0:
+            return None
+        known = (own for (number, _, _), (whose, own) in self._known.items() if number == key[0] and whose is rig)
+        earlier = next(known, None)
+        if earlier is None:
+            return None
+        return with_elements_of(earlier, with_exciter_at(rig, setup.drive_point), self.settings, key[1], key[2])
 
     def _near(self, key: tuple[int, float, float]) -> tuple[Rig, RigParts] | None:
         """The base's rig and parts, at the same moment or without drift."""
@@ -97,9 +107,9 @@ class PartsCache:
         Poles and residues are what a rig costs; they are the same then.
         """
         same = (
-            rig.structure is other.structure
-            and rig.exciter is other.exciter
-            and (rig.drift is other.drift or rig.drift.stiffness_per_s == other.drift.stiffness_per_s == 0.0)
+            _equal(rig.structure, other.structure)
+            and _equal(rig.exciter, other.exciter)
+            and (_equal(rig.drift, other.drift) or rig.drift.stiffness_per_s == other.drift.stiffness_per_s == 0.0)
             and (
                 rig.sensors is other.sensors
                 or all(
@@ -111,7 +121,7 @@ class PartsCache:
         if not same:
             return None
         moved = with_exciter_at(rig, setup.drive_point)
-        if rig.local_elements is not other.local_elements or rig.drift is not other.drift:
+        if not (_equal(rig.local_elements, other.local_elements) and _equal(rig.drift, other.drift)):
             # A shaking table's effective mass is that of the rig with its elements.
             if isinstance(rig.exciter, ShakingTableSection) or not _alike(rig, other):
                 return None
@@ -126,12 +136,17 @@ class PartsCache:
         )
 
 
+def _equal(a: object, b: object) -> bool:
+    """Whether two sections are the same; a fit makes them anew at every step, most of them with the same numbers."""
+    return a is b or a == b
+
+
 def _alike(rig: Rig, other: Rig) -> bool:
     """Whether two rigs have the same local elements but for numbers of the nonlinear ones."""
     if len(rig.local_elements) != len(other.local_elements):
         return False
     return all(
-        a is b
+        _equal(a, b)
         or (
             a.kind == b.kind
             and a.kind not in ("linear_spring", "linear_damper")

@@ -408,7 +408,7 @@ class Contest:
 
     def all_refits(self, wanted: Sequence[tuple[Contender, BoolArray]]) -> list[Contender | None]:
         """``refit`` of several explanations to rows of their own."""
-        return self.workers.map(_refitted, self, wanted)
+        return self.workers.map(_refitted, self, wanted, weight=_labour)
 
     def singles(self, base: Contender, found: Sequence[Score], known: Sequence[Contender] = ()) -> list[Contender]:
         """Fit the candidates that promise most, best evidence first.
@@ -651,6 +651,12 @@ def _polished(contest: Contest, contender: Contender) -> Contender:
 
 def _refitted(contest: Contest, item: tuple[Contender, BoolArray]) -> Contender | None:
     return contest.refit(*item)
+
+
+def _labour(item: tuple[Contender, BoolArray]) -> float:
+    """How much work a refit is likely to be: those that have not reached an optimum go on longest."""
+    contender, used = item
+    return contender.fit.theta.size * float(used.sum()) * (1.0 if contender.fit.converged else 10.0)
 
 
 def _silent(_: str) -> None:

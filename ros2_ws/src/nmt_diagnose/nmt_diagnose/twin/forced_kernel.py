@@ -35,12 +35,17 @@ def transfers(
     inputs: ComplexArray,
     feedthrough: ComplexArray,
 ) -> ComplexArray:
-    """T at i n ω for every order n, (n_orders, outputs, r + 1)."""
-    result = np.empty((orders.size, displacement.shape[0], inputs.shape[1]), dtype=np.complex128)
+    """T at i n ω for every order n, (n_orders, outputs, r + 1): all of order 1, of others what local forces do."""
+    result = np.zeros((orders.size, displacement.shape[0], inputs.shape[1]), dtype=np.complex128)
+    r = inputs.shape[1] - 1
     for n in range(orders.size):
-        result[n] = response_at(
-            1j * orders[n] * omega, poles, displacement, velocity, acceleration, inputs, feedthrough
-        )
+        s = 1j * orders[n] * omega
+        if orders[n] == 1:
+            result[n] = response_at(s, poles, displacement, velocity, acceleration, inputs, feedthrough, r + 1)
+        else:
+            result[n, :r] = response_at(
+                s, poles, displacement[:r], velocity[:r], acceleration[:r], inputs, feedthrough[:r], r
+            )
     return result
 
 

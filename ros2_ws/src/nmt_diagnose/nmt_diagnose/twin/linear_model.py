@@ -78,8 +78,9 @@ class LinearModel:
     def at(self, s: complex) -> tuple[ComplexArray, ComplexArray]:
         """T (o, p) and dT/ds at s."""
         result: tuple[ComplexArray, ComplexArray] = transfer_at(
-            s, self.poles, self.displacement, self.velocity, self.acceleration, self.inputs, self.feedthrough
-        )
+            s, self.poles, self.displacement, self.velocity, self.acceleration, self.inputs, self.feedthrough,
+            self.inputs.shape[1],
+        )  # fmt: skip
         return result
 
     def partial_fractions(self, rows: NDArray[np.int64]) -> tuple[FloatArray, ...]:
@@ -154,13 +155,13 @@ def transfer_at(
     acceleration: ComplexArray,
     inputs: ComplexArray,
     feedthrough: ComplexArray,
+    columns: int,
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Compiled body of ``LinearModel.at``."""
+    """Compiled body of ``LinearModel.at``; right in the first ``columns`` columns only."""
     outputs = displacement.shape[0]
-    columns = inputs.shape[1]
     count = poles.shape[0]
     transfer = feedthrough.copy()
-    slope = np.zeros((outputs, columns), dtype=np.complex128)
+    slope = np.zeros(feedthrough.shape, dtype=np.complex128)
     for k in range(count):
         inverse = 1.0 / (s - poles[k])
         for o in range(outputs):
@@ -181,10 +182,10 @@ def response_at(
     acceleration: ComplexArray,
     inputs: ComplexArray,
     feedthrough: ComplexArray,
+    columns: int,
 ) -> ComplexArray:
-    """T (o, p) at s as by ``transfer_at``, without its derivative."""
+    """T (o, p) at s as by ``transfer_at``, without its derivative; right in the first ``columns`` columns only."""
     outputs = displacement.shape[0]
-    columns = inputs.shape[1]
     transfer = feedthrough.copy()
     for k in range(poles.shape[0]):
         inverse = 1.0 / (s - poles[k])

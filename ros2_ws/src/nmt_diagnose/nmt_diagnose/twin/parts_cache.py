@@ -19,6 +19,11 @@ from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
 
+# Local elements whose force is of higher than the first order.
+SOFT_AT_REST = frozenset(
+    {"cubic_spring", "quintic_spring", "quadratic_spring", "quadratic_drag", "amplitude_damper", "power_law_damper"}
+)
+
 
 @dataclass(frozen=True)
 class Setup:
@@ -122,8 +127,8 @@ class PartsCache:
             return None
         moved = with_exciter_at(rig, setup.drive_point)
         if not (_equal(rig.local_elements, other.local_elements) and _equal(rig.drift, other.drift)):
-            # A shaking table's effective mass is that of the rig with its elements.
-            if isinstance(rig.exciter, ShakingTableSection) or not _alike(rig, other):
+            # A shaking table's effective mass is that of the rig with its elements at rest.
+            if not _alike(rig, other, isinstance(rig.exciter, ShakingTableSection)):
                 return None
             parts = with_elements_of(parts, moved, self.settings, key[1], key[2])
         sections = channel_sections(moved, setup.channels)
@@ -141,8 +146,11 @@ def _equal(a: object, b: object) -> bool:
     return a is b or a == b
 
 
-def _alike(rig: Rig, other: Rig) -> bool:
-    """Whether two rigs have the same local elements but for numbers of the nonlinear ones."""
+def _alike(rig: Rig, other: Rig, at_rest: bool) -> bool:
+    """Whether two rigs have the same local elements but for numbers of the nonlinear ones.
+
+    ``at_rest`` asks for the same modes at rest, too.
+    """
     if len(rig.local_elements) != len(other.local_elements):
         return False
     return all(
@@ -150,6 +158,7 @@ def _alike(rig: Rig, other: Rig) -> bool:
         or (
             a.kind == b.kind
             and a.kind not in ("linear_spring", "linear_damper")
+            and (not at_rest or a.kind in SOFT_AT_REST)
             and (a.point, a.other_point, a.rotation, a.side) == (b.point, b.other_point, b.rotation, b.side)
             and getattr(a, "remaining_stiffness_n_m", 0.0) == getattr(b, "remaining_stiffness_n_m", 0.0)
         )

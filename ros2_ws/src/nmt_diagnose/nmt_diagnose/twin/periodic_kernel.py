@@ -186,10 +186,12 @@ def evaluate(
         order = orders[n]
         offset = offsets[n]
         s = 1j * order * omega
-        transfer, transfer_slope = transfer_at(
-            s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough
-        )
         u = amplitude * drive[n]
+        # Most orders are not driven, and the response to the drive is not wanted.
+        columns = r if u == 0.0 else r + 1
+        transfer, transfer_slope = transfer_at(
+            s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough, columns
+        )
         for o in range(r + c):
             value = transfer[o, r] * u
             column[:] = 0.0
@@ -373,8 +375,11 @@ def residuals(
             order = orders[n]
             offset = offsets[n]
             s = 1j * order * omega
-            transfer = response_at(s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough)
             u = amplitude * drive[level, n]
+            columns = r if u == 0.0 else r + 1
+            transfer = response_at(
+                s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough, columns
+            )
             for o in range(r + c):
                 value = transfer[o, r] * u
                 for j in range(r):

@@ -144,3 +144,33 @@ def test_a_less_probable_part_of_the_prior_costs_its_weight():
     plain = Plain.of(1, 2.0)
     usual, rare = (fit(problem, replace(plain, log_prior=value), np.zeros(1)) for value in (0.0, -2.5))
     assert usual.log_evidence - rare.log_evidence == pytest.approx(2.5)
+
+
+def test_sensitivities_that_are_known_are_not_computed_again():
+    """A fit that goes on from its own estimate: the same outcome, one set of sensitivities less."""
+    generator = np.random.default_rng(5)
+    grid = np.linspace(0.0, 1.0, 30)
+    computed = []
+
+    def derivative(theta):
+        computed.append(theta.copy())
+        return np.column_stack([np.exp(theta[1] * grid), theta[0] * grid * np.exp(theta[1] * grid)])
+
+    model = FunctionModel(lambda t: t[0] * np.exp(t[1] * grid), derivative)
+    problem = Problem(evidence_of(1.5 * np.exp(0.8 * grid) + 0.1 * generator.standard_normal(30), 0.1), model)
+    plain = Plain.of(2, 2.0)
+    first = fit(problem, plain, np.zeros(2))
+    assert first.fresh
+    outcomes, counts = [], []
+    for known in (None, first.jacobian):
+        computed.clear()
+        outcomes.append(fit(problem, plain, first.theta, None, first.prediction, known=known))
+        counts.append(len(computed))
+    assert counts[0] == counts[1] + 1
+    plainly, quickly = outcomes
+    np.testing.assert_array_equal(plainly.theta, quickly.theta)
+    np.testing.assert_array_equal(plainly.jacobian, quickly.jacobian)
+    assert plainly.log_evidence == quickly.log_evidence
+    # Sensitivities from elsewhere are no witness of an optimum.
+    stale = fit(problem, plain, first.theta, None, first.prediction, first.jacobian, steps=0, exact=False)
+    assert not stale.fresh

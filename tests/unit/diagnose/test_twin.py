@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,13 +18,14 @@ from nmt_core.vocabulary import Waveform
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, effect_named, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.effects.rig_edit import value_at, with_value
+from nmt_diagnose.effects.rig_edit import value_at, with_element, with_value
 from nmt_diagnose.evidence.conditions import BackboneTable, MeasuredChannel, RecordTest, RingDownTest
 from nmt_diagnose.evidence.observables import Part
 from nmt_diagnose.twin import linear_model
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.influence import Source
 from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.rig_parts import rig_parts
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_plant.simulated_rig import SimulatedRig
@@ -31,7 +33,7 @@ from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.model.phase_resonance import phase_resonant_backbone
-from nmt_rig.rig import Rig, load_rig, validate_rig
+from nmt_rig.rig import LinearSpringSection, Rig, load_rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 from nmt_rig.rig_model import build_elements, build_structure, build_system
 
@@ -592,3 +594,79 @@ def test_poles_followed_to_first_order_miss_the_second_order_only(name, monkeypa
     again = rig_parts(moved, channels, basis, PLAIN, near=parts)
     assert again.linear.frame is not None
     np.testing.assert_array_equal(again.linear.poles, exact.linear.poles)
+
+
+@pytest.mark.parametrize("path", [
+    ("structure", "youngs_modulus_pa"), ("structure", "density_kg_m3"), ("exciter", "table_mass_kg"),
+    ("exciter", "inductance_h"), ("sensors", 1, "mass_kg"), ("sensors", 2, "gain"),
+    ("local_elements", 0, "tangential_stiffness_n_m"), ("local_elements", 1, "stiffness_n_m"),
+    ("drift", "slip_force_per_s"), ("drift", "stiffness_per_s"), (),
+])  # fmt: skip
+def test_what_a_moved_rig_shares_with_another_is_what_it_has_itself(path):
+    """Taken apart alone and beside a rig that differs in one number, both made anew as the steps of a fit are."""
+
+    def made() -> Rig:
+        return with_element(load_rig("beam"), LinearSpringSection(kind="linear_spring", point=4, stiffness_n_m=200.0))
+
+    setup = Setup(2, False, channels_of(made()), FourierBasis.up_to(3))
+    base = PartsCache(PLAIN)
+    for seconds in (0.0, 50.0):
+        base.parts(made(), setup, seconds)
+    rig, cache = made(), PartsCache(PLAIN, base)
+    if path:
+        rig = with_value(rig, path, value_at(rig, path) * (1.0 + 1e-6) + 1e-9)
+    for seconds in (0.0, 50.0):
+        own = rig_parts(rig, setup.channels, setup.basis, PLAIN, seconds)
+        found = cache.parts(rig, setup, seconds)
+        for name in ("mass", "damping", "stiffness"):
+            np.testing.assert_array_equal(getattr(found.system, name), getattr(own.system, name))
+        for name in ("displacement", "velocity", "acceleration", "feedthrough"):
+            np.testing.assert_array_equal(getattr(found.rows, name), getattr(own.rows, name))
+        for mine, theirs in zip(found.tables, own.tables, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+        np.testing.assert_array_equal(found.channels, own.channels)
+        for s in (40j, 150j - 1.0):
+            np.testing.assert_allclose(found.linear.at(s)[0], own.linear.at(s)[0], rtol=1e-8, atol=1e-14)
+    moves = (
+        "structure",
+        "youngs_modulus_pa",
+        "density_kg_m3",
+        "exciter",
+        "mass_kg",
+        "stiffness_n_m",
+        "stiffness_per_s",
+    )
+    own = any(part in moves for part in path)
+    assert (cache.parts(rig, setup).linear is not base.parts(rig, setup).linear) == own
+
+
+def test_slip_forces_that_drift_take_nothing_else_along():
+    rig = with_value(load_rig("beam"), ("drift", "slip_force_per_s"), -1e-3)
+    setup = Setup(2, False, channels_of(rig), FourierBasis.up_to(3))
+    cache = PartsCache(PLAIN)
+    first, later = (cache.parts(rig, setup, seconds) for seconds in (10.0, 200.0))
+    assert later.linear is first.linear
+    own = rig_parts(rig, setup.channels, setup.basis, PLAIN, 200.0)
+    for mine, theirs in zip(later.tables, own.tables, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    assert first.tables[3][0, 1] == pytest.approx(0.99)
+    assert later.tables[3][0, 1] == pytest.approx(0.8)
+
+
+def test_a_held_drive_folds_its_images_onto_the_lines():
+    """Against the sum over the images, each with lines of its own and no polynomial between a few frequencies."""
+    rig, rate = load_rig("beam"), 2000.0
+    plain, table = noise_test(rig, 20.0, 100.0, 9, window="none")
+
+    def responses(test) -> np.ndarray:
+        values = Forward([test], rows_of(table), PLAIN).predict(rig).values
+        return (np.exp(values[0::2]) * np.exp(1j * values[1::2])).reshape(plain.lines_hz.size, -1)
+
+    expected = np.zeros((plain.lines_hz.size, len(plain.channels)), dtype=complex)
+    for order in range(-6, 7):
+        place = plain.lines_hz + order * rate
+        image = responses(replace(plain, lines_hz=np.abs(place)))
+        expected += np.sinc(place / rate)[:, None] ** 2 * np.where(place[:, None] > 0.0, image, image.conj())
+    found = responses(replace(plain, drive_hold_hz=rate))
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    assert np.max(np.abs(found / responses(plain) - 1.0)) > 1e-4

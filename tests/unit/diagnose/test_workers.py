@@ -51,6 +51,13 @@ def test_results_come_in_the_order_of_the_items(jobs: int) -> None:
     assert set(multiprocessing.active_children()) <= others
 
 
+def test_the_longest_work_begins_first_and_results_stay_in_order() -> None:
+    begun: list[int] = []
+    with Workers(1) as workers:
+        assert workers.map(power, 2, [3, 1, 5, 4], begun.append, weight=float) == [9, 1, 25, 16]
+    assert begun == [5, 4, 3, 1]
+
+
 def test_helpers_take_part() -> None:
     begun: list[int] = []
     with Workers(2) as workers:

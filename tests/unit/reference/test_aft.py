@@ -7,7 +7,7 @@ import pytest
 from scipy.special import gamma
 
 from nmt_core.errors import BenchError
-from nmt_rig.model.aft import LocalForces
+from nmt_rig.model.aft import LocalForces, forces_alone
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements import (
     AmplitudeDamper,
@@ -234,3 +234,18 @@ def test_basis_round_trip_and_refusals() -> None:
         FourierBasis.of([0, 2])
     with pytest.raises(BenchError, match="needs a local element"):
         LocalForces.gather([], basis)
+
+
+def test_forces_alone_are_those_with_derivatives() -> None:
+    """Two coordinates: slipping, stopped and smooth elements beside each other, and smooth ones alone."""
+    basis = FourierBasis.up_to(5)
+    one, two = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    elements: list[LocalElement] = [
+        Jenkins(one, 2.0, 1.0), Jenkins(one, 1.0, 0.2), TwoSidedGap(one, 3.0, 0.4), CubicSpring(one, 0.7),
+        PowerLawDamper(two, 0.5, 1.4), QuadraticDrag(two, 0.3),
+    ]  # fmt: skip
+    gathered = LocalForces.gather(elements, basis)
+    w = np.random.default_rng(3).standard_normal((2, basis.size))
+    forces, derivative, _ = gathered.forces(w, OMEGA)
+    assert np.all(np.any(derivative != 0.0, axis=(1, 2)))
+    np.testing.assert_array_equal(forces_alone(w, OMEGA, gathered.tables), forces)

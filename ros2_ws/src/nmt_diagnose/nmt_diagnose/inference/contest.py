@@ -368,7 +368,10 @@ class Contest:
         """The fit gone on with from where it stands, as long as it has not reached its optimum and that helps."""
         for _ in range(self.settings.rounds):
             try:
-                result = fit(self.problem, best.parametrisation, best.theta, best.used, best.prediction)
+                result = fit(
+                    self.problem, best.parametrisation, best.theta, best.used, best.prediction,
+                    known=self._sensitivities(best),
+                )  # fmt: skip
             except FitError:
                 break
             helped = result.log_evidence > best.log_evidence + 0.5
@@ -376,6 +379,11 @@ class Contest:
             if result.converged or not helped:
                 break
         return best
+
+    def _sensitivities(self, found: Fit) -> FloatArray | None:
+        """Sensitivities of a fit where they are those at its estimate, and whitened by the noise as it counts now."""
+        same = found.fresh and np.array_equal(self.problem.residual(found.prediction), found.residual, equal_nan=True)
+        return found.jacobian if same else None
 
     def _restarted(self, best: Fit) -> Fit:
         """The best of a fit and of fits of the same explanation from the model as it was given.
@@ -403,7 +411,7 @@ class Contest:
         try:
             result = fit(
                 self.problem, start.parametrisation, start.theta, used, start.prediction, start.jacobian,
-                exact=False, refreshes=_REFRESHES,
+                exact=False, refreshes=_REFRESHES, known=self._sensitivities(start),
             )  # fmt: skip
         except FitError:
             return None
@@ -411,7 +419,7 @@ class Contest:
 
     def all_refits(self, wanted: Sequence[tuple[Contender, BoolArray]]) -> list[Contender | None]:
         """``refit`` of several explanations to rows of their own."""
-        return self.workers.map(_refitted, self, wanted)
+        return self.workers.map(_refitted, self, wanted, weight=_labour)
 
     def singles(self, base: Contender, found: Sequence[Score], known: Sequence[Contender] = ()) -> list[Contender]:
         """Fit the candidates that promise most, best evidence first.
@@ -449,7 +457,10 @@ class Contest:
         """A known explanation fitted from where it stands; None where that fails."""
         before = contender.fit
         try:
-            found = fit(self.problem, before.parametrisation, before.theta, before.used, before.prediction)
+            found = fit(
+                self.problem, before.parametrisation, before.theta, before.used, before.prediction,
+                known=self._sensitivities(before),
+            )  # fmt: skip
         except FitError:
             return None
         return None if np.any(before.used & ~found.used) else Contender(contender.candidates, found, contender.score)
@@ -651,6 +662,12 @@ def _polished(contest: Contest, contender: Contender) -> Contender:
 
 def _refitted(contest: Contest, item: tuple[Contender, BoolArray]) -> Contender | None:
     return contest.refit(*item)
+
+
+def _labour(item: tuple[Contender, BoolArray]) -> float:
+    """How much work a refit is likely to be: those that have not reached an optimum go on longest."""
+    contender, used = item
+    return contender.fit.theta.size * float(used.sum()) * (1.0 if contender.fit.converged else 10.0)
 
 
 def _silent(_: str) -> None:

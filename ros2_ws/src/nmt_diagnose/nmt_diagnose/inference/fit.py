@@ -39,6 +39,7 @@ class Fit:
         penalty: Σ (θ/std)² of the prior.
         log_evidence: ln ∫ likelihood · prior dθ by Laplace's method, without the constant of the rows.
         converged: by its sensitivities no step from the estimate promises a fall that matters.
+        fresh: its sensitivities are those at the estimate, not from nearby.
     """
 
     parametrisation: Parametrisation
@@ -52,6 +53,7 @@ class Fit:
     penalty: float
     log_evidence: float
     converged: bool
+    fresh: bool = False
 
     @property
     def std(self) -> FloatArray:
@@ -123,6 +125,7 @@ def fit(
     steps: int = _STEPS,
     exact: bool = True,
     refreshes: int = _STEPS,
+    known: FloatArray | None = None,
 ) -> Fit:
     """Fit by Levenberg's damping, within bounds.
 
@@ -140,6 +143,7 @@ def fit(
         steps: most steps.
         exact: compute the sensitivities anew at the estimate.
         refreshes: how often sensitivities may be computed anew on the way; a fit that needs more ends unconverged.
+        known: whitened sensitivities at ``theta`` itself, shape (m, n), so that they need not be computed there.
 
     Raises:
         FitError: the model cannot be solved at the start.
@@ -162,7 +166,7 @@ def fit(
     cost = _cost(residual, rows, theta, std)
     fresh = jacobian is None
     if jacobian is None:
-        jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
+        jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction) if known is None else known
     for _ in range(steps):
         used_jacobian = jacobian[rows]
         normal = used_jacobian.T @ used_jacobian + np.diag(std**-2.0)
@@ -192,19 +196,20 @@ def fit(
             done = promised < _SMALL + 1e-7 * cost and not exact
             if fresh or done or refreshes <= 0:
                 break
-            jacobian, fresh = _whitened_jacobian(problem, parametrisation, theta, prediction), True
+            jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction) if known is None else known
+            fresh = True
             refreshes -= 1
             continue
         kept = cost - trial_cost > 0.5 * promised
         theta, prediction, residual, cost = moved, trial, trial_residual, trial_cost
         damping *= 0.1
-        fresh = False
+        fresh, known = False, None
         if not kept and refreshes > 0:
             jacobian, fresh = _whitened_jacobian(problem, parametrisation, theta, prediction), True
             refreshes -= 1
     if exact and not fresh:
-        jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction)
-    return _finished(problem, parametrisation, theta, rows, prediction, residual, jacobian)
+        jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction) if known is None else known
+    return _finished(problem, parametrisation, theta, rows, prediction, residual, jacobian, fresh or exact)
 
 
 def _approached(
@@ -262,6 +267,7 @@ def _finished(
     prediction: Prediction,
     residual: FloatArray,
     jacobian: FloatArray,
+    fresh: bool,
 ) -> Fit:
     std = parametrisation.prior_std
     used = jacobian[rows]
@@ -278,7 +284,7 @@ def _finished(
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return Fit(
         parametrisation, theta, covariance, residual, jacobian, rows, prediction, chi_square, penalty, log_evidence,
-        converged,
+        converged, fresh,
     )  # fmt: skip
 
 

@@ -40,6 +40,7 @@ class Workers:
         shared: S,
         items: Sequence[T],
         before: Callable[[T], None] | None = None,
+        weight: Callable[[T], float] | None = None,
     ) -> list[R]:
         """``task(shared, item)`` of every item, in their order.
 
@@ -48,6 +49,8 @@ class Workers:
             shared: what every piece needs.
             items: of each piece its own.
             before: called with an item as its work begins, from any thread.
+            weight: how much work an item is likely to be: the longest begin first, so that none is left over in the
+                end; None = in their order.
 
         Raises:
             Exception: what the first item that failed raised.
@@ -57,7 +60,10 @@ class Workers:
         payload = pickle.dumps((task, shared), pickle.HIGHEST_PROTOCOL)
         pieces = [pickle.dumps(item, pickle.HIGHEST_PROTOCOL) for item in items]
         results: list[bytes | None] = [None] * len(pieces)
-        todo = _Queue(len(pieces))
+        order = list(range(len(pieces)))
+        if weight is not None:
+            order.sort(key=lambda number: -weight(items[number]))
+        todo = _Queue(order)
 
         def helped(helper: _Helper) -> None:
             for number in todo:
@@ -105,8 +111,8 @@ class Workers:
 class _Queue:
     """Numbers of the pieces that nobody has taken yet, for several threads."""
 
-    def __init__(self, count: int) -> None:
-        self._numbers = iter(range(count))
+    def __init__(self, order: Sequence[int]) -> None:
+        self._numbers = iter(order)
         self._lock = threading.Lock()
 
     def __iter__(self) -> Iterator[int]:

@@ -61,7 +61,10 @@ def evaluate_decay(
         by_omega = 1j * order - ratio * decay
         by_ratio = -omega * decay
         s = by_omega * omega
-        t, slope = transfer_at(s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough)
+        t, slope = transfer_at(
+            s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough,
+            r + 1 if order == 1 else r,
+        )  # fmt: skip
         h = 0.0 + 0.0j
         if order == 1:
             value = amplitude + 0.0j

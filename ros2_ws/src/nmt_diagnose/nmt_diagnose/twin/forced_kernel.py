@@ -15,8 +15,8 @@ import numpy as np
 from numba import njit
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.twin.linear_model import ComplexArray, transfer_at
-from nmt_diagnose.twin.periodic_kernel import harmonic_forces, sensor_gain
+from nmt_diagnose.twin.linear_model import ComplexArray, response_at
+from nmt_diagnose.twin.periodic_kernel import harmonic_forces, local_amounts, sensor_gain
 from nmt_rig.model.aft import LocalTables
 
 _HALVINGS = 8
@@ -35,12 +35,17 @@ def transfers(
     inputs: ComplexArray,
     feedthrough: ComplexArray,
 ) -> ComplexArray:
-    """T at i n ω for every order n, (n_orders, outputs, r + 1)."""
-    result = np.empty((orders.size, displacement.shape[0], inputs.shape[1]), dtype=np.complex128)
+    """T at i n ω for every order n, (n_orders, outputs, r + 1): all of order 1, of others what local forces do."""
+    result = np.zeros((orders.size, displacement.shape[0], inputs.shape[1]), dtype=np.complex128)
+    r = inputs.shape[1] - 1
     for n in range(orders.size):
-        result[n] = transfer_at(
-            1j * orders[n] * omega, poles, displacement, velocity, acceleration, inputs, feedthrough
-        )[0]
+        s = 1j * orders[n] * omega
+        if orders[n] == 1:
+            result[n] = response_at(s, poles, displacement, velocity, acceleration, inputs, feedthrough, r + 1)
+        else:
+            result[n, :r] = response_at(
+                s, poles, displacement[:r], velocity[:r], acceleration[:r], inputs, feedthrough[:r], r
+            )
     return result
 
 
@@ -410,7 +415,7 @@ def step_lines(
         if same_forces:
             g = forces[line]
         else:
-            g = harmonic_forces(z[line, : r * size].copy().reshape(r, size), w, factor, tables)[0]
+            g = local_amounts(z[line, : r * size].copy().reshape(r, size), w, factor, tables)
         residual, y = balance(z[line], g, given, target[line], w, transfer, orders, offsets, channels)
         step = -inverses[line] @ residual
         moved[line] = z[line] + step

@@ -71,6 +71,7 @@ class Forward:
         self.tests = tuple(tests)
         self.rows = rows
         self.settings = TwinSettings() if settings is None else settings
+        self._phases = np.flatnonzero(np.isin(rows.part, (Part.PHASE, Part.PHASE_ERROR)))
         self._where = [np.flatnonzero(rows.test == index) for index in range(len(self.tests))]
         self._twins: list[Any] = [
             self._twin(test, rows.take(where)) for test, where in zip(self.tests, self._where, strict=True)
@@ -281,7 +282,7 @@ class Forward:
     def difference(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """a − b with phases brought into (−π, π]."""
         result = a - b
-        phases = np.isin(self.rows.part, (Part.PHASE, Part.PHASE_ERROR))
+        phases = self._phases
         result[phases] -= 2.0 * np.pi * np.round(result[phases] / (2.0 * np.pi))
         return result
 

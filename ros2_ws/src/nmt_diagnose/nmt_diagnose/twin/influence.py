@@ -15,9 +15,9 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.evidence.observables import Part
 from nmt_diagnose.twin.linear_model import ComplexArray, LinearModel, OutputRows, linear_model
 from nmt_diagnose.twin.parts_cache import PartsCache
-from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin, resting_tangent
+from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin
 from nmt_diagnose.twin.random_twin import RandomTwin
-from nmt_diagnose.twin.rig_parts import RigParts
+from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.rig import BeamSection, Rig
 

@@ -78,8 +78,9 @@ class LinearModel:
     def at(self, s: complex) -> tuple[ComplexArray, ComplexArray]:
         """T (o, p) and dT/ds at s."""
         result: tuple[ComplexArray, ComplexArray] = transfer_at(
-            s, self.poles, self.displacement, self.velocity, self.acceleration, self.inputs, self.feedthrough
-        )
+            s, self.poles, self.displacement, self.velocity, self.acceleration, self.inputs, self.feedthrough,
+            self.inputs.shape[1],
+        )  # fmt: skip
         return result
 
     def partial_fractions(self, rows: NDArray[np.int64]) -> tuple[FloatArray, ...]:
@@ -88,32 +89,61 @@ class LinearModel:
         Returns:
             σ (k,), π (k,), c (k, rows · p), e (k, rows · p), rest (rows · p,); one k for each pair of poles.
         """
-        order = np.argsort(np.abs(self.poles.imag) < 1e-12 * np.abs(self.poles), kind="stable")
-        poles = self.poles[order]
-        # (d + s v + s² a) b / (s − λ) = (d + λ v + λ² a) b / (s − λ) + (v + λ a) b + s a b; Σ v b and Σ a b vanish.
-        outputs = self.displacement[rows] + self.velocity[rows] * self.poles
-        outputs = (outputs + self.acceleration[rows] * self.poles**2)[:, order]
-        residues = (outputs[:, None, :] * self.inputs[order].T[None]).reshape(-1, poles.size).T
-        direct = (self.velocity[rows] + self.acceleration[rows] * self.poles) @ self.inputs
-        rest = (self.feedthrough[rows] + direct).real.ravel()
-        real = np.abs(poles.imag) < 1e-12 * np.abs(poles)
-        upper = (poles.imag > 0.0) & ~real
-        pairs, r = poles[upper], residues[upper]
-        sums, products = [2.0 * pairs.real], [np.abs(pairs) ** 2]
-        constants, slopes = [-2.0 * (r * np.conj(pairs)[:, None]).real], [2.0 * r.real]
-        # A real pole: r / (s − λ) = (r λ + r s) / (s² − λ²).
-        single, own = poles[real].real, residues[real].real
-        sums.append(np.zeros_like(single))
-        products.append(-(single**2))
-        constants.append(own * single[:, None])
-        slopes.append(own)
-        return (
-            np.concatenate(sums),
-            np.concatenate(products),
-            np.ascontiguousarray(np.concatenate(constants)),
-            np.ascontiguousarray(np.concatenate(slopes)),
-            rest,
+        result: tuple[FloatArray, ...] = real_fractions(
+            rows, self.poles, self.displacement, self.velocity, self.acceleration, self.inputs, self.feedthrough
         )
+        return result
+
+
+@njit(cache=True)
+def real_fractions(
+    rows: NDArray[np.int64],
+    poles: ComplexArray,
+    displacement: ComplexArray,
+    velocity: ComplexArray,
+    acceleration: ComplexArray,
+    inputs: ComplexArray,
+    feedthrough: ComplexArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Compiled body of ``LinearModel.partial_fractions``."""
+    columns = inputs.shape[1]
+    count = 0
+    for pole in poles:
+        count += pole.imag > 0.0 or abs(pole.imag) < 1e-12 * abs(pole)
+    sums, products = np.empty(count), np.empty(count)
+    constants, slopes = np.empty((count, rows.size * columns)), np.empty((count, rows.size * columns))
+    rest = np.empty(rows.size * columns)
+    for position in range(rows.size):
+        for p in range(columns):
+            rest[position * columns + p] = feedthrough[rows[position], p].real
+    k = 0
+    for number in range(poles.size):
+        pole = poles[number]
+        single = abs(pole.imag) < 1e-12 * abs(pole)
+        kept = single or pole.imag > 0.0
+        if kept:
+            sums[k] = 0.0 if single else 2.0 * pole.real
+            products[k] = -(pole.real**2) if single else abs(pole) ** 2
+        for position in range(rows.size):
+            o = rows[position]
+            # (d + s v + s² a) b / (s − λ) = (d + λ v + λ² a) b / (s − λ) + (v + λ a) b + s a b; Σ v b, Σ a b vanish.
+            direct = velocity[o, number] + acceleration[o, number] * pole
+            output = displacement[o, number] + direct * pole
+            for p in range(columns):
+                entry = position * columns + p
+                rest[entry] += (direct * inputs[number, p]).real
+                if not kept:
+                    continue
+                residue = output * inputs[number, p]
+                if single:
+                    # r / (s − λ) = (r λ + r s) / (s² − λ²).
+                    constants[k, entry] = residue.real * pole.real
+                    slopes[k, entry] = residue.real
+                else:
+                    constants[k, entry] = -2.0 * (residue * np.conj(pole)).real
+                    slopes[k, entry] = 2.0 * residue.real
+        k += kept
+    return sums, products, constants, slopes, rest
 
 
 @njit(cache=True)
@@ -125,13 +155,13 @@ def transfer_at(
     acceleration: ComplexArray,
     inputs: ComplexArray,
     feedthrough: ComplexArray,
+    columns: int,
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Compiled body of ``LinearModel.at``."""
+    """Compiled body of ``LinearModel.at``; right in the first ``columns`` columns only."""
     outputs = displacement.shape[0]
-    columns = inputs.shape[1]
     count = poles.shape[0]
     transfer = feedthrough.copy()
-    slope = np.zeros((outputs, columns), dtype=np.complex128)
+    slope = np.zeros(feedthrough.shape, dtype=np.complex128)
     for k in range(count):
         inverse = 1.0 / (s - poles[k])
         for o in range(outputs):
@@ -152,10 +182,10 @@ def response_at(
     acceleration: ComplexArray,
     inputs: ComplexArray,
     feedthrough: ComplexArray,
+    columns: int,
 ) -> ComplexArray:
-    """T (o, p) at s as by ``transfer_at``, without its derivative."""
+    """T (o, p) at s as by ``transfer_at``, without its derivative; right in the first ``columns`` columns only."""
     outputs = displacement.shape[0]
-    columns = inputs.shape[1]
     transfer = feedthrough.copy()
     for k in range(poles.shape[0]):
         inverse = 1.0 / (s - poles[k])

@@ -23,8 +23,8 @@ from nmt_diagnose.evidence.conditions import (
 )
 from nmt_diagnose.evidence.observables import Evidence, Part, Rows
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin, resting_tangent
-from nmt_diagnose.twin.rig_parts import RigParts
+from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
+from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import BeamSection, ChainSection, Rig

@@ -19,6 +19,11 @@ from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
 
+# Local elements whose force is of higher than the first order.
+SOFT_AT_REST = frozenset(
+    {"cubic_spring", "quintic_spring", "quadratic_spring", "quadratic_drag", "amplitude_damper", "power_law_damper"}
+)
+
 
 @dataclass(frozen=True)
 class Setup:
@@ -73,7 +78,7 @@ class PartsCache:
         found = self._known.get(key)
         if found is None:
             near = self._near(key)
-            parts = None if near is None else self._shared(rig, setup, key, *near)
+            parts = self._later(rig, setup, key) if near is None else self._shared(rig, setup, key, *near)
             if parts is None:
                 parts = rig_parts(
                     with_exciter_at(rig, setup.drive_point), setup.channels, setup.basis, self.settings, seconds,
@@ -82,6 +87,16 @@ class PartsCache:
             found = (rig, parts)
             self._known[key] = found
         return found[1]
+
+    def _later(self, rig: Rig, setup: Setup, key: tuple[int, float, float]) -> RigParts | None:
+        """Parts of the rig at another moment where only its slip forces drift: its linear model stays."""
+        if rig.drift.stiffness_per_s != 0.0:
+            return None
+        known = (own for (number, _, _), (whose, own) in self._known.items() if number == key[0] and whose is rig)
+        earlier = next(known, None)
+        if earlier is None:
+            return None
+        return with_elements_of(earlier, with_exciter_at(rig, setup.drive_point), self.settings, key[1], key[2])
 
     def _near(self, key: tuple[int, float, float]) -> tuple[Rig, RigParts] | None:
         """The base's rig and parts, at the same moment or without drift."""
@@ -97,9 +112,9 @@ class PartsCache:
         Poles and residues are what a rig costs; they are the same then.
         """
         same = (
-            rig.structure is other.structure
-            and rig.exciter is other.exciter
-            and (rig.drift is other.drift or rig.drift.stiffness_per_s == other.drift.stiffness_per_s == 0.0)
+            _equal(rig.structure, other.structure)
+            and _equal(rig.exciter, other.exciter)
+            and (_equal(rig.drift, other.drift) or rig.drift.stiffness_per_s == other.drift.stiffness_per_s == 0.0)
             and (
                 rig.sensors is other.sensors
                 or all(
@@ -111,9 +126,9 @@ class PartsCache:
         if not same:
             return None
         moved = with_exciter_at(rig, setup.drive_point)
-        if rig.local_elements is not other.local_elements or rig.drift is not other.drift:
-            # A shaking table's effective mass is that of the rig with its elements.
-            if isinstance(rig.exciter, ShakingTableSection) or not _alike(rig, other):
+        if not (_equal(rig.local_elements, other.local_elements) and _equal(rig.drift, other.drift)):
+            # A shaking table's effective mass is that of the rig with its elements at rest.
+            if not _alike(rig, other, isinstance(rig.exciter, ShakingTableSection)):
                 return None
             parts = with_elements_of(parts, moved, self.settings, key[1], key[2])
         sections = channel_sections(moved, setup.channels)
@@ -126,15 +141,24 @@ class PartsCache:
         )
 
 
-def _alike(rig: Rig, other: Rig) -> bool:
-    """Whether two rigs have the same local elements but for numbers of the nonlinear ones."""
+def _equal(a: object, b: object) -> bool:
+    """Whether two sections are the same; a fit makes them anew at every step, most of them with the same numbers."""
+    return a is b or a == b
+
+
+def _alike(rig: Rig, other: Rig, at_rest: bool) -> bool:
+    """Whether two rigs have the same local elements but for numbers of the nonlinear ones.
+
+    ``at_rest`` asks for the same modes at rest, too.
+    """
     if len(rig.local_elements) != len(other.local_elements):
         return False
     return all(
-        a is b
+        _equal(a, b)
         or (
             a.kind == b.kind
             and a.kind not in ("linear_spring", "linear_damper")
+            and (not at_rest or a.kind in SOFT_AT_REST)
             and (a.point, a.other_point, a.rotation, a.side) == (b.point, b.other_point, b.rotation, b.side)
             and getattr(a, "remaining_stiffness_n_m", 0.0) == getattr(b, "remaining_stiffness_n_m", 0.0)
         )

@@ -15,7 +15,7 @@ from numba import njit
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.twin.linear_model import ComplexArray, response_at, transfer_at
-from nmt_rig.model.aft import LocalTables, local_forces
+from nmt_rig.model.aft import LocalTables, forces_alone, local_forces
 
 # What is given besides the phase: ln of the drive's amplitude, or ln of the fundamental of one channel.
 DRIVE_GIVEN = -1
@@ -118,6 +118,20 @@ def harmonic_forces(
 
 
 @njit(cache=True)
+def local_amounts(displacement: FloatArray, omega: float, factor: FloatArray, tables: LocalTables) -> FloatArray:
+    """The coefficients (r, size) of :func:`harmonic_forces` without their derivatives."""
+    r, size = displacement.shape
+    elements = tables[4].size - 1
+    g = np.empty((r, size))
+    g[:elements] = forces_alone(displacement[:elements], omega, tables)
+    if r > elements:
+        g[elements:] = factor_forces(
+            displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables[10], tables[11]
+        )[0]
+    return g
+
+
+@njit(cache=True)
 def evaluate(
     z: FloatArray,
     given: int,
@@ -172,10 +186,12 @@ def evaluate(
         order = orders[n]
         offset = offsets[n]
         s = 1j * order * omega
-        transfer, transfer_slope = transfer_at(
-            s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough
-        )
         u = amplitude * drive[n]
+        # Most orders are not driven, and the response to the drive is not wanted.
+        columns = r if u == 0.0 else r + 1
+        transfer, transfer_slope = transfer_at(
+            s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough, columns
+        )
         for o in range(r + c):
             value = transfer[o, r] * u
             column[:] = 0.0
@@ -347,26 +363,23 @@ def residuals(
     c = channels.shape[0]
     size = offsets[count - 1] + 2
     local = r * size
-    elements = tables[4].size - 1
     levels = z.shape[0]
     residual = np.zeros((levels, local + 2))
     measured = np.zeros((levels, c, count), dtype=np.complex128)
-    g = np.zeros((r, size))
     for level in range(levels):
         omega = z[level, local]
         amplitude = np.exp(z[level, local + 1])
         displacement = z[level, :local].copy().reshape(r, size)
-        g[:elements] = local_forces(displacement[:elements], omega, tables)[0]
-        if r > elements:
-            g[elements:] = factor_forces(
-                displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables[10], tables[11]
-            )[0]
+        g = local_amounts(displacement, omega, factor, tables)
         for n in range(count):
             order = orders[n]
             offset = offsets[n]
             s = 1j * order * omega
-            transfer = response_at(s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough)
             u = amplitude * drive[level, n]
+            columns = r if u == 0.0 else r + 1
+            transfer = response_at(
+                s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough, columns
+            )
             for o in range(r + c):
                 value = transfer[o, r] * u
                 for j in range(r):

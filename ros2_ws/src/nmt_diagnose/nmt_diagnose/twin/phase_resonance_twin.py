@@ -19,14 +19,13 @@ from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import (
     DRIVE_GIVEN,
     evaluate,
-    factor_forces,
+    local_amounts,
     newton,
     residuals,
     sensor_gain,
 )
-from nmt_diagnose.twin.rig_parts import IDLE, RigParts
+from nmt_diagnose.twin.rig_parts import IDLE, RigParts, resting_tangent
 from nmt_diagnose.twin.settings import TwinSettings
-from nmt_rig.model.aft import local_forces
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
@@ -329,13 +328,7 @@ class PhaseResonanceTwin:
         """Forces g of all coordinates (r, n_orders)."""
         r, size = parts.coordinates, self.basis.size
         w = state.z[:-2].reshape(r, size)
-        count = parts.tables[4].size - 1
-        forces = local_forces(np.ascontiguousarray(w[:count]), state.omega, parts.tables)[0]
-        if r > count:
-            linear, quadratic = float(parts.force_factor[1]), float(parts.force_factor[2])
-            pair = factor_forces(w[r - 2], w[r - 1], state.omega, linear, quadratic, *parts.tables[10:12])[0]
-            forces = np.vstack((forces, pair))
-        return self.basis.to_complex(forces)
+        return self.basis.to_complex(local_amounts(w, state.omega, parts.force_factor, parts.tables))
 
     @property
     def force_row(self) -> int:
@@ -600,23 +593,3 @@ def unit_drive(parts: RigParts, amplitude: float, ideal_force: bool) -> ComplexA
         if order % 2:
             result[position] = 2.0 / 256 * float(np.cos(order * angles) @ values) / amplitude
     return result * parts.input_per_volt
-
-
-def resting_tangent(parts: RigParts, s: complex) -> ComplexArray:
-    """∂g/∂w + s ∂g/∂ẇ at rest of each coordinate (r,)."""
-    tables = parts.tables
-    result = np.zeros(parts.coordinates, dtype=np.complex128)
-    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = tables[3:10]
-    for i in range(jenkins_start.size - 1):
-        result[i] += jenkins[jenkins_start[i] : jenkins_start[i + 1], 0].sum()
-        for stiffness, gap, _side in contacts[contacts_start[i] : contacts_start[i + 1]]:
-            # A gap is counted towards its stop, whatever the side: only a preloaded stop is closed at rest.
-            result[i] += stiffness if gap < 0.0 else 0.0
-        for kind, p in zip(
-            kinds[sampled_start[i] : sampled_start[i + 1]],
-            parameters[sampled_start[i] : sampled_start[i + 1]],
-            strict=True,
-        ):
-            if kind == 10:
-                result[i] += s * p[0] / p[1]
-    return result

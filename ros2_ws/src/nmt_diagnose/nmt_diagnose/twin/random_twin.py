@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -15,7 +16,6 @@ from nmt_diagnose.evidence.observables import Part, Rows
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import sensor_gain
-from nmt_diagnose.twin.phase_resonance_twin import resting_tangent
 from nmt_diagnose.twin.rig_parts import RigParts
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -26,6 +26,42 @@ HANN = np.array([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])
 # Orders of the drive's images: the armature's resonance may amplify high ones.
 IMAGES = tuple(order for n in range(1, 7) for order in (-n, n))
 IMAGE_NODES = 12
+
+
+@dataclass(frozen=True)
+class Folding:
+    """Where images of a held drive lie, and how they come down to the lines of a test.
+
+    Attributes:
+        nodes: (IMAGE_NODES,) frequencies between which a polynomial does, Hz.
+        frequencies: (images · nodes,) where responses are wanted, Hz.
+        below: (images, nodes) whether an image lies below zero.
+        weights: (images, nodes) share of its power.
+        own: (lines, 1) share of the drive at the lines themselves.
+        between: (lines, nodes) from the nodes to the lines.
+    """
+
+    nodes: FloatArray
+    frequencies: FloatArray
+    below: NDArray[np.bool_]
+    weights: FloatArray
+    own: FloatArray
+    between: FloatArray
+
+
+def folding(lines: FloatArray, rate: float) -> Folding:
+    """Images of a drive that is held over 1/``rate`` (Hz), for some lines (Hz)."""
+    low, high = float(lines.min()), float(lines.max())
+    nodes = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(np.pi * (np.arange(IMAGE_NODES) + 0.5) / IMAGE_NODES)
+    place = nodes + np.array(IMAGES)[:, None] * rate
+    basis, at = (
+        np.polynomial.chebyshev.chebvander((2.0 * x - low - high) / max(high - low, 1e-9), IMAGE_NODES - 1)
+        for x in (nodes, lines)
+    )
+    return Folding(
+        nodes, np.abs(place).ravel(), place <= 0.0, np.sinc(place / rate) ** 2, np.sinc(lines / rate)[:, None] ** 2,
+        np.array(np.linalg.solve(basis.T, at.T).T, dtype=np.float64, order="C"),
+    )  # fmt: skip
 
 
 class RandomTwin:
@@ -61,6 +97,14 @@ class RandomTwin:
         self.index = inverse.reshape(frequencies.shape)
         self.use(Setup(test.drive_point, False, self.channels, FourierBasis.up_to(1)))
         self.seconds = 0.5 * (test.start_s + test.stop_s)
+        self._parts = {
+            part: (which, rows.level[which], rows.channel[which])
+            for part in (Part.LOG_MAGNITUDE, Part.PHASE, Part.REAL, Part.IMAG)
+            if (which := np.flatnonzero(rows.part == part)).size
+        }
+        rate = test.drive_hold_hz
+        held = math.isfinite(rate) and test.reference == "voltage" and test.lines_hz.size > 0
+        self._folding = folding(test.lines_hz, rate) if held else None
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""
@@ -83,40 +127,28 @@ class RandomTwin:
             np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
         )
         result = self._smoothed(parts, self.frequencies, fractions)
-        rate = self.test.drive_hold_hz
-        if math.isinf(rate) or self.test.reference != "voltage":
+        if self._folding is None:
             return result
-        lines = self.test.lines_hz
-        return np.asarray(np.sinc(lines / rate)[:, None] ** 2 * result + self._images(parts, lines, rate, fractions))
+        return np.asarray(self._folding.own * result + self._images(parts, self._folding, fractions))
 
-    def _images(
-        self, parts: RigParts, lines: FloatArray, rate: float, fractions: tuple[FloatArray, ...]
-    ) -> ComplexArray:
+    def _images(self, parts: RigParts, folding: Folding, fractions: tuple[FloatArray, ...]) -> ComplexArray:
         """What images of the drive around multiples of its rate fold onto the lines (lines, channels).
 
         Far above the lines the responses are smooth: a few frequencies and a polynomial between them do.
         """
-        low, high = float(lines.min()), float(lines.max())
-        nodes = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(np.pi * (np.arange(IMAGE_NODES) + 0.5) / IMAGE_NODES)
         # The sensors of a rig whose drive is held act on samples, that is on what has been folded down already.
-        ideal = parts.channels[self._own].copy()
+        chains = parts.channels[self._own]
+        ideal = chains.copy()
         ideal[:, 1:] = 0.0
-        place = nodes + np.array(IMAGES)[:, None] * rate
-        values = self._plain(parts, np.abs(place).ravel(), fractions, ideal)[:, :-1].reshape(*place.shape, -1)
-        values = np.where(place[..., None] > 0.0, values, np.conj(values))
-        total = np.einsum("ok,okc->kc", np.sinc(place / rate) ** 2, values)
-        total *= sensor_gains(nodes * parts.clock, parts.channels[self._own[:-1]]) / parts.channels[self._own[:-1], 0]
-        basis = np.polynomial.chebyshev.chebvander((2.0 * nodes - low - high) / max(high - low, 1e-9), IMAGE_NODES - 1)
-        at = np.polynomial.chebyshev.chebvander((2.0 * lines - low - high) / max(high - low, 1e-9), IMAGE_NODES - 1)
-        return np.asarray(at @ np.linalg.solve(basis, total))
+        values = self._plain(parts, folding.frequencies, fractions, ideal)
+        total = folded(values, folding.below, folding.weights)
+        total *= sensor_gains(folding.nodes * parts.clock, chains[:-1]) / chains[:-1, 0]
+        return np.asarray(folding.between @ total)
 
     def _smoothed(self, parts: RigParts, frequencies: FloatArray, fractions: tuple[FloatArray, ...]) -> ComplexArray:
         """Responses over the reference, as the estimator's window mixes neighbouring lines (lines, channels)."""
         h = self._plain(parts, frequencies, fractions)
-        reference = h[:, -1]
-        cross = (h[:, :-1] * np.conj(reference)[:, None])[self.index]
-        power = (np.abs(reference) ** 2)[self.index]
-        result: ComplexArray = np.einsum("k,lkc->lc", self.weights, cross) / (power @ self.weights)[:, None]
+        result: ComplexArray = windowed(h, self.index, self.weights)
         return result
 
     def _plain(
@@ -132,13 +164,10 @@ class RandomTwin:
         chains; None = those of the rig.
         """
         r = parts.coordinates
-        stiffness = resting_tangent(parts, 0j).real.copy()
-        damping = resting_tangent(parts, 1.0 + 0j).real - stiffness
         h = linear_responses(
             2.0 * np.pi * frequencies * parts.clock,
             r,
-            stiffness,
-            damping,
+            *parts.resting,
             *fractions,
             parts.channels[self._own] if chains is None else chains,
         )
@@ -151,18 +180,16 @@ class RandomTwin:
     def values(self, rig: Rig, cache: PartsCache) -> FloatArray:
         """Observables of the test's rows."""
         responses = self.responses(rig, cache)
-        rows = self.rows
-        own = responses[rows.level, rows.channel]
-        result = np.full(len(rows), np.nan)
+        result = np.full(len(self.rows), np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
-            for kind, values in (
-                (Part.LOG_MAGNITUDE, np.log(np.abs(own))),
-                (Part.PHASE, np.angle(own)),
-                (Part.REAL, own.real),
-                (Part.IMAG, own.imag),
-            ):
-                which = rows.part == kind
-                result[which] = values[which]
+            for part, (which, line, channel) in self._parts.items():
+                own = responses[line, channel]
+                if part == Part.LOG_MAGNITUDE:
+                    result[which] = np.log(np.abs(own))
+                elif part == Part.PHASE:
+                    result[which] = np.angle(own)
+                else:
+                    result[which] = own.real if part == Part.REAL else own.imag
         result[np.isinf(result)] = np.nan
         return result
 
@@ -172,6 +199,45 @@ def amplifier_gain(rms: float, saturation: float) -> float:
     nodes, weights = np.polynomial.hermite_e.hermegauss(40)
     slope = 1.0 / np.cosh(rms * nodes / saturation) ** 2
     return float(weights @ slope / weights.sum())
+
+
+@njit(cache=True)
+def folded(values: ComplexArray, below: NDArray[np.bool_], weights: FloatArray) -> ComplexArray:
+    """Sum (nodes, c) of weighted images; ``values`` (images · nodes, c + 1) are those at positive frequencies."""
+    images, nodes = weights.shape
+    result = np.zeros((nodes, values.shape[1] - 1), dtype=np.complex128)
+    for i in range(images):
+        for k in range(nodes):
+            for c in range(result.shape[1]):
+                value = values[i * nodes + k, c]
+                result[k, c] += weights[i, k] * (np.conj(value) if below[i, k] else value)
+    return result
+
+
+@njit(cache=True)
+def windowed(values: ComplexArray, index: NDArray[np.int64], weights: FloatArray) -> ComplexArray:
+    """Cross-spectra over the power of the reference (lines, c), both as a window mixes neighbouring lines.
+
+    Args:
+        values: (frequencies, c + 1) responses; the last is the reference.
+        index: (lines, neighbours) their frequencies.
+        weights: (neighbours,) of the window.
+    """
+    last = values.shape[1] - 1
+    result = np.zeros((index.shape[0], last), dtype=np.complex128)
+    for line in range(index.shape[0]):
+        power = 0.0
+        for k in range(weights.size):
+            reference = values[index[line, k], last]
+            power += weights[k] * (reference.real**2 + reference.imag**2)
+            turned = weights[k] * np.conj(reference)
+            for c in range(last):
+                result[line, c] += values[index[line, k], c] * turned
+        # As in plain floating point: a reference of nothing makes no number, not an error.
+        factor = 1.0 / power if power != 0.0 else np.nan
+        for c in range(last):
+            result[line, c] *= factor
+    return result
 
 
 @njit(cache=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -13,7 +14,7 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.modal_calibration import with_stiffness
 from nmt_diagnose.evidence.conditions import MeasuredChannel
-from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model, moved_model
+from nmt_diagnose.twin.linear_model import ComplexArray, LinearModel, OutputRows, linear_model, moved_model
 from nmt_diagnose.twin.local_tables import local_tables
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.model.aft import LocalTables
@@ -24,7 +25,7 @@ from nmt_rig.model.assembly import (
     velocity_output,
 )
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.local_elements import LinearDamper, LinearSpring, LocalElement
+from nmt_rig.model.local_elements import TANH_FRICTION, LinearDamper, LinearSpring, LocalElement
 from nmt_rig.model.shaking_table import driven_by_force
 from nmt_rig.model.structure import Structure
 from nmt_rig.rig import (
@@ -87,6 +88,8 @@ class RigParts:
         rows: outputs.
         keys: identity of each coordinate, to carry solutions over to another rig.
         structure: the structure alone.
+        bare: structure and exciter without local elements.
+        rig: what was taken apart, as it is at that moment.
     """
 
     linear: LinearModel
@@ -105,6 +108,29 @@ class RigParts:
     rows: OutputRows
     keys: tuple[str, ...]
     structure: Structure
+    bare: ElectromechanicalSystem
+    rig: Rig
+
+    @cached_property
+    def resting(self) -> tuple[FloatArray, FloatArray]:
+        """Stiffness ∂g/∂w and damping ∂g/∂ẇ of the local forces at rest, (r,) each."""
+        stiffness, damping = np.zeros(self.coordinates), np.zeros(self.coordinates)
+        jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = self.tables[3:10]
+        for i in range(jenkins_start.size - 1):
+            stiffness[i] += jenkins[jenkins_start[i] : jenkins_start[i + 1], 0].sum()
+            for own, gap, _side in contacts[contacts_start[i] : contacts_start[i + 1]]:
+                # A gap is counted towards its stop, whatever the side: only a preloaded stop is closed at rest.
+                stiffness[i] += own if gap < 0.0 else 0.0
+            for number in range(sampled_start[i], sampled_start[i + 1]):
+                if kinds[number] == TANH_FRICTION:
+                    damping[i] += parameters[number, 0] / parameters[number, 1]
+        return stiffness, damping
+
+
+def resting_tangent(parts: RigParts, s: complex) -> ComplexArray:
+    """∂g/∂w + s ∂g/∂ẇ at rest of each coordinate (r,)."""
+    stiffness, damping = parts.resting
+    return stiffness + complex(s) * damping
 
 
 def with_exciter_at(rig: Rig, point: int) -> Rig:
@@ -152,13 +178,17 @@ def rig_parts(
         BenchError: the rig has something the twin does not cover.
     """
     rig = _prepared(rig, settings, seconds, ideal_force, channels)
-    bare = rig.model_copy(update={"local_elements": []})
-    structure = build_structure(bare)
-    system = build_system(bare, structure)
     forced = ideal_force and isinstance(rig.exciter, ShakingTableSection)
-    if forced:
-        system = driven_by_force(system)
-    size = system.size
+    kept = near is not None and same_structure(rig, near.rig)
+    if near is not None and kept and rig.exciter == near.rig.exciter:
+        structure, bare = near.structure, near.bare
+    else:
+        without = rig.model_copy(update={"local_elements": []})
+        structure = near.structure if near is not None and kept else build_structure(without)
+        bare = build_system(without, structure)
+        if forced:
+            bare = driven_by_force(bare)
+    system, size = bare, bare.size
 
     stiffness, damping = system.stiffness, system.damping
     force_displacement, force_velocity, force_acceleration = _force_rows(system)
@@ -228,6 +258,23 @@ def rig_parts(
         rows=rows,
         keys=tuple(keys),
         structure=structure,
+        bare=bare,
+        rig=rig,
+    )
+
+
+def same_structure(rig: Rig, other: Rig) -> bool:
+    """Whether two rigs have equal structures, with equal masses of sensors on them."""
+    if rig.drive_point != other.drive_point or not (
+        rig.structure is other.structure or rig.structure == other.structure
+    ):
+        return False
+    return rig.sensors is other.sensors or (
+        len(rig.sensors) == len(other.sensors)
+        and all(
+            a is b or (a.quantity, a.point, a.mass_kg) == (b.quantity, b.point, b.mass_kg)
+            for a, b in zip(rig.sensors, other.sensors, strict=True)
+        )
     )
 
 

@@ -17,9 +17,8 @@ from nmt_diagnose.evidence.conditions import RingDownTest
 from nmt_diagnose.evidence.observables import Part, Rows
 from nmt_diagnose.twin.decay_kernel import evaluate_decay
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.periodic_kernel import harmonic_forces, sensor_gain
-from nmt_diagnose.twin.phase_resonance_twin import resting_tangent
-from nmt_diagnose.twin.rig_parts import RigParts
+from nmt_diagnose.twin.periodic_kernel import local_amounts, sensor_gain
+from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
@@ -90,7 +89,7 @@ class RingDownTwin:
         z = state[0].copy()
         z[-2] *= 1.0 + _OFF_POLE
         displacement = z[:-2].reshape(r, basis.size)
-        force, _, _ = harmonic_forces(displacement, z[-2], parts.force_factor, parts.tables)
+        force = local_amounts(displacement, z[-2], parts.force_factor, parts.tables)
         offset = int(basis.offsets[basis.fundamental])
         local = force[:, offset] - 1j * force[:, offset + 1]
         t, _ = parts.linear.at(z[-2] * (1j - z[-1]))
@@ -212,8 +211,7 @@ class RingDownTwin:
         system = parts.system
         n, mechanical = system.size, system.mechanical_size
         stiffness, damping = system.stiffness.copy(), system.damping.copy()
-        zero, one = resting_tangent(parts, 0j).real, resting_tangent(parts, 1.0 + 0j).real
-        for k, c, direction in zip(zero, one - zero, parts.inputs.T[:-1], strict=True):
+        for k, c, direction in zip(*parts.resting, parts.inputs.T[:-1], strict=True):
             outer = np.outer(direction, direction)
             stiffness += k * outer
             damping += c * outer

@@ -35,7 +35,6 @@ from nmt_diagnose.evidence.observables import Part, Rows
 from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.phase_resonance_twin import resting_tangent
 from nmt_diagnose.twin.rig_parts import RigParts
 from nmt_diagnose.twin.settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -135,7 +134,7 @@ class SteppedSineTwin:
         else:
             known, first = np.zeros(lines, dtype=bool), np.zeros((lines, size))
         good, z, forces, inverses, values, slopes = solve_lines(
-            first, known, *self._given(parts), *_tangents(parts), *_model(parts),
+            first, known, *self._given(parts), *parts.resting, *_model(parts),
             self.settings.iterations, self.settings.tolerance,
         )  # fmt: skip
         z[~good] = np.nan
@@ -267,12 +266,6 @@ def whitened_difference(rest: ComplexArray, growth: ComplexArray, noise: FloatAr
     phases = (rest.imag + turn[:, None] * error) / np.sqrt(1.0 + turn**2 * unknown)[:, None]
     sizes[:, 0] = lead
     return np.asarray(sizes + 1j * phases)
-
-
-def _tangents(parts: RigParts) -> tuple[FloatArray, FloatArray]:
-    """Stiffness and damping of the local forces at rest, (r,) each."""
-    stiffness = resting_tangent(parts, 0j).real.copy()
-    return stiffness, resting_tangent(parts, 1.0 + 0j).real - stiffness
 
 
 def _model(parts: RigParts) -> tuple[Any, ...]:

@@ -235,6 +235,33 @@ def local_forces(
     tables: LocalTables,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compiled body of ``LocalForces.forces``."""
+    count, size = displacement.shape
+    force = np.zeros((count, size))
+    derivative = np.zeros((count, size, size))
+    frequency_derivative = np.zeros((count, size))
+    _add_local_forces(displacement, angular_frequency, tables, force, derivative, frequency_derivative)
+    return force, derivative, frequency_derivative
+
+
+@njit(cache=True)
+def forces_alone(displacement: FloatArray, angular_frequency: float, tables: LocalTables) -> FloatArray:
+    """The forces of :func:`local_forces` without their derivatives, which cost many times as much."""
+    count, size = displacement.shape
+    force = np.zeros((count, size))
+    _add_local_forces(displacement, angular_frequency, tables, force, np.zeros((count, 0, 0)), np.zeros((count, 0)))
+    return force
+
+
+@njit(cache=True)
+def _add_local_forces(
+    displacement: FloatArray,
+    angular_frequency: float,
+    tables: LocalTables,
+    force: FloatArray,
+    derivative: FloatArray,
+    frequency_derivative: FloatArray,
+) -> None:
+    """Add forces (r, size), and their derivatives where there is room for them."""
     (
         orders,
         offsets,
@@ -251,9 +278,7 @@ def local_forces(
     ) = tables
     count, size = displacement.shape
     samples = values.shape[0]
-    force = np.zeros((count, size))
-    derivative = np.zeros((count, size, size))
-    frequency_derivative = np.zeros((count, size))
+    wanted = derivative.size > 0
     stiffness_row = np.zeros(size)
     for i in range(count):
         if jenkins_start[i + 1] > jenkins_start[i] or contacts_start[i + 1] > contacts_start[i]:
@@ -283,17 +308,18 @@ def local_forces(
                 g += g_e
                 stiffness += k_e
                 damping += c_e
-            for a in range(size):
-                stiffness_row[a] = stiffness * values[j, a] + damping * angular_frequency * slopes[j, a]
+            if wanted:
+                for a in range(size):
+                    stiffness_row[a] = stiffness * values[j, a] + damping * angular_frequency * slopes[j, a]
             for a in range(size):
                 projection = 2.0 * values[j, a] / samples
                 if a == 0 and orders[0] == 0:
                     projection = 1.0 / samples
                 force[i, a] += projection * g
-                frequency_derivative[i, a] += projection * damping * slope
-                for b in range(size):
-                    derivative[i, a, b] += projection * stiffness_row[b]
-    return force, derivative, frequency_derivative
+                if wanted:
+                    frequency_derivative[i, a] += projection * damping * slope
+                    for b in range(size):
+                        derivative[i, a, b] += projection * stiffness_row[b]
 
 
 @njit(cache=True)

@@ -282,12 +282,13 @@ def add_piecewise_forces(
         contacts: (m, 3) stiffness (N/m), gap (m, ≥ 0 in the sense of ``side``) and side (+1 or −1):
             force k (w − gap) for w > gap, or k (w + gap) for w < −gap.
         force: (size,) coefficients in N, added to.
-        derivative: (size, size) ∂force/∂coefficients in N/m, added to.
+        derivative: (size, size) ∂force/∂coefficients in N/m, added to; (0, 0) where it is not wanted.
 
     A Jenkins element starts from the virgin curve (g = k_t w, clipped) at the largest |w|; after one period
     its memory is that of the periodic motion.
     """
     size = coefficients.size
+    wanted = derivative.size > 0
     tables = 2 * orders[-1] + 1
     cosines = np.zeros(tables)
     sines = np.zeros(tables)
@@ -340,9 +341,11 @@ def add_piecewise_forces(
                     piece_sines[:] = 0.0
                     add_interval(piece_cosines, piece_sines, left, slip_from, 1.0)
                     basis_integrals(piece_cosines, piece_sines, orders, offsets, integrals)
-                    basis_at(anchor, orders, offsets, anchor_basis)
                     for i in range(size):
                         raw_force[i] += offset_force * integrals[i]
+                    if wanted:
+                        basis_at(anchor, orders, offsets, anchor_basis)
+                    for i in range(size if wanted else 0):
                         for j in range(size):
                             raw_derivative[i, j] -= stiffness * integrals[i] * anchor_basis[j]
                 if slip_force != 0.0:
@@ -391,5 +394,6 @@ def add_piecewise_forces(
         total = raw_force[i]
         for j in range(size):
             total += gram[i, j] * coefficients[j]
-            derivative[i, j] += scale * (gram[i, j] + raw_derivative[i, j])
+            if wanted:
+                derivative[i, j] += scale * (gram[i, j] + raw_derivative[i, j])
         force[i] += scale * total

@@ -61,8 +61,6 @@ from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import RunState
 from nmt_msgs.srv import Steer
 from nmt_record.bag_reader import Bag
-from nmt_record.run_device import SIMULATED_RIG, converter_name
-from nmt_rig.device_sections import SPECIMEN
 from nmt_rig.rig import Rig
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session.node_plan import NODES, NodePlan, plan_nodes
@@ -218,7 +216,7 @@ class Bench:
 
         rig_file = self.out / "rig.yaml"
         rig_file.write_text(self.test.rig_yaml, encoding="utf-8")
-        self.plan: NodePlan = plan_nodes(self.test, self.out / "bag", rig_file.resolve(), self._device_name)
+        self.plan: NodePlan = plan_nodes(self.test, self.out / "bag", rig_file.resolve(), self.test.device_name)
         (self.out / "run.json").write_text(json.dumps(self.plan.run, indent=2) + "\n", encoding="utf-8")
 
         self.context = Context()
@@ -242,14 +240,6 @@ class Bench:
         calm_collector()
         self._cleanup.callback(gc.set_threshold, *thresholds)
         self._cleanup.callback(gc.unfreeze)
-
-    @property
-    def _device_name(self) -> str:
-        """What the bag says of the device."""
-        if not self.test.is_on_hardware:
-            return SIMULATED_RIG
-        own = self.rig.device is not None and self.rig.device.kind == self.test.device
-        return converter_name(self.test.device, "" if own else SPECIMEN)
 
     def _add(self, name: str, node: Node) -> None:
         self.nodes[name] = node

@@ -293,11 +293,11 @@ class Bench:
             lost = self._late_death()
         wall_time = max(0.0, (self.client.last_progress or time.monotonic()) - (self.client.started or began))
         points: tuple[ModalPoint, ...] = ()
-        obituary = self._obituary(lost)  # before what is left of the nodes is ended
         with deferred_interrupts() as deferred:
-            bag_state = self._await_bag(lost)
             if lost and lost != "plant":
                 self._spin_while(lambda: not self.client.drive_is_at_zero, 3.0)
+            obituary = self._obituary(lost)  # before what is left of the nodes is ended
+            bag_state = self._await_bag(lost)
             if message is not None and message.result_code == ResultCode.LIMIT:
                 self._spin_while(lambda: not self.client.plant_trip, 1.0)  # the plant's next heartbeat says which
         if message is None:

@@ -21,7 +21,7 @@ from pathlib import Path
 from signal_trials import hear_signals
 
 PERIOD = 10.0  # s between two looks
-END = 300.0  # s that the run gets to end and to write its report
+END = 1800.0  # s that the run gets to end and to write its report of hundreds of levels
 FIRST = 0.1  # share of the time in which memory may still grow: imports, kernels, histories that fill
 COMMAND = ["run", "joint_resonator", "--levels", "0.3:0.5:1000:linear", "--periods", "12000", "--reference", "none"]
 

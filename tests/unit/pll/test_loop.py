@@ -212,7 +212,7 @@ def test_without_a_time_out_it_waits():
     ("flag", "reason"),
     [
         (BlockFlag.LIMIT, "a safety limit has tripped"),
-        (BlockFlag.WATCHDOG, "the drive watchdog has tripped"),
+        (BlockFlag.WATCHDOG, "the plant has taken the drive to zero by itself"),
         (BlockFlag.STOP, "the drive was stopped at the plant"),
     ],
 )

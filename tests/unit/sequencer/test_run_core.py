@@ -138,3 +138,40 @@ def test_a_limit_during_a_stop_that_was_asked_for_is_a_limit() -> None:
     for number in range(3, 40):
         core.take_status(fixed((number + 1) * BLOCK - 1, 10)._replace(flags=int(BlockFlag.LIMIT)), LOOP)
     assert core.machine.code == ResultCode.LIMIT
+
+
+def test_a_stop_for_a_node_that_has_gone_says_so_and_calls_no_watchdog() -> None:
+    core = running()
+    feed(core, 0, 3)
+    core.take_stop(DriveStop(310, StopCause.NODE, OutputState.RAMPING, "node pll has fallen silent"))
+    for number in range(3, 40):
+        core.take_status(fixed((number + 1) * BLOCK - 1, 10)._replace(flags=int(BlockFlag.WATCHDOG)), LOOP)
+    assert core.machine.phase == RunPhase.DONE
+    assert core.machine.code == ResultCode.NODE_LOST
+    assert core.machine.reason == "The drive was stopped at sample 310: node pll has fallen silent."
+
+
+def test_who_knows_better_why_the_plant_stopped_is_believed() -> None:
+    core = running()
+    feed(core, 0, 3)
+    core.take_stop(DriveStop(310, StopCause.NODE, OutputState.RAMPING, "topic drive has a second publisher"))
+    core.machine.stop(ResultCode.REFUSED, "Topic drive has a second publisher: /a and /b.")
+    for number in range(3, 40):
+        core.take_status(fixed((number + 1) * BLOCK - 1, 10)._replace(flags=int(BlockFlag.WATCHDOG)), LOOP)
+    assert core.machine.code == ResultCode.REFUSED
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_stop_for_a_node_does_not_outlive_its_release_or_its_run(again: bool) -> None:
+    core = running()
+    feed(core, 0, 3)
+    core.take_stop(DriveStop(310, StopCause.NODE, OutputState.HELD, "node pll has fallen silent"))
+    if again:
+        core.machine.abandon(ResultCode.NODE_LOST, "gone")
+        core.start(RunPlan("again", (0.3,)))
+    else:
+        core.take_stop(DriveStop(350, StopCause.RELEASED, OutputState.AT_ZERO, ""))
+    for number in range(3, 60):
+        core.take_status(fixed((number + 1) * BLOCK - 1, 10)._replace(flags=int(BlockFlag.WATCHDOG)), LOOP)
+    assert (core.machine.code, core.machine.phase) == (ResultCode.LIMIT, RunPhase.DONE)
+    assert "the drive watchdog has tripped" in core.machine.reason

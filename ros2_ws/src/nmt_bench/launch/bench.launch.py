@@ -19,6 +19,7 @@ from nmt_session.node_plan import NODES
 ARGUMENTS = {
     "rig": ("beam", "name of a rig that comes with the bench, or path of a rig file"),
     "pacing": ("realtime", "realtime: by the clock, as with hardware; lockstep: as fast as the machine goes"),
+    "device": ("", "what is driven, as --device of ./nmt run; empty: the converter of the rig file, else simulated"),
     "namespace": ("", "namespace of all nodes and topics; /diagnostics stays where it is"),
     "out": ("bench", "folder for parameters and bags; it must not hold a bag"),
 }
@@ -39,7 +40,7 @@ def start_nodes(context: Any) -> list[Any]:
     """Write the parameters of the nodes, then start them."""
     values = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     out = Path(values["out"]).resolve()
-    write_bench_files(values["rig"], out, out, pacing=values["pacing"])
+    write_bench_files(values["rig"], out, out, pacing=values["pacing"], device=values["device"])
     nodes = [
         Node(
             package=package,

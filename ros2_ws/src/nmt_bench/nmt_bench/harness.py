@@ -61,8 +61,6 @@ from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import RunState
 from nmt_msgs.srv import Steer
 from nmt_record.bag_reader import Bag
-from nmt_record.run_device import SIMULATED_RIG, converter_name
-from nmt_rig.device_sections import SPECIMEN
 from nmt_rig.rig import Rig
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session.node_plan import NODES, NodePlan, plan_nodes
@@ -218,7 +216,7 @@ class Bench:
 
         rig_file = self.out / "rig.yaml"
         rig_file.write_text(self.test.rig_yaml, encoding="utf-8")
-        self.plan: NodePlan = plan_nodes(self.test, self.out / "bag", rig_file.resolve(), self._device_name)
+        self.plan: NodePlan = plan_nodes(self.test, self.out / "bag", rig_file.resolve(), self.test.device_name)
         (self.out / "run.json").write_text(json.dumps(self.plan.run, indent=2) + "\n", encoding="utf-8")
 
         self.context = Context()
@@ -242,14 +240,6 @@ class Bench:
         calm_collector()
         self._cleanup.callback(gc.set_threshold, *thresholds)
         self._cleanup.callback(gc.unfreeze)
-
-    @property
-    def _device_name(self) -> str:
-        """What the bag says of the device."""
-        if not self.test.is_on_hardware:
-            return SIMULATED_RIG
-        own = self.rig.device is not None and self.rig.device.kind == self.test.device
-        return converter_name(self.test.device, "" if own else SPECIMEN)
 
     def _add(self, name: str, node: Node) -> None:
         self.nodes[name] = node
@@ -303,11 +293,11 @@ class Bench:
             lost = self._late_death()
         wall_time = max(0.0, (self.client.last_progress or time.monotonic()) - (self.client.started or began))
         points: tuple[ModalPoint, ...] = ()
-        obituary = self._obituary(lost)  # before what is left of the nodes is ended
         with deferred_interrupts() as deferred:
-            bag_state = self._await_bag(lost)
             if lost and lost != "plant":
                 self._spin_while(lambda: not self.client.drive_is_at_zero, 3.0)
+            obituary = self._obituary(lost)  # before what is left of the nodes is ended
+            bag_state = self._await_bag(lost)
             if message is not None and message.result_code == ResultCode.LIMIT:
                 self._spin_while(lambda: not self.client.plant_trip, 1.0)  # the plant's next heartbeat says which
         if message is None:

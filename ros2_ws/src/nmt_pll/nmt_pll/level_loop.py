@@ -194,7 +194,7 @@ class LevelLoop(ABC):
         if flags & BlockFlag.LIMIT:
             return "a safety limit has tripped"
         if flags & BlockFlag.WATCHDOG:
-            return "the drive watchdog has tripped"
+            return "the plant has taken the drive to zero by itself"
         if flags & BlockFlag.STOP:
             return "the drive was stopped at the plant"
         return ""

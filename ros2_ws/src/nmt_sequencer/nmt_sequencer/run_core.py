@@ -194,9 +194,12 @@ class RunCore:
 
     def take_stop(self, stop: DriveStop) -> None:
         """Take a stop of the drive that the plant reports."""
+        sentence = f"The drive was stopped at sample {stop.sample}: {stop.reason.rstrip('.')}."
         code = _STOPPED_BY.get(stop.cause)
         if code is not None:
-            self.machine.stop(code, f"The drive was stopped at sample {stop.sample}: {stop.reason.rstrip('.')}.")
+            self.machine.stop(code, sentence)
+        # Not at once: the sequencer may know better, as of a second publisher, once the blocks of the stop come.
+        self.machine.plant_stop = (ResultCode.NODE_LOST, sentence) if stop.cause is StopCause.NODE else None
 
     def take_point(self, point: ModalPoint) -> None:
         """Take a modal point."""

@@ -121,7 +121,8 @@ class RunMachine:
     """Works through a plan.
 
     Feed :meth:`on_report` and :meth:`on_lock`; after each call publish what :meth:`take_orders` returns and then the
-    state. :attr:`horizon` is the first sample the plant may not produce yet.
+    state. :attr:`horizon` is the first sample the plant may not produce yet. :attr:`plant_stop` says how a run ends
+    when its blocks are flagged because the plant has taken the drive to zero, and nobody has asked for its end.
     """
 
     pacing: Pacing
@@ -135,6 +136,7 @@ class RunMachine:
     report: LoopStatus | None = None
     end_sample: int = 0
     stop_request: tuple[ResultCode, str] | None = None
+    plant_stop: tuple[ResultCode, str] | None = None
     _orders: list[LevelCommand] = field(default_factory=list)
     _sequence: int = 0
     _acknowledged: int = 0
@@ -191,7 +193,7 @@ class RunMachine:
         self._loss_reasons.clear()
         self._ticks.clear()
         self._quiet_at = None
-        self.stop_request = None
+        self.stop_request = self.plant_stop = None
         self._steering.clear()
         self._end_request = None
         self._act_count = 0
@@ -483,6 +485,10 @@ class RunMachine:
                 return
             if stopped:
                 self._quiet(effective, ResultCode.STOPPED, "The drive was stopped at the plant.")
+                return
+            if self.plant_stop is not None and not report.flags & BlockFlag.LIMIT:
+                record.reason = record.reason or self.plant_stop[1].rstrip(".")
+                self._quiet(effective, *self.plant_stop)
                 return
             tripped = "a safety limit" if report.flags & BlockFlag.LIMIT else "the drive watchdog"
             record.reason = record.reason or f"{tripped} has tripped"

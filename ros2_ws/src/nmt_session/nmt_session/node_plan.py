@@ -25,7 +25,8 @@ from nmt_plant.hardware_rig import HARDWARE_LEAD
 from nmt_plant.oscillator import PEAK_FACTOR
 from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
 from nmt_pll.settings import settings_from
-from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS
+from nmt_record.run_device import SIMULATED_RIG, converter_name
+from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS, SPECIMEN
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import Rig
 from nmt_sequencer.level_plan import check_levels
@@ -158,6 +159,14 @@ class TestPlan:
     def is_on_hardware(self) -> bool:
         """Whether a converter is driven."""
         return self.device not in ("", SIMULATED)
+
+    @property
+    def device_name(self) -> str:
+        """What the bag says of the device."""
+        if not self.is_on_hardware:
+            return SIMULATED_RIG
+        own = self.rig.device is not None and self.rig.device.kind == self.device
+        return converter_name(self.device, "" if own else SPECIMEN)
 
     @property
     def excitation(self) -> Excitation:

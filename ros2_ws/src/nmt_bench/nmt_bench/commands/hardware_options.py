@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from nmt_core.errors import BenchError
@@ -49,25 +50,60 @@ def device_settings(arguments: argparse.Namespace) -> dict[str, Any]:
     kind, address = parsed_device(arguments.device, rig)
     if kind not in DEVICE_KINDS:
         return {"pacing": arguments.pacing}
-    from nmt_bench.commands.hardware_checks import require_check
-    from nmt_plant.hardware_rig import HARDWARE_LEAD, device_of
+    from nmt_plant.hardware_rig import device_of
 
-    section = device_of(rig, kind, address)
-    look_for_device(section, rig)
-    checked = require_check(rig, section, _check_command(arguments))
-    settings: dict[str, Any] = {"pacing": "realtime", "device": kind, "device_address": address}
-    if not getattr(arguments, "latency_blocks", 0):
-        # As much delay as the check has found, and the usual blocks that may be late.
-        settings["latency_blocks"] = HARDWARE_LEAD + math.ceil(int(checked["delay_samples"]) / rig.block_samples)
+    look_for_device(device_of(rig, kind, address), rig)
+    changes = list(arguments.set)
+    if arguments.exciter is not None:
+        changes.append(f"exciter.point={arguments.exciter}")
+    settings = {
+        "pacing": "realtime",
+        **checked_device(rig, arguments.device, check_command(arguments.rig, arguments.device, changes)),
+    }
+    if getattr(arguments, "latency_blocks", 0):
+        del settings["latency_blocks"]
     return settings
 
 
-def _check_command(arguments: argparse.Namespace) -> str:
-    """The command that makes the check of a test."""
-    words = ["./nmt check", str(arguments.rig)]
-    words += [f"--device {arguments.device}"] if arguments.device else []
-    words += [f"--exciter {arguments.exciter}"] if arguments.exciter is not None else []
-    words += [f"--set {change}" for change in arguments.set]
+def checked_device(rig: Rig, device: str, command: str) -> dict[str, Any]:
+    """Settings of a test for what is driven: of a converter only where its check has passed.
+
+    Args:
+        rig: with all changes.
+        device: as ``--device``; empty = the rig file's own.
+        command: that makes the check, for the sentence.
+
+    Returns:
+        ``device``, ``device_address`` and ``latency_blocks`` of a converter; ``device`` alone of a simulated rig.
+
+    Raises:
+        BenchError: the device is not known, or its check is missing.
+    """
+    kind, address = parsed_device(device, rig)
+    if kind not in DEVICE_KINDS:
+        return {"device": kind}
+    from nmt_bench.commands.hardware_checks import require_check
+    from nmt_plant.hardware_rig import HARDWARE_LEAD, device_of
+
+    checked = require_check(rig, device_of(rig, kind, address), command)
+    # As much delay as the check has found, and the usual blocks that may be late.
+    blocks = HARDWARE_LEAD + math.ceil(int(checked["delay_samples"]) / rig.block_samples)
+    return {"device": kind, "device_address": address, "latency_blocks": blocks}
+
+
+def check_command(rig: str, device: str, changes: Sequence[str]) -> str:
+    """The command that makes the check of a test.
+
+    Args:
+        rig: name or path.
+        device: as ``--device``.
+        changes: ``key=value`` texts applied to the rig file.
+    """
+    words = ["./nmt check", str(rig)]
+    words += [f"--device {device}"] if device else []
+    for change in changes:
+        key, _, value = change.partition("=")
+        words.append(f"--exciter {value}" if key == "exciter.point" else f"--set {change}")
     return " ".join(words)
 
 

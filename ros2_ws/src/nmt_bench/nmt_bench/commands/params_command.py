@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nmt_bench.commands.bench_options import add_device_option
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ def add_parser(subparsers: Subparsers) -> None:
         default="realtime",
         help="realtime: by the clock, as with hardware; lockstep: as fast as the machine goes (default: realtime)",
     )
+    add_device_option(parser)
     parser.add_argument(
         "--set",
         metavar="KEY=VALUE",
@@ -63,7 +65,13 @@ def run(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out.resolve()
     with OutputFolder(arguments.out, arguments.force) as folder:
         plan = write_bench_files(
-            arguments.rig, folder, out, levels=arguments.levels, pacing=arguments.pacing, changes=changes
+            arguments.rig,
+            folder,
+            out,
+            levels=arguments.levels,
+            pacing=arguments.pacing,
+            changes=changes,
+            device=arguments.device,
         )
     console = make_console()
     console.print("Start each node in a terminal of its own, the sequencer last:")

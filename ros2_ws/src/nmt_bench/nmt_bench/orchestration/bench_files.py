@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from nmt_bench.commands.hardware_options import check_command, checked_device
 from nmt_core.errors import BenchError
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_snapshot import rig_text
@@ -22,6 +23,7 @@ def write_bench_files(
     levels: str | None = None,
     pacing: str = "realtime",
     changes: Sequence[str] = (),
+    device: str = "",
 ) -> NodePlan:
     """Write ``nodes.yaml`` (for ``--params-file``), ``rig.yaml`` and ``run.json``.
 
@@ -32,12 +34,14 @@ def write_bench_files(
         levels: drive amplitudes, the notation of ``--levels``; None = the rig's own.
         pacing: ``lockstep`` or ``realtime``.
         changes: ``key=value`` texts applied to the rig file.
+        device: as ``--device`` of ``./nmt run``; empty = the converter of the rig file. Where it describes none, the
+            plant simulates, and the bag names no device, since a plant of one's own may take the place of the bench's.
 
     Returns:
         The parameters of the nodes and the goal of a run.
 
     Raises:
-        BenchError: the rig or a setting is refused, or the folder cannot be written.
+        BenchError: the rig or a setting is refused, a converter has not been checked, or the folder cannot be written.
     """
     rig = load_rig(rig_name, list(changes))
     text = rig_text(rig, rig_name, list(changes))
@@ -47,8 +51,9 @@ def write_bench_files(
         levels=tuple(parse_levels(levels or rig.test.levels)),
         run_id=time.strftime(f"{rig.name}-%Y%m%d-%H%M%S"),
         pacing=pacing,
+        **checked_device(rig, device, check_command(rig_name, device, changes)),
     )
-    plan = plan_nodes(test, out / "bag", out / "rig.yaml")
+    plan = plan_nodes(test, out / "bag", out / "rig.yaml", test.device_name if test.device else "")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "rig.yaml").write_text(text, encoding="utf-8")

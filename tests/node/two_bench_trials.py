@@ -69,7 +69,9 @@ def attempt(name: str, folder: Path) -> str:
     with Bench("beam", [0.3] * 50, out=folder / "first", processes=True, window_periods=2000) as bench:
         (folder / "rig.yaml").write_text(bench.test.rig_yaml, encoding="utf-8")
         plan = plan_nodes(
-            plan_test("beam", [0.2, 0.3], window_periods=1200, timeout=200.0, run_id="second"), folder / "second", folder / "rig.yaml"
+            plan_test("beam", [0.2, 0.3], window_periods=1200, timeout=200.0, run_id="second"),
+            folder / "second",
+            folder / "rig.yaml",
         )
         others = start_second(plan, folder)
         try:

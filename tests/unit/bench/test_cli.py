@@ -344,8 +344,8 @@ def test_extract_writes_its_files_and_repeats_itself(capsys: pytest.CaptureFixtu
         "modal.csv",
         "modal.json",
         "report.html",
-            "uncertainty.csv",
-            "uncertainty.json",
+        "uncertainty.csv",
+        "uncertainty.json",
     ]
     # The signals were made for δ̃ = 0.5 % at 21.7 Hz; the table says so.
     assert len(re.findall(r"\b21\.700000", out)) == 3

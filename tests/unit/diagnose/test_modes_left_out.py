@@ -56,4 +56,3 @@ def test_a_model_that_states_its_residual_has_no_such_tolerance() -> None:
     same = rig.model_copy(update={"structure": rig.structure.model_copy(update={"residual": stated})})
     before, after = left_by_columns(same)
     assert after > 0.2 * before
-

@@ -15,10 +15,11 @@ from nmt_core.errors import BenchError
 from nmt_core.hardened import read_text
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.modal_point import ModalPoint, Status
-from nmt_extract.uncertainty_budget import BudgetInputs, PointBudget
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from nmt_extract.uncertainty_budget import BudgetInputs, PointBudget
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from nmt_extract.settings import ExtractionSettings
     from nmt_extract.uncertainty_budget import MethodError
     from nmt_record.bag_reader import Bag
+    from nmt_record.channel_tolerances import CalibrationSheet
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -83,15 +84,12 @@ def run(arguments: argparse.Namespace) -> int:
 
     from nmt_bench.commands.linear_input import read_linear
     from nmt_bench.commands.terminal import make_console, print_modal_table
-    from nmt_extract.bag_budget import bag_budget
     from nmt_extract.modal_table import write_results
     from nmt_extract.offline import extract_opened_bag
-    from nmt_extract.uncertainty_budget import write_budget
     from nmt_record.bag_reader import Bag
-    from nmt_record.channel_tolerances import read_calibration
     from nmt_report.run_data import read_reference
 
-    sheet = None if arguments.calibration is None else read_calibration(arguments.calibration)
+    sheet = None if arguments.calibration is None else _calibration(arguments.calibration)
     method = None if arguments.model_run is None else _method_error(arguments.model_run)
     linear = read_linear(arguments.linear) if arguments.linear is not None else None
     reference = read_reference(arguments.reference) if arguments.reference is not None else None
@@ -100,6 +98,9 @@ def run(arguments: argparse.Namespace) -> int:
     result = extract_opened_bag(bag, linear, settings)
     if not result.points:
         raise BenchError(f"The bag {arguments.bag} gave no modal point; its run may have ended before the first lock.")
+    from nmt_extract.bag_budget import bag_budget
+    from nmt_extract.uncertainty_budget import write_budget
+
     expected = None if reference is None else reference.at
     budgets, known = bag_budget(bag, result.points, result.linear, result.settings, sheet, method, expected)
     with OutputFolder(arguments.out, arguments.force) as folder:
@@ -123,6 +124,12 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(f"Results in {arguments.out}: {names}", markup=False)
     sys.stdout.flush()
     return 0
+
+
+def _calibration(path: Path) -> CalibrationSheet:
+    from nmt_record.channel_tolerances import read_calibration
+
+    return read_calibration(path)
 
 
 def _method_error(folder: Path) -> MethodError | None:

@@ -152,7 +152,7 @@ def diagnose_bags(
     """
     rig = model if isinstance(model, Rig) else load_rig(str(model))
     settings = settings or DiagnosisSettings()
-    # Helpers start while the bags are read.
+    # The other processes start while the bags are read.
     with Workers(settings.jobs) as workers:
         reading = EvidenceSettings(calibration=settings.calibration)
         evidence = read_evidence(bags, rig, floor_bags, reading, progress, settings.allow_own_model)

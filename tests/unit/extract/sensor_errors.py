@@ -88,7 +88,7 @@ class Sensors:
         return Tolerances({}, ChannelTolerance(GAIN, PHASE, DELAY), CLOCK)
 
 
-def true_point(rig: Rig, sensors: Sensors) -> dict[str, float]:
+def true_point(rig: Rig) -> dict[str, float]:
     """What ideal sensors would have found, with the loop at phase resonance."""
     omega = rig.resonance(0.0)
     shape = rig.displacement(omega)

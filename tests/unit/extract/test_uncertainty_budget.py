@@ -135,7 +135,7 @@ def test_intervals_hold_the_truth_as_often_as_stated(source: str) -> None:
         sensors = Sensors.drawn(random)
         linear_description = rig.description(source, sensors, random)
         point = measured(rig, sensors, linear_description, random)
-        truth = true_point(rig, sensors)
+        truth = true_point(rig)
         inputs = BudgetInputs(linear_description, sensors.tolerances, A)
         (found,) = uncertainty_budget([point], inputs)
         for name in inside:

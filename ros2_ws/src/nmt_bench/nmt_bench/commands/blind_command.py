@@ -99,7 +99,7 @@ def _add_score(parts: Subparsers) -> None:
 
 def _add_calibrate(parts: Subparsers) -> None:
     part = parts.add_parser(
-        "calibrate", help="learn from diagnosed development campaigns how reliable the signs of a diagnosis are"
+        "calibrate", help="learn from diagnosed development campaigns how reliable the features of a diagnosis are"
     )
     part.add_argument("campaigns", metavar="DIR", nargs="+", type=Path, help="folders of development campaigns")
     part.add_argument("--out", metavar="FILE", type=Path, required=True, help="calibration to write, confidence.json")

@@ -1,4 +1,4 @@
-"""Learns from diagnosed development cases how reliable the signs of a diagnosis are."""
+"""Learns from diagnosed development cases how reliable the features of a diagnosis are."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """How evidence becomes probability: priors, thresholds and reliabilities, fixed on simulated development cases.
 
 Evidences of an inexact model are over-confident, and what is called the cause of a gap may be a relative of the true
-one. So three questions are answered by how often the same signs were right on cases whose truth was known: is there a
-gap, has it a name, is the first name the right one. ``./nmt blind calibrate`` learns them from development campaigns.
+one. So three questions are answered by how often the same features were right on cases whose truth was known: is there
+a gap, has it a name, is the first name the right one. ``./nmt blind calibrate`` learns them from development campaigns.
 
 The file ``confidence.json`` beside this module is frozen before a sealed campaign; its SHA-256 goes into every
 diagnosis.

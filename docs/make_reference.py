@@ -57,6 +57,13 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "start_trigger": "terminal that starts the output; empty = start trigger of the first input's device",
         "clock_source": "terminal of the output's sample clock; empty = that of the first input's device",
         "buffer_blocks": "blocks that the output's buffer holds",
+        "stop_input": "analog input of the external stop line; none = there is no such line",
+    },
+    "StopInputSection": {
+        "port": "physical channel, beside those of the sensors",
+        "range_v": "full scale of the port",
+        "threshold_v": "level at which the line asks for zero",
+        "stops": "below or above the threshold; `low` also for a cut cable, with a resistor to ground",
     },
     "OutputPortSection": {
         "channel": "name",
@@ -275,7 +282,9 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "exponent": "χ of the density of stiffness over slip displacement, R φ^χ",
         "stiffness_ratio": "β, stiffness of the sliders at the largest slip displacement by that of the power law",
         "onset_ratio": "smallest by largest slip displacement; 0 = Segalman's distribution",
-        "sliders": "sliders that stand for the power law, of equal stiffness; one more where β > 0",
+        "sliders": "sliders that stand for the power law; one more where β > 0",
+        "partition": "what the sliders have in common: equal `stiffness`, or an equal `ratio` of slip displacements "
+        "over four decades",
         "remaining_stiffness_n_m": "linear spring beside the sliders",
     },
     "CubicSpringSection": {"kind": "g = k₃ w³", "stiffness_n_m3": "k₃; negative softens"},

@@ -161,6 +161,7 @@ def is_locked(path: Path) -> bool:
 
 def stays(segments: set[str]) -> list[str]:
     """What of segments, their locks included, is there and used by nobody."""
+    segments = {name for name in segments if not name.startswith("lttng-ust-wait")}  # the tracer's, one a computer
     remains = [path.name for path in MEMORY.iterdir() if any(name in path.name for name in segments)]
     in_use = shared_memory([int(path.name) for path in Path("/proc").glob("[0-9]*")])
     in_use.update(path.name.removesuffix("_el") for path in MEMORY.glob("*_el") if is_locked(path))

@@ -300,7 +300,14 @@ def two_host_bench(wire: Wire, folder: Path, periods: int) -> Iterator[tuple[sub
     """The plant on one host, all other nodes and the operator on the other; the operator's process and the plant's."""
     late = {"sequencer": {"ready_timeout": 90.0}}
     test = plan_test(
-        "beam", [0.3], pacing="realtime", latency_blocks=25, window_periods=periods, timeout=60.0, node_values=late
+        # What waits at the output is put out after the cut: 0.36 s beside the watchdog's 1 s and the ramp of 0.1 s.
+        "beam",
+        [0.3],
+        pacing="realtime",
+        latency_blocks=18,
+        window_periods=periods,
+        timeout=60.0,
+        node_values=late,
     )
     rig_file = folder / "rig.yaml"
     rig_file.write_text(test.rig_yaml)

@@ -59,3 +59,12 @@ def test_figures_stand_beside_their_limits(capsys: pytest.CaptureFixture[str], t
 def test_wrong_options(capsys: pytest.CaptureFixture[str], words: tuple[str, str]) -> None:
     assert cli.main(["benchmark", *words]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_many_levels_have_a_report_and_their_growth(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(benchmark_figures, "_MANY", 8)
+    figures = {figure.name: figure for figure in benchmark_figures.level_figures(1.0)}
+    assert len(figures) == 6
+    assert all(figure.value is not None and figure.value > 0.0 for figure in figures.values())
+    assert all(figure.met is not None for figure in figures.values())
+    assert figures["report of 8 levels: page"].met

@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.offline import extract_bag
 from nmt_report.history_figures import MOST_PANELS, chosen_excerpts, thinned
 from nmt_report.run_data import ReferenceCurve
+from nmt_report.run_data_from_bag import _plant
 from nmt_report.run_page import verdict, worst_deviation
 from nmt_report.run_report import list_files, read_reference, report_data_from_bag, report_html, write_report
 
@@ -33,6 +35,24 @@ FIGURES = (
     "envelope",
     "signals",
 )
+
+
+CONVERTER = {
+    "lateness_histogram": "< 0.5 ms: 30; < 1 ms: 10",
+    "jitter_p50_ms": "0.4",
+    "jitter_p99_ms": "0.9",
+    "jitter_max_ms": "0.97",
+    "overruns": "3",
+    "converter_delay": "38",
+    "converter_drift": "0.01",
+    "converter_round_trip": "518",
+    "converter_stated": "-1",
+    "converter_clock_ppm": "nan",
+    "converter_lost_turns": "7",
+    "converter_priority": "real time (FIFO 10)",
+    "plant_priority": "ordinary (nice 0)",
+    "computer": "2 cores, frequency governor performance, load 0.5",
+}
 
 
 class Page(HTMLParser):
@@ -119,7 +139,7 @@ def test_values_stand_in_the_table_with_their_uncertainty() -> None:
     data = synthetic_run(levels=3, failed=None, reference=False)
     point = replace(data.points[0], damping_ratio=0.012345, damping_ratio_std=0.000067)
     text = report_html(replace(data, points=[point]))
-    assert '<td>1.2345 <span class="std">± 0.0067</span></td>' in text
+    assert "<td>1.2345 <i>± 0.0067</i></td>" in text
 
 
 def test_text_from_outside_is_escaped() -> None:
@@ -308,3 +328,33 @@ def test_many_excerpts_are_spread() -> None:
     assert len(chosen) == MOST_PANELS
     assert (chosen[0].level_index, chosen[-1].level_index) == (0, 39)
     assert all(isinstance(point, ModalPoint) for point in data.points)
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [(["plant", "pll", "plant"], "2"), (["left/pll", "left/plant"], "1"), (["left/plant", "right/plant"], None)],
+)
+def test_the_counters_are_those_of_the_only_plant_that_was_heard(names: list[str], found: str | None) -> None:
+    heard = [
+        SimpleNamespace(name=name, values=[SimpleNamespace(key="overruns", value=str(number))])
+        for number, name in enumerate(names)
+    ]
+    bag = SimpleNamespace(messages=lambda _: [("", 0, SimpleNamespace(status=[status])) for status in heard])
+    assert _plant(bag).get("overruns") == found  # type: ignore[arg-type]
+
+
+def test_a_test_on_a_converter_says_how_its_blocks_came() -> None:
+    run = synthetic_run()
+    assert "Late by" not in report_html(run), "in lockstep nothing is late"
+    text = " ".join(Page(report_html(replace(run, plant=CONVERTER))).text)
+    for words in (
+        "< 0.5 ms",
+        "75",  # % of the blocks
+        "38 samples, moved by 0.01",
+        "not known",
+        "real time (FIFO 10)",
+        "ordinary (nice 0)",
+        "2 cores, frequency governor performance",
+    ):
+        assert words in text
+    assert "the driver says" not in text

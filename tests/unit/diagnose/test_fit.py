@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 from unit.diagnose.linear_problem import FunctionModel, Plain, evidence_of
 
@@ -174,3 +175,65 @@ def test_sensitivities_that_are_known_are_not_computed_again():
     # Sensitivities from elsewhere are no witness of an optimum.
     stale = fit(problem, plain, first.theta, None, first.prediction, first.jacobian, steps=0, exact=False)
     assert not stale.fresh
+
+
+class _Counting(FunctionModel):
+    """Counts how often sensitivities are asked for."""
+
+    def __init__(self, function):
+        super().__init__(function)
+        self.sensitivities = 0
+
+    def jacobian(self, parametrisation, theta, prediction, which=None):
+        self.sensitivities += 1
+        return super().jacobian(parametrisation, theta, prediction, which)
+
+
+def _shaker(theta):
+    """Force per volt and added damping of a shaker whose current is not measured, over frequency.
+
+    Force factor, resistance and damping of the table make up for one another: along the valley G/R and d + G²/R stay.
+    """
+    g, r, d = np.exp(np.array([0.03, 0.03, 0.1]) * theta) * np.array([15.0, 3.0, 25.0])
+    per_volt = g / r
+    added = d + g**2 / r
+    return np.concatenate([np.full(40, per_volt), np.full(40, added)])
+
+
+def test_a_narrow_curved_valley_is_followed_to_its_optimum():
+    """The optimum along the valley is that of the prior; found by a search in one dimension for comparison."""
+    away = np.array([1.5, 1.5, 0.0])
+    measured = _shaker(np.zeros(3))
+    # The start lies in the valley, where the prior alone says in which direction to go.
+    g, r = 15.0 * np.exp(0.045), 3.0 * np.exp(0.045)
+    away[2] = np.log((100.0 - g**2 / r) / 25.0) / 0.1
+    assert np.allclose(_shaker(away), measured)
+    model = _Counting(_shaker)
+    sigma = np.concatenate([np.full(40, 5.0e-6 * 5.0), np.full(40, 5.0e-6 * 100.0)])
+    problem = Problem(evidence_of(measured, sigma), model)
+    result = fit(problem, Plain.of(3), away, start=model.predict(away))
+
+    def prior(share):
+        d = 100.0 - 75.0 * np.exp(0.03 * share)
+        return 2.0 * share**2 + (np.log(d / 25.0) / 0.1) ** 2
+
+    best = minimize_scalar(prior, bounds=(-2.0, 2.0), method="bounded", options={"xatol": 1e-9})
+    assert result.converged
+    assert result.theta == pytest.approx([best.x, best.x, 0.0], abs=0.02)
+    assert model.sensitivities <= 12
+
+
+def test_what_a_fit_leaves_is_the_noise_by_which_its_steps_count():
+    """A model that is wrong by a hundred σ does not creep for falls of χ² that nobody could see."""
+    x = np.linspace(0.0, 1.0, 200)
+    measured = 100.0 * np.sign(np.sin(40.0 * x))
+    model = _Counting(lambda t: 30.0 * np.tanh(0.3 * t[0] * x) + 30.0 * np.exp(0.2 * t[1] * x))
+    result = fit(Problem(evidence_of(measured, 1.0), model), Plain.of(2), np.zeros(2))
+    noise = result.chi_square / 200.0
+    assert noise > 1000.0
+    assert result.converged
+    best = min(
+        fit(Problem(evidence_of(measured, 1.0), model), Plain.of(2), start).chi_square
+        for start in ([0.5, 0.5], [-0.5, -0.5])
+    )
+    assert result.chi_square - best < noise

@@ -120,13 +120,24 @@ def test_no_more_than_all_of_a_gap_is_closed_and_the_floor_is_at_most_what_is_le
     assert left.value < 0.7
 
 
-def explained(theta, std, prior, name="two_sided_gap"):
+def explained(theta, std, prior, name="two_sided_gap", opened=10.0, chi_square=100.0):
     """A gap with a stop that a fit knows so well: stiffness and distance."""
     effect = effect_named(name)
     gap = Candidate(effect, Site(Placement.at("structure", 1), {"k": 1.0, "gap": 1.0}, 1))
     known = SimpleNamespace(prior_std=np.array(prior), index_of=lambda _: slice(0, 2))
-    fitted = SimpleNamespace(theta=np.array(theta), std=np.array(std), parametrisation=known)
+    fitted = SimpleNamespace(
+        theta=np.array(theta),
+        std=np.array(std),
+        parametrisation=known,
+        predictive_std=np.full(8, opened),
+        chi_square=chi_square,
+        penalty=0.0,
+    )
     return Contender((gap,), fitted)
+
+
+WITHOUT = Contender((), SimpleNamespace(chi_square=200.0, penalty=0.0))
+LAST = np.arange(8) >= 6
 
 
 @pytest.mark.parametrize(
@@ -139,7 +150,22 @@ def explained(theta, std, prior, name="two_sided_gap"):
     ],
 )
 def test_a_split_counts_only_if_it_tells_the_parameters(theta, std, told):
-    assert determined(explained(theta, std, [3.0, 1.0])) is told
+    assert determined(explained(theta, std, [3.0, 1.0]), WITHOUT, LAST) is told
+
+
+@pytest.mark.parametrize(
+    ("opened", "chi_square", "told"),
+    [
+        (1.2, 100.0, True),
+        # What is open of the parameters is open of the rows held out as well.
+        (3.0, 100.0, False),
+        # The rows that are left do without the effect.
+        (1.2, 198.0, False),
+    ],
+)
+def test_parameters_that_make_up_for_one_another_may_be_open_where_the_prediction_is_not(opened, chi_square, told):
+    item = explained([1.5, 0.1], [1.0, 0.9], [3.0, 1.0], opened=opened, chi_square=chi_square)
+    assert determined(item, WITHOUT, LAST) is told
 
 
 def test_repeats_are_what_noise_leaves():
@@ -159,7 +185,7 @@ def test_only_splits_that_tell_the_explanation_count():
     generator = np.random.default_rng(10)
     noise, everything = generator.standard_normal(400), np.ones(400, dtype=bool)
     ones = np.ones(400)
-    base = Contender((), SimpleNamespace(residual=noise + 5.0, predictive_std=ones))
+    base = Contender((), SimpleNamespace(residual=noise + 5.0, predictive_std=ones, chi_square=100.0, penalty=0.0))
 
     def split(contender, left):
         contender.fit.residual, contender.fit.predictive_std = noise + left, ones
@@ -178,7 +204,7 @@ def test_explanations_are_compared_by_what_they_predict():
     evidence = evidence_of(np.zeros(400), 1.0, np.repeat(np.arange(20), 20))
     noise, everything = np.random.default_rng(11).standard_normal(400), np.ones(400, dtype=bool)
     ones = np.ones(400)
-    base = Contender((), SimpleNamespace(residual=noise + 5.0, predictive_std=ones))
+    base = Contender((), SimpleNamespace(residual=noise + 5.0, predictive_std=ones, chi_square=100.0, penalty=0.0))
     good = explained([10.0, 0.1], [1.0, 0.1], [3.0, 1.0])
     bad = explained([10.0, 0.1], [1.0, 0.1], [3.0, 1.0], "one_sided_stop")
     good.fit.residual, bad.fit.residual = noise, noise + 1.0

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 
 from nmt_plant.converter_watch import ClockWatch, DelayWatch
+from nmt_plant.real_time import LatenessHistogram, computer_settings, read_histogram
 
 RATE, BLOCK = 10_000.0, 200
 
@@ -73,3 +76,21 @@ def test_another_frequency_begins_anew():
             frequency,
         )
     assert watch.sentence == ""
+
+
+def test_what_of_the_computer_decides_about_real_time_is_told(tmp_path):
+    assert "frequency governor not known" in computer_settings(tmp_path)
+    for number, governor in enumerate(("powersave", "performance")):
+        folder = tmp_path / f"cpu{number}" / "cpufreq"
+        folder.mkdir(parents=True)
+        (folder / "scaling_governor").write_text(f"{governor}\n")
+    assert "frequency governor performance/powersave" in computer_settings(tmp_path)
+    assert computer_settings(tmp_path).startswith(f"{len(os.sched_getaffinity(0))} core")
+
+
+def test_a_histogram_of_lateness_is_read_as_it_was_written():
+    histogram = LatenessHistogram(0.01)
+    for late in (0.0, 0.0004, 0.0005, 0.003, 0.3):
+        histogram.add(late)
+    assert read_histogram(histogram.text) == [("< 0.5 ms", 2), ("< 1 ms", 1), ("< 5 ms", 1), ("later", 1)]
+    assert read_histogram("") == []

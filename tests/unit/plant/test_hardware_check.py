@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from nmt_core.blocks import Quantity
@@ -59,6 +60,55 @@ def test_a_planted_fault_is_named_with_its_channel(rig, name):
 def test_two_faults_at_once_are_both_named(rig):
     result = outcome(rig, [Fault("sign", "x4"), Fault("offset", "a2")], seed=4)
     assert {(each.name, each.channels) for each in result.findings} == {("sign", ("x4",)), ("offset", ("a2",))}
+
+
+@pytest.mark.parametrize(
+    ("faults", "expected"),
+    [
+        ("delay resonance", {("delay", ()), ("resonance", ())}),
+        ("delay sensitivity:x2", {("delay", ()), ("sensitivity", ("x2",))}),
+        ("delay permuted:x5", {("delay", ()), ("permuted", ("x5", "x6"))}),
+        ("permuted:x4 overload:x4", {("overload", ("x4",)), ("permuted", ("x4", "x6"))}),
+        ("permuted:x5 short:x6", {("short", ("x6",)), ("permuted", ("x5", "x6"))}),
+        ("permuted:x5 sensitivity:x5", {("permuted", ("x5", "x6")), ("sensitivity", ("x5",))}),
+        ("force_response resonance", {("force_response", ("f2", "x2")), ("resonance", ())}),
+        ("open:x5 sensitivity:x6", {("open", ("x5",)), ("sensitivity", ("x6",))}),
+    ],
+)
+def test_a_fault_does_not_hide_another(rig, faults, expected):
+    """A delay that moves, a dead channel among exchanged ones, a wrong gain or other frequencies besides."""
+    result = outcome(rig, [parse_fault(text) for text in faults.split()], seed=5)
+    assert {(each.name, each.channels) for each in result.findings} == expected
+
+
+@pytest.mark.parametrize("text", ["", "mains:x2", "offset:x4"])
+def test_a_few_lost_blocks_make_no_finding(rig, text):
+    """In silence and under drive; what stands in the buffer of a lost block is old or zero."""
+    section = device_of(rig, "portaudio")
+    faults = [parse_fault(text)] if text else []
+    device = HardwareRig(rig, section, specimen=Specimen(rig, section, faults=faults, seed=2))
+    device.configure()
+    device.start()
+    read, count = device.read, 0
+
+    def losing():
+        nonlocal count
+        count += 1
+        got = read()
+        if count in (30, 31, 120, 300, 301, 700):
+            device.measured = np.zeros_like(device.measured)
+            return []
+        return got
+
+    device.read = losing
+    try:
+        result = check(device, LEVELS)
+    finally:
+        device.close()
+    assert result.lost_blocks == 6
+    assert [(each.name, each.channels) for each in result.findings] == (
+        [(faults[0].name, (faults[0].channel,))] if faults else []
+    )
 
 
 def test_a_healthy_bench_passes(rig):

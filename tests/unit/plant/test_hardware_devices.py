@@ -16,15 +16,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.records import DriveCommand
-from nmt_core.vocabulary import OutputState, Waveform
+from nmt_core.vocabulary import OutputState, StopCause, Waveform
 from nmt_plant.device import DeviceFault, DeviceState, DeviceStateError
 from nmt_plant.hardware_rig import HardwareRig, device_of
 from nmt_plant.nidaqmx_converter import find_channels
-from nmt_plant.portaudio_converter import find_device, list_devices
+from nmt_plant.portaudio_converter import MissedTurns, find_device, list_devices
+from nmt_rig.device_sections import StopInputSection
 from nmt_rig.rig import load_rig
 
 BUFFER = 10
@@ -38,10 +40,10 @@ NEEDED = {
 
 
 @contextmanager
-def specimen(kind: str, *options: str) -> Iterator[str]:
+def specimen(kind: str, *options: str, rig: str = "beam") -> Iterator[str]:
     """A specimen in a process of its own; gives the address of NI's server."""
     module = {"portaudio": "nmt_plant.jack_specimen", "nidaqmx": "nmt_plant.ni_specimen"}[kind]
-    words = ["beam", *(word for change in CHANGES for word in ("--set", change)), "--address", "127.0.0.1:0", *options]
+    words = [rig, *(word for change in CHANGES for word in ("--set", change)), "--address", "127.0.0.1:0", *options]
     with subprocess.Popen(
         [sys.executable, "-m", module, *words],
         stdin=subprocess.PIPE,
@@ -77,8 +79,7 @@ def bench(request, tmp_path, monkeypatch):
             yield device
         finally:
             device.close()
-    kept = np.load(record if record.exists() else record.with_suffix(".npy"))
-    port = kept["values"] if request.param == "nidaqmx" else kept
+    port = np.load(record)["values"]
     assert np.abs(port).max() > 0.05
     assert not port[-2000:].any(), "the output was left at zero"
 
@@ -188,3 +189,91 @@ def test_a_converter_that_does_not_open_is_named():
     with pytest.raises(DeviceFault, match="No NI gRPC device server answers"):
         device.start()
     assert Path(f"/proc/{device.output_pid}").exists() is False
+
+
+def test_looking_for_channels_leaves_no_grpc_in_the_process_that_asks():
+    """Its threads would not survive the fork of the nodes, which then crash."""
+    code = (
+        "import sys\n"
+        "from nmt_core.errors import BenchError\n"
+        "from nmt_plant.nidaqmx_converter import find_channels\n"
+        "try:\n"
+        "    find_channels('127.0.0.1:9', ['Dev1/ai0'])\n"
+        "except BenchError:\n"
+        "    print([name for name in sys.modules if name.startswith(('grpc', 'nidaqmx'))])\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
+    asked = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert asked.stdout.strip() == "[]", asked.stderr
+
+
+def test_turns_that_were_missed_are_found_by_their_time():
+    """Calls jitter by up to half a period, the converter is 200 ppm slow; two turns are missed at one place."""
+    random = np.random.default_rng(2)
+    period, missed = 0.005, MissedTurns()
+    found = []
+    for turn in range(20_000):
+        at = turn + (2 if turn >= 12_345 else 0)
+        if missed.look(100.0 + 1.0002 * period * at + 0.5 * period * random.random(), period):
+            found.append(turn)
+    assert found == [12_345]
+
+
+def test_the_stop_line_of_an_input_takes_the_drive_to_zero_and_holds_it(tmp_path):
+    """The converter's process sees the line; nobody releases the drive while it asks for zero."""
+    rig = load_rig("beam", CHANGES)
+    section = device_of(rig, "nidaqmx").model_copy(
+        update={"buffer_blocks": BUFFER, "stop_input": StopInputSection(port="nmt_specimen/ai20")}
+    )
+    content = rig.model_dump(mode="json", exclude_none=True)
+    content["device"] = section.model_dump(mode="json", exclude_none=True)
+    path, line, record = tmp_path / "rig.yaml", tmp_path / "line", tmp_path / "port"
+    path.write_text(yaml.safe_dump(content))
+    options = ("--stop-file", str(line), "--record", str(record))
+    with specimen("nidaqmx", *options, rig=str(path)) as address:
+        device = HardwareRig(rig, section.model_copy(update={"address": address}), lead_blocks=LEAD)
+        device.configure()
+        device.start()
+        try:
+            for _ in range(LEAD + 5):
+                device.write(SINE)
+                device.read()
+            assert device.tripped == ""
+            assert np.abs(device.put_out).max() > 0.4
+            line.touch()
+            for _ in range(10 * LEAD):
+                device.read()
+                if device.is_quiet:
+                    break
+            assert device.tripped == "output: the external stop input"
+            assert device.stop_cause is StopCause.EXTERNAL_INPUT
+            with pytest.raises(BenchError, match="still asks for zero"):
+                device.reset()
+            line.unlink()
+            for _ in range(3 * BUFFER):
+                device.read()
+            device.reset()
+            assert device.tripped == ""
+        finally:
+            device.close()
+    assert np.abs(np.load(record)["values"]).max() > 0.04
+
+
+@pytest.mark.parametrize(
+    ("stop", "sentence"),
+    [
+        ({"port": "Dev1/ai0"}, "a physical channel of its own"),
+        ({"port": "7"}, "a physical channel of its own"),
+        ({"port": "Dev1/ai7", "threshold_v": 10}, "threshold_v must lie within the range"),
+    ],
+)
+def test_a_stop_line_that_cannot_be_is_refused(stop, sentence, tmp_path):
+    content = load_rig("beam").model_dump(mode="json", exclude_none=True)
+    section = device_of(load_rig("beam"), "nidaqmx").model_dump(mode="json", exclude_none=True)
+    for number, entry in enumerate(section["inputs"]):
+        entry["port"] = f"Dev1/ai{number}"
+    content["device"] = {**section, "stop_input": stop}
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(BenchError, match=sentence):
+        load_rig(path)

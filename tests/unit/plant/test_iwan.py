@@ -37,6 +37,33 @@ def test_stiffness_and_slip_force_are_met_with_any_number_of_sliders(exponent, r
         assert limits[-1] <= joint.largest_slip_displacement
 
 
+@pytest.mark.parametrize(("exponent", "ratio", "onset"), [(-0.5, 0.0, 0.0), (0.4, 1.5, 0.0), (-0.9, 0.3, 0.05)])
+def test_parts_of_equal_ratio_meet_stiffness_and_slip_force_as_well(exponent, ratio, onset):
+    for sliders in (1, 2, 40):
+        joint = IwanJoint(3e6, 120.0, exponent, ratio, onset, sliders, partition="ratio")
+        stiffness, limits = joint.slider_table()
+        assert stiffness.sum() == pytest.approx(3e6, rel=1e-12)
+        assert (stiffness * limits).sum() == pytest.approx(120.0, rel=1e-12)
+        assert len(stiffness) == sliders + (ratio > 0.0)
+        assert np.all(np.diff(limits) > 0.0)
+        assert limits[0] > onset * joint.largest_slip_displacement
+
+
+def test_parts_of_equal_ratio_are_smooth_at_all_amplitudes():
+    """Work of a cycle against ∫₀ᵃ 4 φ (a − φ) ρ dφ = 4 R a^(χ+3) / ((χ+2)(χ+3)), over two decades."""
+    chi = -0.5
+    largest, worst = 1.0, {}
+    for partition in ("ratio", "stiffness"):
+        joint = IwanJoint(1.0, (chi + 1.0) / (chi + 2.0), chi, sliders=120, partition=partition)
+        assert joint.largest_slip_displacement == pytest.approx(largest)
+        amplitudes = np.geomspace(0.01, 1.0, 400)
+        exact = 4.0 * (chi + 1.0) * amplitudes ** (chi + 3.0) / ((chi + 2.0) * (chi + 3.0))
+        found = np.array([cycle_work(joint, a) for a in amplitudes])
+        worst[partition] = np.max(np.abs(found / exact - 1.0))
+    assert worst["ratio"] < 2.5e-3
+    assert worst["stiffness"] > 6e-3
+
+
 def test_largest_slip_displacement_is_segalmans():
     joint = IwanJoint(2e6, 50.0, -0.3, 0.8)
     assert joint.largest_slip_displacement == pytest.approx(50.0 * 1.8 / (2e6 * (0.8 + 0.7 / 1.7)), rel=1e-12)

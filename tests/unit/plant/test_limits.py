@@ -112,3 +112,10 @@ def test_the_first_violation_latches_until_reset() -> None:
     assert guard.reason == reason
     guard.reset()
     assert not guard.check([flat(0.5, 0.5, 20)])
+
+
+def test_a_block_with_lost_samples_does_not_end_the_prediction() -> None:
+    guard = LimitGuard({}, [ChannelLimit("a1", abort_peak=2.0)])
+    assert not guard.check([flat(1.0, 0.0)], drive=1.0)
+    assert not guard.check([], drive=1.0)
+    assert guard.predict(2.0 * PREDICTION_FACTOR + 0.1)

@@ -109,6 +109,19 @@ def test_a_stopped_owner_is_unknown_and_does_not_stay_behind(link: OutputLink) -
     assert not alive(process)
 
 
+def test_a_stopped_owner_is_killed_before_anything_is_waited_for(link: OutputLink, monkeypatch) -> None:
+    """What it put out last may be repeated by the sound server for as long as it lives."""
+    assert link.pid is not None
+    os.kill(link.pid, signal.SIGSTOP)
+    until(lambda: link.state is OutputState.NOT_KNOWN)
+    process, done = link._process, []
+    kill, listen = process.kill, link._listen
+    monkeypatch.setattr(process, "kill", lambda: (done.append("kill"), kill()))
+    monkeypatch.setattr(link, "_listen", lambda timeout: (done.append("wait") if timeout else None, listen(timeout))[1])
+    link.close()
+    assert done[:1] == ["kill"]
+
+
 def test_an_owner_that_is_told_to_end_goes_to_zero_first(tmp_path: Path) -> None:
     log = tmp_path / "output"
     link = OutputLink(settings(lead_blocks=2), arguments={"sample_rate": RATE, "log": str(log)})

@@ -129,6 +129,10 @@ def test_a_new_run_accepts_a_loop_that_was_started_again() -> None:
     assert core.take_drive(sine(2 * BLOCK - 1), STRANGER) == ""
 
 
+def replace_base(command: DriveCommand, based_on: int) -> DriveCommand:
+    return command._replace(based_on_sample=based_on)
+
+
 def moving() -> PlantCore:
     """A core whose drive is on; its ramp to zero takes two blocks and a half."""
     core = PlantCore(LoopbackDevice(RATE, BLOCK, quiet_ramp=0.25))
@@ -165,6 +169,25 @@ def test_a_stop_is_told_when_it_begins_is_at_zero_and_is_released() -> None:
     assert released is not None
     assert (released.cause, released.output, released.reason) == (StopCause.RELEASED, OutputState.AT_ZERO, "")
     assert core.stop() is None
+
+
+def test_a_block_of_zeros_follows_a_ramp_that_the_loop_has_commanded() -> None:
+    core = moving()
+    off = DriveCommand(Waveform.OFF, 0.0, 0.0, 0.15, 0, based_on_sample=4 * BLOCK - 1)
+    for number in range(4, 8):
+        last = produce(core)
+        if core.device.is_quiet:
+            break
+        core.take_drive(replace_base(off, (number + 1) * BLOCK - 1), LOOP)
+    assert core.device.is_quiet
+    assert last > 0.0, "the newest block still shows the ramp"
+    assert not core.at_rest
+    blocks = [block for produced in core.quiet_down("the plant node was told to end") for block in produced]
+    voltages = [block.data for block in blocks if block.quantity == Quantity.VOLTAGE]
+    assert len(voltages) == 1
+    assert not voltages[0].any()
+    assert core.at_rest
+    assert list(core.quiet_down("the plant node was told to end")) == []
 
 
 def test_a_stop_before_a_run_is_latched_and_takes_no_block() -> None:

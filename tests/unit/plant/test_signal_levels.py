@@ -42,3 +42,22 @@ def test_levels_are_those_of_the_last_tenth_of_a_second() -> None:
     assert pairs[Quantity.FORCE] == pytest.approx((newest.peak[0], newest.rms[0]))
     assert pairs[Quantity.ACCELERATION] == pytest.approx((newest.peak[2], newest.rms[2]))  # of the driven point
     assert all(math.isnan(value) for value in pairs[Quantity.DISPLACEMENT])
+
+
+def test_a_stretch_with_lost_samples_has_no_levels_and_spoils_no_others() -> None:
+    phase = OscillatorPhase(0.0, 20.0, 0.0)
+
+    def stretch(first: int, value: float) -> list[SampleBlock]:
+        return [SampleBlock(first, 100.0, Quantity.FORCE, "N", ("f2",), (2,), np.full((1, 5), value), phase, 0)]
+
+    meter = LevelMeter(100.0, 5)
+    assert meter.add(stretch(0, 3.0)) is None
+    levels = meter.add([])
+    assert levels is not None
+    assert (levels.last_sample, levels.peak[0]) == (4, 3.0)
+    assert meter.add([]) is None
+    assert meter.add([]) is None, "nothing was measured"
+    assert meter.add([]) is None
+    levels = meter.add(stretch(25, 2.0))
+    assert levels is not None
+    assert (levels.last_sample, levels.peak[0]) == (29, 2.0)

@@ -21,9 +21,17 @@ LIMIT_EXTRACTION = 0.7
 _LEVELS = (0.2, 0.5, 1.0)
 _BEST_OF = 3
 _REAL_TIME = 5.0  # s
+_MANY = 1000
+_ELEMENTS = 98
 LIMIT_BACKBONE = 0.5
 LIMIT_RESPONSE = 2.0
 LIMIT_DIAGNOSIS = 12.0
+LIMIT_AMPLITUDES = 2.0
+LIMIT_REPORT = 5.0
+LIMIT_PAGE = 3.0
+LIMIT_MANY_LEVELS = 0.6
+LIMIT_GROWTH = 4.5
+LIMIT_OPENING = 50.0
 # A beam whose joint slips earlier than its model says, with a sensor that shows too much and noise as in the paper.
 _MEASURED = (
     "local_elements.0.slip_force_n=0.9",
@@ -90,11 +98,12 @@ def reference_figures(_: float) -> list[Figure]:
     """Harmonic balance of the beam: EPMC backbone and a forced response beside their limits."""
     from nmt_rig.model.forced_response import ForcedProblem, frequency_response
     from nmt_rig.model.fourier_basis import FourierBasis
-    from nmt_rig.reference import compute_reference
+    from nmt_rig.reference import compute_reference, default_amplitudes
     from nmt_rig.rig import load_rig
     from nmt_rig.rig_model import build_system
 
     rig = load_rig("beam")
+    fine = load_rig("beam", [f"structure.elements={_ELEMENTS}"])
     amplitudes = np.geomspace(1e-5, 2e-2, 100)
     problem = ForcedProblem(build_system(rig), FourierBasis.up_to(7), 139.4)
 
@@ -105,7 +114,17 @@ def reference_figures(_: float) -> list[Figure]:
     points = sweep()
     backbone = _best(lambda: compute_reference(rig, 7, amplitudes))
     response = _best(sweep)
+    default_amplitudes(rig)
+    search = _best(lambda: default_amplitudes(fine), 1)
     return [
+        Figure(
+            f"reference: search of the amplitudes, {_ELEMENTS} elements",
+            search,
+            "s",
+            LIMIT_AMPLITUDES,
+            _AT_MOST,
+            search <= LIMIT_AMPLITUDES,
+        ),
         Figure(
             "reference: 100 backbone points, 7 harmonics",
             backbone,
@@ -138,7 +157,7 @@ def bag_figures(seconds: float) -> list[Figure]:
         with Session(plan_test(rig, [0.3], window_periods=5), extract=False) as session:
             session.run()  # compiles or loads the kernels
         plan = plan_test(rig, _LEVELS, window_periods=_window_periods(seconds))
-        with Session(plan, Path(folder), extract=False) as session:
+        with Session(plan, Path(folder), extract=False, timed=True) as session:
             session.run()
         bag = Bag.open(Path(folder) / "bag")
         result = extract_opened_bag(bag)  # compiles or loads the kernels
@@ -173,6 +192,66 @@ def bag_figures(seconds: float) -> list[Figure]:
             ratio >= LIMIT_EXTRACTION,
         ),
     ]
+
+
+def level_figures(_: float) -> list[Figure]:
+    """Very many levels: the report and its growth, and extraction beside a bare rosbags read."""
+    from nmt_extract.offline import extract_opened_bag
+    from nmt_record.bag_reader import Bag
+    from nmt_report.run_report import report_data_from_bag, report_html
+    from nmt_rig.rig import load_rig
+
+    reports, pages = {}, {}
+    with tempfile.TemporaryDirectory(prefix="nmt-benchmark-") as folder:
+        for count in (_MANY // 4, _MANY):
+            bag = _recorded(Path(folder) / str(count), load_rig("joint_resonator"), np.geomspace(0.3, 0.5, count), 50)
+            points = extract_opened_bag(bag).points
+
+            def page(bag: Bag = bag, points: Any = points, count: int = count) -> None:
+                pages[count] = len(report_html(report_data_from_bag(bag, points)).encode()) / 1e6
+
+            page()  # loads fonts and libraries
+            reports[count] = _best(page, 1)
+        opening = 1e3 * _best(lambda: Bag.open(bag.path))
+    growth = reports[_MANY] / reports[_MANY // 4]
+    figures = [
+        Figure(
+            f"report of {_MANY} levels", reports[_MANY], "s", LIMIT_REPORT, _AT_MOST, reports[_MANY] <= LIMIT_REPORT
+        ),
+        Figure(f"report of {_MANY} levels: page", pages[_MANY], "MB", LIMIT_PAGE, _AT_MOST, pages[_MANY] <= LIMIT_PAGE),
+        Figure(
+            "report: growth over four times the levels", growth, "×", LIMIT_GROWTH, _AT_MOST, growth <= LIMIT_GROWTH
+        ),
+        Figure("bag: opening", opening, "ms", LIMIT_OPENING, _AT_MOST, opening <= LIMIT_OPENING),
+    ]
+    for count in (50, 200):
+        with tempfile.TemporaryDirectory(prefix="nmt-benchmark-") as folder:
+            bag = _recorded(Path(folder), load_rig("beam"), np.geomspace(0.3, 0.9, count), 20)
+            ratio = _over_bare_read(bag)
+        name = f"bag: extraction over bare read, {count} levels"
+        figures.append(Figure(name, ratio, "×", LIMIT_MANY_LEVELS, _AT_LEAST, ratio >= LIMIT_MANY_LEVELS))
+    return figures
+
+
+def _recorded(folder: Path, rig: Any, levels: Any, periods: int) -> Any:
+    """A run recorded without live extraction, opened."""
+    from nmt_record.bag_reader import Bag
+
+    with Session(plan_test(rig, list(levels), window_periods=periods), folder, extract=False) as session:
+        session.run()
+    return Bag.open(folder / "bag")
+
+
+def _over_bare_read(bag: Any) -> float:
+    """Time of a bare rosbags read of the same messages over that of an extraction."""
+    from rosbags.highlevel import AnyReader
+
+    from nmt_extract.offline import extract_opened_bag
+
+    topics = [*extract_opened_bag(bag).settings.topics, "lock", "frequency"]
+    with AnyReader([bag.path]) as reader:
+        bare = _best(lambda: _read_bare(reader, topics))
+    return bare / _best(lambda: extract_opened_bag(bag))
 
 
 def diagnosis_figures(_: float) -> list[Figure]:
@@ -285,10 +364,10 @@ def _copy_time(bag: Any, destination: Path) -> float:
     return time.process_time() - begin
 
 
-def _best(action: Any) -> float:
+def _best(action: Any, best_of: int = _BEST_OF) -> float:
     """Shortest of a few process times of an action, s; wall times would depend on other programs."""
     times = []
-    for _ in range(_BEST_OF):
+    for _ in range(best_of):
         begin = time.process_time()
         action()
         times.append(time.process_time() - begin)

@@ -69,7 +69,7 @@ from nmt_session.run_result import Progress, RunResult
 
 START_TIMEOUT = 120.0  # s; on a busy computer the plant compiles and loads for a minute
 _POLL = 0.02
-_RESEND = 3.0  # s without an answer after which the goal, or the wish for its result, is sent again
+_RESEND = 1.5  # s without an answer after which the goal, or the wish for its result, is sent again
 _SILENCE = 3.0  # s without a heartbeat after which a node that runs as a process is lost
 _LAST_WRITES = 0.5  # s that the recorder gets for what is on its way to it
 _LAST_MEMORY = 1.5  # s that shared memory of a killed node is waited for, to be cleared away
@@ -373,20 +373,26 @@ class Bench:
         """Send the goal until it is answered; returns its handle.
 
         The server may answer before it has found the reader of its answers, which then never comes. A goal that is sent
-        again keeps its name: a server that knows it refuses to begin it twice, and lists it in its status.
+        again keeps its name: a server that knows it refuses to begin it twice, and lists it in its status. That status
+        may come later than the refusal, so only the first refusal is one of the plan; any answer of any attempt counts.
         """
         goal_id = self.client.new_goal_id()
         end = time.monotonic() + START_TIMEOUT
+        sent: list[Any] = []
         while True:
-            future = self.client.send_goal(self.plan.goal, on_progress, goal_id)
+            sent.append(self.client.send_goal(self.plan.goal, on_progress, goal_id))
             patience = min(time.monotonic() + _RESEND, end)
-            while not future.done() and not self.client.is_known(goal_id) and time.monotonic() < patience:
+            while time.monotonic() < patience:
+                answers = [future.result() for future in sent if future.done()]
+                accepted = next((answer for answer in answers if answer.accepted), None)
+                if accepted is not None:
+                    return accepted
+                if self.client.is_known(goal_id):
+                    return self.client.handle_of(goal_id)
+                if sent[0].done():
+                    return sent[0].result()
                 self._check_start()
                 self.executor.spin_once(timeout_sec=_POLL)
-            if future.done() and (future.result().accepted or not self.client.is_known(goal_id)):
-                return future.result()
-            if self.client.is_known(goal_id):
-                return self.client.handle_of(goal_id)
             if time.monotonic() >= end:
                 raise BenchError(
                     f"Waited {START_TIMEOUT:g} s in vain for the goal's answer; the logs in {self.out / 'log'} may say "
@@ -597,8 +603,8 @@ class _RunClient(Node):  # type: ignore[misc]
         if pacing == "realtime" and "jitter_p50_ms" in plant:
             lines.append(
                 f"Real time: blocks late by {plant['jitter_p50_ms']} ms (median), {plant['jitter_p99_ms']} ms (99 %), "
-                f"{plant['jitter_max_ms']} ms (worst); {plant['overruns']} by more than a block; margin "
-                f"{100 * float(plant['real_time_margin']):.1f} % of the block time is left."
+                f"{plant['jitter_max_ms']} ms (worst); {plant['overruns']} by more than a block and a turn of the "
+                f"converter; margin {100 * float(plant['real_time_margin']):.1f} % of the block time is left."
             )
         if "converter_delay" in plant:
             stated = plant.get("converter_stated", "-1")

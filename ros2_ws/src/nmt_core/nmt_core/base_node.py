@@ -54,7 +54,8 @@ _SPIN_LIMIT = 0.1  # s; a request to end waits so long
 HEARTBEAT_PERIOD = 0.25  # s of wall time
 _BUSY = 2.5 * HEARTBEAT_PERIOD  # s without a heartbeat of the working thread after which another one speaks for it
 _END_GRACE = 4.0  # s that a node gets to take its part of a run to an end
-_LAST_WORDS = 1.0  # s
+_LONGEST_WORK = 10.0  # s that a node gets instead while it still works off what it was sent
+_LAST_WORDS = 3.0  # s
 _LAST_MEMORY = 1.5  # s that shared memory of killed nodes is waited for, to be cleared away
 _HURRY = 1.0  # s after which a second request to end is not the echo of the first
 _INSTANCES = itertools.count(1)
@@ -495,13 +496,17 @@ def spin_for_ever(executor: Any, node: BenchNode, request: EndRequest | None = N
     context, burst_period = node.context, node.BURST_PERIOD
     never = Future()
     told = False
+    heard = -1
     while context.ok():
         if request is not None and request.since is not None:
             if not told:
                 told = True
                 node.told_to_end()
             since = time.monotonic() - request.since
-            if request.hurry or since > _END_GRACE or node.may_end(since):
+            # A node that had no processor for so long may have everything that it waits for.
+            works = node.received != heard
+            heard = node.received
+            if request.hurry or since > (_LONGEST_WORK if works else _END_GRACE) or node.may_end(since):
                 return
         if burst_period <= 0.0:
             executor.spin_until_future_complete(never, timeout_sec=_SPIN_LIMIT)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -123,11 +124,17 @@ def hysteresis_loop(
         raise BenchError("The masses do not move against each other, so there is no hysteresis loop to evaluate.")
     # Area of the loop: ∮ f dx = π Σ n Im(f_n conj(x_n)).
     work = float(np.pi * (orders * (np.conj(relative) * joint_force).imag).sum())
-    rotation = np.exp(2j * np.pi * np.outer(np.arange(_SAMPLES) / _SAMPLES, orders))
+    rotation = _rotation(orders.size)
     x_rel, f_t = (rotation @ relative).real, (rotation @ joint_force).real
     x_k, f_k = (rotation @ stretch).real, (rotation @ spring_force).real
     energy = _midline_energy(x_rel, f_t) + _midline_energy(x_k, f_k)
     return HysteresisLoop(x_rel, f_t, work, energy)
+
+
+@cache
+def _rotation(harmonics: int) -> ComplexArray:
+    """exp(2πi n k / samples) of harmonics n = 1 … ``harmonics``, shape ``(samples, harmonics)``."""
+    return np.asarray(np.exp(2j * np.pi * np.outer(np.arange(_SAMPLES) / _SAMPLES, np.arange(1, harmonics + 1))))
 
 
 def loop_of_point(layout: HysteresisLayout, point: ModalPoint) -> HysteresisLoop | None:
@@ -151,9 +158,10 @@ def loop_of_point(layout: HysteresisLayout, point: ModalPoint) -> HysteresisLoop
 def _midline_energy(displacement: FloatArray, force: FloatArray) -> float:
     """∫ f dx from 0 to the largest displacement, mean of the loading and the unloading branch, J."""
     peak = int(np.argmax(displacement))
-    away = np.roll(displacement, -peak), np.roll(force, -peak)
-    back = away[0][::-1], away[1][::-1]
-    back = np.concatenate((away[0][:1], back[0])), np.concatenate((away[1][:1], back[1]))
+    twice = np.concatenate((displacement, displacement)), np.concatenate((force, force))
+    size = displacement.shape[0]
+    away = twice[0][peak : peak + size], twice[1][peak : peak + size]
+    back = twice[0][: peak + size + 1][::-1][: size + 1], twice[1][: peak + size + 1][::-1][: size + 1]
     return 0.5 * (_energy_to_zero(*away) + _energy_to_zero(*back))
 
 

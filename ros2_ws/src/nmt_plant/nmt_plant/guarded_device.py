@@ -311,6 +311,11 @@ class GuardedDevice(Device):
         return 0.0 if self._link is None or not self._fed else self._link.lateness
 
     @property
+    def turn_time(self) -> float:
+        """s, of the converter's turns: a block cannot be ready earlier than the turn that completes it."""
+        return 0.0
+
+    @property
     def is_owned(self) -> bool:
         """Whether a process of its own owns the output."""
         return self._link is not None

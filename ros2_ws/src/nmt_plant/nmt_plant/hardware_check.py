@@ -8,7 +8,7 @@ responses to the drive, by the same estimator, so that its errors are the same o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
@@ -35,7 +35,9 @@ _RAIL = 0.8  # of the range, from which an offset is that of a sensor without su
 _CONNECTED = 0.3  # coherence below which a channel does not follow the drive
 _CLEAR = 0.9  # coherence of the lines that are compared
 _GAIN_TOLERANCE = 0.15  # relative, beside four times the sensitivity's own uncertainty
+_FOLLOWS = 0.3  # correlation of drive and monitor, from which a delay is believed
 _SAME_CHANNEL = 0.08  # mean logarithmic difference of responses that are the same
+_SAME_STRETCHED = 0.3  # the same where frequencies do not agree: the exciter's own are not stretched
 _FREQUENCY_TOLERANCE = 0.03
 _HEADROOM = 0.9  # of the range that planned levels may reach
 _CLOCK_PPM = 200.0  # a short record knows no better
@@ -166,7 +168,8 @@ def record_check(device: HardwareRig, on_progress: Callable[[float], None] | Non
     low, high = drive_band(device)
     noise = DriveCommand(Waveform.RANDOM, amplitude=drive_level(limit), ramp=_RAMP, band_low_hz=low, band_high_hz=high)
     block = device.block_samples / device.sample_rate
-    silent, driven, put_out = [], [], []
+    silent: list[list[FloatArray]] = [[]]  # pieces between losses: across one the time axis is not known
+    driven, put_out = [], []
     lost, ended = 0, ""
     total = SILENCE + DRIVE + _RAMP
     blocks = math.ceil(total / block)
@@ -179,11 +182,14 @@ def record_check(device: HardwareRig, on_progress: Callable[[float], None] | Non
         lost += not got
         on = bool(device.put_out.any())
         if n < begun and not on:
-            silent.append(device.measured.copy())
+            if got:
+                silent[-1].append(device.measured.copy())
+            else:
+                silent.append([])
         elif on:
             lead += 1
             if lead * block > _RAMP:
-                driven.append(device.measured.copy() if got else np.zeros_like(device.measured))
+                driven.append(device.measured.copy() if got else np.full_like(device.measured, math.nan))
                 put_out.append(device.put_out.copy() if got else np.zeros_like(device.put_out))
         if device.tripped:
             ended = device.tripped
@@ -196,12 +202,21 @@ def record_check(device: HardwareRig, on_progress: Callable[[float], None] | Non
     inputs, size = device.measured.shape
     nothing = np.zeros((inputs, size))
     return CheckRecord(
-        np.concatenate(silent or [nothing], axis=1),
-        np.concatenate(driven or [nothing], axis=1),
+        np.concatenate(max(silent, key=len) or [nothing], axis=1),
+        _without_losses(np.concatenate(driven or [nothing], axis=1)),
         np.concatenate(put_out or [nothing[0]]),
         ended,
         lost,
     )
+
+
+def _without_losses(driven: FloatArray) -> FloatArray:
+    """The same with the mean of each channel where samples were lost, so that an offset makes no steps there."""
+    lost = np.isnan(driven[0])
+    if not lost.any():
+        return driven
+    mean = driven[:, ~lost].mean(axis=1, keepdims=True) if not lost.all() else np.zeros((driven.shape[0], 1))
+    return np.where(lost, mean, driven)
 
 
 def _to_zero(device: HardwareRig) -> None:
@@ -257,8 +272,9 @@ class _Evaluation:
         self.condemned: set[int] = set()  # what is wrong with them hides everything else
         band = drive_band(device)
         self.is_driven = record.put_out.size >= 8 * round(_SEGMENT * self.rate) // 2 and bool(record.put_out.any())
+        self.lags = self._lags()
         if self.is_driven:
-            self.found = _responses(record.put_out, record.driven, self.rate, band)
+            self.found = _responses(self._reference(), record.driven, self.rate, band)
             self.expected = _responses(record.put_out, expected_response(device, record.put_out), self.rate, band)
             self.coherence = np.median(self.found.coherence, axis=1)
         else:
@@ -295,7 +311,7 @@ class _Evaluation:
         for row in range(len(self.names)):
             self._ask_port(row)
         self._ask_bench()
-        if self.is_driven and not any(finding.name in ("no_drive", "delay") for finding in self.findings):
+        if self.is_driven and not any(finding.name == "no_drive" for finding in self.findings):
             self._ask_resonance()
             self._ask_gains()
             self._ask_headroom()
@@ -391,7 +407,7 @@ class _Evaluation:
                 "look at its cable, at the sensor's mounting and at the channel map",
             )
         if self.is_driven:
-            self._ask_delay(monitors)
+            self._ask_delay()
         if self.record.lost_blocks > _MOST_LOST * (self.record.put_out.size / self.device.block_samples):
             self.add(
                 "losses",
@@ -400,24 +416,47 @@ class _Evaluation:
                 "give real-time priority ('./nmt doctor'), larger blocks, and end other programs",
             )
 
-    def _ask_delay(self, monitors: Sequence[int]) -> None:
-        """Whether the delay from drive to monitor is the same in every second."""
-        rows = [row for row in monitors if row not in self.condemned]
-        if not rows:
-            return
+    @property
+    def _delay_moves(self) -> bool:
+        return bool(self.lags) and max(self.lags) - min(self.lags) > 1
+
+    def _lags(self) -> list[int]:
+        """Delay from drive to monitor in every second, samples; empty without a monitor that follows the drive."""
+        row, drive = self._monitor_row, self.record.put_out
+        if row is None or not self.is_driven:
+            return []
         size = round(self.rate)
         lags = []
-        for start in range(0, self.record.put_out.size - size + 1, size):
-            drive, seen = self.record.put_out[start : start + size], self.record.driven[rows[0], start : start + size]
-            product = np.fft.irfft(np.fft.rfft(seen - seen.mean(), 2 * size) * np.conj(np.fft.rfft(drive, 2 * size)))
+        for start in range(0, drive.size - size + 1, size):
+            sent, seen = drive[start : start + size], self.record.driven[row, start : start + size]
+            seen = seen - seen.mean()
+            product = np.fft.irfft(np.fft.rfft(seen, 2 * size) * np.conj(np.fft.rfft(sent, 2 * size)))
             reach = size // 10
-            around = np.concatenate([product[-reach:], product[:reach]])
-            lags.append(int(np.argmax(np.abs(around))) - reach)
-        if lags and max(lags) - min(lags) > 1:
+            around = np.abs(np.concatenate([product[-reach:], product[:reach]]))
+            if around.max() < _FOLLOWS * np.linalg.norm(sent) * np.linalg.norm(seen):
+                return []
+            lags.append(int(np.argmax(around)) - reach)
+        return lags
+
+    @property
+    def _monitor_row(self) -> int | None:
+        rows = (row for row, name in enumerate(self.names) if self.quantities[name] is Quantity.VOLTAGE)
+        return next(rows, None)
+
+    def _reference(self) -> FloatArray:
+        """The drive to which responses are referred: as seen at the monitor where its delay moves, V."""
+        row = self._monitor_row
+        if row is None or not self._delay_moves:
+            return self.record.put_out
+        return np.asarray(self.record.driven[row] / self.inputs[row].sensitivity_v)
+
+    def _ask_delay(self) -> None:
+        """Whether the delay from drive to monitor is the same in every second."""
+        if self._delay_moves:
             self.add(
                 "delay",
                 (),
-                f"the delay from drive to monitor moves by {max(lags) - min(lags)} samples",
+                f"the delay from drive to monitor moves by {max(self.lags) - min(self.lags)} samples",
                 "let output and input share one clock; look for lost samples",
             )
 
@@ -477,15 +516,7 @@ class _Evaluation:
         for row in rows:
             if row in exchanged:
                 continue
-            entry = self.inputs[row]
-            tolerance = _GAIN_TOLERANCE + 4.0 * (entry.uncertainty or 0.0)
-            if abs(math.log(self.gains[row])) > math.log1p(tolerance):
-                self.add(
-                    "sensitivity",
-                    [row],
-                    f"{self.names[row]} measures {self.gains[row]:.3g} times what the model expects",
-                    "compare sensitivity_v with the calibration sheet, and the conditioner's gain",
-                )
+            self._ask_sensitivity(row, self.gains[row])
             if self._turn(row, row) < -0.5:
                 self.add(
                     "sign",
@@ -493,6 +524,16 @@ class _Evaluation:
                     f"{self.names[row]} has the wrong sign",
                     "turn the sensor round, or write its sensitivity_v with a minus",
                 )
+
+    def _ask_sensitivity(self, row: int, gain: float) -> None:
+        tolerance = _GAIN_TOLERANCE + 4.0 * (self.inputs[row].uncertainty or 0.0)
+        if abs(math.log(gain)) > math.log1p(tolerance):
+            self.add(
+                "sensitivity",
+                [row],
+                f"{self.names[row]} measures {gain:.3g} times what the model expects",
+                "compare sensitivity_v with the calibration sheet, and the conditioner's gain",
+            )
 
     def _stretch_of(self, row: int) -> float:
         return 1.0 if self.quantities[self.names[row]] is Quantity.VOLTAGE else self.stretch
@@ -509,27 +550,54 @@ class _Evaluation:
         return float(np.mean((product / np.maximum(np.abs(product), 1e-300)).real[chosen])) if chosen.any() else 0.0
 
     def _exchanged(self, rows: Sequence[int]) -> set[int]:
-        """Channels whose response is that expected of another, whose own is not right either."""
+        """Channels whose response is that expected of another, whose own is not right either.
+
+        The other may show nothing of its sensor; and one of both may have a wrong sensitivity besides.
+        """
         own = {row: self._misfit(row, row, self._stretch_of(row)) for row in rows}
         wrong = [row for row in rows if own[row] > _SAME_CHANNEL]
+        mute = [row for row in self.condemned if self.quantities[self.names[row]] is not Quantity.VOLTAGE]
+        pairs = [(one, other) for index, one in enumerate(wrong) for other in wrong[index + 1 :]]
+        costs = {pair: self._cross_cost(*pair, own) for pair in pairs}
+        costs |= {(one, other): self._one_sided_cost(one, other, own) for one in wrong for other in mute}
         found: set[int] = set()
-        for index, one in enumerate(wrong):
-            for other in wrong[index + 1 :]:
-                crossed = [self._misfit(one, other, self.stretch), self._misfit(other, one, self.stretch)]
-                if one in found or other in found or max(crossed) > _SAME_CHANNEL:
-                    continue
-                if max(crossed) > 0.5 * max(own[one], own[other]):
-                    continue
-                found |= {one, other}
-                names = self.names[one], self.names[other]
-                with_force = Quantity.FORCE in (self.quantities[names[0]], self.quantities[names[1]])
-                self.add(
-                    "force_response" if with_force else "permuted",
-                    [one, other],
-                    f"{names[0]} and {names[1]} are exchanged",
-                    "exchange their cables, or their ports in the channel map",
-                )
+        for (one, other), cost in sorted(costs.items(), key=lambda item: item[1]):
+            if not math.isfinite(cost) or one in found or other in found:
+                continue
+            found |= {one, other}
+            first, second = sorted((one, other))
+            names = self.names[first], self.names[second]
+            with_force = Quantity.FORCE in (self.quantities[names[0]], self.quantities[names[1]])
+            self.add(
+                "force_response" if with_force else "permuted",
+                [first, second],
+                f"{names[0]} and {names[1]} are exchanged",
+                "exchange their cables, or their ports in the channel map",
+            )
+            for row, as_row in ((one, other), (other, one)):
+                if row not in self.condemned:
+                    self._ask_sensitivity(row, math.exp(float(np.median(self._ratio(row, as_row, self.stretch)))))
         return found
+
+    @property
+    def _same(self) -> float:
+        return _SAME_CHANNEL if abs(self.stretch - 1.0) <= 0.005 else _SAME_STRETCHED
+
+    def _cross_cost(self, one: int, other: int, own: Mapping[int, float]) -> float:
+        """Misfit of two channels each taken for the other; infinite where they are not exchanged."""
+        crossed = [self._misfit(one, other, self.stretch), self._misfit(other, one, self.stretch)]
+        if max(crossed) <= self._same and max(crossed) <= 0.5 * max(own[one], own[other]):
+            return max(crossed)
+        shapes = [self._misfit(one, other, self.stretch, True), self._misfit(other, one, self.stretch, True)]
+        kept = [self._misfit(row, row, self._stretch_of(row), True) for row in (one, other)]
+        if max(shapes) <= self._same and min(kept) > 2.0 * max(shapes) and min(crossed) <= self._same:
+            return max(crossed)
+        return math.inf
+
+    def _one_sided_cost(self, one: int, other: int, own: Mapping[int, float]) -> float:
+        """Misfit of a channel taken for another that shows nothing; infinite where it is not that other's."""
+        crossed = self._misfit(one, other, self.stretch)
+        return crossed if crossed <= min(self._same, 0.5 * own[one]) else math.inf
 
     def headroom(self, row: int) -> float:
         """Share of its range that a channel reaches at the highest planned level, by linear reckoning."""

@@ -87,6 +87,7 @@ def converter_arguments(rig: Rig, device: AnyDevice) -> dict[str, Any]:
             "latency": device.latency_s,
         }
     assert isinstance(device, NiDaqmxSection)
+    stop = device.stop_input
     return {
         "sample_rate": rate,
         "outputs": outputs,
@@ -96,6 +97,7 @@ def converter_arguments(rig: Rig, device: AnyDevice) -> dict[str, Any]:
         "start_trigger": device.start_trigger,
         "clock_source": device.clock_source,
         "buffer_blocks": device.buffer_blocks,
+        "stop": None if stop is None else [stop.port, stop.range_v, stop.threshold_v, stop.stops == "low"],
     }
 
 
@@ -198,6 +200,11 @@ class HardwareRig(GuardedDevice):
         self._clock.add(report.time, report.put_out, lost)
         if self._monitor >= 0 and not lost and not self._lost:
             self._delays.add(self.put_out, values[self._monitor], drive.phase.frequency_hz)
+
+    @property
+    def turn_time(self) -> float:
+        """s, of the converter's turns."""
+        return 0.0 if self._link is None else self._link.last_report.turn / self._sample_rate
 
     @property
     def overloaded(self) -> tuple[str, ...]:

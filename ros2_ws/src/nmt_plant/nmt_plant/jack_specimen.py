@@ -30,7 +30,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_plant.hardware_rig import device_of
-from nmt_plant.specimen import Specimen
+from nmt_plant.specimen import Specimen, write_port
 from nmt_plant.specimen_faults import parse_fault
 from nmt_plant.specimen_options import add_options
 from nmt_rig.device_sections import SPECIMEN, PortAudioSection
@@ -135,6 +135,7 @@ class JackSpecimen:
         self._ports = [self._client.outports.register(channel) for channel in specimen.channels]
         self._record = np.zeros(record, np.float32)
         self.recorded = 0
+        self.record_times: list[tuple[float, int]] = []
         self.xruns = 0
         self.failure = ""
         self.gone = threading.Event()
@@ -153,6 +154,7 @@ class JackSpecimen:
         drive = self._drive.get_array()
         if self.recorded + frames <= self._record.size:
             self._record[self.recorded : self.recorded + frames] = drive
+            self.record_times.append((time.monotonic(), self.recorded + frames))
         self.recorded += frames
         try:
             answer = self._specimen.respond(drive.astype(np.float64) * self._specimen.output_range)
@@ -178,9 +180,9 @@ class JackSpecimen:
             self._client.close()
 
     def write_record(self, path: Path) -> None:
-        """Write what was at the drive port, V, as a NumPy file."""
-        count = min(self.recorded, self._record.size)
-        np.save(path, self._record[:count] * self._specimen.output_range)
+        """Write what was at the drive port, V, and when, as a NumPy archive; see `specimen.write_port`."""
+        count = self.record_times[-1][1] if self.record_times else 0
+        write_port(path, self._specimen.output_range * self._record[:count].astype(np.float64), self.record_times)
 
 
 def run(arguments: argparse.Namespace) -> int:

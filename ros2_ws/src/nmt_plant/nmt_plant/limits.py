@@ -179,7 +179,8 @@ class LimitGuard:
                 f"{blocks[0].first_sample}, limit {self.drive_maximum:g} V"
             )
             return True
-        self._last, self._drive = blocks, drive
+        if blocks:  # of a block with lost samples nothing is known; the one before still tells the proportion
+            self._last, self._drive = blocks, drive
         return False
 
     def _rows_of(self, block: SampleBlock) -> _Rows:

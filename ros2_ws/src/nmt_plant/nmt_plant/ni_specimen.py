@@ -18,7 +18,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent import futures
 from pathlib import Path
 from typing import Any
@@ -29,10 +29,10 @@ from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_plant.hardware_rig import device_of
 from nmt_plant.jack_specimen import follow_input
-from nmt_plant.specimen import Specimen
+from nmt_plant.specimen import Specimen, write_port
 from nmt_plant.specimen_faults import parse_fault
 from nmt_plant.specimen_options import add_options
-from nmt_rig.device_sections import NiDaqmxSection
+from nmt_rig.device_sections import NiDaqmxSection, StopInputSection
 from nmt_rig.rig import load_rig
 
 _STEP = 0.002  # s, of the samples that pass at once
@@ -54,10 +54,19 @@ class Hardware:
         sample_rate: Hz, nominal.
         clock_error: relative.
         record: most samples of the output port that are kept.
+        stop_line: V at the input of the external stop line, the last one; None = there is no such input.
     """
 
-    def __init__(self, specimen: Specimen, sample_rate: float, clock_error: float = 0.0, record: int = 0) -> None:
+    def __init__(
+        self,
+        specimen: Specimen,
+        sample_rate: float,
+        clock_error: float = 0.0,
+        record: int = 0,
+        stop_line: Callable[[], float] | None = None,
+    ) -> None:
         self._specimen = specimen
+        self._stop_line = stop_line
         self._rate = sample_rate * (1.0 + clock_error)
         self.changed = threading.Condition()
         self._record = np.zeros(record)
@@ -102,6 +111,8 @@ class Hardware:
             port[:] = 0.0
         self._level = float(port[-1])
         answer = self._specimen.respond(port)
+        if self._stop_line is not None:
+            answer = np.vstack([answer, np.full(count, self._stop_line())])
         kept = port[: max(self._record.size - self.recorded, 0)]
         self._record[self.recorded : self.recorded + kept.size] = kept
         self.recorded += kept.size
@@ -152,9 +163,8 @@ class Hardware:
         self._thread.join(2.0)
 
     def write_record(self, path: Path) -> None:
-        """Write what was at the output port, V, and when, as a NumPy archive."""
-        with path.open("wb") as file:
-            np.savez(file, values=self._record[: self.recorded], times=np.array(self.record_times))
+        """Write what was at the output port, V, and when, as a NumPy archive; see `specimen.write_port`."""
+        write_port(path, self._record[: self.recorded], self.record_times)
 
 
 def make_server(hardware: Hardware, names: str, address: str) -> tuple[Any, int]:
@@ -267,7 +277,9 @@ def run(arguments: argparse.Namespace) -> int:
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
     record = 0 if arguments.record is None else round(arguments.record_s * rig.sample_rate_hz)
-    hardware = Hardware(specimen, float(rig.sample_rate_hz), 1e-6 * arguments.clock_ppm, record)
+    stop = getattr(device, "stop_input", None)
+    line = None if stop is None else _stop_line(stop, arguments.stop_file)
+    hardware = Hardware(specimen, float(rig.sample_rate_hz), 1e-6 * arguments.clock_ppm, record, line)
     names = sorted({str(entry.port).partition("/")[0] for entry in device.ports})
     server, port = make_server(hardware, ", ".join(names), arguments.address)
     gc.collect()
@@ -287,6 +299,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.record is not None:
         hardware.write_record(arguments.record)
     return 0
+
+
+def _stop_line(section: StopInputSection, path: Path | None) -> Callable[[], float]:
+    """V at the stop line: it asks for zero while a file exists."""
+    beyond, within = (0.0, section.range_v) if section.stops == "low" else (section.range_v, 0.0)
+    return lambda: beyond if path is not None and path.exists() else within
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

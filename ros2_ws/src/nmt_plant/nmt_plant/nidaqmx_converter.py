@@ -3,11 +3,18 @@
 The pattern is that of shaker controllers: continuous input and output on one sample clock, the output started by the
 input's start trigger, no regeneration, an output buffer of a few blocks; the end writes zeros and waits until they are
 out. Source: NI-DAQmx Help, "Synchronization" and "Regeneration".
+
+    python -m nmt_plant.nidaqmx_converter ADDRESS PORT...
+
+looks for the devices of physical channels; the command line asks so, since a process that has used gRPC cannot start
+others safely: its threads do not survive the fork.
 """
 
 from __future__ import annotations
 
 import contextlib
+import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from types import ModuleType
@@ -20,6 +27,7 @@ from nmt_core.errors import BenchError
 from nmt_plant.converter import Converter, Taken
 
 _CONNECT_TIME = 5.0  # s
+_ASK_TIME = 60.0  # s
 _MOST_RESTARTS = 5
 _RESTARTS_WITHIN = 10.0  # s
 _NOT_FED = -200290
@@ -66,11 +74,25 @@ def session_options(address: str, name: str) -> Any:
 
 
 def find_channels(address: str, ports: Sequence[str]) -> None:
-    """Refuse physical channels whose device the driver does not know.
+    """Refuse physical channels whose device the driver does not know; asked in a process of its own.
 
     Raises:
         BenchError: driver, server or device is missing.
     """
+    command = [sys.executable, "-m", "nmt_plant.nidaqmx_converter", address, *ports]
+    try:
+        asked = subprocess.run(command, capture_output=True, text=True, timeout=_ASK_TIME)
+    except subprocess.TimeoutExpired:
+        raise BenchError(f"NI-DAQmx does not answer within {_ASK_TIME:g} s; look at its driver and server.") from None
+    if asked.returncode == 2:
+        raise BenchError(asked.stdout.strip())
+    if asked.returncode:
+        last = (asked.stderr.strip().splitlines() or ["no message"])[-1]
+        raise BenchError(f"NI-DAQmx does not start ({last}); look at its driver and server.")
+
+
+def _look_for(address: str, ports: Sequence[str]) -> None:
+    """The same in this process."""
     nidaqmx = load_nidaqmx()
     from nidaqmx.system import System
 
@@ -109,6 +131,8 @@ class NiDaqmxConverter(Converter):
         start_trigger: terminal that starts the output; empty = the start trigger of the first input's device.
         clock_source: terminal of the sample clock of the output; empty = that of the input.
         buffer_blocks: blocks that the output buffer holds.
+        stop: physical channel, range in V, threshold in V, and whether below it (else above) the external stop line
+            asks for zero; None = there is no such line.
 
     Raises:
         BenchError: the driver refuses a setting.
@@ -124,6 +148,7 @@ class NiDaqmxConverter(Converter):
         start_trigger: str = "",
         clock_source: str = "",
         buffer_blocks: int = 3,
+        stop: Sequence[Any] | None = None,
     ) -> None:
         self._daq = load_nidaqmx()
         self.outputs, self.inputs = len(outputs), len(inputs)
@@ -133,7 +158,9 @@ class NiDaqmxConverter(Converter):
         self.stated = self.delay + block_samples
         self._rate = sample_rate
         self._scale = np.array([[1.0 / entry[2]] for entry in outputs])
-        self._measured = np.zeros((self.inputs, block_samples))
+        self._stop_line = stop
+        self._stop_asked = False
+        self._measured = np.zeros((self.inputs + (stop is not None), block_samples))
         self._running = False
         self._restarts: list[float] = []
         self._echo = 0
@@ -184,6 +211,9 @@ class NiDaqmxConverter(Converter):
                 channel.ai_excit_src = constants.ExcitationSource.INTERNAL
                 channel.ai_excit_voltage_or_current = constants.ExcitationVoltageOrCurrent.USE_CURRENT
                 channel.ai_excit_val = 1e-3 * float(current)
+        if self._stop_line is not None:
+            port, reach, *_ = self._stop_line
+            self._input.ai_channels.add_ai_voltage_chan(str(port), min_val=-reach, max_val=reach)
         self._input.timing.cfg_samp_clk_timing(
             self._rate, sample_mode=continuous, samps_per_chan=max(20 * block, int(self._rate))
         )
@@ -232,7 +262,15 @@ class NiDaqmxConverter(Converter):
             return Taken(np.zeros((self.inputs, values.shape[1])), True)
         lost = self._echo > 0
         self._echo = max(self._echo - 1, 0)
-        return Taken(self._measured.copy(), lost)
+        if self._stop_line is not None:
+            _, _, threshold, below = self._stop_line
+            level = self._measured[-1]
+            self._stop_asked = bool(np.median(level) < threshold if below else np.median(level) > threshold)
+        return Taken(self._measured[: self.inputs].copy(), lost)
+
+    def stop_requested(self) -> bool:
+        """Whether the stop line asked for zero in most of the samples of the last block."""
+        return self._stop_asked
 
     def _begin_anew(self, error: Exception) -> None:
         now = time.monotonic()
@@ -264,3 +302,18 @@ class NiDaqmxConverter(Converter):
             with contextlib.suppress(self._daq.errors.Error):
                 task.close()
         self._tasks = []
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Look for the devices of physical channels; one sentence with exit code 2 for what is missing."""
+    address, *ports = sys.argv[1:] if arguments is None else arguments
+    try:
+        _look_for(address, ports)
+    except BenchError as error:
+        sys.stdout.write(f"{error}\n")
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

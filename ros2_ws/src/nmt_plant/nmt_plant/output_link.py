@@ -282,9 +282,13 @@ class OutputLink:
         self._listen(0.0)
         if self._last.state is OutputState.ENDED:
             return OutputState.ENDED
-        if self._gone or self._process is None or time.monotonic() - self._heard > _SILENT:
+        if self._gone or self._process is None or self._is_silent:
             return OutputState.NOT_KNOWN
         return self._last.state
+
+    @property
+    def _is_silent(self) -> bool:
+        return time.monotonic() - self._heard > _SILENT
 
     @property
     def is_tripped(self) -> bool:
@@ -331,7 +335,7 @@ class OutputLink:
         return not self.is_tripped
 
     def close(self, timeout: float = 10.0) -> OutputState:
-        """Take the output to zero, end the owner and wait for it.
+        """Take the output to zero, end the owner and wait for it; one that does not report is killed at once.
 
         Returns:
             ENDED where the owner said that the output is at zero, otherwise NOT_KNOWN.
@@ -339,6 +343,10 @@ class OutputLink:
         process, channel, samples = self._process, self._channel, self._samples
         if process is None or channel is None or samples is None:
             return self._last.state
+        if self.state is OutputState.NOT_KNOWN and self._is_silent:
+            # Stopped or hung it cannot go to zero, and JACK repeats its last period; without it the converter does
+            # what its hardware does.
+            process.kill()
         with contextlib.suppress(DeviceFault):
             self._send(bytes([OwnerMessage.STOP]))
         end = time.monotonic() + timeout

@@ -43,6 +43,7 @@ class PlantCore:
         self.phase = RunPhase.UNKNOWN
         self.running = False
         self._told: DriveStop | None = None
+        self._rest_shown = True  # whether the drive was at zero throughout the newest block
         self._meter = LevelMeter(device.sample_rate, device.block_samples)
         self._gate = LockstepGate(device.block_samples, latency_blocks)
         block_rate = device.sample_rate / device.block_samples
@@ -121,7 +122,17 @@ class PlantCore:
         Raises:
             DeviceFault: the device failed.
         """
+        self._rest_shown = self.device.is_quiet
         return self.device.read()
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the drive is at zero and, in lockstep, was so throughout the newest block.
+
+        With the last sample of a ramp the drive is at zero, but its block still shows the ramp; in lockstep no other
+        block follows by itself.
+        """
+        return self.device.is_quiet and (self._rest_shown or not self.lockstep)
 
     def levels(self, blocks: Sequence[SampleBlock]) -> SignalLevels | None:
         """Levels of the signals, if these blocks complete a tenth of a second; to be asked with every block once."""
@@ -164,9 +175,12 @@ class PlantCore:
         Raises:
             DeviceFault: the device failed.
         """
-        if self.device.is_quiet or self.device.state is not DeviceState.RUNNING:
+        if self.device.state is not DeviceState.RUNNING:
             return
-        yield from self.stop_drive(reason, cause)
+        if not self.device.is_quiet:
+            yield from self.stop_drive(reason, cause)
+        elif self.running and not self.at_rest:
+            yield self.produce()
 
     def stop_drive(self, reason: str, cause: StopCause) -> Iterator[list[SampleBlock]]:
         """As `quiet_down`, but latched at zero also where the drive was there already; a longer ramp is cut short.

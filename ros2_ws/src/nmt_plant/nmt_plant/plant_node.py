@@ -28,7 +28,7 @@ from nmt_plant.device import Device, DeviceFault, DeviceState
 from nmt_plant.guarded_device import LEAST_LEAD, GuardedDevice
 from nmt_plant.hardware_rig import HardwareRig, device_of
 from nmt_plant.plant_core import PlantCore
-from nmt_plant.real_time import LatenessHistogram, priority_of, real_time_priority
+from nmt_plant.real_time import LatenessHistogram, computer_settings, priority_of, real_time_priority
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS
 from nmt_rig.rig import Rig, load_rig
@@ -277,7 +277,7 @@ class PlantNode(BenchNode):
             self._worst_lateness = max(self._worst_lateness, lateness)
             self._jitter.append(lateness)
             self._histogram.add(lateness)
-            if lateness > self._period:
+            if lateness > self._period + self.device.turn_time:
                 self._overruns += 1
             self._produce()
         if len(self._jitter) > 100_000:
@@ -306,7 +306,7 @@ class PlantNode(BenchNode):
             self._quiet_down(f"node {silent} has fallen silent")
         elif self._lockstep and starved and overdue and self.core.phase != RunPhase.PAUSED and not self.device.is_quiet:
             self._quiet_down("no drive command arrives")
-        elif self.core.phase == RunPhase.DONE and starved and not self.device.is_quiet:
+        elif self.core.phase == RunPhase.DONE and starved and not self.core.at_rest:
             self._quiet_down("the run is over")
 
     def _tell_trip(self) -> None:
@@ -444,6 +444,7 @@ class PlantNode(BenchNode):
             "converter_lost_turns": figures.lost_turns,
             "converter_priority": priority_of(self.device.output_pid),
             "plant_priority": priority_of(os.getpid()),
+            "computer": computer_settings(),
             "overloaded": ", ".join(self.device.overloaded),
         }
 

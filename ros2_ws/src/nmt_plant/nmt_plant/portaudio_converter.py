@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
+from time import monotonic
 from types import ModuleType
 from typing import Any
 
@@ -28,6 +29,8 @@ _MISSING = (
     "PortAudio is not installed (libportaudio.so.2); type 'sudo apt install libportaudio2', and 'jackd2' for JACK, "
     "then the command again."
 )
+_LATE_TURN = 0.8  # of a period, from which a turn counts as missed
+_SLOWEST_CLOCK = 1e-3  # relative
 _STALL = 2.0  # s without a callback after which the stream is taken for dead
 
 
@@ -103,6 +106,35 @@ def _devices(portaudio: ModuleType) -> list[dict[str, Any]]:
     ]
 
 
+class MissedTurns:
+    """Finds turns of JACK that this client was left out of, by the time at which it is called.
+
+    JACK tells of an xrun from another thread, which may come a turn too late. Turns are a period apart: a call that
+    comes most of a period later than the earliest before it, in the clock of the periods, has missed one.
+    """
+
+    def __init__(self) -> None:
+        self._base: float | None = None
+        self._calls = 0.0  # s, of the turns so far
+
+    def look(self, now: float, period: float) -> bool:
+        """Whether turns were missed before this call.
+
+        Args:
+            now: s on the steady clock.
+            period: s, of this turn.
+        """
+        late = now - self._calls
+        self._calls += period
+        if self._base is None or late < self._base:
+            self._base = late
+            return False
+        missed = int((late - self._base) / period + 1.0 - _LATE_TURN)
+        # The converter's clock may be slower than this computer's.
+        self._base += missed * period + _SLOWEST_CLOCK * period
+        return missed > 0
+
+
 class PortAudioConverter(Converter):
     """Ports of one PortAudio device.
 
@@ -142,6 +174,9 @@ class PortAudioConverter(Converter):
         self._turn: Turn | None = None
         self._failure: Exception | None = None
         self._called = 0
+        apis = self._portaudio.query_hostapis()
+        host = apis[self._portaudio.query_devices(number)["hostapi"]]["name"]
+        self._missed = MissedTurns() if "jack" in host.lower() else None
         self._echo = 0  # samples after a loss that are still out of step with what was put out
         try:
             self._stream = self._portaudio.Stream(
@@ -181,6 +216,8 @@ class PortAudioConverter(Converter):
         put_out[:] = 0.0
         self._called += 1
         lost = bool(status)
+        if self._missed is not None:
+            lost = self._missed.look(monotonic(), frames / self._rate) or lost
         if lost:
             self._echo = max(self.delay, 0) + 2 * frames
         elif self._echo > 0:

@@ -4,10 +4,29 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 _EDGES_MS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 _POLICIES = {os.SCHED_FIFO: "FIFO", os.SCHED_RR: "RR"}
+
+
+def computer_settings(folder: Path = Path("/sys/devices/system/cpu")) -> str:
+    """What of this computer decides about real time, for people: cores that may be used, their governor, the load.
+
+    Args:
+        folder: where the system describes its processors.
+    """
+    governors = set()
+    for path in folder.glob("cpu*/cpufreq/scaling_governor"):
+        with suppress(OSError):
+            governors.add(path.read_text(encoding="utf-8").strip())
+    cores = len(os.sched_getaffinity(0))
+    load = os.getloadavg()[0]
+    return (
+        f"{cores} core{'s' if cores != 1 else ''}, frequency governor {'/'.join(sorted(governors)) or 'not known'}, "
+        f"load {load:.1f}"
+    )
 
 
 def priority_of(process: int | None) -> str:

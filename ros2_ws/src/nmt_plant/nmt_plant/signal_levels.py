@@ -29,12 +29,15 @@ class LevelMeter:
         self._kept: list[Sequence[SampleBlock]] = []
 
     def add(self, blocks: Sequence[SampleBlock]) -> SignalLevels | None:
-        """Take the blocks of one stretch of time; the levels, if it was the last stretch they need."""
+        """Take the blocks of one stretch of time; the levels, if it was the last stretch they need.
+
+        A stretch in which samples were lost has none; the levels are those of the others.
+        """
         self._kept.append(blocks)
         if len(self._kept) < self._blocks:
             return None
-        kept, self._kept = self._kept, []
-        return self._levels(kept)
+        whole, self._kept = [blocks for blocks in self._kept if blocks], []
+        return self._levels(whole) if whole else None
 
     def _levels(self, kept: list[Sequence[SampleBlock]]) -> SignalLevels:
         newest = kept[-1]

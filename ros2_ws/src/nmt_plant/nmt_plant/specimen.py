@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -122,6 +123,18 @@ class Specimen:
         keep = int(max(delay[-1], self._wait)) + 4 * _ORDER + n
         self._line = self._line[:, -keep:]
         return np.asarray(late)
+
+
+def write_port(path: Path, values: FloatArray, times: Sequence[tuple[float, int]]) -> None:
+    """Write what was at an output port as a NumPy archive.
+
+    Args:
+        path: of the file.
+        values: V, (samples,).
+        times: s on the steady clock, and how many samples had passed then.
+    """
+    with path.open("wb") as file:
+        np.savez(file, values=values, times=np.array(times, dtype=np.float64).reshape(-1, 2))
 
 
 def _interpolated(line: FloatArray, at: FloatArray) -> FloatArray:

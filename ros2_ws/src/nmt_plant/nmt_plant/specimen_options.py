@@ -25,13 +25,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--fault", metavar="NAME[:CHANNEL]", action="append", default=[], help="plant a fault; may be repeated"
     )
     parser.add_argument("--period", metavar="N", type=int, help="samples of a JACK period (default: half a block)")
-    parser.add_argument("--name", default="nmt_specimen", help="of the JACK client (default: %(default)s)")
-    parser.add_argument("--record", metavar="FILE", type=Path, help="write what was at the drive port (NumPy, V)")
+    parser.add_argument("--name", default="nmt_specimen", help="of the JACK client (default: nmt_specimen)")
+    parser.add_argument(
+        "--record", metavar="FILE", type=Path, help="write what was at the drive port, V, and when (NumPy archive)"
+    )
     parser.add_argument("--record-s", metavar="S", type=float, default=120.0, help="its length (default: 120)")
     parser.add_argument(
         "--address",
         metavar="HOST:PORT",
         default="127.0.0.1:31763",
-        help="nidaqmx: of the server (default: %(default)s)",
+        help="nidaqmx: of the server (default: 127.0.0.1:31763)",
+    )
+    parser.add_argument(
+        "--stop-file",
+        metavar="FILE",
+        type=Path,
+        help="nidaqmx: file whose existence is the external stop line (device.stop_input) asking for zero",
     )
     parser.add_argument("--log", metavar="FILE", type=Path, help="log of the JACK server")

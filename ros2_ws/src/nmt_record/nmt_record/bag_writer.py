@@ -24,6 +24,7 @@ from nmt_core.records import RunRecord
 from nmt_core.vocabulary import RecordKind
 from nmt_core.wire import RUN_RECORD as RUN_RECORD_CODEC
 from nmt_record.bench_topics import RUN_RECORD, Service, bench_name, qos_profile
+from nmt_record.chunk_messages import ChunkMessages
 from nmt_record.message_definitions import MessageDefinition, local_definitions
 
 RUN_JSON_KEY = "run.json"
@@ -187,17 +188,11 @@ class BagWriter:
             channel = self._channels.get(topic)
             if channel is None:
                 channel = self._register(topic)
-            # Without chunk size limit this only appends to memory: the disk is touched by flush() alone.
-            self._mcap.add_message(
-                channel, receive_time_ns, raw, receive_time_ns if publish_time_ns is None else publish_time_ns
-            )
         except OSError as error:
             raise self._fail(error) from error
+        # This only appends to memory: the disk is touched by flush() alone.
+        self._chunk.add(channel, receive_time_ns, receive_time_ns if publish_time_ns is None else publish_time_ns, raw)
         self.counts[topic] += 1
-        first, last = self._times or (receive_time_ns, receive_time_ns)
-        if receive_time_ns < first or receive_time_ns > last or self._times is None:
-            self._times = (min(first, receive_time_ns), max(last, receive_time_ns))
-        self._files[-1] = self._files[-1].with_message(receive_time_ns)
         if not self._pending:
             self._chunk_opened = time.monotonic()
         self._pending += 1
@@ -232,6 +227,7 @@ class BagWriter:
         if self.state != "open":
             return
         try:
+            self._hand_over()
             self._mcap.flush()
         except OSError as error:
             raise self._fail(error) from error
@@ -245,6 +241,14 @@ class BagWriter:
                 self._begin_file()
             except OSError as error:
                 raise self._fail(error) from error
+
+    def _hand_over(self) -> None:
+        """Give the messages that wait to the MCAP writer, and count them to their file."""
+        given = self._chunk.hand_over()
+        if given is not None:
+            number, first, last = given
+            self._times = _joined(self._times, first, last)
+            self._files[-1] = self._files[-1].with_messages(number, first, last)
 
     def close(self, exit_state: str = "done", reason: str = "", stamp_ns: int = 0, **extra: Any) -> None:
         """Write the stop record, the index and ``metadata.yaml``. A second call does nothing.
@@ -319,6 +323,7 @@ class BagWriter:
         self._file = _ChunkFile(self._open_file(self.file_path))
         # One chunk is as large as flush() lets it become. Uncompressed by default: samples of noise hardly compress.
         self._mcap = Writer(self._file, chunk_size=2**62, compression=self._compression)
+        self._chunk = ChunkMessages(self._mcap)
         self._mcap.start(profile="ros2", library="nmt_record")
         self._file.keep()
 
@@ -337,6 +342,7 @@ class BagWriter:
     def _register(self, topic: str) -> int:
         if topic not in self._known:
             raise BenchError(f"Topic '{topic}' has not been made known to the bag {self.path}; call add_topic first.")
+        self._hand_over()  # what a channel is stands behind the messages before its own
         message_type, definition, profiles = self._known[topic]
         key = (message_type, definition.text)
         if key not in self._schemas:
@@ -431,9 +437,8 @@ class _FileSpan:
     messages: int = 0
     times: tuple[int, int] | None = None
 
-    def with_message(self, time_ns: int) -> _FileSpan:
-        first, last = self.times or (time_ns, time_ns)
-        return _FileSpan(self.name, self.messages + 1, (min(first, time_ns), max(last, time_ns)))
+    def with_messages(self, number: int, first: int, last: int) -> _FileSpan:
+        return _FileSpan(self.name, self.messages + number, _joined(self.times, first, last))
 
     def description(self) -> dict[str, Any]:
         first, last = self.times or (0, 0)
@@ -443,6 +448,10 @@ class _FileSpan:
             "duration": {"nanoseconds": last - first},
             "message_count": self.messages,
         }
+
+
+def _joined(times: tuple[int, int] | None, first: int, last: int) -> tuple[int, int]:
+    return (first, last) if times is None else (min(times[0], first), max(times[1], last))
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,10 +5,12 @@ A chunk that cannot be read is left out and named; the file is read on behind it
 
 from __future__ import annotations
 
+import copy
 import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -498,11 +500,17 @@ def _string(data: bytes | memoryview, position: int, end: int) -> tuple[str, int
     return str(data[position + 4 : stop], "utf-8"), stop
 
 
+@lru_cache(maxsize=64)
+def _profiles(text: str) -> Any:
+    """Profiles of quality of service; most topics of most bags have the same few."""
+    try:
+        return yaml_value(text, "offered_qos_profiles") or []
+    except BenchError:
+        return []
+
+
 def _channel(topic: str, serialization: str, metadata: dict[str, str], schema: tuple[str, str, str]) -> Channel:
     name, encoding, text = schema
-    try:
-        profiles = yaml_value(metadata.get("offered_qos_profiles", ""), "offered_qos_profiles") or []
-    except BenchError:
-        profiles = []
+    profiles = copy.deepcopy(_profiles(metadata.get("offered_qos_profiles", "")))
     definition = MessageDefinition(text, metadata.get("topic_type_hash", ""), encoding)
     return Channel(topic, name, definition, serialization, profiles if isinstance(profiles, list) else [])

@@ -86,7 +86,9 @@ class DefinitionStore:
 
 
 def typestore_of(definitions: dict[str, MessageDefinition], path: str) -> Any:
-    """A ``rosbags`` type store made of the definitions in a bag.
+    """A ``rosbags`` type store made of the definitions in a bag; the same one for the same definitions.
+
+    Making one compiles code for every type, which takes most of the time of opening a short bag.
 
     Args:
         definitions: by message type; a type without text is looked up on this machine.
@@ -95,10 +97,31 @@ def typestore_of(definitions: dict[str, MessageDefinition], path: str) -> Any:
     Raises:
         BenchError: a definition is malformed, contradicts another, or is missing here and in the bag.
     """
+    known = [
+        (message_type, definition if definition.text else local_definitions().definition(message_type))
+        for message_type, definition in definitions.items()
+    ]
+    try:
+        return _compiled_store(tuple(known))
+    except _UnreadableError as error:
+        raise BenchError(
+            f"The bag {path} holds an unreadable definition of {error.message_type} ({_first_line(error.cause)}); "
+            "record it again or take the topic out of the bag."
+        ) from error.cause
+
+
+class _UnreadableError(Exception):
+    """What the parser said of the definition of a type."""
+
+    def __init__(self, message_type: str, cause: Exception) -> None:
+        super().__init__(message_type)
+        self.message_type, self.cause = message_type, cause
+
+
+@lru_cache(maxsize=32)
+def _compiled_store(definitions: tuple[tuple[str, MessageDefinition], ...]) -> Any:
     store = get_typestore(Stores.EMPTY)
-    for message_type, definition in definitions.items():
-        if not definition.text:
-            definition = local_definitions().definition(message_type)
+    for message_type, definition in definitions:
         parse = get_types_from_idl if definition.encoding == "ros2idl" else get_types_from_msg
         try:
             if parse is get_types_from_idl:
@@ -107,10 +130,7 @@ def typestore_of(definitions: dict[str, MessageDefinition], path: str) -> Any:
                 store.register(parse(definition.text, message_type))
             store.get_msgdef(message_type)
         except Exception as error:  # the parser raises whatever its grammar meets
-            raise BenchError(
-                f"The bag {path} holds an unreadable definition of {message_type} ({_first_line(error)}); "
-                "record it again or take the topic out of the bag."
-            ) from error
+            raise _UnreadableError(message_type, error) from error
     return store
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -214,11 +215,16 @@ def read_stretches(bag: Bag, stretches: Sequence[tuple[int, int]]) -> list[Signa
     readers = {name: BlockReader() for name in names}
     clock_topic = "force" if "force" in names else names[0] if names else ""
     collectors = [_Collector(first, samples) for first, samples in stretches]
+    in_order = sorted(collectors, key=lambda collector: collector.first)
+    starts = [collector.first for collector in in_order]
+    longest = max((collector.samples for collector in collectors), default=0)
     clock = _Clock()
     for topic, _, _, raw in bag.raw_messages(names) if names else ():
         try:
             head = readers[topic].head(raw)
-            wanted = [collector for collector in collectors if collector.wants(topic, head)]
+            # No other stretch has a sample of this block, however many stretches there are.
+            near = slice(bisect_left(starts, head.first_sample - longest), bisect_left(starts, head.end_sample))
+            wanted = [collector for collector in in_order[near] if collector.wants(topic, head)]
             block = readers[topic].read(raw) if wanted else None
         except ValueError:
             continue  # its samples will be found to be missing
@@ -226,6 +232,7 @@ def read_stretches(bag: Bag, stretches: Sequence[tuple[int, int]]) -> list[Signa
             clock.add(head)
         for collector in wanted:
             collector.add(topic, block)
+    clock.finish()
     return [collector.signals(names, clock) for collector in collectors]
 
 
@@ -306,8 +313,12 @@ class _Clock:
         self._sample.append(head.end_sample)
         self._cycles.append(self._cycles[-1] + (math.nan if math.isnan(frequency) else turns))
 
+    def finish(self) -> None:
+        """All blocks have come."""
+        self._samples, self._values = np.array(self._sample, dtype=np.float64), np.array(self._cycles)
+
     def at(self, sample: float) -> float:
-        return float(np.interp(sample, self._sample, self._cycles))
+        return float(np.interp(sample, self._samples, self._values))
 
 
 def _extraction(bag: Bag) -> dict[str, Any]:

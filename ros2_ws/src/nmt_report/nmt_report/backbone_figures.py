@@ -15,7 +15,8 @@ from nmt_report.abscissa import Abscissa, abscissa_of
 from nmt_report.columns import unit_text
 from nmt_report.quantity_format import significant, uncertain
 from nmt_report.run_data import RunReportData
-from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
+from nmt_report.shown_levels import MOST_MARKS
+from nmt_report.svg import BLUE, DOTS, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -146,18 +147,19 @@ def participation_figure(data: RunReportData) -> ReportFigure | None:
     magnitude, phase = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.12, top=0.96, hspace=0.12)
     colours = (BLUE, ORANGE, GREEN, RED, MUTED)
+    look = "o-" if len(points) <= MOST_MARKS else "-"
     for mode in range(gamma.shape[1]):
         number = mode + 1
         target = " (target)" if mode == data.linear.target_mode else ""
         magnitude.plot(
             x,
             np.abs(gamma[:, mode]),
-            "o-",
+            look,
             color=colours[mode % 5],
             linewidth=1.0,
             label=f"linear mode {number}{target}",
         )
-        phase.plot(x, np.degrees(np.angle(gamma[:, mode])), "o-", color=colours[mode % 5], linewidth=1.0)
+        phase.plot(x, np.degrees(np.angle(gamma[:, mode])), look, color=colours[mode % 5], linewidth=1.0)
     magnitude.set_yscale("log")
     magnitude.set_ylabel(r"$|\Gamma|$")
     magnitude.legend(loc="best")
@@ -219,7 +221,10 @@ def _points(
     unit: str,
     joined: bool = True,
 ) -> dict[str, str]:
-    """Draw points with error bars; returns the hover texts by gid."""
+    """Draw points with error bars; returns the hover texts by gid, none where there are too many to point at."""
+    single = len(points) <= MOST_MARKS
+    if not single and x_std is not None and not np.nanmax(x_std / x, initial=0.0) > _HIDDEN:
+        x_std = None
     axes.errorbar(
         x,
         y,
@@ -228,12 +233,15 @@ def _points(
         fmt="none",
         ecolor=BLUE,
         elinewidth=1.0,
-        capsize=2.0,
+        capsize=2.0 if single else 0.0,
         capthick=1.0,
     )
     if joined:
         axes.plot(x, y, "-", color=BLUE, linewidth=0.8, alpha=0.55)
-    tips = {}
+    tips: dict[str, str] = {}
+    if not single:
+        axes.plot(x, y, "o", color=BLUE, gid=f"{DOTS}-{name}")
+        return tips
     for point, horizontal, vertical, std in zip(points, x, y, y_std, strict=True):
         gid = f"{name}-{point.level_index}"
         axes.plot([horizontal], [vertical], "o", color=BLUE, gid=gid)
@@ -247,6 +255,8 @@ def _points(
     return tips
 
 
+# The abscissa spans a factor of 2.56 at least: a bar of this relative size is shorter than a mark.
+_HIDDEN = 0.004
 _PLAIN_SYMBOLS = {
     "omega_rad_s": "ω̃",
     "damping_ratio": "δ̃",

@@ -38,7 +38,7 @@ Record = dict[str, Any]
 _LARGEST = 64 << 20
 
 
-def record(figure: Figure, name: str, title: str, wide: bool = False) -> Record:
+def record(figure: Figure, name: str, title: str, wide: bool = False, *, drawn: bool = False) -> Record:
     """Everything that a figure shows.
 
     Args:
@@ -46,11 +46,13 @@ def record(figure: Figure, name: str, title: str, wide: bool = False) -> Record:
         name: its anchor on the page.
         title: what it shows.
         wide: whether it takes the whole width of a page.
+        drawn: whether it has been drawn since it was last changed.
 
     Returns:
         A mapping of JSON's types. Coordinates are those of the data, in the units of the axis labels.
     """
-    figure.draw_without_rendering()  # ticks, and the place of legends, are known only afterwards
+    if not drawn:
+        figure.draw_without_rendering()  # ticks, and the place of legends, are known only afterwards
     panels = [axes for axes in figure.axes if axes.get_visible()]
     return {
         "format": FORMAT,

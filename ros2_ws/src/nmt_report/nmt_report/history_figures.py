@@ -16,12 +16,14 @@ from nmt_core.vocabulary import LoopState
 from nmt_report.columns import unit_text
 from nmt_report.quantity_format import significant
 from nmt_report.run_data import Excerpt, LevelStart, RunReportData
+from nmt_report.shown_levels import MOST_MARKS, shown_note, spread_evenly
 from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_PANELS = 12
+_STRIP_COLUMNS = 400
 _WINDOW = "#dbe8f6"
 _STATE_COLOURS = {
     LoopState.FIXED: "#c9cfd6",
@@ -52,15 +54,17 @@ def history_figure(data: RunReportData) -> ReportFigure | None:
     _windows(frequency, data)
     _windows(phase, data)
     frequency.plot(*thinned(time, hertz), color=BLUE, linewidth=1.2)
-    for lock in data.locks:
-        frequency.axvline(lock.sample / data.sample_rate, color=GREEN, linewidth=0.8)
-        phase.axvline(lock.sample / data.sample_rate, color=GREEN, linewidth=0.8)
-    frequency.plot([], [], color=GREEN, linewidth=0.8, label="lock")
-    frequency.fill_between([], [], [], facecolor=_WINDOW, edgecolor="#8fb3da", linewidth=0.7, label="window")
+    if not _crowded(data):
+        for lock in data.locks:
+            frequency.axvline(lock.sample / data.sample_rate, color=GREEN, linewidth=0.8)
+            phase.axvline(lock.sample / data.sample_rate, color=GREEN, linewidth=0.8)
+        frequency.plot([], [], color=GREEN, linewidth=0.8, label="lock")
+        frequency.fill_between([], [], [], facecolor=_WINDOW, edgecolor="#8fb3da", linewidth=0.7, label="window")
     _lost_spans((frequency, phase), time, history.state)
     if np.any(history.state == LoopState.LOCK_LOST):
         frequency.fill_between([], [], [], color=RED, alpha=0.14, label="lock lost")
-    frequency.legend(loc="upper right", ncols=3, frameon=True, facecolor="white", framealpha=0.9, edgecolor="none")
+    if frequency.get_legend_handles_labels()[0]:
+        frequency.legend(loc="upper right", ncols=3, frameon=True, facecolor="white", framealpha=0.9, edgecolor="none")
     _level_numbers(strip, data)
     _level_starts((frequency, phase), data)
     frequency.set_ylabel("frequency / Hz")
@@ -81,10 +85,10 @@ def history_figure(data: RunReportData) -> ReportFigure | None:
     phase.set_ylabel("phase error / °")
     phase.set_xlabel("bench time / s")
     phase.set_xlim(0.0, data.end_sample / data.sample_rate or float(time[-1]))
+    marks = "Green lines: confirmed locks; blue bands: the windows that were extracted; numbers: levels."
     caption = (
-        "Top: state of the loop. Green lines: confirmed locks; blue bands: the windows that were "
-        "extracted; numbers: levels. Phase error: deviation of the force from velocity phase at the drive "
-        "point, linear within ±1°, logarithmic beyond."
+        f"Top: state of the loop. {_CROWDED if _crowded(data) else marks} Phase error: deviation of the force from "
+        "velocity phase at the drive point, linear within ±1°, logarithmic beyond."
     )
     label = "Loop state, excitation frequency and phase error over bench time"
     return ReportFigure(
@@ -117,7 +121,8 @@ def envelope_figure(data: RunReportData) -> ReportFigure | None:
     _level_numbers(panels[0], data, above=True)
     panels[-1].set_xlabel("bench time / s")
     panels[-1].set_xlim(0.0, data.end_sample / data.sample_rate or None)
-    caption = "Smallest and largest values of the signals over the run; blue bands: the extracted windows."
+    marks = f". {_CROWDED}" if _crowded(data) else "; blue bands: the extracted windows."
+    caption = f"Smallest and largest values of the signals over the run{marks}"
     label = "Envelopes of drive voltage, force and response over bench time"
     return ReportFigure(
         "envelope", "Signals over the whole run", caption, svg_text(figure, "envelope", label), wide=True
@@ -146,7 +151,7 @@ def excerpt_figure(data: RunReportData) -> ReportFigure | None:
         if index + columns >= len(chosen):
             panels[index].set_xlabel("time in the window / periods")
             panels[index].tick_params(labelbottom=True)
-    some = f" {len(chosen)} of {len(data.excerpts)} levels are shown." if len(chosen) < len(data.excerpts) else ""
+    some = shown_note(len(chosen), len(data.excerpts))
     symbol = chosen[0].response_symbol
     caption = (
         "Force (blue, left axis, N) and response "
@@ -159,10 +164,7 @@ def excerpt_figure(data: RunReportData) -> ReportFigure | None:
 
 def chosen_excerpts(excerpts: Sequence[Excerpt]) -> list[Excerpt]:
     """At most :data:`MOST_PANELS` excerpts, spread evenly over the levels, the first and last among them."""
-    if len(excerpts) <= MOST_PANELS:
-        return list(excerpts)
-    indices = np.linspace(0, len(excerpts) - 1, MOST_PANELS).round().astype(int)
-    return [excerpts[index] for index in indices]
+    return spread_evenly(excerpts, MOST_PANELS)
 
 
 def thinned(x: Any, y: Any, stretches: int = 1200) -> tuple[Any, Any]:
@@ -230,7 +232,7 @@ def _excerpt(axes: Axes, excerpt: Excerpt, first_column: bool, last_column: bool
 
 
 def _state_strip(axes: Axes, time: Any, state: Any) -> None:
-    for value, first, stop in _stretches(state):
+    for value, first, stop in _strip_stretches(state):
         known = LoopState(int(value)) if int(value) in _STATE_COLOURS else None
         colour = _STATE_COLOURS[known] if known is not None else "#ffffff"
         start = 0.0 if first == 0 else time[first - 1]
@@ -258,14 +260,35 @@ def _stretches(state: Any) -> list[tuple[int, int, int]]:
     return [(int(state[first]), first, stop) for first, stop in itertools.pairwise(edges)]
 
 
+def _strip_stretches(state: Any) -> list[tuple[int, int, int]]:
+    """Stretches of one state; of very many, columns with the worst of what is in them: a lost lock stays visible."""
+    stretches = _stretches(state)
+    if len(stretches) <= _STRIP_COLUMNS:
+        return stretches
+    edges = np.linspace(0, len(state), _STRIP_COLUMNS + 1).astype(int)
+    lost = np.maximum.reduceat(state == LoopState.LOCK_LOST, edges[:-1])
+    share = [np.add.reduceat(state == kind, edges[:-1]) for kind in _STATE_COLOURS]
+    most = np.array([int(kind) for kind in _STATE_COLOURS])[np.argmax(share, axis=0)]
+    worst = np.where(lost, int(LoopState.LOCK_LOST), most)
+    return [(value, int(edges[first]), int(edges[stop])) for value, first, stop in _stretches(worst)]
+
+
+_CROWDED = "Locks, windows and starts of so many levels are in the table below only."
+
+
+def _crowded(data: RunReportData) -> bool:
+    """Whether marks of single levels would cover the curves."""
+    return max(len(data.levels), len(data.locks)) > MOST_MARKS
+
+
 def _windows(axes: Axes, data: RunReportData) -> None:
-    for lock in data.locks:
+    for lock in () if _crowded(data) else data.locks:
         first = lock.window_first_sample / data.sample_rate
         axes.axvspan(first, first + lock.window_samples / data.sample_rate, color=_WINDOW, linewidth=0, zorder=0)
 
 
 def _level_starts(panels: Iterable[Axes], data: RunReportData) -> None:
-    for step in _steps(data):
+    for step in () if _crowded(data) else _steps(data):
         for axes in panels:
             axes.axvline(step.sample / data.sample_rate, color=MUTED, linewidth=0.6, linestyle=(0, (1, 2)))
 

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
 from nmt_report.shape_figures import level_bar
+from nmt_report.shown_levels import MOST_CURVES, shown_note, spread_evenly
 from nmt_report.svg import INK, ReportFigure, level_colours, svg_text
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def hysteresis_figure(data: RunReportData) -> ReportFigure | None:
     if not values:
         return None
     layout = HysteresisLayout.from_mapping(values)
-    points = data.good_points
+    points = spread_evenly(data.good_points, MOST_CURVES)
     loops = [loop_of_point(layout, point) for point in points]
     if not loops or any(loop is None for loop in loops):
         return None
@@ -53,6 +54,6 @@ def hysteresis_figure(data: RunReportData) -> ReportFigure | None:
         "Hysteresis loops of the joint: force −<i>m</i><sub>3</sub><i>ẍ</i><sub>3</sub> over "
         "<i>x</i><sub>3</sub> − <i>x</i><sub>2</sub>, integrated in the frequency domain. Their area gives "
         "δ<sub>hyst</sub>. The data are in hysteresis.csv."
-    )
+    ) + shown_note(len(points), len(data.good_points))
     label = "Hysteresis loops of the joint at every level"
     return ReportFigure("hysteresis", "Hysteresis loops", caption, svg_text(figure, "hysteresis", label), wide=True)

@@ -169,6 +169,7 @@ class RunReportData:
         end_sample: sample after the last recorded one.
         budgets: uncertainty budget of each point with values.
         budget_inputs: what it was made from; None = there is none.
+        plant: what the plant node said of itself last, name -> value; empty where nothing was recorded.
     """
 
     points: Sequence[ModalPoint]
@@ -188,6 +189,7 @@ class RunReportData:
     end_sample: int = 0
     budgets: Sequence[PointBudget] = ()
     budget_inputs: BudgetInputs | None = None
+    plant: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def good_points(self) -> list[ModalPoint]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -93,7 +94,20 @@ def report_data_from_bag(
         reference=reference,
         loss=bag.loss,
         end_sample=end_sample,
+        plant=_plant(bag),
     )
+
+
+def _plant(bag: Bag) -> dict[str, str]:
+    """The counters that the plant node published last; none where plants of several benches were heard."""
+    said: dict[str, dict[str, str]] = {}
+    with contextlib.suppress(BenchError):  # a damaged one costs no report
+        for _, _, message in bag.messages(["diagnostics"]):
+            for status in message.status:
+                # The name has the bench's namespace in front, and the topic is shared by all benches of a domain.
+                if str(status.name).rpartition("/")[2] == "plant":
+                    said[str(status.name)] = {str(item.key): str(item.value) for item in status.values}
+    return next(iter(said.values())) if len(said) == 1 else {}
 
 
 class _Signal:

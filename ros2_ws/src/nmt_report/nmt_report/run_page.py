@@ -12,6 +12,7 @@ from markupsafe import Markup
 from nmt_core.vocabulary import ControlKind
 from nmt_extract.modal_point import Status
 from nmt_extract.uncertainty_budget import Source, channel_tolerances_used, left_out
+from nmt_plant.real_time import read_histogram
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.html_page import Column, Row, Table, part, render
 from nmt_report.quantity_format import (
@@ -52,6 +53,8 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         budget_tables=_budget_tables(data),
         budget_notes=_budget_notes(data),
         assumptions=_assumptions(data),
+        real_time_facts=_real_time_facts(data),
+        lateness_table=_lateness_table(data),
         file_table=_file_table(data),
         settings=_settings(data),
     )
@@ -291,6 +294,51 @@ def _level_table(data: RunReportData) -> Table | None:
 def _assumptions(data: RunReportData) -> list[str]:
     items = data.rig.get("assumptions") or []
     return [str(item) for item in ([items] if isinstance(items, str) else items)]
+
+
+def _real_time_facts(data: RunReportData) -> list[tuple[str, str]]:
+    """Converter, priorities and lateness of a test in real time; empty in lockstep."""
+    said = data.plant
+    if "lateness_histogram" not in said:
+        return []
+    facts: list[tuple[str, str]] = []
+    if "converter_delay" in said:
+        stated = said.get("converter_stated", "-1")
+        facts += [
+            ("Converter", str(data.run.get("device", ""))),
+            ("Delay from command to monitor", f"{said['converter_delay']} samples, moved by {said['converter_drift']}"),
+            (
+                "Round trip",
+                f"{said['converter_round_trip']} samples"
+                + ("" if stated.startswith("-") else f"; the driver says {stated}"),
+            ),
+            ("Clock against the computer's", f"{said['converter_clock_ppm']} ppm".replace("nan ppm", "not known")),
+            ("Turns of the converter with lost samples (xruns)", said["converter_lost_turns"]),
+            ("Priority of the process at the converter", said["converter_priority"]),
+            ("Priority of the plant node", said["plant_priority"]),
+            ("Computer", said.get("computer", "")),
+        ]
+    facts += [
+        (
+            "Blocks late by",
+            f"{said['jitter_p50_ms']} ms (median), {said['jitter_p99_ms']} ms (99 %), {said['jitter_max_ms']} ms "
+            "(worst)",
+        ),
+        ("By more than a block and a turn", said["overruns"]),
+        ("Warnings", said.get("warnings", "")),
+    ]
+    return [(name, value) for name, value in facts if value]
+
+
+def _lateness_table(data: RunReportData) -> Table | None:
+    """Blocks by how late they came."""
+    classes = read_histogram(data.plant.get("lateness_histogram", ""))
+    total = sum(count for _, count in classes)
+    if not total:
+        return None
+    rows = [Row((name, count, significant(100.0 * count / total, 3))) for name, count in classes]
+    note = "From the moment a block was put out to the plant node's turn; a converter's turn is part of it."
+    return Table((Column("Late by", kind="text"), Column("Blocks"), Column("Share", "%")), rows, note)
 
 
 def _file_table(data: RunReportData) -> Table | None:

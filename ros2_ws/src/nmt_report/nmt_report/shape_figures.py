@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from nmt_report.quantity_format import significant
 from nmt_report.run_data import RunReportData
+from nmt_report.shown_levels import MOST_CURVES, shown_note, spread_evenly
 from nmt_report.svg import MUTED, ReportFigure, level_colours, svg_text
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 def shape_figure(data: RunReportData) -> ReportFigure | None:
     """|φ̃₁| and its phase at the response points, levels coloured, with the linear mode for comparison."""
-    points = data.good_points
+    points = spread_evenly(data.good_points, MOST_CURVES)
     if not points or len(points[0].points) == 0:
         return None
     figure = Figure(figsize=(6.3, 4.5))
@@ -64,7 +65,7 @@ def shape_figure(data: RunReportData) -> ReportFigure | None:
     level_bar(figure, points, (0.88, 0.12, 0.022, 0.84))
     caption = (
         "Mass-normalised fundamental shape φ̃₁ at the measurement points, one line a level; phase relative "
-        "to the largest component."
+        "to the largest component." + shown_note(len(points), len(data.good_points))
     )
     label = "Magnitude and phase of the modal shape at the measurement points"
     return ReportFigure("shapes", "Shape φ̃₁", caption, svg_text(figure, "shapes", label))
@@ -72,7 +73,7 @@ def shape_figure(data: RunReportData) -> ReportFigure | None:
 
 def harmonics_figure(data: RunReportData) -> ReportFigure | None:
     """Harmonics of force and drive-point displacement relative to the fundamental, one bar a level."""
-    points = data.good_points
+    points = spread_evenly(data.good_points, MOST_CURVES)
     if not points or len(points[0].force_harmonics) < 2:
         return None
     figure = Figure(figsize=(12.9, 3.9))
@@ -85,7 +86,7 @@ def harmonics_figure(data: RunReportData) -> ReportFigure | None:
     level_bar(figure, points, (0.945, 0.15, 0.011, 0.75))
     caption = (
         "Harmonics relative to the fundamental at each level (low to high, left to right within a group): "
-        "excitation force, and displacement at the drive point."
+        "excitation force, and displacement at the drive point." + shown_note(len(points), len(data.good_points))
     )
     label = "Harmonics of force and drive-point displacement at every level"
     return ReportFigure("harmonics", "Harmonics", caption, svg_text(figure, "harmonics", label), wide=True)

@@ -99,16 +99,82 @@ def svg_text(figure: Figure, name: str, label: str, tips: Mapping[str, str] | No
     text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
     text = text.replace('href="#', f'href="#{name}-').replace("url(#", f"url(#{name}-")
     # Two decimals are a hundredth of a point; more would double the size of the page.
-    text = re.sub(r'\bd="([^"]+)"', lambda match: 'd="' + re.sub(r"(\.\d\d)\d+", r"\1", match[1]) + '"', text)
-    for gid, tip in (tips or {}).items():
-        opening = f'<g id="{name}-{gid}">'
-        text = text.replace(opening, f"{opening}<title>{escape(tip)}</title>", 1)
+    text = re.sub(r'\bd="([^"]+)"', lambda match: f'd="{_shortened(match[1])}"', text)
+    text = re.sub(r">\s+<", "><", text)
+    text = _merged_paths(_DOTS.sub(_dots, text))
+    titles = {f"{name}-{gid}": f"<title>{escape(tip)}</title>" for gid, tip in (tips or {}).items()}
+    if titles:
+        text = re.sub(r'<g id="([^"]+)">', lambda match: match[0] + titles.pop(match[1], ""), text)
     width, height = figure.get_size_inches() * 72.0
     words = label.striptags() if isinstance(label, Markup) else label
     head = f'<svg class="plot" role="img" aria-label="{escape(words)}" viewBox="0 0 {width:g} {height:g}"'
     text = re.sub(r"<svg\b[^>]*", lambda _: head, text, count=1).strip()
-    numbers = packed(record(figure, name, words, bool(width > _HALF_PAGE)))
+    numbers = packed(record(figure, name, words, bool(width > _HALF_PAGE), drawn=True))
     return Markup(f'{text}<script type="{FIGURE_TYPE}">{numbers}</script>')
+
+
+def _shortened(way: str) -> str:
+    """A path with two decimals, each letter once for a row of equal steps, and lines after a move without theirs."""
+    words: list[str] = []
+    last = ""
+    for step in _TAIL.sub("", way).split("\n"):
+        letter, _, numbers = step.strip().partition(" ")
+        repeated = letter == last and letter in ("L", "Q", "C")
+        words.append(numbers if repeated or (letter, last) == ("L", "M") else f"{letter}{numbers}")
+        last = letter
+    return " ".join(words).strip()
+
+
+_PATH = re.compile(r'<path d="([^"]*)"([^>]*)/>')
+_MARK = re.compile(r'<use href="([^"]*)" x="([^"]*)" y="([^"]*)" style="([^"]*)"/>')
+_ADJOINING = re.compile(r'<path d="[^"]*"([^>]*)/>(?:\s*<path d="[^"]*"\1/>)+')
+_MARKS = re.compile(
+    r'<use href="([^"]*)" x="[^"]*" y="[^"]*" style="([^"]*)"/>(?:\s*<use href="\1" x="[^"]*" y="[^"]*" style="\2"/>)+'
+)
+
+
+def _merged_paths(text: str) -> str:
+    """Neighbouring paths of one look as one, and marks with their common look said once: far shorter for many points.
+
+    Strokes that one can see through stay apart: where they cross, they add up.
+    """
+
+    def paths(match: re.Match[str]) -> str:
+        if "opacity" in match[1]:
+            return match[0]
+        ways = " ".join(way.strip() for way, _ in _PATH.findall(match[0]))
+        return f'<path d="{ways}"{match[1]}/>'
+
+    def marks(match: re.Match[str]) -> str:
+        uses = "".join(
+            f'<use href="{href}" x="{_TAIL.sub("", x)}" y="{_TAIL.sub("", y)}"/>'
+            for href, x, y, _ in _MARK.findall(match[0])
+        )
+        return f'<g style="{match[2]}">{uses}</g>'
+
+    return _MARKS.sub(marks, _ADJOINING.sub(paths, text))
+
+
+DOTS = "dots"
+"""``gid`` of lines, before a hyphen, whose many marks are round and may be written as one path."""
+
+_DOTS = re.compile(rf'(<g id="[^"]*-{DOTS}-[^"]*">).*?<g clip-path="([^"]*)">(.*?)</g>\s*</g>', re.S)
+_COLOUR = re.compile(r"stroke: ([^;\"]*)")
+
+
+def _dots(match: re.Match[str]) -> str:
+    """Round marks as lines of no length with round ends."""
+    marks = _MARK.findall(match[3])
+    colour = _COLOUR.search(marks[0][3]) if marks else None
+    if colour is None:
+        return match[0]
+    ways = "".join(f"M{_TAIL.sub('', x)} {_TAIL.sub('', y)}h0" for _, x, y, _ in marks)
+    size = _STYLE["lines.markersize"] + 1.0  # with its edge
+    style = f"fill: none; stroke: {colour[1]}; stroke-width: {size:g}; stroke-linecap: round"
+    return f'{match[1]}<path d="{ways}" clip-path="{match[2]}" style="{style}"/></g>'
+
+
+_TAIL = re.compile(r"(?<=\.\d\d)\d+")
 
 
 @dataclass(frozen=True)

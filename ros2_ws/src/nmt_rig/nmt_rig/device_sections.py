@@ -63,6 +63,24 @@ class InputPortSection(PortSection):
         return self
 
 
+class StopInputSection(Section):
+    """An analog input that carries the external stop line: the drive goes to zero while it is beyond `threshold_v`.
+
+    stops: ``low`` = below the threshold, as of a line that a cut cable stops, too; ``high`` = above it.
+    """
+
+    port: str
+    range_v: Positive = 10.0
+    threshold_v: Positive = 2.5
+    stops: Literal["low", "high"] = "low"
+
+    @model_validator(mode="after")
+    def _threshold_is_in_range(self) -> StopInputSection:
+        if self.threshold_v >= self.range_v:
+            raise ValueError(f"threshold_v must lie within the range of {self.range_v:g} V")
+        return self
+
+
 class DeviceSection(Section):
     """What all converters share.
 
@@ -123,12 +141,16 @@ class NiDaqmxSection(DeviceSection):
     start_trigger: str = ""
     clock_source: str = ""
     buffer_blocks: Annotated[int, Field(ge=2, le=16)] = 3
+    stop_input: StopInputSection | None = None
 
     @model_validator(mode="after")
     def _ports_are_names(self) -> NiDaqmxSection:
         for entry in self.ports:
             if not isinstance(entry.port, str) or "/" not in entry.port:
                 raise ValueError(f"port of {entry.channel} must be a physical channel as in Dev1/ai0, got {entry.port}")
+        stop = self.stop_input
+        if stop is not None and (stop.port in [entry.port for entry in self.ports] or "/" not in stop.port):
+            raise ValueError(f"port of stop_input must be a physical channel of its own, got {stop.port}")
         return self
 
 

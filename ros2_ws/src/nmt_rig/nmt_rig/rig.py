@@ -20,6 +20,7 @@ from nmt_rig.device_sections import InputPortSection as InputPortSection
 from nmt_rig.device_sections import NiDaqmxSection as NiDaqmxSection
 from nmt_rig.device_sections import OutputPortSection as OutputPortSection
 from nmt_rig.device_sections import PortAudioSection as PortAudioSection
+from nmt_rig.device_sections import StopInputSection as StopInputSection
 from nmt_rig.rig_file import KeyPath, RigDocument, apply_overrides, read_document
 from nmt_rig.rig_section import Name, NotNegative, Point, Positive
 from nmt_rig.rig_section import Section as Section
@@ -71,6 +72,7 @@ class IwanSection(ElementSection):
     stiffness_ratio: NotNegative = 0.0
     onset_ratio: Annotated[float, Field(ge=0, lt=1)] = 0.0
     sliders: Annotated[int, Field(ge=1, le=200)] = 12
+    partition: Literal["stiffness", "ratio"] = "stiffness"
     remaining_stiffness_n_m: NotNegative = 0.0
 
 

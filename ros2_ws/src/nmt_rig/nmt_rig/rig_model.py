@@ -370,6 +370,7 @@ def build_iwan(section: IwanSection) -> IwanJoint:
         section.onset_ratio,
         section.sliders,
         section.remaining_stiffness_n_m,
+        section.partition,
     )
 
 

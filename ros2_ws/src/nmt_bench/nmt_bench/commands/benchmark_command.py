@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
-PARTS = ("plant", "reference", "bag", "diagnosis", "bench")
+PARTS = ("plant", "reference", "bag", "levels", "diagnosis", "bench")
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -29,9 +29,9 @@ def add_parser(subparsers: Subparsers) -> None:
         help="speed of this machine beside limits and peers",
         description=(
             "Measures the plant's time integration, the harmonic-balance reference, the work per block of each "
-            "node, reading and extracting bags, a diagnosis, and the whole bench with its nodes in one process and "
-            "in one process each. Each figure is printed beside its limit, or beside a peer measured in the same "
-            "run. Takes about two minutes on an idle machine."
+            "node, reading and extracting bags, runs of very many levels, a diagnosis, and the whole bench with its "
+            "nodes in one process and in one process each. Each figure is printed beside its limit, or beside a peer "
+            "measured in the same run. Takes about four minutes on an idle machine."
         ),
     )
     parser.add_argument("--json", metavar="FILE", type=Path, help="also write the figures to this JSON file")
@@ -73,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         "plant": benchmark_figures.plant_figures,
         "reference": benchmark_figures.reference_figures,
         "bag": benchmark_figures.bag_figures,
+        "levels": benchmark_figures.level_figures,
         "diagnosis": benchmark_figures.diagnosis_figures,
         "bench": benchmark_figures.bench_figures,
     }

@@ -17,7 +17,7 @@ from nmt_core.errors import BenchError
 from nmt_core.launcher_watch import LAUNCHER
 from nmt_session.node_plan import NODES, NodePlan
 
-_GRACE = 6.0  # s; a node that is told to end may wait for the ramp to zero
+_GRACE = 15.0  # s; a node that is told to end may wait for the ramp to zero, and work off what it was sent
 _PR_SET_PDEATHSIG = 1
 _LOG_HEAD = re.compile(r"^\[\w+\] \[[\d.]+\] \[[^\]]*\]: ")
 

@@ -28,8 +28,9 @@ FRICTION = (
     EffectParameter("slip_displacement", "m", "shape", grid=SLIP_GRID),
 )
 _FRICTION_SECTIONS = (JenkinsSection, IwanSection, TanhFrictionSection)
-# Enough that the first slider yields at a hundredth of the largest slip displacement.
-_NEW_JOINT_SLIDERS = 60
+# Neighbours differ by 8 % in slip displacement. Fewer, or parts of equal stiffness, leave so few sliders at small
+# amplitudes that each of them shows as a corner of χ².
+_NEW_JOINT_SLIDERS = 120
 CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp_lateral_stiffness_n_m"}
 
 
@@ -130,6 +131,7 @@ def _with_new_joint(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         slip_force_n=_joint_slip_force(values),
         exponent=power - 1.0,
         sliders=_NEW_JOINT_SLIDERS,
+        partition="ratio",
         **settings,
     )
     taken = LinearSpringSection.model_construct(kind="linear_spring", stiffness_n_m=-values["kt"], **settings)

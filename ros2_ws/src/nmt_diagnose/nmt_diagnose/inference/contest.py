@@ -196,9 +196,11 @@ class Contest:
                 amplitudes = np.unique(evidence.rows.amplitude[mine])
                 rank[mine] = np.searchsorted(amplitudes, evidence.rows.amplitude[mine]) / max(1, amplitudes.size)
         wanted = np.ones(self.problem.size, dtype=bool) if used is None else used
+        before = np.zeros_like(wanted)
         for share in _CLIMB:
             rows = wanted & (~levelled | (rank < share))
-            if rows.any():
+            if np.any(rows != before):
+                before = rows
                 found = fit(self.problem, parametrisation, theta, rows)
                 theta = found.theta
         return found

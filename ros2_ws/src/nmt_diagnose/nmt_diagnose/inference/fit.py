@@ -15,10 +15,14 @@ from nmt_diagnose.twin.forward import Prediction
 
 _STEPS = 25
 _TRIALS = 10
-_SMALL = 0.02  # fall of χ² that is not worth a step
-_CONVERGED = 1.0  # fall of χ² that a whole step may still promise
+# Falls of χ² over what a degree of freedom has left, since that is the noise of a model that does not fit.
+_SMALL = 0.02  # not worth a step
+_CONVERGED = 1.0  # what a whole step may still promise
 _SCATTERED = 2.0  # χ² per degree of freedom that is no chance
 _LET_GO = 1e3
+_RETURNS = 6  # steps that bring a step back into the valley of χ²
+_STEEP = 100.0  # how much more than the prior the evidence tells across the valley
+_RETURNING = 0.5  # fall of χ² by each of them at least
 _COOLING = 6.0  # fall of the inflated noise from step to step of a cold fit
 _COOLING_STEPS = 25
 
@@ -172,6 +176,7 @@ def fit(
         normal = used_jacobian.T @ used_jacobian + np.diag(std**-2.0)
         gradient = used_jacobian.T @ residual[rows] - theta / std**2
         trial = None
+        damped = True
         for _ in range(_TRIALS):
             step = _bounded_step(normal, gradient, damping, theta, lower)
             # A step beyond a few prior deviations leaves the range in which the linearisation means anything.
@@ -179,13 +184,24 @@ def fit(
             moved = np.maximum(theta + step, lower)
             step = moved - theta
             promised = float(2.0 * gradient @ step - step @ normal @ step)
-            if promised < _SMALL + 1e-7 * cost:
-                break
+            small = (_SMALL if damped else _CONVERGED) * _noise_of(cost, rows) + 1e-7 * cost
+            if promised < small:
+                if not damped or damping == 0.0:
+                    break
+                # Damping holds most what the evidence tells least; the whole step may promise more.
+                damped, damping = False, 0.0
+                continue
             trial = _predicted(problem, parametrisation, moved, prediction)
             if trial is not None:
                 trial_residual = problem.residual(trial)
                 trial_cost = _cost(trial_residual, rows, moved, std)
                 if trial_cost <= cost:
+                    break
+                back = _back_into_valley(
+                    problem, parametrisation, moved, rows, trial, trial_residual, used_jacobian, normal, cost
+                )
+                if back is not None:
+                    moved, trial, trial_residual, trial_cost = back
                     break
                 trial = None
             if not fresh:
@@ -193,7 +209,7 @@ def fit(
             damping = max(damping, 1e-6) * 8.0
         if trial is None:
             # Sensitivities from elsewhere may promise nothing where those at the estimate would lead on.
-            done = promised < _SMALL + 1e-7 * cost and not exact
+            done = promised < small and not exact
             if fresh or done or refreshes <= 0:
                 break
             jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction) if known is None else known
@@ -210,6 +226,60 @@ def fit(
     if exact and not fresh:
         jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction) if known is None else known
     return _finished(problem, parametrisation, theta, rows, prediction, residual, jacobian, fresh or exact)
+
+
+def _back_into_valley(
+    problem: Problem,
+    parametrisation: Parametrisation,
+    theta: FloatArray,
+    rows: BoolArray,
+    prediction: Prediction,
+    residual: FloatArray,
+    jacobian: FloatArray,
+    normal: FloatArray,
+    limit: float,
+) -> tuple[FloatArray, Prediction, FloatArray, float] | None:
+    """A step that has left a curved valley brought back into it by steps with the same sensitivities.
+
+    Where parameters make up for one another (force factor, resistance and damping of a shaker whose current was not
+    measured) the valley of χ² is narrow and curved, and damped steps creep along it. Across it the sensitivities still
+    hold at the end of a step: one more step with them is the geodesic acceleration of Transtrum and Sethna
+    (arXiv 1201.5885) with the second derivative taken over the whole step.
+
+    Args:
+        theta, prediction, residual: where the step ended, and what the model gives there.
+        rows: rows that count.
+        jacobian, normal: whitened sensitivities of those rows where the step began, and their normal matrix.
+        limit: cost that has to be reached.
+
+    Returns:
+        Parameters, prediction, residual and cost; None where the valley is not found again.
+    """
+    std, lower = parametrisation.prior_std, parametrisation.lower
+    before = _cost(residual, rows, theta, std)
+    # Along the valley the old sensitivities say nothing; across it the evidence tells far more than the prior.
+    values, vectors = np.linalg.eigh(normal * np.outer(std, std))
+    steep = values > _STEEP
+    across = std[:, None] * vectors[:, steep]
+    for _ in range(_RETURNS):
+        if not np.isfinite(before) or not np.any(steep):
+            return None
+        gradient = jacobian.T @ residual[rows] - theta / std**2
+        slope = across.T @ gradient
+        if before - slope @ (slope / values[steep]) > limit:
+            return None  # it promises too little
+        theta = np.maximum(theta + across @ (slope / values[steep]), lower)
+        moved = _predicted(problem, parametrisation, theta, prediction)
+        if moved is None:
+            return None
+        prediction, residual = moved, problem.residual(moved)
+        cost = _cost(residual, rows, theta, std)
+        if cost <= limit:
+            return theta, prediction, residual, cost
+        if cost > _RETURNING * before:
+            return None
+        before = cost
+    return None
 
 
 def _approached(
@@ -275,8 +345,9 @@ def _finished(
     # Undamped: where damped steps help no more there may still be a way down that they are too short for.
     gradient = used.T @ residual[rows] - theta / std**2
     step = _bounded_step(normal, gradient, 0.0, theta, parametrisation.lower)
-    converged = float(2.0 * gradient @ step - step @ normal @ step) < _CONVERGED
     chi_square = float(residual[rows] @ residual[rows])
+    promised = float(2.0 * gradient @ step - step @ normal @ step)
+    converged = promised < _CONVERGED * _noise_of(chi_square, rows)
     penalty = float(np.sum((theta / std) ** 2))
     _, log_determinant = np.linalg.slogdet(normal)
     log_evidence = -0.5 * (chi_square + penalty) - 0.5 * float(log_determinant) - float(np.sum(np.log(std)))
@@ -316,6 +387,11 @@ def _cost(residual: FloatArray, rows: BoolArray, theta: FloatArray, std: FloatAr
     if not np.all(np.isfinite(used)):
         return float("inf")
     return float(used @ used + np.sum((theta / std) ** 2))
+
+
+def _noise_of(cost: float, rows: BoolArray) -> float:
+    """Mean square of what a fit leaves in its rows, at least the stated noise."""
+    return max(1.0, cost / max(1, int(rows.sum())))
 
 
 def _bounded_step(

@@ -18,18 +18,33 @@ from nmt_diagnose.inference.problem import BoolArray, Problem
 # Strength in standard deviations, and standard deviation over that of the prior, by which a parameter is told.
 _TOLD = 2.0
 _LEARNT = 0.5
+_OPEN = 1.5  # scatter of a prediction over its noise, rms, from which on what is open of it counts
 
 Refits = tuple[Split, Contender, Mapping[Explanation, Contender | None]]
 
 
-def determined(contender: Contender) -> bool:
-    """Whether the rows of a fit tell every parameter of its effects: strengths, and shapes beyond their prior."""
-    parametrisation = contender.fit.parametrisation
+def determined(contender: Contender, base: Contender, held_out: BoolArray) -> bool:
+    """Whether the rows of a fit tell what its effects do to the rows held out.
+
+    Strengths have to be told, and shapes beyond their prior. Where nothing that matters to the rows held out is open,
+    it is enough that the fit needs its effect: below the displacement at which all of a joint slips, its stiffness and
+    that displacement make up for one another, and neither is told alone.
+
+    Args:
+        contender: explanation fitted to some rows.
+        base: the model without effect, fitted to the same rows.
+        held_out: other rows, shape (m,).
+    """
+    own_fit = contender.fit
+    certain = bool(np.sqrt(np.mean(own_fit.predictive_std[held_out] ** 2)) <= _OPEN)
+    gain = base.fit.chi_square + base.fit.penalty - own_fit.chi_square - own_fit.penalty
+    needed = certain and len(contender.candidates) == 1 and gain >= _TOLD**2
+    parametrisation = own_fit.parametrisation
     for index, candidate in enumerate(contender.candidates):
         own = parametrisation.index_of(index)
-        share = contender.fit.std[own] / parametrisation.prior_std[own]
+        share = own_fit.std[own] / parametrisation.prior_std[own]
         shapes = np.array([p.kind == "shape" for p in candidate.effect.parameters])
-        if contender.strength(index) < _TOLD or np.any(share[shapes] > _LEARNT):
+        if not needed and (contender.strength(index) < _TOLD or np.any(share[shapes] > _LEARNT)):
             return False
     return True
 
@@ -90,7 +105,7 @@ class HeldOut:
             own = scale if top is base else np.maximum(scale, top.fit.predictive_std)
             pair = (before / scale, self._left(top) / own, split.held_out)
             # Without the test that shows an effect nothing can be predicted of it.
-            if determined(top):
+            if determined(top, base, split.held_out):
                 pairs.append(pair)
         return closed(self._evidence, pairs, self._seed, self.floor)
 
@@ -114,9 +129,11 @@ class HeldOut:
 
     def _distance(self, own: Explanation, rival: Explanation) -> float:
         pairs = []
-        for (split, _, tops), scale in zip(self._refits, self._scale, strict=True):
+        for (split, base, tops), scale in zip(self._refits, self._scale, strict=True):
             left, right = tops.get(own), tops.get(rival)
-            if left is not None and right is not None and determined(left) and determined(right):
+            if left is None or right is None:
+                continue
+            if determined(left, base, split.held_out) and determined(right, base, split.held_out):
                 # Both by the same measure, so that a prediction gains nothing by being uncertain.
                 pairs.append((self._left(left) / scale, self._left(right) / scale, split.held_out))
         found = closed(self._evidence, pairs, self._seed, self.floor).gain

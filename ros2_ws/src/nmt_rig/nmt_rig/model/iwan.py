@@ -10,11 +10,16 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, fields
+from typing import Literal
 
 import numpy as np
 
 from nmt_rig.model.local_elements import Jenkins, LinearSpring, LocalElement
 from nmt_rig.model.structure import Array
+
+Partition = Literal["stiffness", "ratio"]
+
+_FINEST = 1e-4  # φ / φ_max from which on parts have equal ratios
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,8 @@ class IwanJoint:
         onset_ratio: φ_min / φ_max in [0, 1); 0 = Segalman's distribution.
         sliders: number of sliders that stand for the power law; one more for the share at φ_max where β > 0.
         remaining_stiffness: linear spring beside the sliders, N/m.
+        partition: parts of the power law that a slider each stands for. ``stiffness``: of equal stiffness, best near
+            φ_max. ``ratio``: of equal ratio of slip displacements over four decades, equally good at all amplitudes.
 
     Raises:
         ValueError: a parameter that is not finite or not within its range.
@@ -41,10 +48,11 @@ class IwanJoint:
     onset_ratio: float = 0.0
     sliders: int = 12
     remaining_stiffness: float = 0.0
+    partition: Partition = "stiffness"
 
     def __post_init__(self) -> None:
         for entry in fields(self):
-            if not np.isfinite(getattr(self, entry.name)):
+            if entry.name != "partition" and not np.isfinite(getattr(self, entry.name)):
                 raise ValueError(f"Iwan joint: {entry.name} must be finite, got {getattr(self, entry.name)}")
         for name in ("tangential_stiffness", "slip_force", "sliders"):
             if not getattr(self, name) > 0:
@@ -72,15 +80,18 @@ class IwanJoint:
     def slider_table(self) -> tuple[Array, Array]:
         """Stiffness (N/m) and slip displacement (m) of each slider, ascending.
 
-        The power law is cut into parts of equal stiffness; each slips at the mean of its part, so that K_T and F_S
-        are met exactly.
+        The power law is cut into parts; each slips at the mean of its part, so that K_T and F_S are met exactly.
         """
         power = self.exponent + 1.0
         low = self.onset_ratio**power
-        edges = (low + (1.0 - low) * np.arange(self.sliders + 1) / self.sliders) ** (1.0 / power)
-        ratios = [self._mean_ratio(float(a), float(b)) for a, b in itertools.pairwise(edges)]
         continuous = self.tangential_stiffness / (1.0 + self.stiffness_ratio)
-        stiffness = [continuous / self.sliders] * self.sliders
+        if self.partition == "stiffness":
+            edges = (low + (1.0 - low) * np.arange(self.sliders + 1) / self.sliders) ** (1.0 / power)
+            stiffness = [continuous / self.sliders] * self.sliders
+        else:
+            edges = self._edges_of_equal_ratio()
+            stiffness = [float(part) for part in continuous * np.diff(edges**power) / (1.0 - low)]
+        ratios = [self._mean_ratio(float(a), float(b)) for a, b in itertools.pairwise(edges)]
         if self.stiffness_ratio > 0.0:
             ratios.append(1.0)
             stiffness.append(self.stiffness_ratio * continuous)
@@ -95,6 +106,13 @@ class IwanJoint:
         if self.remaining_stiffness == 0.0:
             return sliders
         return (*sliders, LinearSpring(direction, self.remaining_stiffness))
+
+    def _edges_of_equal_ratio(self) -> Array:
+        if self.onset_ratio >= _FINEST:
+            return np.geomspace(self.onset_ratio, 1.0, self.sliders + 1)
+        if self.sliders == 1:
+            return np.array([self.onset_ratio, 1.0])
+        return np.concatenate(([self.onset_ratio], np.geomspace(_FINEST, 1.0, self.sliders)))
 
     def _mean_ratio(self, low: float, high: float) -> float:
         """Mean of φ / φ_max over the power law between two ratios."""

@@ -19,6 +19,7 @@ from nmt_core.errors import BenchError
 from nmt_rig.model.continuation import Branch, StepControl, follow_branch, solve_at_parameter
 from nmt_rig.model.forced_response import ForcedProblem, PeriodicResponse
 from nmt_rig.model.fourier_basis import ComplexArray, FloatArray
+from nmt_rig.model.rest_response import responses_at_rest
 
 
 @dataclass(frozen=True)
@@ -116,17 +117,30 @@ def linear_phase_resonance(problem: ForcedProblem, band: float = 0.3) -> float:
         return float((force * np.conj(system.motion(system.drive_point, unknowns))).real)
 
     grid = reference * np.linspace(1.0 - band, 1.0 + band, 1201)
+    fast = responses_at_rest(system, grid)
+    if fast is not None:
+        bracket = _falling_bracket(grid, (fast[1] * np.conj(fast[0])).real, reference)
+        if bracket is not None and quadrature(bracket[0]) > 0.0 >= quadrature(bracket[1]):
+            return float(brentq(quadrature, *bracket, xtol=1e-10 * reference))
     values = np.array([quadrature(omega) for omega in grid])
-    # The inertia takes over above a resonance (Re F x̄ falls through zero), the stiffness above an
-    # antiresonance.
-    falling = np.flatnonzero((values[:-1] > 0.0) & (values[1:] <= 0.0))
-    if falling.size == 0:
+    bracket = _falling_bracket(grid, values, reference)
+    if bracket is None:
         raise BenchError(
             f"no phase resonance near {reference / (2.0 * np.pi):.4g} Hz with the drive at point "
             f"{system.drive_point}: the point lies near a node of the mode; drive another point."
         )
+    return float(brentq(quadrature, *bracket, xtol=1e-10 * reference))
+
+
+def _falling_bracket(grid: FloatArray, values: FloatArray, reference: float) -> tuple[float, float] | None:
+    """Neighbours on a grid between which Re F x̄ falls through zero, nearest to the reference; None if nowhere."""
+    # The inertia takes over above a resonance (Re F x̄ falls through zero), the stiffness above an
+    # antiresonance.
+    falling = np.flatnonzero((values[:-1] > 0.0) & (values[1:] <= 0.0))
+    if falling.size == 0:
+        return None
     nearest = falling[np.argmin(np.abs(grid[falling] - reference))]
-    return float(brentq(quadrature, grid[nearest], grid[nearest + 1], xtol=1e-10 * reference))
+    return float(grid[nearest]), float(grid[nearest + 1])
 
 
 def phase_resonant_backbone(

@@ -1,0 +1,43 @@
+"""Responses at rest by ports against the solution of the whole system at each frequency."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nmt_rig.model.rest_response import responses_at_rest
+from nmt_rig.rig import load_rig
+from nmt_rig.rig_model import build_system
+
+
+@pytest.mark.parametrize(
+    ("rig", "changes"),
+    [
+        ("beam", []),
+        ("beam", ["structure.elements=28"]),
+        ("beam", ["exciter.point=2"]),
+        ("clamped_beam", []),
+        ("joint_resonator", []),
+    ],
+)
+def test_ports_give_what_the_whole_system_gives(rig: str, changes: list[str]) -> None:
+    system = build_system(load_rig(rig, changes))
+    rng = np.random.default_rng(3)
+    frequencies = np.sort(10.0 ** rng.uniform(1.0, 4.5, 40))
+    found = responses_at_rest(system, frequencies)
+    assert found is not None
+    for k, omega in enumerate(frequencies):
+        unknowns, force = system.response(float(omega))
+        assert found[0][k] == pytest.approx(system.motion(system.drive_point, unknowns), rel=1e-7)
+        assert abs(found[1][k] - force) <= 1e-6 * abs(force) + 1e-9
+
+
+def test_damping_of_another_form_is_refused() -> None:
+    system = build_system(load_rig("beam"))
+    rng = np.random.default_rng(5)
+    extra = np.zeros_like(system.damping)
+    root = rng.normal(size=(system.structure_size, system.structure_size))
+    extra[: system.structure_size, : system.structure_size] = root @ root.T
+    assert responses_at_rest(replace(system, damping=system.damping + extra), np.array([100.0])) is None

@@ -2,7 +2,8 @@
 
 It shares no code with the bench. Resonance is found without a phase-locked loop: a force of held amplitude that follows
 the sign of the velocity, smoothed, drives the structure at its phase resonance by itself. What a laboratory would write
-down of it are backbone points: frequency, amplitude and damping ratio with their scatter.
+down of it are backbone points (frequency, amplitude and damping ratio with their scatter), free decays from there, and
+frequency responses at held forces, stepped up or down.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ class Structure:
         shape: of the modes at the point, 1/√kg.
         cubic: N/m³.
         quadratic: N/m².
+        square_damping: of a force c x² v, N s/m³.
+        stop: stiffness (N/m) of stops on both sides and their gap (m).
         joint: stiffness (N/m) and slip force (N) of each slider of a joint.
     """
 
@@ -36,6 +39,8 @@ class Structure:
     shape: tuple[float, ...] = (1.0,)
     cubic: float = 0.0
     quadratic: float = 0.0
+    square_damping: float = 0.0
+    stop: tuple[float, float] = (0.0, 1.0)
     joint: tuple[tuple[float, float], ...] = ()
 
 
@@ -51,8 +56,10 @@ def iwan_joint(
 
 
 @njit(cache=False)  # type: ignore[untyped-decorator]
-def _local_force(x: float, cubic: float, quadratic: float, stiffness: Any, limits: Any, moved: Any) -> float:
-    total = cubic * x**3 + quadratic * x * x
+def _local_force(x: float, v: float, terms: Any, stiffness: Any, limits: Any, moved: Any) -> float:
+    total = terms[0] * x**3 + terms[1] * x * x + terms[2] * x * x * v
+    if abs(x) > terms[4]:
+        total += terms[3] * (abs(x) - terms[4]) * np.sign(x)
     for i in range(stiffness.size):
         spring = stiffness[i] * (x - moved[i])
         total += min(max(spring, -limits[i]), limits[i])
@@ -61,10 +68,13 @@ def _local_force(x: float, cubic: float, quadratic: float, stiffness: Any, limit
 
 @njit(cache=False)  # type: ignore[untyped-decorator]
 def _play(
-    state: Any, steps: int, dt: float, force: float, omega: float, modes: Any, cubic: float, quadratic: float,
-    stiffness: Any, limits: Any, moved: Any, position: Any, applied: Any,
+    state: Any, steps: int, dt: float, force: float, omega: float, angle: float, modes: Any, terms: Any,
+    stiffness: Any, limits: Any, moved: Any, position: Any, speed: Any, applied: Any,
 ) -> None:  # fmt: skip
-    """Drive by the velocity's direction; rows of ``modes`` are ω, damping ratio and shape, ``state`` is (q, q̇)."""
+    """Rows of ``modes`` are ω, damping ratio and shape, ``state`` is (q, q̇).
+
+    The drive follows the velocity's direction where ``angle`` is NaN, and is force · cos(ω t + angle) elsewhere.
+    """
     count = modes.shape[1]
     slope = np.zeros((4, 2, count))
     now = np.zeros((2, count))
@@ -78,10 +88,13 @@ def _play(
             for m in range(count):
                 x += modes[2, m] * now[0, m]
                 v += modes[2, m] * now[1, m]
-            drive = force * v / np.sqrt(v * v + omega * omega * x * x + 1e-30)
+            if np.isnan(angle):
+                drive = force * v / np.sqrt(v * v + omega * omega * x * x + 1e-30)
+            else:
+                drive = force * np.cos(omega * (step + part) * dt + angle)
             if stage == 0:
-                position[step], applied[step] = x, drive
-            net = drive - _local_force(x, cubic, quadratic, stiffness, limits, moved)
+                position[step], speed[step], applied[step] = x, v, drive
+            net = drive - _local_force(x, v, terms, stiffness, limits, moved)
             for m in range(count):
                 slope[stage, 0, m] = now[1, m]
                 slope[stage, 1, m] = (
@@ -121,22 +134,30 @@ class Bench:
         self._stiffness, self._limits = sliders[:, 0].copy(), sliders[:, 1].copy()
         self._moved = np.zeros(len(sliders))
         self._frequency = float(structure.frequencies_hz[0])
+        self._terms = np.array(
+            [structure.cubic, structure.quadratic, structure.square_damping, *structure.stop], dtype=float
+        )
+
+    def _played(
+        self, steps: int, dt: float, force: float, frequency: float, angle: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position (m), velocity (m/s) and force (N) at the point, step by step."""
+        kept = np.zeros((3, steps))
+        _play(
+            self._state, steps, dt, force, 2.0 * np.pi * frequency, angle, self._modes, self._terms, self._stiffness,
+            self._limits, self._moved, kept[0], kept[1], kept[2],
+        )  # fmt: skip
+        return kept[0], kept[1], kept[2]
 
     def point(self, force: float) -> tuple[float, float, float]:
         """Frequency (Hz), amplitude (m) and damping ratio at phase resonance under a force of held amplitude, N.
 
         The damping ratio is the work of a cycle over 2π ω² a², for unit modal mass.
         """
-        structure = self.structure
         for turn in range(4):
             dt = 1.0 / self._frequency / STEPS
-            periods = int(1.2 / structure.ratios[0]) if turn == 0 else 60
-            steps = STEPS * periods
-            position, applied = np.zeros(steps), np.zeros(steps)
-            _play(
-                self._state, steps, dt, force, 2.0 * np.pi * self._frequency, self._modes, structure.cubic,
-                structure.quadratic, self._stiffness, self._limits, self._moved, position, applied,
-            )  # fmt: skip
+            periods = int(1.2 / self.structure.ratios[0]) if turn == 0 else 60
+            position, _, applied = self._played(STEPS * periods, dt, force, self._frequency, np.nan)
             centre = position - position[-STEPS * _MEASURED :].mean()
             before = np.flatnonzero((centre[:-1] < 0.0) & (centre[1:] >= 0.0))
             times = (before - centre[before] / (centre[before + 1] - centre[before])) * dt
@@ -149,6 +170,26 @@ class Bench:
         work = np.pi * abs((drive * amplitude.conjugate()).imag)
         omega = 2.0 * np.pi * self._frequency
         return self._frequency, abs(amplitude), work / (2.0 * np.pi * omega**2 * abs(amplitude) ** 2)
+
+    def decay(self, force: float, seconds: float, rate: float) -> np.ndarray:
+        """Velocity (m/s) after a force that held phase resonance is taken away, sampled at ``rate``, Hz."""
+        self.point(force)
+        finer = int(np.ceil(STEPS * self._frequency / rate))
+        _, speed, _ = self._played(int(seconds * rate) * finer, 1.0 / rate / finer, 0.0, self._frequency, 0.0)
+        return speed[::finer]
+
+    def response(self, force: float, frequencies: np.ndarray) -> np.ndarray:
+        """Fundamental of the displacement over that of the force (m/N) at frequencies (Hz), one after the other."""
+        found = np.zeros(len(frequencies), dtype=complex)
+        angle = 0.0
+        settling = int(1.5 / self.structure.ratios[0])
+        for i, frequency in enumerate(frequencies):
+            dt = 1.0 / frequency / STEPS
+            position, _, applied = self._played(STEPS * (settling + _MEASURED), dt, force, float(frequency), angle)
+            turning = np.exp(-2j * np.pi * np.arange(STEPS * _MEASURED) / STEPS)
+            last = slice(-STEPS * _MEASURED, None)
+            found[i] = np.mean(position[last] * turning) / np.mean(applied[last] * turning)
+        return found
 
 
 def backbone_table(

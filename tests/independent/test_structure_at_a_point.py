@@ -1,4 +1,4 @@
-"""Backbones of a simulator that shares no code with the bench: its witnesses, and what the diagnosis says of them."""
+"""A simulator that shares no code with the bench: its witnesses, and what the diagnosis says of its recordings."""
 
 from __future__ import annotations
 
@@ -45,18 +45,94 @@ def test_a_joint_dissipates_as_its_distribution_says() -> None:
     assert ratio == pytest.approx(own + work / (2.0 * np.pi * omega**2 * amplitude**2), rel=0.02)
 
 
+def test_a_decay_loses_what_its_dampers_take() -> None:
+    """c x² v takes c a⁴ ω / 4 of the power a cycle: ȧ = −ζ ω a − c a³ / 8, which has a closed form."""
+    frequency, ratio, factor, rate = 47.0, 0.003, 4e6, 2048.0
+    speed = Bench(Structure((frequency,), (ratio,), square_damping=factor)).decay(2.0, 2.0, rate)
+    omega, times = 2.0 * np.pi * frequency, np.arange(len(speed)) / rate
+    windows = [slice(k, k + 436) for k in range(0, len(speed) - 436, 436)]  # ten periods
+    turning = np.exp(-1j * omega * times)
+    found = np.array([2.0 * abs(np.mean(speed[own] * turning[own])) / omega for own in windows])
+    middle = np.array([times[own].mean() for own in windows])
+    share = factor / (8.0 * ratio * omega)
+    start = found[0] ** -2 + share
+    expected = (start * np.exp(2.0 * ratio * omega * (middle - middle[0])) - share) ** -0.5
+    assert found[0] ** 2 * share > 0.5
+    assert found == pytest.approx(expected, rel=0.01)
+
+
+def test_a_linear_response_is_that_of_its_modes() -> None:
+    frequencies, ratios, shape = (133.0, 364.0), (0.004, 0.003), (1.0, -0.6)
+    lines = np.array([120.0, 132.5, 133.0, 134.0, 150.0])
+    found = Bench(Structure(frequencies, ratios, shape)).response(0.5, lines)
+    omega = 2.0 * np.pi * lines
+    expected = sum(
+        p**2 / ((2.0 * np.pi * f) ** 2 - omega**2 + 2j * z * 2.0 * np.pi * f * omega)
+        for f, z, p in zip(frequencies, ratios, shape, strict=True)
+    )
+    assert found == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_gap_stiffens_as_harmonic_balance_says() -> None:
+    """First harmonic of max(|x| − g, 0): the describing function of a dead zone."""
+    omega, gap, stiffness = 2.0 * np.pi * 133.0, 1.5e-4, 2e4
+    frequency, amplitude, _ = Bench(Structure((133.0,), (0.005,), stop=(stiffness, gap))).point(2.0)
+    ratio = gap / amplitude
+    assert 0.1 < ratio < 0.8
+    share = 1.0 - 2.0 / np.pi * (np.arcsin(ratio) + ratio * np.sqrt(1.0 - ratio**2))
+    assert frequency == pytest.approx(np.sqrt(omega**2 + stiffness * share) / (2.0 * np.pi), rel=1e-4)
+
+
 def diagnosed(folder: Path, structure: Structure, model: tuple[float, float], scatter: tuple[float, float, float],
               forces: np.ndarray, seed: int) -> dict[str, Any]:  # fmt: skip
     """``diagnosis.json`` of a backbone, from a model of one linear mode that is a little off."""
     backbone_table(structure, forces, folder / "table.csv", scatter, seed)
+    return told(folder, model, "file: table.csv\nsegments: [{kind: backbone, unit: mm, point: 1}]\n")
+
+
+def of_decay(folder: Path, structure: Structure, model: tuple[float, float], force: float, seconds: float,
+             rate: float, seed: int) -> dict[str, Any]:  # fmt: skip
+    """``diagnosis.json`` of a decay as a laser vibrometer sees it, with noise, an offset and hum."""
+    speed, generator = Bench(structure).decay(force, seconds, rate), np.random.default_rng(seed)
+    times, full = np.arange(len(speed)) / rate, float(np.max(np.abs(speed)))
+    speed += full * (0.002 * generator.standard_normal(len(speed)) + 0.002)
+    speed += full * 0.002 * np.sin(2.0 * np.pi * 50.0 * times + 1.0)
+    lines = ["time,v1", *(f"{time:.9g},{value:.8g}" for time, value in zip(times, speed, strict=True))]
+    (folder / "decay.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return told(
+        folder, model, "file: decay.csv\nchannels:\n  - {column: v1, quantity: velocity, unit: m/s, point: 1}\n"
+        f"segments:\n  - {{kind: ring_down, start: 0.0, stop: {times[-1]:.9g}}}\n",
+    )  # fmt: skip
+
+
+def of_responses(folder: Path, structure: Structure, model: tuple[float, float], forces: tuple[float, ...],
+                 lines: np.ndarray, seed: int) -> dict[str, Any]:  # fmt: skip
+    """``diagnosis.json`` of mobilities stepped up and down at held forces, 1 % and 0.3° off, with scatter of 0.4 %."""
+    generator, segments = np.random.default_rng(seed), []
+    for force in forces:
+        for direction, frequencies in (("up", lines), ("down", lines[::-1])):
+            response = 2j * np.pi * frequencies * Bench(structure).response(force, frequencies)
+            scatter = 0.004 * (generator.standard_normal(len(lines)) + 1j * generator.standard_normal(len(lines)))
+            response *= 1.01 * np.exp(1j * np.radians(0.3) + scatter)
+            rows = sorted(zip(frequencies, response.real, response.imag, strict=True))
+            name = f"{direction}_{force:g}.csv"
+            text = ["frequency_hz,real,imag", *(f"{f:.8g},{a:.8g},{b:.8g}" for f, a, b in rows)]
+            (folder / name).write_text("\n".join(text) + "\n", encoding="utf-8")
+            segments.append(
+                f"  - {{kind: frf, file: {name}, unit: m/s/N, point: 1, drive_point: 1, level: {force:g}, "
+                f"level_unit: N, direction: {direction}, name: {force:g} N {direction}}}\n"
+            )
+    return told(folder, model, f"file: up_{forces[0]:g}.csv\nsegments:\n" + "".join(segments))
+
+
+def told(folder: Path, model: tuple[float, float], recording: str) -> dict[str, Any]:
+    """``diagnosis.json`` of a recording, by the commands."""
     (folder / "rig.yaml").write_text(
         f"name: one_mode\nstructure: {{kind: modal, modes: [{{frequency_hz: {model[0]}, damping_ratio: {model[1]}, "
         "modal_mass_kg: 1.0}]}\n",
         encoding="utf-8",
     )
-    (folder / "table.yaml").write_text(
-        "rig: rig.yaml\nfile: table.csv\nsegments: [{kind: backbone, unit: mm, point: 1}]\n", encoding="utf-8"
-    )
+    (folder / "table.yaml").write_text(f"rig: rig.yaml\n{recording}", encoding="utf-8")
     assert main(["import", str(folder / "table.yaml"), "--out", str(folder / "bag")]) == 0
     words = ["--quiet", "--model", str(folder / "rig.yaml"), "--real", str(folder / "bag")]
     assert main(["diagnose", *words, "--out", str(folder / "out")]) == 0
@@ -98,4 +174,50 @@ def test_a_clamped_beam_is_cubic_beside_its_second_mode_and_a_weak_even_force(tm
 def test_a_linear_beam_with_scatter_has_no_effect(tmp_path: Path) -> None:
     structure = Structure((132.0,), (0.0041,))
     found = diagnosed(tmp_path, structure, (131.0, 0.0035), (1.5e-3, 0.01, 0.06), np.geomspace(0.05, 2.0, 12), 5)
+    assert found["verdict"] in ("none", "calibration")
+
+
+def test_a_decay_of_a_clamped_beam_is_cubic(tmp_path: Path) -> None:
+    omega = 2.0 * np.pi * 133.1
+    cubic = 0.9 * omega**2 / 0.6e-3**2
+    structure = Structure(
+        (133.1, 364.0), (0.0035, 0.003), (1.0, -0.6), cubic=cubic, quadratic=0.05 * omega**2 / 0.6e-3
+    )  # fmt: skip
+    found = of_decay(tmp_path, structure, (131.5, 0.003), 3.0, 1.5, 5120.0, 1)
+    first = found["ranking"][0]
+    assert found["verdict"] == "effect"
+    assert first["effect"] == "cubic_stiffness"
+    assert off(first["parameters"]["k"], cubic) < 3.0
+    assert found["gap"]["closed"] > 0.9
+
+
+def test_a_decay_with_damping_that_grows_with_amplitude_is_named(tmp_path: Path) -> None:
+    found = of_decay(tmp_path, Structure((47.0,), (0.003,), square_damping=6e6), (46.5, 0.0035), 2.0, 4.0, 2048.0, 4)
+    first = found["ranking"][0]
+    assert found["verdict"] == "effect"
+    assert first["effect"] == "amplitude_damping"
+    assert off(first["parameters"]["c"], 6e6) < 3.0
+    assert found["gap"]["closed"] > 0.9
+
+
+def test_a_decay_of_a_linear_beam_has_no_effect(tmp_path: Path) -> None:
+    found = of_decay(tmp_path, Structure((133.1,), (0.0035,)), (131.5, 0.003), 3.0, 1.5, 5120.0, 2)
+    assert found["verdict"] in ("none", "calibration")
+
+
+def test_responses_at_held_forces_tell_a_gap(tmp_path: Path) -> None:
+    stiffness, gap = 0.3 * (2.0 * np.pi * 133.1) ** 2, 1.5e-4
+    structure = Structure((133.1,), (0.005,), stop=(stiffness, gap))
+    found = of_responses(tmp_path, structure, (131.5, 0.004), (0.2, 1.0, 2.0), np.linspace(127.0, 146.0, 77), 8)
+    first = found["ranking"][0]
+    assert found["verdict"] == "effect"
+    assert first["effect"] == "two_sided_gap"
+    assert off(first["parameters"]["k"], stiffness) < 3.0
+    assert off(first["parameters"]["gap"], gap) < 3.0
+    assert found["gap"]["closed"] > 0.9
+
+
+def test_responses_of_a_linear_beam_have_no_effect(tmp_path: Path) -> None:
+    structure = Structure((133.1,), (0.0035,))
+    found = of_responses(tmp_path, structure, (131.5, 0.003), (0.1, 1.0, 3.0), np.linspace(126.0, 142.0, 65), 6)
     assert found["verdict"] in ("none", "calibration")

@@ -331,6 +331,8 @@ class _Columns:
         found = []
         resonance = self._resonance()
         for channel, own in self.channels.items():
+            if own.quantity not in ORDER:
+                continue  # only motions
             columns = np.zeros((2, len(self.rows)))
             for number, test in enumerate(self.tests):
                 if not isinstance(test, SteppedSineTest) or test.held == "response":

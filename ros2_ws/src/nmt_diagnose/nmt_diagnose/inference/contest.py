@@ -40,6 +40,9 @@ _NOTHING = 1.0
 _WIDER = 2.5
 # Standard deviations beyond what physics allows from which an effect is not built upon.
 _BEYOND = 3.0
+# Rms of what a fit leaves, in standard deviations, from which it is tried from other shapes, and how many of the best.
+_LEAVES, _RESHAPED = 1.5, 2
+_AT_ONCE = 2  # other shapes
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
 # Known explanations that go on under other noise; share of what the best of them explains that a scan has to promise.
 _CARRIED, _ENOUGH = 3, 0.5
@@ -448,7 +451,7 @@ class Contest:
                 chosen[name].append(score)
         every = [score for mine in chosen.values() for score in mine]
         added = [own for own in self._all_added([(base, score) for score in every]) if own is not None]
-        return self._settled(_united(added, going))
+        return self._with_other_shapes(self._settled(_united(added, going)))
 
     def _going_on(self, known: Sequence[Contender]) -> list[Contender]:
         """The best known explanations gone on from where they stand."""
@@ -571,6 +574,44 @@ class Contest:
         self._progress(Told(f"so far the best is {result[0].explanation.label}", ranking=self._standing(result)))
         return result
 
+    def _with_other_shapes(self, found: list[Contender]) -> list[Contender]:
+        """The same explanations, the best of them tried from other shapes where they leave more than noise.
+
+        A shape that lies beyond what was measured (a slip displacement that no amplitude reaches) changes nothing: the
+        fit has no slope there that would lead it back.
+        """
+        better: dict[Explanation, Contender] = {}
+        for own in _best_by_effect(found)[:_RESHAPED]:
+            starts = _other_shapes(own) if _leaves(own.fit) > _LEAVES else []
+            if starts:
+                self._progress(Told(f"trying {own.explanation.label} from other shapes"))
+            best = own
+            # A few at a time, as many for any number of processes: what explains the evidence needs no more of them.
+            for first in range(0, len(starts), _AT_ONCE):
+                tried = self.workers.map(_reshaped, self, [(own, theta) for theta in starts[first : first + _AT_ONCE]])
+                for trial in tried:
+                    if trial is not None and trial.fit.log_evidence > best.fit.log_evidence + 0.5:
+                        best = trial
+                if _leaves(best.fit) <= _LEAVES:
+                    break
+            if best is not own:
+                better[own.explanation] = best
+        ended = {own.explanation: own for own in self.workers.map(_polished, self, list(better.values()))}
+        kept = [own for own in found if own.explanation not in ended]
+        return sorted((*ended.values(), *kept), key=lambda contender: -contender.fit.log_evidence)
+
+    def _from_shape(self, contender: Contender, theta: FloatArray) -> Contender | None:
+        """An explanation fitted from other parameters; None where that fails or leaves rows out."""
+        before = contender.fit
+        try:
+            found = fit(
+                self.problem, before.parametrisation, theta, before.used, before.prediction, exact=False,
+                refreshes=_REFRESHES,
+            )  # fmt: skip
+        except FitError:
+            return None
+        return None if np.any(before.used & ~found.used) else Contender(contender.candidates, found, contender.score)
+
     def _standing(self, found: Sequence[Contender]) -> list[tuple[str, float]]:
         """All explanations since the last scan of the model itself, and how far each lies behind the best."""
         self._found.update((own.explanation.label, own.fit.log_evidence) for own in found)
@@ -662,6 +703,10 @@ def _polished(contest: Contest, contender: Contender) -> Contender:
     return contest.polished(contender)
 
 
+def _reshaped(contest: Contest, item: tuple[Contender, FloatArray]) -> Contender | None:
+    return contest._from_shape(*item)
+
+
 def _refitted(contest: Contest, item: tuple[Contender, BoolArray]) -> Contender | None:
     return contest.refit(*item)
 
@@ -695,6 +740,24 @@ def _held_back(found: Fit, candidate: int) -> bool:
 
 def _wider(spread: float) -> float:
     return next((value for value in SPREADS if value > spread), spread)
+
+
+def _leaves(found: Fit) -> float:
+    """Rms of what a fit leaves, in standard deviations."""
+    return float(np.sqrt(found.chi_square / max(1, int(found.used.sum()))))
+
+
+def _other_shapes(contender: Contender) -> list[FloatArray]:
+    """θ with the shapes of one effect after another at each combination of its grid."""
+    result = []
+    for number, candidate in enumerate(contender.candidates):
+        shapes = [k for k, parameter in enumerate(candidate.effect.parameters) if parameter.kind == "shape"]
+        own = np.arange(contender.fit.theta.size)[contender.fit.parametrisation.index_of(number)][shapes]
+        for start in {tuple(start[shapes]) for start in _starts(candidate)} if shapes else ():
+            theta = contender.fit.theta.copy()
+            theta[own] = start
+            result.append(theta)
+    return sorted(result, key=lambda theta: tuple(theta))
 
 
 def _incredible(found: Fit) -> bool:

@@ -80,6 +80,8 @@ class TestPlan:
         band_hz: band of the noise of a random test, Hz; its levels are V rms.
         device: what is driven: empty or ``simulated``, or a kind of converter, see `nmt_rig.device_sections`.
         device_address: of NI's device server.
+        tick_blocks: blocks between two decisions of the sequencer.
+        block_reason: why blocks are as long as they are, where that was chosen; see `nmt_session.block_length`.
         rate_hz_s, frequency_end_hz: rate and end of the sweep.
         duration: length of the window of a random test, or of the free decay of a ring-down, s.
     """
@@ -108,6 +110,8 @@ class TestPlan:
     duration: float = 0.0
     device: str = ""
     device_address: str = ""
+    tick_blocks: int = 5
+    block_reason: str = ""
 
     def __post_init__(self) -> None:
         check_levels(self.levels, "The test")
@@ -295,6 +299,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             **timing,
             "pacing": test.pacing,
             "latency_blocks": test.lead_blocks,
+            "tick_blocks": test.tick_blocks,
             "watched_nodes": ["plant", "pll", "extract", "recorder"],
         },
         "extract": {
@@ -333,6 +338,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             "test": test.excitation.test.label,
             "pacing": test.pacing,
         },
+        "block": {"samples": int(rig.block_samples), "reason": test.block_reason},
         "device": device,
         "exciter_point": rig.drive_point,
         "linear": None if linear is None else json.loads(linear_json),

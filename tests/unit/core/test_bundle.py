@@ -76,7 +76,7 @@ def test_no_bundle_grows_beyond_a_datagram():
 def test_what_is_cut_off_is_refused(items, data):
     (raw,) = bundled(items)
     end = data.draw(st.integers(0, len(raw) - 1))
-    with pytest.raises(ValueError, match="whole Bundle|XCDR1"):
+    with pytest.raises(ValueError, match=r"whole Bundle|XCDR1"):
         read_bundle(raw[:end])
 
 

@@ -147,10 +147,10 @@ class PlantNode(BenchNode):
         self._jitter: list[float] = []
         self._histogram = LatenessHistogram(self._period)
 
-        self._publishers_by_quantity: dict[int, tuple[Any, BlockWriter]] = {}
+        self._publishers_by_quantity: dict[int, tuple[str, Any, BlockWriter]] = {}
         for quantity in self.core.quantities:
             publisher = self.bench_publisher(SampleBlockMessage, quantity.topic, SAMPLES_QOS)
-            self._publishers_by_quantity[int(quantity)] = (publisher, BlockWriter(self._frame))
+            self._publishers_by_quantity[int(quantity)] = (quantity.topic, publisher, BlockWriter(self._frame))
         self._bundle: BundleWriter | None = None
         bundled = int(str(self.values["bundle_blocks"]))
         if bundled > 0:
@@ -267,11 +267,11 @@ class PlantNode(BenchNode):
     def _publish(self, blocks: list[SampleBlock]) -> None:
         self._publish_stop()
         for block in blocks:
-            publisher, writer = self._publishers_by_quantity[int(block.quantity)]
+            topic, publisher, writer = self._publishers_by_quantity[int(block.quantity)]
             raw = writer.write(block)
             publisher.publish(raw)
             if self._bundle is not None:
-                self._bundle.add(block.quantity.topic, raw)
+                self._bundle.add(topic, raw)
         if self._bundle is not None:
             self._bundle.end_block(last=self.core.phase != RunPhase.RUNNING)
         levels = self.core.levels(blocks)

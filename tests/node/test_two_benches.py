@@ -35,8 +35,8 @@ def make_node(bench: Bench, name: str, values: dict[str, Any]) -> Node:
 @pytest.mark.parametrize("name", NODES)
 def test_a_silent_node_of_one_bench_ends_that_one_only(name: str, tmp_path: Path) -> None:
     with Bench("beam", [0.3] * 20, out=tmp_path / "first", window_periods=300) as bench:
-        (tmp_path / "rig.yaml").write_text(bench.test.rig_yaml, encoding="utf-8")
         test = plan_test("beam", [0.2, 0.3], window_periods=60, run_id="second")
+        (tmp_path / "rig.yaml").write_text(test.rig_yaml, encoding="utf-8")
         plan = plan_nodes(test, tmp_path / "second", tmp_path / "rig.yaml")
         for other in NODES:
             bench._add(f"{NAMESPACE}/{other}", make_node(bench, other, plan.values[other]))

@@ -67,12 +67,9 @@ def start_second(plan: NodePlan, folder: Path) -> list[subprocess.Popen[bytes]]:
 def attempt(name: str, folder: Path) -> str:
     """Kill one node of the first bench; what is not as it should be, empty = nothing. Prints a line."""
     with Bench("beam", [0.3] * 50, out=folder / "first", processes=True, window_periods=2000) as bench:
-        (folder / "rig.yaml").write_text(bench.test.rig_yaml, encoding="utf-8")
-        plan = plan_nodes(
-            plan_test("beam", [0.2, 0.3], window_periods=1200, timeout=200.0, run_id="second"),
-            folder / "second",
-            folder / "rig.yaml",
-        )
+        test = plan_test("beam", [0.2, 0.3], window_periods=1200, timeout=200.0, run_id="second")
+        (folder / "rig.yaml").write_text(test.rig_yaml, encoding="utf-8")
+        plan = plan_nodes(test, folder / "second", folder / "rig.yaml")
         others = start_second(plan, folder)
         try:
             caller = Node("caller", context=bench.context, namespace=NAMESPACE, enable_rosout=False)

@@ -41,7 +41,7 @@ RIGS = {
     "missing section": (altered("exciter:", "exiter:"), "exiter|exciter"),
     "unknown loop setting": (altered("pll: {}", "pll: {gian: 3}"), "gian"),
     "loop setting out of range": (altered("pll: {}", "pll: {phase_tolerance: -1}"), "phase_tolerance"),
-    "fractional block": (altered("block_samples: 200", "block_samples: 200.5"), r"line \d+.*block_samples.*whole"),
+    "fractional block": (altered("seed: 1\n", "seed: 1\nblock_samples: 200.5\n"), r"line \d+.*block_samples.*whole"),
     "levels of letters": (altered('"0.05:1.5:10"', '"a:b:c"'), "levels"),
 }
 

@@ -29,9 +29,10 @@ class Quantity(IntEnum):
     @property
     def topic(self) -> str:
         """Name of the topic that carries the quantity."""
-        return self.name.lower()
+        return _TOPICS[self]
 
 
+_TOPICS = {quantity: quantity.name.lower() for quantity in Quantity}
 _UNITS = {
     Quantity.UNKNOWN: "",
     Quantity.FORCE: "N",

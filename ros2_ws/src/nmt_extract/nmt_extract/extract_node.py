@@ -6,9 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
+from nmt_core.bundle import PLANT_BUNDLE, PLL_BUNDLE, read_bundle
 from nmt_core.wire import MODAL_POINT
 from nmt_extract.extraction_core import PARAMETERS, ExtractionCore
-from nmt_msgs.msg import Frequency, Level, LockEvent, ModalPoint, SampleBlock
+from nmt_msgs.msg import Bundle, Frequency, Level, LockEvent, ModalPoint, SampleBlock
 
 _STATE_TYPES = {"frequency": Frequency, "lock": LockEvent, "level": Level}
 
@@ -34,19 +35,40 @@ class ExtractNode(BenchNode):
         super().__init__("extract", PARAMETERS, values, **kwargs)
         self.core = ExtractionCore(self.values)
         self._publisher = self.bench_publisher(ModalPoint, "modal_point", SAMPLES_QOS)
+        bundled: Any = self.values["bundled"]
+        self._bundled = {topic: self.core.callback(topic) for topic in self.core.topics if topic in bundled}
+        for bundle in (PLANT_BUNDLE, PLL_BUNDLE) if self._bundled else ():
+            self.bench_subscription(Bundle, bundle, self._on_bundle, SAMPLES_QOS, raw=True)
         for topic in self.core.topics:
+            if topic in self._bundled:
+                continue
             kind = _STATE_TYPES.get(topic, SampleBlock)
             self.bench_subscription(kind, topic, self._publishing(self.core.callback(topic)), SAMPLES_QOS, raw=True)
 
     def _publishing(self, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
         def on_message(raw: bytes) -> None:
             callback(raw)
-            for point in self.core.points():
-                self._publisher.publish(MODAL_POINT.write(point))
-                if point.reason:
-                    self.get_logger().warning(f"Level {point.level_index}: {point.reason}")
+            self._publish_points()
 
         return on_message
+
+    def _on_bundle(self, raw: bytes) -> None:
+        try:
+            messages = read_bundle(raw)
+        except ValueError as error:
+            self.get_logger().error(f"Bundle refused: {error}", throttle_duration_sec=1.0)
+            return
+        for topic, message in messages:
+            take = self._bundled.get(topic)
+            if take is not None:
+                take(message)
+                self._publish_points()
+
+    def _publish_points(self) -> None:
+        for point in self.core.points():
+            self._publisher.publish(MODAL_POINT.write(point))
+            if point.reason:
+                self.get_logger().warning(f"Level {point.level_index}: {point.reason}")
 
     def update_counters(self) -> None:
         """Counters for the heartbeat."""

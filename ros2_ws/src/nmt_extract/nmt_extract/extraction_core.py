@@ -29,6 +29,7 @@ PARAMETERS = (
         "",
         "Sample topics a window needs: force and the rig's response topics.",
     ),
+    Parameter("bundled", [""], "", "Topics that are taken from the bundles of plant and loop; empty = none."),
     Parameter("sub_windows", 10, "", "Sub-windows for the standard uncertainties.", low=3, high=1000),
     Parameter("minimum_periods", 3, "periods", "Windows of fewer whole periods are rejected.", low=3),
     Parameter("power_balance", False, "", "Balance of power for windows whose level still changes."),

@@ -41,6 +41,7 @@ _MOST_PENDING = 1000
 _LONGEST_WAIT = 60.0
 
 
+_OVERLOAD = int(BlockFlag.OVERLOAD)
 _FLAGS = {
     StopCause.LIMIT: BlockFlag.LIMIT,
     StopCause.WATCHDOG: BlockFlag.WATCHDOG,
@@ -525,7 +526,7 @@ class GuardedDevice(Device):
 
     @final
     def _publish(self, blocks: Sequence[SampleBlock], overload: bool) -> list[SampleBlock]:
-        flags = int(self._flags | (BlockFlag.OVERLOAD if overload else BlockFlag.NONE))
+        flags = int(self._flags) | (_OVERLOAD if overload else 0)
         self._next_sample += self._block_samples
         if self._lost:
             return []

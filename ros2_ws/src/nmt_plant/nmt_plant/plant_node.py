@@ -17,12 +17,13 @@ from std_srvs.srv import Trigger
 
 from nmt_core.base_node import READY, SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.blocks import SampleBlock
+from nmt_core.bundle import PLANT_BUNDLE, BundleWriter
 from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
 from nmt_core.vocabulary import OutputState, RunPhase, StopCause
 from nmt_core.wire import DRIVE_STOP, MONITOR, RUN_STATE, BlockWriter, read_drive
-from nmt_msgs.msg import Drive, DriveStop, Monitor, RunState
+from nmt_msgs.msg import Bundle, Drive, DriveStop, Monitor, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 from nmt_plant.device import Device, DeviceFault, DeviceState
 from nmt_plant.guarded_device import LEAST_LEAD, GuardedDevice
@@ -65,6 +66,14 @@ PARAMETERS = (
         "What is driven: simulated (also when empty), or the converter of the rig file's section device, or a kind of "
         "it with the simulated specimen's ports: portaudio, nidaqmx.",
         choices=("", *SIMULATED_OR_CONVERTERS),
+    ),
+    Parameter(
+        "bundle_blocks",
+        0,
+        "blocks",
+        f"Blocks whose samples are also published together on {PLANT_BUNDLE}, for readers that may be late; 0 = none.",
+        low=0,
+        high=100,
     ),
     Parameter("device_address", "", "", "host:port of NI's gRPC device server; empty = as the rig file says."),
     Parameter(
@@ -138,10 +147,16 @@ class PlantNode(BenchNode):
         self._jitter: list[float] = []
         self._histogram = LatenessHistogram(self._period)
 
-        self._publishers_by_quantity: dict[int, tuple[Any, BlockWriter]] = {}
+        self._publishers_by_quantity: dict[int, tuple[str, Any, BlockWriter]] = {}
         for quantity in self.core.quantities:
             publisher = self.bench_publisher(SampleBlockMessage, quantity.topic, SAMPLES_QOS)
-            self._publishers_by_quantity[int(quantity)] = (publisher, BlockWriter(self._frame))
+            self._publishers_by_quantity[int(quantity)] = (quantity.topic, publisher, BlockWriter(self._frame))
+        self._bundle: BundleWriter | None = None
+        bundled = int(str(self.values["bundle_blocks"]))
+        if bundled > 0:
+            topics = [quantity.topic for quantity in self.core.quantities]
+            bundles = self.bench_publisher(Bundle, PLANT_BUNDLE, SAMPLES_QOS)
+            self._bundle = BundleWriter(topics, bundled, bundles.publish)
         self._monitor = self.bench_publisher(Monitor, "monitor", SAMPLES_QOS)
         self.command_subscription(Drive, "drive", self._on_drive, SAMPLES_QOS)
         self.bench_subscription(RunState, "run_state", self._on_run_state, STATE_QOS, raw=True)
@@ -252,8 +267,13 @@ class PlantNode(BenchNode):
     def _publish(self, blocks: list[SampleBlock]) -> None:
         self._publish_stop()
         for block in blocks:
-            publisher, writer = self._publishers_by_quantity[int(block.quantity)]
-            publisher.publish(writer.write(block))
+            topic, publisher, writer = self._publishers_by_quantity[int(block.quantity)]
+            raw = writer.write(block)
+            publisher.publish(raw)
+            if self._bundle is not None:
+                self._bundle.add(topic, raw)
+        if self._bundle is not None:
+            self._bundle.end_block(last=self.core.phase != RunPhase.RUNNING)
         levels = self.core.levels(blocks)
         if levels is not None:
             self._monitor.publish(MONITOR.write(levels))
@@ -287,6 +307,8 @@ class PlantNode(BenchNode):
 
     def _guard(self) -> None:
         """Quiet the drive when the nodes that command it have gone; in lockstep blocks go on until it is at zero."""
+        if self._bundle is not None:
+            self._bundle.flush()
         if self._failed:
             return
         if self.device.output_state is OutputState.NOT_KNOWN:
@@ -478,6 +500,8 @@ class PlantNode(BenchNode):
 
     def shut_down(self) -> None:
         """Take the drive to zero along its ramp and release the device."""
+        if self._bundle is not None:
+            self._bundle.flush()
         with contextlib.suppress(Exception):
             self.core.shut_down("the plant node ends")
         if self._priority is not None:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from itertools import chain
 
 import numpy as np
+from numba import njit
 
-from nmt_core.blocks import SampleBlock
+from nmt_core.blocks import FloatArray, SampleBlock
 from nmt_core.cdr import bench_time_ns
 from nmt_core.records import SignalLevels
 from nmt_core.vocabulary import Quantity
 
 PERIOD = 0.1  # s
+_QUANTITIES = tuple(quantity for quantity in Quantity if quantity)
 
 
 class LevelMeter:
@@ -26,47 +28,74 @@ class LevelMeter:
     def __init__(self, sample_rate: float, block_samples: int) -> None:
         self._rate = sample_rate
         self._blocks = max(1, round(PERIOD * sample_rate / block_samples))
-        self._kept: list[Sequence[SampleBlock]] = []
+        self._heard = 0
+        self._newest: Sequence[SampleBlock] = ()
+        self._sums: list[FloatArray] = []
+        self._samples = 0
+        self._flags = 0
 
     def add(self, blocks: Sequence[SampleBlock]) -> SignalLevels | None:
         """Take the blocks of one stretch of time; the levels, if it was the last stretch they need.
 
         A stretch in which samples were lost has none; the levels are those of the others.
         """
-        self._kept.append(blocks)
-        if len(self._kept) < self._blocks:
+        self._heard += 1
+        if blocks:
+            self._take(blocks)
+        if self._heard < self._blocks:
             return None
-        whole, self._kept = [blocks for blocks in self._kept if blocks], []
-        return self._levels(whole) if whole else None
+        levels = self._levels(self._newest) if self._newest else None
+        self._heard, self._newest = 0, ()
+        return levels
 
-    def _levels(self, kept: list[Sequence[SampleBlock]]) -> SignalLevels:
-        newest = kept[-1]
-        single = {quantity: (float("nan"), float("nan")) for quantity in Quantity if quantity}
+    def _take(self, blocks: Sequence[SampleBlock]) -> None:
+        if not self._newest:
+            self._sums = [np.zeros((2, block.data.shape[0])) for block in blocks]
+            self._samples = self._flags = 0
+        self._newest = blocks
+        self._samples += blocks[0].samples
+        for block, sums in zip(blocks, self._sums, strict=True):
+            _add_rows(block.data, sums)
+            self._flags |= block.flags
+
+    def _levels(self, newest: Sequence[SampleBlock]) -> SignalLevels:
+        single = dict.fromkeys(_QUANTITIES, (float("nan"), float("nan")))
         point = next((block.points[0] for block in newest if block.quantity is Quantity.FORCE and block.points), None)
         names: list[str] = []
         peaks: list[float] = []
-        squares: list[float] = []
+        rms: list[float] = []
         for row in sorted(range(len(newest)), key=lambda item: newest[item].quantity):
             block = newest[row]
-            data = np.concatenate([blocks[row].data for blocks in kept], axis=1)
-            peak = np.maximum(data.max(axis=1), -data.min(axis=1))
-            rms = np.sqrt(np.einsum("ij,ij->i", data, data) / data.shape[1])
+            peak, square = self._sums[row].tolist()
+            root = [math.sqrt(value / self._samples) for value in square]
             channel = block.points.index(point) if point in block.points else 0
-            single[block.quantity] = (float(peak[channel]), float(rms[channel]))
+            single[block.quantity] = (peak[channel], root[channel])
             names += block.channels
-            peaks += peak.tolist()
-            squares += rms.tolist()
+            peaks += peak
+            rms += root
         last = newest[0].end_sample - 1
-        flags = 0
-        for block in chain.from_iterable(kept):
-            flags |= block.flags
         return SignalLevels(
             last,
             newest[0].oscillator.frequency_hz,
             tuple(single.values()),
             ", ".join(names),
             tuple(peaks),
-            tuple(squares),
-            flags,
+            tuple(rms),
+            self._flags,
             bench_time_ns(last, self._rate),
         )
+
+
+@njit(cache=True)
+def _add_rows(data: FloatArray, sums: FloatArray) -> None:
+    """Rows of ``sums``: largest magnitude and sum of squares of every row of ``data`` so far."""
+    for row in range(data.shape[0]):
+        peak = sums[0, row]
+        square = sums[1, row]
+        for k in range(data.shape[1]):
+            magnitude = abs(data[row, k])
+            if peak == peak and not magnitude <= peak:  # what is not a number stays
+                peak = magnitude
+            square += magnitude * magnitude
+        sums[0, row] = peak
+        sums[1, row] = square

@@ -7,6 +7,9 @@ import math
 from nmt_pll.gains import ControllerGains, LoopPlant, closed_form_gains
 from nmt_pll.settings import LoopSettings
 
+AMPLITUDE_SHARE = 0.3
+"""Bandwidth of the amplitude controller over that which the dead time allows the phase loop."""
+
 
 class GainSchedule:
     """Gains for the damping that the structure has right now.
@@ -44,7 +47,7 @@ class GainSchedule:
     @property
     def amplitude_bandwidth(self) -> float:
         """Bandwidth of the amplitude controller, rad/s: slow beside the phase loop."""
-        return 0.3 * self.bandwidth_limit
+        return AMPLITUDE_SHARE * self.bandwidth_limit
 
     def force_bandwidth(self, structure_decay: float) -> float:
         """Bandwidth of the amplitude controller that holds the force, rad/s, at a present decay of the structure.

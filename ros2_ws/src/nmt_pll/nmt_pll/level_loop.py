@@ -191,6 +191,8 @@ class LevelLoop(ABC):
         if self._quiet_reason:
             reason, self._quiet_reason = self._quiet_reason, ""
             return reason
+        if not flags:
+            return ""
         if flags & BlockFlag.LIMIT:
             return "a safety limit has tripped"
         if flags & BlockFlag.WATCHDOG:

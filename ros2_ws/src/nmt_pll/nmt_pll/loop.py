@@ -19,6 +19,9 @@ from nmt_pll.lock import Dwell, LockCriteria
 from nmt_pll.phase_detector import AdaptiveFourierFilter, phase_error
 from nmt_pll.settings import LoopSettings
 
+DEAD_BLOCKS = 1.5
+"""Mean delay between measurement and its effect in blocks, besides the latency."""
+
 _VELOCITY_LEAD = {
     Quantity.DISPLACEMENT: math.pi / 2.0,
     Quantity.VELOCITY: 0.0,
@@ -49,7 +52,7 @@ class PhaseLockedLoop(LevelLoop):
         self.settings = settings
         self.cutoff = settings.resolved_cutoff(linear)
         self.filter = AdaptiveFourierFilter(2, settings.harmonics, self.cutoff, sample_rate)
-        dead_time = (1.5 + settings.latency_blocks) * self.block_duration
+        dead_time = (DEAD_BLOCKS + settings.latency_blocks) * self.block_duration
         self.plant = LoopPlant.from_description(linear)
         self.schedule = GainSchedule(self.plant, settings, self.cutoff, dead_time)
         mode = linear.frequencies_rad_s[linear.target_mode]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from nmt_core.blocks import SampleBlock
+from nmt_core.bundle import PLL_BUNDLE
 from nmt_core.cdr import bench_time_ns
 from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge
 from nmt_core.errors import BenchError
@@ -45,6 +46,14 @@ PARAMETERS = (
         "",
         "adaptive: adaptive filter, closed-form gains, guard band; paper: product detector, low-pass, PI.",
         choices=("adaptive", "paper"),
+    ),
+    Parameter(
+        "bundle_blocks",
+        0,
+        "blocks",
+        f"Blocks whose drive commands and states are also published together on {PLL_BUNDLE}; 0 = none.",
+        low=0,
+        high=100,
     ),
     Parameter("settling_time", 2.0, "s", "Random test: between the end of the ramp and the window.", low=0.0),
     *setting_parameters(),

@@ -8,6 +8,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
+from nmt_core.bundle import PLL_BUNDLE, BundleWriter
 from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
 from nmt_core.records import LoopStatus
@@ -15,6 +16,7 @@ from nmt_core.wire import LEVEL, LOCK_EVENT, BlockReader, write_drive, write_sta
 from nmt_msgs import msg
 from nmt_pll.loop_core import PARAMETERS, LoopCore
 
+_LONGEST_WAIT = 0.05  # s that a message waits for its bundle
 _LONGEST_END = 2.0  # s that the loop waits for the ramp to zero when it is told to end
 
 
@@ -37,6 +39,12 @@ class PllNode(BenchNode):
         self._drive = self.bench_publisher(msg.Drive, "drive", SAMPLES_QOS)
         self._frequency = self.bench_publisher(msg.Frequency, "frequency", SAMPLES_QOS)
         self._lock = self.bench_publisher(msg.LockEvent, "lock", SAMPLES_QOS)
+        self._bundle: BundleWriter | None = None
+        blocks = int(str(self.values["bundle_blocks"]))
+        if blocks > 0:
+            bundles = self.bench_publisher(msg.Bundle, PLL_BUNDLE, SAMPLES_QOS)
+            self._bundle = BundleWriter(("drive", "frequency"), blocks, bundles.publish)
+            self.steady_timer(_LONGEST_WAIT, self._bundle.flush)
         self.command_subscription(msg.Level, "level", self._on_level, SAMPLES_QOS)
         for topic in ("force", self.core.response.topic):
             self.bench_subscription(msg.SampleBlock, topic, self._reading(BlockReader()), SAMPLES_QOS, raw=True)
@@ -98,16 +106,29 @@ class PllNode(BenchNode):
             answer = self.core.take_block(block)
             if answer is None:
                 return
-            self._drive.publish(write_drive(answer.drive, self.core.sample_rate))
+            drive = write_drive(answer.drive, self.core.sample_rate)
+            self._drive.publish(drive)
+            if self._bundle is not None:
+                self._bundle.add("drive", drive)
             if answer.lock is not None:
                 self._lock.publish(LOCK_EVENT.write(answer.lock))
             self._publish_statuses(answer.statuses)
+            if self._bundle is not None:
+                self._bundle.end_block(last=not self.core.at_work)
 
         return on_bytes
 
     def _publish_statuses(self, statuses: Iterable[LoopStatus]) -> None:
         for status in statuses:
-            self._frequency.publish(write_status(status, self.core.sample_rate))
+            raw = write_status(status, self.core.sample_rate)
+            self._frequency.publish(raw)
+            if self._bundle is not None:
+                self._bundle.add("frequency", raw)
+
+    def shut_down(self) -> None:
+        """Publish what waits for its bundle."""
+        if self._bundle is not None:
+            self._bundle.flush()
 
     def update_counters(self) -> None:
         """Counters for the heartbeat."""

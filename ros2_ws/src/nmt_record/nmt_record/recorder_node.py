@@ -13,8 +13,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
+from nmt_core.bundle import PLANT_BUNDLE, PLL_BUNDLE, read_bundle
 from nmt_core.errors import BenchError
 from nmt_core.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, BagState, RunAnnouncement
+from nmt_msgs.msg import Bundle
 from nmt_record.bag_writer import BagWriter
 from nmt_record.bench_topics import Service, parse_topic
 from nmt_record.message_definitions import local_definitions
@@ -135,7 +137,10 @@ class RecorderNode(BenchNode):
         self.core = RunRecorder(values)
         self._state_publisher = self.create_publisher(String, BAG_TOPIC, STATE_QOS)
         self.claim(BAG_TOPIC)
+        self._bundled = {topic: self._recording(topic) for topic in values["bundled"] if topic}
         for topic in self.core.topics:
+            if topic.name in self._bundled:
+                continue
             self.bench_subscription(
                 types[topic.message_type],
                 # What stands in the global place stays there whatever the node's namespace is.
@@ -144,6 +149,8 @@ class RecorderNode(BenchNode):
                 _QOS[topic.service],
                 raw=True,
             )
+        for bundle in (PLANT_BUNDLE, PLL_BUNDLE) if self._bundled else ():
+            self.bench_subscription(Bundle, bundle, self._on_bundle, SAMPLES_QOS, raw=True)
         self._announcement_subscription = self.create_subscription(
             String, ANNOUNCEMENT_TOPIC, self._on_announcement, STATE_QOS
         )
@@ -209,6 +216,17 @@ class RecorderNode(BenchNode):
                 self._end_time = time.monotonic()
 
         return on_message
+
+    def _on_bundle(self, raw: bytes) -> None:
+        try:
+            messages = read_bundle(raw)
+        except ValueError:
+            self.core.malformed += 1
+            return
+        for topic, message in messages:
+            record = self._bundled.get(topic)
+            if record is not None:
+                record(message)
 
     def _watch(self) -> None:
         """Flush what has waited long enough, close the bag when the run is over, and open the next one."""

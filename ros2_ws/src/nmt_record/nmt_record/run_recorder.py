@@ -36,6 +36,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "",
         "Topics to record; those that are not of the bench as 'name:package/msg/Type'.",
     ),
+    Parameter("bundled", [""], "", "Those of them that are taken from the bundles of plant and loop; empty = none."),
     Parameter("run_json", "", "", "Self-description of the run, a JSON object."),
     Parameter("run_file", "", "", "File with the same, instead of run_json."),
     Parameter("rig_yaml", "", "", "The rig file as used, its text."),

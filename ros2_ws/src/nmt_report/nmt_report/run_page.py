@@ -166,12 +166,23 @@ def _facts(data: RunReportData) -> list[tuple[str, str]]:
         ("Level control", _CONTROLS.get(plan.get("control"), plan.get("control"))),
         ("Window", f"{plan['window_periods']} periods" if plan.get("window_periods") else None),
         ("Sampling", f"{significant(data.sample_rate, 6)} Hz"),
+        ("Block length", _block_length(data)),
         ("Bench time", duration(data.end_sample / data.sample_rate) if data.end_sample else None),
         ("Seed", run.get("seed")),
         ("End of run", ": ".join(filter(None, _end_of_run(data)))),
         ("Versions", ", ".join(f"{name} {value}" for name, value in run.get("versions", {}).items())),
     ]
     return [(name, str(value)) for name, value in facts if value not in (None, "")]
+
+
+def _block_length(data: RunReportData) -> str:
+    """Samples and duration of a block, and why it is so long where that was chosen; empty if the bag does not say."""
+    block = data.run.get("block")
+    if not isinstance(block, Mapping) or not block.get("samples"):
+        return ""
+    samples = int(block["samples"])
+    text = f"{samples} samples ({significant(1e3 * samples / data.sample_rate, 3)} ms)"
+    return f"{text}, {block['reason']}" if block.get("reason") else text
 
 
 def _modal_table(data: RunReportData) -> Table | None:

@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from nmt_core.blocks import SAMPLE_TOPICS, Quantity
+from nmt_core.bundle import MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
 from nmt_core.linear_description import LinearDescription
@@ -34,6 +35,9 @@ from nmt_sequencer.level_plan import check_levels
 PACINGS = ("lockstep", "realtime")
 
 STRATEGIES = ("stepped", "ramp")
+LOOP_TOPICS = ("drive", "frequency")
+"""Topics of the loop with a message for every block."""
+_MESSAGE_BYTES = 200  # of a block besides its samples
 RAMP_WINDOW = 20
 """Whole periods of a window of the strategy ``ramp`` unless the test says otherwise."""
 RAMP_DELAY = 1.0
@@ -80,6 +84,8 @@ class TestPlan:
         band_hz: band of the noise of a random test, Hz; its levels are V rms.
         device: what is driven: empty or ``simulated``, or a kind of converter, see `nmt_rig.device_sections`.
         device_address: of NI's device server.
+        tick_blocks: blocks between two decisions of the sequencer.
+        block_reason: why blocks are as long as they are, where that was chosen; see `nmt_session.block_length`.
         rate_hz_s, frequency_end_hz: rate and end of the sweep.
         duration: length of the window of a random test, or of the free decay of a ring-down, s.
     """
@@ -108,6 +114,8 @@ class TestPlan:
     duration: float = 0.0
     device: str = ""
     device_address: str = ""
+    tick_blocks: int = 5
+    block_reason: str = ""
 
     def __post_init__(self) -> None:
         check_levels(self.levels, "The test")
@@ -295,6 +303,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             **timing,
             "pacing": test.pacing,
             "latency_blocks": test.lead_blocks,
+            "tick_blocks": test.tick_blocks,
             "watched_nodes": ["plant", "pll", "extract", "recorder"],
         },
         "extract": {
@@ -307,6 +316,11 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         },
         "recorder": {"output": str(bag), "chunk_messages": _chunk_messages(rig, len(topics))},
     }
+    bundle = _bundle_blocks(test, len(topics))
+    if bundle:
+        values["plant"]["bundle_blocks"] = values["pll"]["bundle_blocks"] = bundle
+        values["recorder"]["bundled"] = [*topics, *LOOP_TOPICS]
+        values["extract"]["bundled"] = [*extraction.topics, "frequency"]
     for name, extra in test.node_values.items():
         if name not in values:
             raise BenchError(f"Node '{name}' is not part of the bench; there are {', '.join(values)}.")
@@ -321,7 +335,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         raise BenchError(
             f"The paper's loop steps the voltage only; use the adaptive loop for levels of {test.control}."
         )
-    for name, peers in expected_peers(topics, extraction.topics, response).items():
+    for name, peers in expected_peers(topics, extraction.topics, response, bundle > 0).items():
         values[name]["expected_peers"] = peers
     goal = test.goal
     run = {
@@ -333,6 +347,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             "test": test.excitation.test.label,
             "pacing": test.pacing,
         },
+        "block": {"samples": int(rig.block_samples), "reason": test.block_reason},
         "device": device,
         "exciter_point": rig.drive_point,
         "linear": None if linear is None else json.loads(linear_json),
@@ -346,22 +361,35 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     return NodePlan(values, run, goal)
 
 
-def expected_peers(topics: Sequence[str], extracted: Sequence[str], response: str) -> dict[str, list[str]]:
+def _bundle_blocks(test: TestPlan, topics: int) -> int:
+    """Blocks of a bundle for recorder and extraction; 0 = they take the messages as they are.
+
+    In real time a dead plant would take the blocks that wait with it, and large blocks gain nothing.
+    """
+    block = 8 * int(test.rig.block_samples) * len(test.rig.sensors) + _MESSAGE_BYTES * topics
+    blocks = min(test.tick_blocks, MOST_BYTES // block)
+    return blocks if test.pacing == "lockstep" and blocks > 1 else 0
+
+
+def expected_peers(
+    topics: Sequence[str], extracted: Sequence[str], response: str, bundled: bool = False
+) -> dict[str, list[str]]:
     """For every node the ``topic:count`` list of connections it waits for before it calls itself ready.
 
     Args:
         topics: sample topics of the rig.
         extracted: those that the extraction reads.
         response: topic of the response that the loop controls.
+        bundled: whether recorder and extraction take samples, drive and frequency in bundles.
     """
     subscribers: dict[str, list[str]] = {
-        topic: ["recorder", *(["extract"] if topic in extracted else [])] for topic in topics
+        topic: [] if bundled else ["recorder", *(["extract"] if topic in extracted else [])] for topic in topics
     }
     subscribers["force"].append("pll")
     subscribers[response].append("pll")
     subscribers.update(
-        drive=["plant", "recorder"],
-        frequency=["sequencer", "extract", "recorder"],
+        drive=["plant"] if bundled else ["plant", "recorder"],
+        frequency=["sequencer"] if bundled else ["sequencer", "extract", "recorder"],
         level=["pll", "extract", "recorder"],
         lock=["sequencer", "extract", "recorder"],
         modal_point=["sequencer", "recorder"],
@@ -369,6 +397,8 @@ def expected_peers(topics: Sequence[str], extracted: Sequence[str], response: st
         run_state=["plant", "recorder"],
         monitor=["recorder"],
     )
+    if bundled:
+        subscribers[PLANT_BUNDLE] = subscribers[PLL_BUNDLE] = ["extract", "recorder"]
     publisher = dict.fromkeys(topics, "plant")
     publisher.update(
         drive="pll",
@@ -379,10 +409,12 @@ def expected_peers(topics: Sequence[str], extracted: Sequence[str], response: st
         steering="sequencer",
         modal_point="extract",
         monitor="plant",
+        **{PLANT_BUNDLE: "plant", PLL_BUNDLE: "pll"},
     )
     peers: dict[str, list[str]] = {name: [] for name in NODES}
     for topic, names in subscribers.items():
-        peers[publisher[topic]].append(f"{topic}:{len(names)}")
+        if names:
+            peers[publisher[topic]].append(f"{topic}:{len(names)}")
         for name in names:
             peers[name].append(f"{topic}:1")
     return peers

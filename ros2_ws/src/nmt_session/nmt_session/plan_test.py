@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.vocabulary import TestKind
+from nmt_pll.settings import LoopSettings
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_snapshot import rig_text
 from nmt_sequencer.level_plan import parse_levels
+from nmt_session.block_length import LevelTime, choose_block
 from nmt_session.node_plan import TestPlan
 
 
@@ -44,6 +49,9 @@ def plan_test(
     device_address: str = "",
 ) -> TestPlan:
     """A test of a rig.
+
+    Where the rig does not say how long a block is, a phase resonance test of a simulated rig in lockstep gets blocks of
+    a length chosen for it, see :mod:`nmt_session.block_length`.
 
     Args:
         rig: name of a rig that comes with the bench, path of a rig file, or a loaded rig.
@@ -89,7 +97,7 @@ def plan_test(
     amplitudes = tuple(parse_levels(plan) if isinstance(plan, str) else plan)
     if kind is TestKind.STEPPED_SINE and len(amplitudes) == 1:
         amplitudes *= max(1, len(frequencies_hz))
-    return TestPlan(
+    planned = TestPlan(
         rig=loaded,
         rig_yaml=text,
         levels=amplitudes,
@@ -113,3 +121,65 @@ def plan_test(
         device=device,
         device_address=device_address,
     )
+    return _with_chosen_block(planned) if _leaves_block_open(planned) else planned
+
+
+def _leaves_block_open(plan: TestPlan) -> bool:
+    """Whether nobody has said how long a block is, and nothing but wall time depends on it.
+
+    Blocks of hardware and of real time wait at its output; those of a latency are what the user has counted.
+    """
+    kind = TestKind.named(plan.test)
+    values = _loop_values(plan)
+    return (
+        "block_samples" not in plan.rig.model_fields_set
+        and plan.pacing == "lockstep"
+        and not plan.is_on_hardware
+        and plan.lead_blocks == 0
+        and kind.closes_phase_loop
+        and plan.strategy == "stepped"
+        and values.get("loop", "adaptive") == "adaptive"
+        and not values.get("proportional")
+        and not any("block_samples" in items or "tick_blocks" in items for items in plan.node_values.values())
+    )
+
+
+def _loop_values(plan: TestPlan) -> dict[str, Any]:
+    """Settings of the loop that the rig and the test give."""
+    return {**plan.rig.pll, **plan.node_values.get("pll", {})}
+
+
+def _with_chosen_block(plan: TestPlan) -> TestPlan:
+    """The plan with the block length that suits its mode and its loop, in the rig and in its text."""
+    linear = plan.used_linear
+    assert linear is not None  # every test that closes the phase loop has one
+    known = {item.name for item in fields(LoopSettings)}
+    settings = LoopSettings(**{name: value for name, value in _loop_values(plan).items() if name in known})
+    goal = plan.goal
+    window = plan.duration or goal["window_periods"] / linear.frequency_hz
+    level = LevelTime(goal["ramp"], window, plan.control != "voltage")
+    rate = float(plan.rig.sample_rate_hz)
+    quantities = [sensor.quantity for sensor in plan.rig.sensors]
+    channels = max(quantities.count(quantity) for quantity in quantities)
+    choice = choose_block(linear, settings, level, rate, channels)
+    rig = plan.rig.model_copy(update={"block_samples": choice.block_samples})
+    return replace(
+        plan,
+        rig=rig,
+        rig_yaml=_text_with_block(plan.rig_yaml, rig),
+        linear=linear,
+        tick_blocks=choice.tick_blocks,
+        block_reason=choice.reason,
+    )
+
+
+def _text_with_block(text: str, rig: Rig) -> str:
+    """The rig's text with its block length; comments stay where the text can simply be gone on with."""
+    line = f"block_samples: {rig.block_samples}\n"
+    longer = f"{text.rstrip()}\n\n# Chosen for the test in which this rig was used.\n{line}"
+    try:
+        values = yaml.safe_load(longer)
+    except yaml.YAMLError:
+        return rig_text(rig)
+    only = isinstance(values, dict) and longer.count("block_samples:") == 1
+    return longer if only and values.get("block_samples") == rig.block_samples else rig_text(rig)

@@ -54,6 +54,8 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
             node_values={
                 "pll": {"loop": case.loop, **case.loop_values},
                 "extract": dict(case.extract_values),
+                # With an interval given, blocks stay as the rig has them: cases are compared block by block.
+                "sequencer": {"tick_blocks": 5},
             },
             **_strategy(case),
         )

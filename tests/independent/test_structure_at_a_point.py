@@ -58,7 +58,7 @@ def diagnosed(folder: Path, structure: Structure, model: tuple[float, float], sc
         "rig: rig.yaml\nfile: table.csv\nsegments: [{kind: backbone, unit: mm, point: 1}]\n", encoding="utf-8"
     )
     assert main(["import", str(folder / "table.yaml"), "--out", str(folder / "bag")]) == 0
-    words = ["--quiet", "--model", str(folder / "rig.yaml"), "--real", str(folder / "bag")]
+    words = ["--quiet", "--jobs", "1", "--model", str(folder / "rig.yaml"), "--real", str(folder / "bag")]
     assert main(["diagnose", *words, "--out", str(folder / "out")]) == 0
     result: dict[str, Any] = json.loads((folder / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     return result

@@ -68,7 +68,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[_LOG_FOLDER] = os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="nmt-test-logs-")
-    if config.getoption("--write-seconds") and not hasattr(config, "workerinput"):
+    worker = getattr(config, "workerinput", {}).get("workerid", "")
+    if worker:
+        from worker_schedule import stand_back
+
+        stand_back(worker)
+    if config.getoption("--write-seconds") and not worker:
         config.pluginmanager.register(Stopwatch())
 
 

@@ -1,8 +1,9 @@
 """The order of the tests on several workers: what takes longest begins first, so that nobody waits for it at the end.
 
 `seconds.txt` holds what each file took when it was last measured. A file's tests stay together, because they share
-what its fixtures make; where it says *apart* they share nothing, and each goes wherever there is room. A file without
-a line counts as short: that costs time and nothing else.
+what its fixtures make; where it says *apart* they share nothing, and each goes wherever there is room. What is
+*punctual* keeps to the clock, and a neighbour can make it late: all of it is done by the first worker, one after the
+other, and the other workers stand back for it. A file without a line counts as short: that costs time and nothing else.
 
     ./nmt test --write-seconds
 
@@ -11,6 +12,7 @@ measures them anew.
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,7 +24,9 @@ from xdist.scheduler.loadscope import LoadScopeScheduling
 
 TABLE = Path(__file__).with_name("seconds.txt")
 LEAST = 1.0  # s; shorter files are not in the table
-_HEAD = "# Seconds of each test file; 'apart': its tests share nothing. See worker_schedule.py.\n"
+FIRST = "gw0"
+_NICE = 5
+_HEAD = "# Seconds of each test file; 'apart', 'punctual': see worker_schedule.py.\n"
 
 
 @dataclass(frozen=True)
@@ -31,11 +35,11 @@ class Cost:
 
     Attributes:
         seconds: of all its tests, with what their fixtures make.
-        apart: whether its tests can be on different workers at no cost.
+        word: ``apart``, its tests can be on different workers at no cost; ``punctual``, they are in real time; or none.
     """
 
     seconds: float = 0.0
-    apart: bool = False
+    word: str = ""
 
 
 def read_costs(path: Path = TABLE) -> dict[str, Cost]:
@@ -44,7 +48,7 @@ def read_costs(path: Path = TABLE) -> dict[str, Cost]:
     for line in path.read_text(encoding="utf-8").splitlines():
         words = line.partition("#")[0].split()
         if words:
-            costs[words[1]] = Cost(float(words[0]), "apart" in words[2:])
+            costs[words[1]] = Cost(float(words[0]), " ".join(words[2:]))
     return costs
 
 
@@ -56,13 +60,19 @@ def write_costs(seconds: Mapping[str, float], path: Path = TABLE) -> None:
         path: of the table; files are sought from the folder above its own.
     """
     costs = read_costs(path)
-    costs.update({name: Cost(value, costs.get(name, Cost()).apart) for name, value in seconds.items()})
+    costs.update({name: Cost(value, costs.get(name, Cost()).word) for name, value in seconds.items()})
     lines = [
-        f"{cost.seconds:6.0f} {name}{' apart' if cost.apart else ''}\n"
+        f"{cost.seconds:6.0f} {name} {cost.word}".rstrip() + "\n"
         for name, cost in sorted(costs.items(), key=lambda item: (-round(item[1].seconds), item[0]))
-        if cost.seconds >= LEAST and (path.parent.parent / name).is_file()
+        if (cost.seconds >= LEAST or cost.word) and (path.parent.parent / name).is_file()
     ]
     path.write_text(_HEAD + "".join(lines), encoding="utf-8")
+
+
+def stand_back(worker: str) -> None:
+    """Let the first worker go before this one on a busy computer."""
+    if worker != FIRST:
+        os.nice(_NICE)
 
 
 class LongestFirst(LoadScopeScheduling):
@@ -82,7 +92,7 @@ class LongestFirst(LoadScopeScheduling):
     def _split_scope(self, nodeid: str) -> str:
         """Name of the unit that a test belongs to: itself, or its file."""
         file = nodeid.partition("::")[0]
-        return nodeid if self._costs.get(file, Cost()).apart else file
+        return nodeid if self._costs.get(file, Cost()).word == "apart" else file
 
     def schedule(self) -> None:
         """Distribute what was collected."""
@@ -92,8 +102,15 @@ class LongestFirst(LoadScopeScheduling):
         super().schedule()
 
     def _assign_work_unit(self, node: Any) -> None:
-        """Let a worker have the longest unit that is left."""
-        self.workqueue.move_to_end(max(self.workqueue, key=self._seconds), last=False)
+        """Let a worker have the longest unit that is left; the first one what is punctual, before all else."""
+        punctual = [unit for unit in self.workqueue if self._costs.get(unit, Cost()).word == "punctual"]
+        others = [unit for unit in self.workqueue if unit not in punctual]
+        first = node is next(iter(self.assigned_work))
+        mine = punctual or others if first else others
+        if not mine:  # what is left is for the first
+            node.shutdown()
+            return
+        self.workqueue.move_to_end(max(mine, key=self._seconds), last=False)
         super()._assign_work_unit(node)
 
     def _seconds(self, unit: str) -> float:

@@ -78,7 +78,7 @@ def open_shell(state: dict[str, Any]) -> int:
 
 
 def run_tests(state: dict[str, Any], arguments: list[str]) -> int:
-    """``test``: pytest on two workers a core, up to eight; later arguments win.
+    """``test``: pytest on one worker more than there are cores, up to eight; later arguments win.
 
     Tests with nodes wait for half of their time: for processes to start, for the clock.
     """
@@ -87,7 +87,7 @@ def run_tests(state: dict[str, Any], arguments: list[str]) -> int:
     environment = command_environment(state)
     environment.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
     environment.setdefault("ROS_LOG_DIR", os.path.join(STATE_FOLDER, "ros_log"))
-    workers = str(min(2 * len(os.sched_getaffinity(0)), 8))
+    workers = str(min(len(os.sched_getaffinity(0)) + 1, 8))
     os.chdir(ROOT)
     os.execve(VENV_PYTHON, [VENV_PYTHON, "-m", "pytest", "-n", workers, *arguments], environment)
 

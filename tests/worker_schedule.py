@@ -105,7 +105,9 @@ class LongestFirst(LoadScopeScheduling):
         """Let a worker have the longest unit that is left; the first one what is punctual, before all else."""
         punctual = [unit for unit in self.workqueue if self._costs.get(unit, Cost()).word == "punctual"]
         others = [unit for unit in self.workqueue if unit not in punctual]
-        first = node is next(iter(self.assigned_work))
+        # A worker that died has a successor of another name.
+        names = [worker.gateway.id for worker in self.assigned_work]
+        first = node.gateway.id == (FIRST if FIRST in names else names[0])
         mine = punctual or others if first else others
         if not mine:  # what is left is for the first
             node.shutdown()

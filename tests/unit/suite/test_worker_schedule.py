@@ -51,7 +51,7 @@ def scheduled(
     config: Any = SimpleNamespace(option=option, getvalue=lambda name: getattr(option, name))
     schedule = LongestFirst(config, costs=costs)
     made = [Worker(f"gw{number}") for number in range(workers)]
-    for worker in made:
+    for worker in reversed(made):  # they report in any order
         schedule.add_node(worker)  # type: ignore[arg-type]
         schedule.add_node_collection(worker, tests)  # type: ignore[arg-type]
     schedule.schedule()

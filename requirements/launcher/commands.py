@@ -78,14 +78,18 @@ def open_shell(state: dict[str, Any]) -> int:
 
 
 def run_tests(state: dict[str, Any], arguments: list[str]) -> int:
-    """``test``: pytest on two workers; later arguments win."""
+    """``test``: pytest on one worker more than there are cores, up to eight; later arguments win.
+
+    Tests with nodes wait for half of their time: for processes to start, for the clock.
+    """
     from .environment import command_environment
 
     environment = command_environment(state)
     environment.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
     environment.setdefault("ROS_LOG_DIR", os.path.join(STATE_FOLDER, "ros_log"))
+    workers = str(min(len(os.sched_getaffinity(0)) + 1, 8))
     os.chdir(ROOT)
-    os.execve(VENV_PYTHON, [VENV_PYTHON, "-m", "pytest", "-n", "2", *arguments], environment)
+    os.execve(VENV_PYTHON, [VENV_PYTHON, "-m", "pytest", "-n", workers, *arguments], environment)
 
 
 def show_version() -> int:

@@ -134,7 +134,7 @@ def told(folder: Path, model: tuple[float, float], recording: str) -> dict[str, 
     )
     (folder / "table.yaml").write_text(f"rig: rig.yaml\n{recording}", encoding="utf-8")
     assert main(["import", str(folder / "table.yaml"), "--out", str(folder / "bag")]) == 0
-    words = ["--quiet", "--model", str(folder / "rig.yaml"), "--real", str(folder / "bag")]
+    words = ["--quiet", "--jobs", "1", "--model", str(folder / "rig.yaml"), "--real", str(folder / "bag")]
     assert main(["diagnose", *words, "--out", str(folder / "out")]) == 0
     result: dict[str, Any] = json.loads((folder / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     return result

@@ -55,7 +55,7 @@ def test_an_even_force_is_found_in_a_backbone(tmp_path: Path) -> None:
         "rig: rig.yaml\nfile: table.csv\nsegments: [{kind: backbone, unit: mm, point: 1}]\n", encoding="utf-8"
     )
     assert main(["import", str(tmp_path / "table.yaml"), "--out", str(tmp_path / "bag")]) == 0
-    words = ["--quiet", "--model", str(tmp_path / "rig.yaml"), "--real", str(tmp_path / "bag")]
+    words = ["--quiet", "--jobs", "1", "--model", str(tmp_path / "rig.yaml"), "--real", str(tmp_path / "bag")]
     assert main(["diagnose", *words, "--out", str(tmp_path / "out")]) == 0
     found = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     assert found["verdict"] == "effect"

@@ -45,7 +45,7 @@ def diagnosed(data_folder: Path, folder: Path, name: str, scale: float = 1.0) ->
     )
     shutil.rmtree(folder / "bag", ignore_errors=True)
     assert main(["import", str(folder / "table.yaml"), "--out", str(folder / "bag")]) == 0
-    words = ["--quiet", "--force", "--model", str(folder / "rig.yaml"), "--real", str(folder / "bag")]
+    words = ["--quiet", "--jobs", "1", "--force", "--model", str(folder / "rig.yaml"), "--real", str(folder / "bag")]
     assert main(["diagnose", *words, "--out", str(folder / "out")]) == 0
     result: dict[str, Any] = json.loads((folder / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     return result

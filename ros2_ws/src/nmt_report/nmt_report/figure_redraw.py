@@ -18,6 +18,7 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from nmt_core.errors import BenchError
 from nmt_report.figure_record import FORMAT
+from nmt_report.kept_formulas import kept_formulas
 from nmt_report.svg import MUTED, figure_style
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ def save(figure: Figure, path: Path, dpi: int = _DPI) -> None:
     kind = path.suffix[1:]
     meta = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
     fonts: Any = {"svg.fonttype": "none", "pdf.fonttype": 42, "ps.fonttype": 42, "svg.hashsalt": path.stem}
-    with matplotlib.rc_context(fonts):
+    with matplotlib.rc_context(fonts), kept_formulas():
         figure.savefig(path, format=kind, dpi=dpi, metadata=meta, facecolor="white")
 
 

@@ -14,6 +14,7 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from nmt_report.figure_record import packed, record
+from nmt_report.kept_formulas import kept_formulas
 
 FIGURE_TYPE = "application/x-nmt-figure"
 """Kind of the element that holds a figure's numbers; nothing that a browser would run."""
@@ -69,7 +70,7 @@ _STYLE: Any = {
 @contextmanager
 def figure_style() -> Iterator[None]:
     """The look of all figures; nothing of it stays behind."""
-    with matplotlib.rc_context():
+    with matplotlib.rc_context(), kept_formulas():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE)
         yield

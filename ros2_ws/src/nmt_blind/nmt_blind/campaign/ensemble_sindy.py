@@ -20,7 +20,7 @@ from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
 from nmt_extract.harmonics import segment_moments, solve_moments
 from nmt_record.bag_reader import Bag
-from nmt_record.segments import Segment, read_signals, segments
+from nmt_record.segments import Signals, read_stretches, segments
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.model.local_elements import Jenkins
 from nmt_rig.rig import Rig, load_rig
@@ -49,9 +49,12 @@ def sparse_terms(model: Path, bags: Sequence[Path], seed: int = 0) -> dict[str, 
     rig = load_rig(model)
     windows = []
     for bag in map(Bag.open, bags):
-        for segment in segments(bag):
-            if segment.kind is TestKind.PHASE_RESONANCE and not segment.fault:
-                windows.append(_window(bag, segment, rig))
+        locked = [
+            segment for segment in segments(bag) if segment.kind is TestKind.PHASE_RESONANCE and not segment.fault
+        ]
+        # One pass over the bag, however many windows it has.
+        stretches = [(segment.first_sample, segment.samples) for segment in locked]
+        windows += [_window(signals, rig) for signals in (read_stretches(bag, stretches) if stretches else ())]
     if len(windows) < 3:
         return {}
     residual = [window[0] for window in windows]
@@ -98,9 +101,10 @@ def _ridge(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(normal, a.T @ b), dtype=np.float64)
 
 
-def _window(bag: Bag, segment: Segment, rig: Rig) -> tuple[FloatArray, dict[str, FloatArray]]:
+def _window(signals: Signals | None, rig: Rig) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Residual of the modal equation and library of terms over a period, both relative to the window's q̈."""
-    signals = read_signals(bag, segment.first_sample, segment.samples)
+    if signals is None:
+        raise BenchError("a window without samples")
     force = signals.named(Quantity.FORCE)
     quantity = Quantity[rig.extraction.quantity.upper()]
     motion = signals.named(quantity)

@@ -192,11 +192,11 @@ def test_a_decay_of_a_clamped_beam_is_cubic(tmp_path: Path) -> None:
 
 
 def test_a_decay_with_damping_that_grows_with_amplitude_is_named(tmp_path: Path) -> None:
-    found = of_decay(tmp_path, Structure((47.0,), (0.003,), square_damping=6e6), (46.5, 0.0035), 2.0, 4.0, 2048.0, 4)
+    found = of_decay(tmp_path, Structure((97.0,), (0.003,), square_damping=2e7), (96.2, 0.0035), 4.0, 3.0, 2048.0, 4)
     first = found["ranking"][0]
     assert found["verdict"] == "effect"
     assert first["effect"] == "amplitude_damping"
-    assert off(first["parameters"]["c"], 6e6) < 3.0
+    assert off(first["parameters"]["c"], 2e7) < 3.0
     assert found["gap"]["closed"] > 0.9
 
 

@@ -74,6 +74,7 @@ class PhaseResonanceTest:
         held: ``voltage`` (drive known), or ``force`` (drive unknown, |F₁| taken as the given amplitude; the zero of all
             phases is then that of the measured F₁).
         levels: the windows, in time.
+        commanded: the drive is the commanded voltage; else the recorded one.
     """
 
     name: str
@@ -83,6 +84,7 @@ class PhaseResonanceTest:
     harmonics: int
     held: str
     levels: tuple[LockedLevel, ...]
+    commanded: bool = False
 
 
 @dataclass(frozen=True)

@@ -72,6 +72,7 @@ class LockedWindow:
         drive: drive voltage, V peak; NaN where it is not known.
         referenced: whether phases refer to the drive; else to the force.
         mains: lines of the mains by frequency, Hz, their channels as in ``rows``; those that the window can tell.
+        commanded: whether ``drive`` is what was commanded; else it is the recorded voltage.
     """
 
     segment: Segment
@@ -84,6 +85,7 @@ class LockedWindow:
     drive: float
     referenced: bool
     mains: Mapping[float, Line]
+    commanded: bool
 
     def row(self, name: str) -> int:
         """Index of a channel."""
@@ -133,7 +135,8 @@ def analyse_window(segment: Segment, stretch: Stretch, settings: EvidenceSetting
     if voltage is not None and not abs(whole[rows.index(voltage.name), 1]) > 0.0:
         voltage = None
     drive, referenced = math.nan, known
-    if names_voltage and known:
+    commanded = names_voltage and known
+    if commanded:
         drive = segment.level
     elif voltage is not None:
         drive = float(abs(whole[rows.index(voltage.name), 1]))
@@ -152,7 +155,9 @@ def analyse_window(segment: Segment, stretch: Stretch, settings: EvidenceSetting
     frequency = float(cycles[-1] - cycles[0]) / (used - 1) * stretch.sample_rate
     lines = {hz: mains_line(cycles, data, stretch.sample_rate, fitted, hz) for hz in MAINS_HZ}
     mains = {hz: line for hz, line in lines.items() if line is not None}
-    return LockedWindow(segment, stretch, rows, whole, without, single, frequency, drive, referenced, mains)
+    return LockedWindow(
+        segment, stretch, rows, whole, without, single, frequency, drive, referenced, mains, commanded
+    )  # fmt: skip
 
 
 def _cycles(segment: Segment, stretch: Stretch, force: str) -> FloatArray:
@@ -312,6 +317,7 @@ def phase_resonance_evidence(
         harmonics=settings.harmonics,
         held=held,
         levels=tuple(levels),
+        commanded=held == "voltage" and any(window.commanded for window in kept),
     )
     table = RowTable()
     cells: list[_Cell] = []

@@ -184,7 +184,8 @@ class _Columns:
         # Sensors of one kind share their conditioners; all of them together may be late against the voltage.
         shared = max(chain.shared_delay_s for chain in self.own)
         found += [shared * group for group in (*groups.values(), np.sum(list(groups.values()), axis=0))]
-        found.append(max(chain.voltage_gain for chain in self.own) * self._voltage(base))
+        voltage_gain = max(chain.voltage_gain for chain in self.own)
+        found += [voltage_gain * self._voltage(base), voltage_gain * self._recorded_voltage()]
         found += self._hold(self._slopes(base), base.values)
         clock = self.rig.model_copy(update={"clock_error": self.rig.clock_error + _CLOCK_STEP})
         moved = forward.difference(forward.predict(clock, base).values, base.values)
@@ -295,6 +296,15 @@ class _Columns:
         for number, test in enumerate(self.tests):
             if isinstance(test, RandomTest) and test.reference == "voltage":
                 result[(self.rows.test == number) & (self.rows.part == Part.LOG_MAGNITUDE)] = 1.0
+        return result
+
+    def _recorded_voltage(self) -> FloatArray:
+        """Rows over the gain of the recorded voltage where other tests say what was commanded."""
+        result = np.zeros(len(self.rows))
+        if any(isinstance(test, PhaseResonanceTest) and test.commanded for test in self.tests):
+            for number, test in enumerate(self.tests):
+                if isinstance(test, RandomTest) and test.reference == "voltage":
+                    result[(self.rows.test == number) & (self.rows.part == Part.LOG_MAGNITUDE)] = 1.0
         return result
 
     def _stepped(self) -> list[FloatArray]:

@@ -366,3 +366,16 @@ def test_a_loop_that_still_settles_leans_and_a_steady_offset_does_not() -> None:
     assert 0.7 * settling.mean() < _lean(settling) < 1.6 * settling.mean()
     # The scatter of ten values lets a small drift through now and then, never the offset itself.
     assert _lean(1e-3 + noise) < 1e-4
+
+
+def test_an_amplitude_that_still_settles_is_told_by_its_thirds() -> None:
+    from nmt_diagnose.evidence.phase_resonance_evidence import _amplitude_lean
+
+    time = (np.arange(10) + 0.5) / 10.0
+    noise = 1e-4 * np.random.default_rng(5).standard_normal(10)
+    for size, rate in ((-0.02, 2.0), (0.01, 1.2), (-0.03, 3.0)):
+        settling = size * np.exp(-rate * time)
+        assert _amplitude_lean(settling + noise) == pytest.approx(settling.mean(), rel=0.15)
+    # The scatter of ten values lets a small drift through now and then, never the level itself.
+    assert abs(_amplitude_lean(0.5 + noise)) < 2e-3
+    assert _amplitude_lean(np.zeros(3)) == 0.0

@@ -16,6 +16,7 @@ from nmt_core.blocks import Quantity
 from nmt_diagnose.evidence.conditions import (
     MeasuredChannel,
     PhaseResonanceTest,
+    RandomTest,
     RingDownTest,
     Test,
 )
@@ -214,6 +215,49 @@ def test_a_high_pass_within_the_tolerance_is_noise_and_beyond_it_is_not() -> Non
     assert size(Problem(evidence, forward), 0.2) > 100.0
     assert size(problem, 0.2) < 5.0
     assert size(problem, 4.0) > 50.0
+
+
+def test_a_recorded_voltage_may_be_off_from_the_commanded_one() -> None:
+    """Amplitudes over a commanded voltage and responses over a recorded one differ by the gain of its channel."""
+    model = chain()
+    evidence = evidence_of_twin(model, noise=0.0)
+    forward, rows = Forward(evidence.tests, evidence.rows), evidence.rows
+    base = forward.predict(model)
+    random = np.array([isinstance(evidence.tests[number], RandomTest) for number in rows.test])
+    louder = np.where(random & (rows.part == Part.LOG_MAGNITUDE), 0.01, 0.0)
+    sizes = []
+    for commanded in (False, True):
+        tests = tuple(
+            replace(test, commanded=commanded) if isinstance(test, PhaseResonanceTest) else test
+            for test in evidence.tests
+        )
+        tolerant = replace(evidence, tests=tests, chains=(MeasuringChain(),) * len(tests))
+        problem = with_chain_errors(Problem(tolerant, forward), model, base)
+        residual = problem.whitened(louder)
+        sizes.append(float(residual @ residual))
+    assert sizes[0] > 50.0
+    assert sizes[1] < 2.0
+
+
+def test_amplitudes_that_had_not_settled_are_one_error_of_their_level() -> None:
+    model = chain()
+    evidence = evidence_of_twin(model, noise=0.0, random=False)
+    (test,) = evidence.tests
+    assert isinstance(test, PhaseResonanceTest)
+    leans = tuple(-0.01 - 0.001 * k for k in range(len(test.channels)))
+    levels = tuple(replace(own, amplitude_leans=leans if k == 2 else ()) for k, own in enumerate(test.levels))
+    unsettled = replace(evidence, tests=(replace(test, levels=levels),))
+    forward, rows = Forward(unsettled.tests, unsettled.rows), unsettled.rows
+    base = forward.predict(model)
+    (column,) = chain_errors(Problem(unsettled, forward), model, base)[1].T
+    mine = (rows.level == 2) & (rows.part == Part.LOG_MAGNITUDE)
+    assert np.array_equal(column[mine], np.array(leans)[rows.channel[mine]])
+    assert not column[~mine].any()
+    problem = with_chain_errors(Problem(unsettled, forward), model, base)
+    residual = problem.whitened(column)
+    assert float(residual @ residual) < 1.0
+    elsewhere = np.where((rows.level == 3) & (rows.part == Part.LOG_MAGNITUDE), 0.01, 0.0)
+    assert float(problem.whitened(elsewhere) @ problem.whitened(elsewhere)) > 100.0
 
 
 def _rows(levels: int, parts: tuple[Part, ...], frequency_hz: float = 0.0, rate: float = 1.0) -> Rows:

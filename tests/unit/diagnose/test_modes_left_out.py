@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from unit.diagnose.test_stepped_sine import DAMPER, OMEGA, evidence_of, oscillator, swept
 
-from nmt_core.blocks import FloatArray
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_diagnose.evidence.conditions import MeasuredChannel
 from nmt_diagnose.evidence.measuring_chain import table_chain
 from nmt_diagnose.inference.chain_errors import chain_errors
 from nmt_diagnose.inference.problem import Problem
@@ -56,3 +57,16 @@ def test_a_model_that_states_its_residual_has_no_such_tolerance() -> None:
     same = rig.model_copy(update={"structure": rig.structure.model_copy(update={"residual": stated})})
     before, after = left_by_columns(same)
     assert after > 0.2 * before
+
+
+def test_a_force_channel_beside_the_responses_has_no_other_modes() -> None:
+    test = swept(LINES, 1.0, receptance(True))
+    both = replace(test, channels=(*test.channels, MeasuredChannel("f1", Quantity.FORCE, 1)))
+    rig = oscillator()
+    found = []
+    for own in (test, both):
+        evidence = replace(evidence_of([own]), chains=(table_chain(),))
+        forward = Forward(evidence.tests, evidence.rows)
+        found.append(chain_errors(Problem(evidence, forward), rig, forward.predict(rig))[1])
+    alone, beside = (columns[:, np.any(columns != 0.0, axis=0)] for columns in found)
+    np.testing.assert_allclose(beside, alone)

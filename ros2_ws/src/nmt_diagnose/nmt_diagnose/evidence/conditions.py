@@ -45,6 +45,8 @@ class LockedLevel:
         force_n: measured |F₁|, N: the given amplitude where the force is held.
         phase_lean: how far the loop may still have been off because it had not settled, rad.
         drive_harmonics: orders 2, 3, … of the recorded drive over its fundamental, whose phase is zero; empty = pure.
+        amplitude_leans: of each channel of the test, how far its amplitude was from where it would have settled,
+            relative; empty = nowhere.
     """
 
     index: int
@@ -59,6 +61,7 @@ class LockedLevel:
     force_n: float = math.nan
     phase_lean: float = 0.0
     drive_harmonics: tuple[complex, ...] = ()
+    amplitude_leans: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,8 @@ _SIGNIFICANT_DRIFT = 4.0
 _FURTHEST_PHASE = math.radians(60.0)
 # Mean over the window of a transient over its change from begin to end: measured 1.8 on the joint resonator.
 _LEAN = 2.0
+# Sub-windows from which a transient is told, and how fast it may fall, over the window.
+_FEWEST_TO_SETTLE, _SETTLING = 6, tuple(np.geomspace(0.5, 8.0, 25))
 # The line of the mains that is observed in any case; the other one only where it stands out by so many deviations.
 _COMMON_MAINS = MAINS_HZ[0]
 _STANDS_OUT = 6.0
@@ -238,6 +240,28 @@ def _lean(single: FloatArray) -> float:
     return _LEAN * math.sqrt(max(0.0, drift * drift - scatter))
 
 
+def _amplitude_lean(single: FloatArray) -> float:
+    """How far ln of an amplitude is from where it will settle, in the mean over its window; 0 where no drift shows.
+
+    What is left falls exponentially, at the rate that leaves least of the sub-windows.
+
+    Args:
+        single: ln of the amplitude in each sub-window, shape (K,).
+    """
+    if single.size < _FEWEST_TO_SETTLE or _lean(single) == 0.0:
+        return 0.0
+    time = (np.arange(single.size) + 0.5) / single.size
+    best, lean = math.inf, 0.0
+    for rate in _SETTLING:
+        falling = np.exp(-rate * time)
+        centred = falling - falling.mean()
+        size = float(centred @ single) / float(centred @ centred)
+        rest = single - single.mean() - size * centred
+        if float(rest @ rest) < best:
+            best, lean = float(rest @ rest), size * float(falling.mean())
+    return lean
+
+
 @dataclass
 class _Cell:
     """One observable of one channel on its way: values in the unit of the channel over its fundamental."""
@@ -309,6 +333,10 @@ def phase_resonance_evidence(
     present = [c for c in channels.values() if c.quantity not in (Quantity.VOLTAGE, Quantity.CURRENT)]
     recorded = {own.name: theirs for theirs, own in channels.items()}
     response = _response(kept[0].stretch, drive_point, response_quantity)
+    levels = [
+        replace(level, amplitude_leans=tuple(_leans(window, [recorded[channel.name] for channel in present])))
+        for level, window in zip(levels, kept, strict=True)
+    ]
     test = PhaseResonanceTest(
         name=name,
         drive_point=drive_point,
@@ -500,6 +528,15 @@ def _level(window: LockedWindow, drive_point: int, wanted: Quantity | None, leve
         direction=1,
         force_n=float(abs(window.amplitudes[rows[0], 1])),
     )
+
+
+def _leans(window: LockedWindow, names: Sequence[str]) -> list[float]:
+    """How far the amplitudes of channels are from where they will settle, relative."""
+    result = []
+    for name in names:
+        sizes = np.abs(window.single[:, window.row(name), 1]) if name in window.rows else np.zeros(0)
+        result.append(_amplitude_lean(np.log(sizes)) if sizes.size and np.all(sizes > 0.0) else 0.0)
+    return result
 
 
 def _with_direction(levels: list[LockedLevel], held: str) -> list[LockedLevel]:

@@ -86,10 +86,11 @@ def chain_errors(
     """
     evidence = problem.evidence
     chains = _chains(evidence)
+    unsettled = _unsettled(evidence)
     if not chains:
         if scatter is not None and scatter.any():
             problem = replace(problem, evidence=replace(evidence, floor=np.hypot(evidence.floor, scatter)))
-        return problem, np.zeros((len(evidence.rows), 0))
+        return problem, unsettled
     builder = _Columns(evidence, rig, chains)
     floor = np.hypot(evidence.floor, builder.floor(prediction))
     if scatter is not None:
@@ -100,7 +101,23 @@ def chain_errors(
         columns = np.hstack([columns, builder.between_tests(scatter)])
     if drift > 0.0:
         columns = np.hstack([columns, drift * builder.sweeps(prediction)])
-    return problem, columns
+    return problem, np.hstack([columns, unsettled])
+
+
+def _unsettled(evidence: Evidence) -> FloatArray:
+    """Amplitudes of locked windows that had not settled, one error for each level, shape (m, levels)."""
+    rows, found = evidence.rows, []
+    for number, test in enumerate(evidence.tests):
+        if not isinstance(test, PhaseResonanceTest):
+            continue
+        for position, level in enumerate(test.levels):
+            if any(level.amplitude_leans):
+                mine = (rows.test == number) & (rows.level == position) & (rows.part == Part.LOG_MAGNITUDE)
+                mine &= rows.channel >= 0
+                column = np.zeros(len(rows))
+                column[mine] = np.array(level.amplitude_leans)[rows.channel[mine]]
+                found.append(column)
+    return np.column_stack(found) if found else np.zeros((len(rows), 0))
 
 
 def sweep_directions(evidence: Evidence, rig: Rig, prediction: Prediction) -> FloatArray:

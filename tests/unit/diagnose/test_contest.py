@@ -10,8 +10,10 @@ from unit.diagnose.twin_evidence import chain, evidence_of_twin, real
 
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
+from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.evidence.observables import Evidence
-from nmt_diagnose.inference.contest import Contest
+from nmt_diagnose.inference.contest import Contender, Contest
+from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
@@ -130,3 +132,23 @@ def test_a_strong_stop_is_fitted_to_its_optimum() -> None:
     reported = best.fit.parametrisation.reported(best.fit.theta, 0)
     gap_std = reported["gap"][0] * best.fit.std[best.fit.parametrisation.index_of(0)][1]
     assert reported["gap"][0] == pytest.approx(1.5e-4, abs=4.0 * gap_std)
+
+
+def test_a_fit_beyond_what_was_measured_is_tried_from_other_shapes() -> None:
+    """A gap that no amplitude closes changes nothing: a fit that stands there has no slope to come back by."""
+    gap, stiffness = 2.0e-4, 4.0e3
+    spring = {"kind": "two_sided_gap", "point": 2, "stiffness_n_m": stiffness, "gap_m": gap}
+    own = contest(evidence_of_twin(real(MODEL, local_elements=[spring]), seed=4, drives=LEVELS), ("two_sided_gap",))
+    candidate = next(c for c in own.candidates if c.label == "two_sided_gap@2")
+    parametrisation = Parametrisation(MODEL, own.calibration, (candidate,))
+    theta = np.zeros(parametrisation.size)
+    names = [parameter.name for parameter in candidate.effect.parameters]
+    place = parametrisation.index_of(0).start
+    theta[place + names.index("k")], theta[place + names.index("gap")] = 0.5, 6.0
+    stuck = Contender((candidate,), fit(own.problem, parametrisation, theta))
+    assert stuck.fit.chi_square / stuck.fit.used.sum() > 4.0
+    (found,) = own._with_other_shapes([stuck])
+    assert found.fit.chi_square / found.fit.used.sum() < 1.3
+    reported = found.fit.parametrisation.reported(found.fit.theta, 0)
+    assert reported["gap"][0] == pytest.approx(gap, rel=0.1)
+    assert own._with_other_shapes([found]) == [found]

@@ -50,6 +50,7 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         shape_figures=figures.get("shape", ()),
         run_figures=figures.get("run", ()),
         level_table=_level_table(data),
+        block_reason=_block_reason(data),
         budget_tables=_budget_tables(data),
         budget_notes=_budget_notes(data),
         assumptions=_assumptions(data),
@@ -176,13 +177,19 @@ def _facts(data: RunReportData) -> list[tuple[str, str]]:
 
 
 def _block_length(data: RunReportData) -> str:
-    """Samples and duration of a block, and why it is so long where that was chosen; empty if the bag does not say."""
+    """Samples and duration of a block; empty if the bag does not say."""
     block = data.run.get("block")
     if not isinstance(block, Mapping) or not block.get("samples"):
         return ""
     samples = int(block["samples"])
     text = f"{samples} samples ({significant(1e3 * samples / data.sample_rate, 3)} ms)"
-    return f"{text}, {block['reason']}" if block.get("reason") else text
+    return f"{text}, chosen" if _block_reason(data) else text
+
+
+def _block_reason(data: RunReportData) -> str:
+    """Why blocks are as long as they are, where that was chosen; empty elsewhere."""
+    block = data.run.get("block")
+    return str(block.get("reason") or "") if isinstance(block, Mapping) else ""
 
 
 def _modal_table(data: RunReportData) -> Table | None:

@@ -3,7 +3,9 @@
 `seconds.txt` holds what each file took when it was last measured. A file's tests stay together, because they share
 what its fixtures make; where it says *apart* they share nothing, and each goes wherever there is room. What is
 *punctual* keeps to the clock, and a neighbour can make it late: all of it is done by the first worker, one after the
-other, and the other workers stand back for it. A file without a line counts as short: that costs time and nothing else.
+other. The other workers stand back for it, and those beyond the number of cores begin after it. What is *alone* loses
+samples for good when it is late: the first worker begins with it, and no other begins before it is done. A file without
+a line counts as short: that costs time and nothing else.
 
     ./nmt test --write-seconds
 
@@ -26,6 +28,7 @@ TABLE = Path(__file__).with_name("seconds.txt")
 LEAST = 1.0  # s; shorter files are not in the table
 FIRST = "gw0"
 _NICE = 5
+_TIMED = ("alone", "punctual")
 _HEAD = "# Seconds of each test file; 'apart', 'punctual': see worker_schedule.py.\n"
 
 
@@ -35,7 +38,8 @@ class Cost:
 
     Attributes:
         seconds: of all its tests, with what their fixtures make.
-        word: ``apart``, its tests can be on different workers at no cost; ``punctual``, they are in real time; or none.
+        word: ``apart``, its tests can be on different workers at no cost; ``punctual``, they are in real time;
+            ``alone``, nothing may run beside them; or none.
     """
 
     seconds: float = 0.0
@@ -82,12 +86,21 @@ class LongestFirst(LoadScopeScheduling):
         config: of the test run.
         log: of xdist.
         costs: by file; default those of the table.
+        cores: of the computer; default those that may be used.
     """
 
-    def __init__(self, config: pytest.Config, log: Any = None, costs: Mapping[str, Cost] | None = None) -> None:
+    def __init__(
+        self,
+        config: pytest.Config,
+        log: Any = None,
+        costs: Mapping[str, Cost] | None = None,
+        cores: int | None = None,
+    ) -> None:
         super().__init__(config, log)
         self._costs = read_costs() if costs is None else costs
+        self._cores = len(os.sched_getaffinity(0)) if cores is None else cores
         self._tests: Counter[str] = Counter()
+        self._all_may = False
 
     def _split_scope(self, nodeid: str) -> str:
         """Name of the unit that a test belongs to: itself, or its file."""
@@ -101,14 +114,42 @@ class LongestFirst(LoadScopeScheduling):
             self._tests.update(nodeid.partition("::")[0] for nodeid in collected)
         super().schedule()
 
+    def mark_test_complete(self, node: Any, item_index: int, duration: float = 0) -> None:
+        """Note the end of a test; one that others waited for lets them begin."""
+        before = self._workers_beside()
+        super().mark_test_complete(node, item_index, duration)
+        if self._workers_beside() > before:
+            for other in self.nodes:
+                self._reschedule(other)
+
+    def _word(self, unit: str) -> str:
+        return self._costs.get(unit, Cost()).word
+
+    def _workers_beside(self) -> int:
+        """How many workers may work now."""
+        if self._all_may:
+            return len(self.assigned_work)
+        begun = (item for units in self.assigned_work.values() for item in units.items())
+        left = {self._word(unit) for unit in self.workqueue}
+        left |= {self._word(unit) for unit, tests in begun if not all(tests.values())}
+        if "alone" in left:
+            return 1
+        if "punctual" in left:
+            return max(self._cores, 1)
+        self._all_may = self.collection is not None
+        return len(self.assigned_work)
+
     def _assign_work_unit(self, node: Any) -> None:
-        """Let a worker have the longest unit that is left; the first one what is punctual, before all else."""
-        punctual = [unit for unit in self.workqueue if self._costs.get(unit, Cost()).word == "punctual"]
-        others = [unit for unit in self.workqueue if unit not in punctual]
+        """Let a worker have the longest unit that is left; the first one what keeps to the clock, before all else."""
+        timed = [unit for unit in self.workqueue if self._word(unit) in _TIMED]
+        others = [unit for unit in self.workqueue if unit not in timed]
         # A worker that died has a successor of another name.
-        names = [worker.gateway.id for worker in self.assigned_work]
-        first = node.gateway.id == (FIRST if FIRST in names else names[0])
-        mine = punctual or others if first else others
+        names = sorted((worker.gateway.id for worker in self.assigned_work), key=lambda name: (len(name), name))
+        place = names.index(node.gateway.id)
+        if place >= self._workers_beside():
+            return
+        alone = [unit for unit in timed if self._word(unit) == "alone"]
+        mine = alone or timed or others if place == 0 else others
         if not mine:  # what is left is for the first
             node.shutdown()
             return

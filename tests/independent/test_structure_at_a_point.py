@@ -200,6 +200,17 @@ def test_a_decay_with_damping_that_grows_with_amplitude_is_named(tmp_path: Path)
     assert found["gap"]["closed"] > 0.9
 
 
+def test_hum_near_the_mode_does_not_hide_what_damps_a_decay(tmp_path: Path) -> None:
+    """The mode decays at 47 Hz, the mains stay at 50 Hz: they beat where the decay has become small."""
+    factor = 6e6
+    found = of_decay(tmp_path, Structure((47.0,), (0.003,), square_damping=factor), (46.5, 0.0035), 2.0, 4.0, 2048.0, 4)
+    first = found["ranking"][0]
+    assert found["verdict"] == "effect"
+    assert first["effect"] == "amplitude_damping"
+    assert off(first["parameters"]["c"], factor) < 3.0
+    assert any("a line of the mains beside the decaying mode" in note for note in found["notes"])
+
+
 def test_a_decay_of_a_linear_beam_has_no_effect(tmp_path: Path) -> None:
     found = of_decay(tmp_path, Structure((133.1,), (0.0035,)), (131.5, 0.003), 3.0, 1.5, 5120.0, 2)
     assert found["verdict"] in ("none", "calibration")

@@ -45,11 +45,11 @@ class Worker:
 
 
 def scheduled(
-    workers: int, tests: Sequence[str] = TESTS, costs: Mapping[str, Cost] = COSTS
+    workers: int, tests: Sequence[str] = TESTS, costs: Mapping[str, Cost] = COSTS, cores: int = 8
 ) -> tuple[LongestFirst, list[Worker]]:
     option: Any = SimpleNamespace(loadscopereorder=True, tx=["popen"] * workers, maxprocesses=None)
     config: Any = SimpleNamespace(option=option, getvalue=lambda name: getattr(option, name))
-    schedule = LongestFirst(config, costs=costs)
+    schedule = LongestFirst(config, costs=costs, cores=cores)
     made = [Worker(f"gw{number}") for number in range(workers)]
     for worker in reversed(made):  # they report in any order
         schedule.add_node(worker)  # type: ignore[arg-type]
@@ -109,6 +109,45 @@ def test_what_is_punctual_waits_for_the_first() -> None:
     assert sorted(work_off(schedule, made, tests)) == sorted(tests)
     assert [tests[index] for index in made[0].given][:4] == tests[:4]
     assert [tests[index] for index in made[1].given] == ["new.py::a"]
+
+
+def test_workers_beyond_the_cores_begin_after_what_is_punctual() -> None:
+    tests = ["clock.py::a", "clock.py::b", *(f"new{number}.py::a" for number in range(20))]
+    schedule, made = scheduled(3, tests, COSTS, cores=2)
+    assert made[1].given
+    assert not made[2].given
+    for index in (0, 1):
+        assert not made[2].given
+        schedule.mark_test_complete(made[0], index)  # type: ignore[arg-type]
+    assert made[2].given
+    assert not made[2].shutting_down
+
+
+def test_no_worker_begins_before_what_is_alone_is_done() -> None:
+    tests = ["late.py::a", "late.py::b", "clock.py::a", *(f"new{number}.py::a" for number in range(20))]
+    costs = {"clock.py": Cost(90.0, "punctual"), "late.py": Cost(5.0, "alone")}
+    schedule, made = scheduled(3, tests, costs, cores=2)
+    for index in (0, 1):
+        assert made[0].given[:2] == [0, 1]
+        assert not made[1].given
+        assert not made[2].given
+        schedule.mark_test_complete(made[0], index)  # type: ignore[arg-type]
+    assert made[1].given
+    assert not made[2].given
+    assert tests[made[0].given[2]] == "clock.py::a"
+    schedule.mark_test_complete(made[0], 2)  # type: ignore[arg-type]
+    assert made[2].given
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_every_test_runs_once_where_some_are_alone(workers: int) -> None:
+    costs = {**COSTS, "short.py": Cost(2.0, "alone")}
+    assert sorted(work_off(*scheduled(workers, costs=costs, cores=2))) == sorted(TESTS)
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_every_test_runs_once_where_workers_wait(cores: int) -> None:
+    assert sorted(work_off(*scheduled(3, cores=cores))) == sorted(TESTS)
 
 
 def test_measured_seconds_replace_those_of_the_table(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.evidence.bag_samples import Stretch
 from nmt_diagnose.evidence.conditions import MeasuredChannel, RingDownTest
+from nmt_diagnose.evidence.decay_hum import Hum, without_hum
 from nmt_diagnose.evidence.decay_nodes import Node, nodes, ratio_at
 from nmt_diagnose.evidence.decay_signal import Ridge, SlowAmplitude, demodulated, ridges, slow_amplitude
 from nmt_diagnose.evidence.model_view import ORDER, ModelView, nearest_ratio
@@ -41,6 +42,8 @@ class _Decay:
     slow: SlowAmplitude
     nodes: list[Node]
     good: list[Node]
+    ridge: Ridge
+    hum: tuple[Hum, ...]
 
 
 def ring_down_evidence(
@@ -94,7 +97,8 @@ def ring_down_evidence(
         amplitudes.append(node.amplitude)
     for index, other in enumerate(others, start=1):
         samples = stretch.row(other.name)
-        values = demodulated(samples - samples.mean(), decay.slow.cycles, decay.slow.width)[:: decay.slow.stride]
+        samples, _ = without_hum(samples - samples.mean(), stretch.sample_rate, decay.ridge, _SWITCH_OFF)
+        values = demodulated(samples, decay.slow.cycles, decay.slow.width)[:: decay.slow.stride]
         for level, node in enumerate(decay.good):
             ratio, std = ratio_at(node, decay.slow, values)
             if not std < _LARGEST_RATIO_STD:
@@ -126,6 +130,7 @@ def _decay(
     samples = stretch.row(channel.name)
     samples = samples - samples.mean()
     ridge = _chosen(ridges(samples, stretch.sample_rate, channel.quantity), frequency_hz, view)
+    samples, hum = without_hum(samples, stretch.sample_rate, ridge, _SWITCH_OFF)
     best: _Decay | None = None
     reason = ""
     for width in _WIDTHS:
@@ -139,7 +144,7 @@ def _decay(
         if not good:
             reason = reason or "the decay does not stand out of the noise, or something else rings on"
             continue
-        decay = _Decay(slow, found, good)
+        decay = _Decay(slow, found, good, ridge, hum)
         # A narrower band lets less of other modes through, but makes less of a fast decay.
         if best is None or _uncertainty(decay) < _NARROWER_PAYS * _uncertainty(best):
             best = decay
@@ -195,6 +200,11 @@ def _notes(name: str, decay: _Decay) -> list[str]:
             f"{name}: {len(left)} of {len(decay.nodes)} amplitudes of the decay are left out, because something else "
             f"or noise covers the mode there (frequency known to {100.0 * worst:.2g} % only)."
         )
+    result += [
+        f"{name}: a line of the mains beside the decaying mode is taken out: {hum.frequency_hz:.5g} Hz, amplitude "
+        f"{hum.amplitude:.3g} in the channel's unit."
+        for hum in decay.hum
+    ]
     first = decay.nodes[0].first
     if first > _SWITCH_OFF:
         start = float(decay.slow.time_s[first])

@@ -138,7 +138,7 @@ def _lines_in(
             gain = float(np.sum((weighted @ solution) ** 2))
             if best is None or gain > best[0]:
                 std = math.sqrt(float(np.linalg.inv(weighted.T @ weighted).diagonal().max()))
-                best = gain, line + shift, solution, design @ solution, std
+                best = gain, float(line + shift), np.asarray(solution), np.asarray(design @ solution), std
         assert best is not None
         _, hertz, solution, values, std = best
         amplitude = math.hypot(*solution)

@@ -134,6 +134,21 @@ def test_the_mixture_is_as_stated_and_cases_do_not_depend_on_their_number() -> N
     assert {"null", "effect", "withheld"} <= set(flagged)
 
 
+@pytest.mark.parametrize(
+    ("special", "general"),
+    [
+        ("second_friction_contact", "microslip"),
+        ("viscous_damping", "power_law_damping"),
+        ("air_drag", "power_law_damping"),
+    ],
+)
+def test_an_effect_is_withheld_with_what_contains_it(special: str, general: str) -> None:
+    cases = draw_cases(MODEL, made_up_table(RIG), 800, 8, kinds=("withheld",))
+    mine = [case for case in cases if case.effects[0].name == special]
+    assert mine
+    assert all(general in case.withheld.split(",") for case in mine)
+
+
 def test_air_drags_no_more_than_air_can() -> None:
     limit = 0.5 * 1.2 * 10.0 * 0.7 * 0.00527668  # ½ ρ C_d A of the beam's face
     plain = made_up_table(RIG)

@@ -152,3 +152,24 @@ def test_a_fit_beyond_what_was_measured_is_tried_from_other_shapes() -> None:
     reported = found.fit.parametrisation.reported(found.fit.theta, 0)
     assert reported["gap"][0] == pytest.approx(gap, rel=0.1)
     assert own._with_other_shapes([found]) == [found]
+
+
+def test_an_explanation_that_two_fits_share_is_replaced_by_a_better_one(
+    hardening: Evidence, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a pair becomes without the member that does nothing is known already, fitted from two other starts."""
+    own = contest(hardening)
+    null = own.null()
+    (single, *_) = own.singles(null, own.scan(null))
+    worse, worst = (
+        replace(single, fit=replace(single.fit, theta=single.fit.theta + less, log_evidence=-less))
+        for less in (1e8, 2e8)
+    )
+    pair = replace(single)
+    monkeypatch.setattr(Contender, "strength", lambda _self, _member: 0.0)
+    monkeypatch.setattr(own, "_without", lambda _pair, _member: single)
+    kept, pairs = own.pruned([worse, worst, null], [pair])
+    assert pairs == []
+    assert [each is single for each in kept].count(True) == 1
+    assert [each.explanation for each in kept].count(single.explanation) == 1
+    assert any(each is null for each in kept)

@@ -246,7 +246,9 @@ class _Draws:
                 at -= 1  # as strong as it gets
             spot, value = self._choose(self._spots(truth, STRENGTHS[at]))
             if withheld:
-                family = (truth.name, *self.table.twins(truth, spot))
+                family = tuple(
+                    dict.fromkeys((truth.name, *_CONTAINED.get(truth.name, ()), *self.table.twins(truth, spot)))
+                )
             if truth.signed and self._generator.random() < 0.5:
                 value = -value
             edits += truth.edits(self.model, self.table.operating, spot, value)
@@ -286,6 +288,15 @@ _SAME_KEY = (
     {"low_pass", "channel_skew"},
     {"shared_delay", "channel_skew"},
 )
+
+
+# Effects of the library with one parameter more, of which an effect is a special case at one of its values: a Jenkins
+# element is micro-slip with sliders that are all alike, linear and quadratic damping are powers of the velocity.
+_CONTAINED = {
+    "second_friction_contact": ("microslip",),
+    "viscous_damping": ("power_law_damping",),
+    "air_drag": ("power_law_damping",),
+}
 
 
 def _overlap(one: str, other: str) -> bool:

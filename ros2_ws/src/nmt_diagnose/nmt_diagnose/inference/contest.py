@@ -503,7 +503,7 @@ class Contest:
                 continue
             rivals = [own for own in better if own.explanation == alone.explanation]
             if all(alone.fit.log_evidence > own.fit.log_evidence + 0.5 for own in rivals):
-                better = [own for own in better if own not in rivals] + [alone]
+                better = [own for own in better if own.explanation != alone.explanation] + [alone]
         return sorted(better, key=lambda own: -own.fit.log_evidence), kept
 
     def _without(self, contender: Contender, member: int) -> Contender | None:

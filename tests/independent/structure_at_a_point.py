@@ -171,6 +171,14 @@ class Bench:
         omega = 2.0 * np.pi * self._frequency
         return self._frequency, abs(amplitude), work / (2.0 * np.pi * omega**2 * abs(amplitude) ** 2)
 
+    def locked(self, force: float, seconds: float, rate: float) -> np.ndarray:
+        """Force (N) and acceleration (m/s²) at phase resonance under a held force, sampled, (2, samples)."""
+        self.point(force)
+        finer = int(np.ceil(STEPS * self._frequency / rate))
+        dt = 1.0 / rate / finer
+        _, speed, applied = self._played(int(seconds * rate) * finer, dt, force, self._frequency, np.nan)
+        return np.array([applied[::finer], np.gradient(speed, dt)[::finer]])
+
     def decay(self, force: float, seconds: float, rate: float) -> np.ndarray:
         """Velocity (m/s) after a force that held phase resonance is taken away, sampled at ``rate``, Hz."""
         self.point(force)

@@ -125,6 +125,28 @@ def of_responses(folder: Path, structure: Structure, model: tuple[float, float],
     return told(folder, model, f"file: up_{forces[0]:g}.csv\nsegments:\n" + "".join(segments))
 
 
+def of_windows(
+    folder: Path, structure: Structure, model: tuple[float, float], forces: np.ndarray, seed: int
+) -> dict[str, Any]:
+    """``diagnosis.json`` of steady vibration at phase resonance, force and acceleration 1 % off, 0.2 % of noise."""
+    generator, bench, rate, seconds = np.random.default_rng(seed), Bench(structure), 2048.0, 1.2
+    signals = np.hstack([bench.locked(float(force), seconds, rate) for force in forces])
+    noise = 0.002 * signals.std(axis=1, keepdims=True) * generator.standard_normal(signals.shape)
+    force, acceleration = signals + noise
+    times = np.arange(force.size) / rate
+    np.savez(folder / "windows.npz", time=times, f1=force, a1=1.01 * acceleration)
+    length = int(seconds * rate) / rate
+    segments = "".join(
+        f"  - {{kind: phase_resonance, start: {k * length:.9g}, stop: {(k + 1) * length - 0.5 / rate:.9g}, window: "
+        f"[{k * length + 0.1:.9g}, {(k + 1) * length - 0.05:.9g}], level: {level:.6g}, level_unit: N}}\n"
+        for k, level in enumerate(forces)
+    )
+    return told(
+        folder, model, "file: windows.npz\nchannels:\n  - {column: f1, quantity: force, unit: N, point: 1}\n"
+        "  - {column: a1, quantity: acceleration, unit: m/s^2, point: 1}\nsegments:\n" + segments,
+    )  # fmt: skip
+
+
 def told(folder: Path, model: tuple[float, float], recording: str) -> dict[str, Any]:
     """``diagnosis.json`` of a recording, by the commands."""
     (folder / "rig.yaml").write_text(
@@ -231,4 +253,23 @@ def test_responses_at_held_forces_tell_a_gap(tmp_path: Path) -> None:
 def test_responses_of_a_linear_beam_have_no_effect(tmp_path: Path) -> None:
     structure = Structure((133.1,), (0.0035,))
     found = of_responses(tmp_path, structure, (131.5, 0.003), (0.1, 1.0, 3.0), np.linspace(126.0, 142.0, 65), 6)
+    assert found["verdict"] in ("none", "calibration")
+
+
+def test_locked_windows_without_a_voltage_tell_a_gap(tmp_path: Path) -> None:
+    """The resonance moves by 8 %, thousands of times its uncertainty: no linear model is near all levels."""
+    stiffness, gap = 0.3 * (2.0 * np.pi * 133.1) ** 2, 1.5e-4
+    structure = Structure((133.1,), (0.005,), stop=(stiffness, gap))
+    found = of_windows(tmp_path, structure, (131.5, 0.004), np.geomspace(0.1, 3.0, 8), 6)
+    first = found["ranking"][0]
+    assert found["verdict"] == "effect"
+    assert first["effect"] == "two_sided_gap"
+    assert off(first["parameters"]["k"], stiffness) < 3.0
+    assert off(first["parameters"]["gap"], gap) < 3.0
+    assert found["gap"]["closed"] > 0.9
+
+
+def test_locked_windows_of_a_linear_beam_have_no_effect(tmp_path: Path) -> None:
+    structure = Structure((133.1, 364.0), (0.0035, 0.003), (1.0, -0.6))
+    found = of_windows(tmp_path, structure, (131.5, 0.003), np.geomspace(0.1, 3.0, 8), 5)
     assert found["verdict"] in ("none", "calibration")

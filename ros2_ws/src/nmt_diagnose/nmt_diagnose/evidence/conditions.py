@@ -44,7 +44,8 @@ class LockedLevel:
         direction: +1 while the level rises, −1 while it falls.
         force_n: measured |F₁|, N: the given amplitude where the force is held.
         phase_lean: how far the loop may still have been off because it had not settled, rad.
-        drive_harmonics: orders 2, 3, … of the recorded drive over its fundamental, whose phase is zero; empty = pure.
+        drive_harmonics: orders 2, 3, … of the recorded drive, or of the force where that is held, over its fundamental,
+            whose phase is zero; empty = pure.
         amplitude_leans: of each channel of the test, how far its amplitude was from where it would have settled,
             relative; empty = nowhere.
     """

@@ -300,8 +300,8 @@ def phase_resonance_evidence(
         settings: settings.
         response_quantity: quantity whose phase the loop controlled; None = the first that there is at the drive point.
         hold_rate_hz: rate at which the drive is interpolated linearly, see drive_hold.py.
-        drive_as_recorded: the harmonics of the recorded voltage are an input of the model; else the drive is as pure
-            as it was commanded.
+        drive_as_recorded: the harmonics of the recorded voltage, or of the force where no voltage is known, are an
+            input of the model; else the drive is as pure as it was commanded.
     """
     notes: list[str] = []
     analysed: list[LockedWindow] = []
@@ -320,7 +320,7 @@ def phase_resonance_evidence(
             notes.append(f"{name}: {outcome}")
             continue
         if drive_as_recorded:
-            outcome = replace(outcome, drive_harmonics=_drive_harmonics(window))
+            outcome = replace(outcome, drive_harmonics=_harmonics_of(window, Quantity.VOLTAGE))
         levels.append(outcome)
         kept.append(window)
     if not kept:
@@ -329,6 +329,12 @@ def phase_resonance_evidence(
     held = "voltage" if all(math.isfinite(level.drive) for level in levels) else "force"
     if held == "force":
         kept = [_force_framed(window) for window in kept]
+        if drive_as_recorded:
+            # Shaker and structure act on each other: what drives the structure is the force as it was, not a pure tone.
+            levels = [
+                replace(level, drive_harmonics=_harmonics_of(window, Quantity.FORCE))
+                for level, window in zip(levels, kept, strict=True)
+            ]
     levels = _with_direction(levels, held)
     present = [c for c in channels.values() if c.quantity not in (Quantity.VOLTAGE, Quantity.CURRENT)]
     recorded = {own.name: theirs for theirs, own in channels.items()}
@@ -354,7 +360,8 @@ def phase_resonance_evidence(
             theirs = recorded[channel.name]
             if theirs in window.rows:
                 given = held == "force" and channel.quantity is Quantity.FORCE
-                cells += _cells(index, channel, window, window.row(theirs), given)
+                if not (given and levels[index].drive_harmonics):
+                    cells += _cells(index, channel, window, window.row(theirs), given)
     _moderate(cells)
     index_of = {channel.name: number for number, channel in enumerate(present)}
     floors = settings.floors
@@ -561,12 +568,12 @@ def _dropped_channels(name: str, windows: list[LockedWindow], channels: dict[str
     ]
 
 
-def _drive_harmonics(window: LockedWindow) -> tuple[complex, ...]:
-    """Orders 2, 3, … of the recorded voltage over its fundamental; none where it was not recorded."""
-    voltage = next((c.name for c in window.stretch.channels if c.quantity is Quantity.VOLTAGE), None)
-    if voltage not in window.rows or not window.referenced:
+def _harmonics_of(window: LockedWindow, quantity: Quantity) -> tuple[complex, ...]:
+    """Orders 2, 3, … of the recorded voltage or force over its fundamental; none where it is not the reference."""
+    name = next((c.name for c in window.stretch.channels if c.quantity is quantity), None)
+    if name not in window.rows or (quantity is Quantity.VOLTAGE and not window.referenced):
         return ()
-    own = window.amplitudes[window.row(voltage)]
+    own = window.amplitudes[window.row(name)]
     return tuple(complex(value) for value in own[2:] / own[1]) if abs(own[1]) > 0.0 else ()
 
 

@@ -92,7 +92,8 @@ def chain_errors(
             problem = replace(problem, evidence=replace(evidence, floor=np.hypot(evidence.floor, scatter)))
         return problem, unsettled
     builder = _Columns(evidence, rig, chains)
-    floor = np.hypot(evidence.floor, builder.floor(prediction))
+    # A level that has no solution tells nothing of its errors.
+    floor = np.hypot(evidence.floor, np.nan_to_num(builder.floor(prediction), posinf=0.0))
     if scatter is not None:
         floor = np.hypot(floor, scatter)
     problem = replace(problem, evidence=replace(evidence, floor=floor))

@@ -6,6 +6,7 @@ Everything is judged on the same rows. The model without effect, its own paramet
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count, product
@@ -43,6 +44,7 @@ _BEYOND = 3.0
 # Rms of what a fit leaves, in standard deviations, from which it is tried from other shapes, and how many of the best.
 _LEAVES, _RESHAPED = 1.5, 2
 _AT_ONCE = 2  # other shapes
+_LOWEST = 0.25  # of the levels, which are nearly linear
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
 # Known explanations that go on under other noise; share of what the best of them explains that a scan has to promise.
 _CARRIED, _ENOUGH = 3, 0.5
@@ -180,15 +182,34 @@ class Contest:
         rows = self._used(used)
         best = fit(self.problem, parametrisation, parametrisation.zero, rows)
         if _incredible(best):
-            climbed = self._climbed(parametrisation, rows, parametrisation.zero)
-            best = max(best, climbed, key=lambda found: found.log_evidence)
+            with suppress(FitError):
+                climbed = self._climbed(parametrisation, rows, parametrisation.zero)
+                best = max(best, climbed, key=lambda found: found.log_evidence)
         return Contender((), best)
 
-    def _climbed(self, parametrisation: Parametrisation, used: BoolArray | None, theta: FloatArray) -> Fit:
-        """The model fitted to linear tests first, then to more and more levels from below.
+    def from_below(self, null: Contender) -> list[Contender]:
+        """Explanations by one effect, added to the model as the lowest levels show it; none where that says nothing.
 
-        Far from the real parameters a nonlinear level has valleys of its own; from the levels below it is near.
+        Where the real structure is far from any linear one, the model without effect fitted to all levels is nowhere,
+        and directions about it lead nowhere. The lowest levels are nearly linear.
         """
+        if not _incredible(null.fit):
+            return []
+        own, (levelled, rank), used = null.fit.parametrisation, self._ranks(), null.fit.used
+        lowest = used & (~levelled | (rank < _LOWEST))
+        if not np.any(lowest & levelled):
+            return []
+        try:
+            below = fit(self.problem, own, own.zero, lowest)
+            if _incredible(below):
+                return []
+            base = Contender((), fit(self.problem, own, below.theta, used, below.prediction, steps=0))
+        except FitError:
+            return []
+        return self.singles(base, self.scan(base))
+
+    def _ranks(self) -> tuple[BoolArray, FloatArray]:
+        """Rows of levels of locked tests, and which share of their test's levels is lower, (m,) each."""
         evidence = self.problem.evidence
         levelled = np.zeros(self.problem.size, dtype=bool)
         rank = np.zeros(self.problem.size)
@@ -198,6 +219,14 @@ class Contest:
                 levelled |= mine
                 amplitudes = np.unique(evidence.rows.amplitude[mine])
                 rank[mine] = np.searchsorted(amplitudes, evidence.rows.amplitude[mine]) / max(1, amplitudes.size)
+        return levelled, rank
+
+    def _climbed(self, parametrisation: Parametrisation, used: BoolArray | None, theta: FloatArray) -> Fit:
+        """The model fitted to linear tests first, then to more and more levels from below.
+
+        Far from the real parameters a nonlinear level has valleys of its own; from the levels below it is near.
+        """
+        levelled, rank = self._ranks()
         wanted = np.ones(self.problem.size, dtype=bool) if used is None else used
         before = np.zeros_like(wanted)
         for share in _CLIMB:

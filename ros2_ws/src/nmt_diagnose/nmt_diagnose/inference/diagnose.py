@@ -311,8 +311,9 @@ class _Diagnoser:
         except FitError as error:
             raise BenchError(f"The model cannot be compared with the evidence: {error}.") from error
         self.progress(f"scanning {len(self.candidates)} candidates")
+        known = self.contest.from_below(null)
         scan = self.contest.scan(null)
-        singles, pairs = self.contest.singles(null, scan), list[Contender]()
+        singles, pairs = self.contest.singles(null, scan, known), list[Contender]()
         better = self.contest.restarted(null, singles[:2])
         if better is not null:
             self.progress("starting anew from a better fit of the model")

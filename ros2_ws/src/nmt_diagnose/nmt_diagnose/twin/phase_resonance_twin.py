@@ -229,7 +229,7 @@ class PhaseResonanceTwin:
         # Saturation is followed where the drive is what is given.
         drive = unit_drive(parts, amplitude if level.given == DRIVE_GIVEN else 0.0, self.ideal_force)
         for order, share in enumerate(level.harmonics, start=2):
-            drive[parts.basis.orders == order] += share * parts.input_per_volt
+            drive[parts.basis.orders == order] += share * (1.0 if self.ideal_force else parts.input_per_volt)
         model = parts.linear
         given = {DRIVE_GIVEN: DRIVE_GIVEN, FORCE_GIVEN: self._force}
         return (

@@ -37,24 +37,32 @@ def run_evidence(levels=10, harmonics=4, down=False):
     return Evidence((test,), rows, np.zeros(m), np.full(m, 0.01), np.zeros(m))
 
 
-def _p(evidence, residual, name, where=None):
-    used = np.ones(len(evidence.rows), dtype=bool)
-    for test in residual_tests(evidence, residual, used):
+def _tests(evidence, residual):
+    return residual_tests(evidence, residual, np.ones(len(evidence.rows), dtype=bool))
+
+
+def _named(tests, name, where=None):
+    for test in tests:
         if test.name == name and where in (None, test.where):
             return test
     raise AssertionError(name)
 
 
+def _p(evidence, residual, name, where=None):
+    return _named(_tests(evidence, residual), name, where)
+
+
 def test_white_residuals_give_uniform_p_values():
     evidence = run_evidence(down=True)
     generator = np.random.default_rng(6)
+    drawn = [_tests(evidence, generator.standard_normal(len(evidence.rows))) for _ in range(300)]
     for name, where in (
         ("size of the residual", "run"),
         ("smooth course over the level", "a1"),
         ("even harmonics", "run"),
         ("differences between rising and falling level", "run"),
     ):
-        values = [_p(evidence, generator.standard_normal(len(evidence.rows)), name, where).p for _ in range(300)]
+        values = [_named(tests, name, where).p for tests in drawn]
         assert kstest(values, "uniform").pvalue > 1e-3, name
 
 

@@ -1,6 +1,12 @@
-"""Compiles the numerical kernels into their cache, so that no first run has to wait (``-m nmt_bench.warm_up``)."""
+"""Compiles the numerical kernels into their cache, so that no first run has to wait (``-m nmt_bench.warm_up``).
+
+The packages' byte code is written with them: every node is a process of its own.
+"""
 
 from __future__ import annotations
+
+import compileall
+from pathlib import Path
 
 from nmt_diagnose.twin.warm_up import warm_up_twin
 from nmt_extract.offline import extract_bag
@@ -11,6 +17,21 @@ from nmt_rig.linear_description import linear_description
 from nmt_rig.reference import compute_reference, single_point_reference
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test
+
+SOURCES = Path(__file__).resolve().parents[2]
+
+
+def write_byte_code(sources: Path = SOURCES) -> None:
+    """Compile the modules of all packages to byte code, also where Python is told to write none.
+
+    Without it each process of a bench would compile what it imports, at every start. A module that is edited later is
+    compiled as it is imported.
+
+    Args:
+        sources: the folder of the packages; a module that does not compile is left out.
+    """
+    for package in sorted(sources.glob("*/*/__init__.py")):
+        compileall.compile_dir(package.parent, quiet=2)
 
 
 def warm_up() -> None:
@@ -32,4 +53,5 @@ def warm_up() -> None:
 
 
 if __name__ == "__main__":
+    write_byte_code()
     warm_up()

@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import signal
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.records import DriveCommand
@@ -246,6 +245,8 @@ class _Responses:
 
 
 def _responses(drive: FloatArray, measured: FloatArray, rate: float, band: tuple[float, float]) -> _Responses:
+    from scipy import signal  # takes a second: what is refused before a record is refused at once
+
     length = min(round(_SEGMENT * rate), drive.size // 4)
     settings = {"fs": rate, "nperseg": length, "detrend": "constant"}
     lines, power = signal.welch(drive, **settings)

@@ -115,11 +115,11 @@ def run(arguments: argparse.Namespace) -> int:
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
     from nmt_bench.page.task_feed import task_page
     from nmt_diagnose.effects.library import effect_named
     from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
-    from nmt_record.channel_tolerances import read_calibration
+    from nmt_record.calibration_file import read_calibration
     from nmt_report.diagnosis_files import write_diagnosis
     from nmt_rig.rig import load_rig
 

@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.ascii and arguments.format != "uff":
         raise BenchError(f"--ascii is a form of UFF; leave it out for --format {arguments.format}.")
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
     from nmt_record.exported_run import export_run
 
     with OutputFolder(arguments.out, arguments.force) as folder:

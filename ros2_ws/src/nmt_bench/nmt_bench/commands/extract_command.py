@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from nmt_extract.settings import ExtractionSettings
     from nmt_extract.uncertainty_budget import MethodError
     from nmt_record.bag_reader import Bag
-    from nmt_record.channel_tolerances import CalibrationSheet
+    from nmt_record.calibration_file import CalibrationSheet
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -82,8 +82,9 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
 
+    from nmt_bench.commands.console import make_console
     from nmt_bench.commands.linear_input import read_linear
-    from nmt_bench.commands.terminal import make_console, print_modal_table
+    from nmt_bench.commands.terminal import print_modal_table
     from nmt_extract.modal_table import write_results
     from nmt_extract.offline import extract_opened_bag
     from nmt_record.bag_reader import Bag
@@ -127,7 +128,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _calibration(path: Path) -> CalibrationSheet:
-    from nmt_record.channel_tolerances import read_calibration
+    from nmt_record.calibration_file import read_calibration
 
     return read_calibration(path)
 

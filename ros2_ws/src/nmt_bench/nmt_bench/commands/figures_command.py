@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     formats = list(dict.fromkeys(part.strip().lower().lstrip(".") for part in arguments.format.split(",")))
     check_output(out, arguments.force)
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
     from nmt_report.figure_files import write_figures
 
     with OutputFolder(out, arguments.force) as folder:

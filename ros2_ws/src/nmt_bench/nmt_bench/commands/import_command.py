@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.sidecar.exists() or arguments.sidecar.suffix.lower() in _DATA:
         raise no_sidecar(arguments.sidecar)
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
     from nmt_bench.data_import import read_data, write_data
 
     imported, rig = read_data(arguments.sidecar)

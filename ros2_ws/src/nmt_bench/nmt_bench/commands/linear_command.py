@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise BenchError("Give either a rig to measure or --bag with a recording to evaluate.")
     band = _band(arguments.band)
     check_output(arguments.out, arguments.force)
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
 
     console = make_console()
     if arguments.bag is not None:

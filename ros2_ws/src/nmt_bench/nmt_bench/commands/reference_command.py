@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1 <= arguments.harmonics <= 200:
         raise BenchError(f"--harmonics must be a whole number from 1 to 200, got {arguments.harmonics}.")
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
     from nmt_report.reference_report import reference_page
     from nmt_report.run_data import read_reference
     from nmt_rig.reference import (

@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
     from nmt_record.bag_reader import Bag
 
     bag = Bag.open(arguments.bag)

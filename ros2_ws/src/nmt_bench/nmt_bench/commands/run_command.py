@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from nmt_bench.harness import Bench
-    from nmt_record.channel_tolerances import CalibrationSheet
+    from nmt_record.calibration_file import CalibrationSheet
     from nmt_report.run_data import ReferenceCurve
     from nmt_session.run_result import RunResult
 
@@ -124,11 +124,11 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
 
+    from nmt_bench.commands.console import make_console
     from nmt_bench.commands.hardware_options import device_settings
     from nmt_bench.commands.linear_input import check_fits, read_linear
-    from nmt_bench.commands.terminal import make_console
     from nmt_bench.harness import Bench
-    from nmt_record.channel_tolerances import read_calibration
+    from nmt_record.calibration_file import read_calibration
 
     linear = read_linear(arguments.linear) if arguments.linear is not None else None
     sheet = None if arguments.calibration is None else read_calibration(arguments.calibration)
@@ -225,7 +225,7 @@ def _levels(arguments: argparse.Namespace) -> list[float] | str | None:
 
 def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunResult:
     """Start the nodes and run the test, with a progress display unless ``quiet``, and with the live page if wanted."""
-    from nmt_bench.commands.terminal import RunProgress
+    from nmt_bench.commands.run_progress import RunProgress
     from nmt_report.columns import unit_text
 
     began = time.monotonic()

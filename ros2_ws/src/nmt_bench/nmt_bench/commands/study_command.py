@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     jobs = worker_count(arguments)
     if arguments.out is None:
         arguments.out = Path("out") / f"study-{arguments.name}"
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
     from nmt_bench.page.task_feed import task_page
 
     console = make_console()

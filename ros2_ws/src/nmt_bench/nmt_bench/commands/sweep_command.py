@@ -99,9 +99,9 @@ def run(arguments: argparse.Namespace) -> int:
     levels, start, stop = _checked(arguments)
     check_output(arguments.out, arguments.replace, "replace")
 
+    from nmt_bench.commands.console import make_console
     from nmt_bench.commands.hardware_options import device_settings
     from nmt_bench.commands.run_command import measure
-    from nmt_bench.commands.terminal import make_console
     from nmt_bench.harness import Bench
     from nmt_bench.orchestration.interrupts import terminate_as_interrupt
 

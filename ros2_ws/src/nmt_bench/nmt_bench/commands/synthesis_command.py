@@ -63,8 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
 
+    from nmt_bench.commands.console import make_console
     from nmt_bench.commands.sweep_command import comparison_lines
-    from nmt_bench.commands.terminal import make_console
     from nmt_core.whole_file import write_whole
     from nmt_extract.synthesised_responses import synthesise
     from nmt_sequencer.level_plan import parse_levels

@@ -62,7 +62,7 @@ from nmt_diagnose.inference.warnings import warned
 from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.twin.forward import Forward, Prediction, traced
 from nmt_diagnose.twin.operating_range import operating_range
-from nmt_record.channel_tolerances import CalibrationSheet
+from nmt_record.calibration_file import CalibrationSheet
 from nmt_rig.rig import Rig, load_rig
 
 _RANKED = 8

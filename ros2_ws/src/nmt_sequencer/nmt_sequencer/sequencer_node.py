@@ -326,9 +326,10 @@ class SequencerNode(BenchNode):
             return
         self._last_feedback = now
         feedback = RunLevels.Feedback()
-        feedback.level_index = self.machine.level_index
+        shown = self.machine.reported
+        feedback.level_index = 0 if shown is None else shown.index
         feedback.level_count = len(self.machine.plan.levels) if self.machine.plan else 0
-        feedback.level = self.machine.records[-1].amplitude if self.machine.records else 0.0
+        feedback.level = 0.0 if shown is None else shown.amplitude
         feedback.state = report.state
         feedback.frequency_hz = report.frequency_hz
         feedback.phase_error = report.phase_error

@@ -180,6 +180,8 @@ class DiagnosisProgress:
             disable=not self._live,
         )  # fmt: skip
         self._task = self._progress.add_task("starting", total=None)
+        self._total = self._first = 0
+        self._began = time.monotonic()
 
     def __enter__(self) -> DiagnosisProgress:
         self._progress.start()
@@ -194,10 +196,26 @@ class DiagnosisProgress:
 
         if self._page is not None:
             _tell(self._page, sentence)
+        counted = sentence + self._count(sentence)
         if self._live:
-            self._progress.update(self._task, description=escape(sentence))
+            self._progress.update(self._task, description=escape(counted))
         elif not self._quiet:
-            self._console.print(sentence, markup=False, soft_wrap=True)
+            self._console.print(counted, markup=False, soft_wrap=True)
+
+    def _count(self, sentence: str) -> str:
+        """How much of the present work is done and the time left; empty where it is not counted."""
+        from nmt_report.quantity_format import duration
+
+        done, total = getattr(sentence, "done", 0), getattr(sentence, "total", 0)
+        now = time.monotonic()
+        if total != self._total or done < self._first:
+            self._total, self._first, self._began = total, done, now
+        if total == 0:
+            return ""
+        left = ""
+        if done > self._first and now - self._began > 0.5:
+            left = f", about {duration((now - self._began) / (done - self._first) * (total - done))} left"
+        return f" ({min(done + 1, total)} of {total}{left})"
 
 
 def _tell(page: TaskFeed, sentence: str) -> None:

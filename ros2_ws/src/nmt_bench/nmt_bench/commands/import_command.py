@@ -59,12 +59,15 @@ def run(arguments: argparse.Namespace) -> int:
         raise no_sidecar(arguments.sidecar)
 
     from nmt_bench.commands.console import make_console
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_bench.data_import import read_data, write_data
 
-    imported, rig = read_data(arguments.sidecar)
-    with OutputFolder(arguments.out, arguments.force) as folder:
-        write_data(imported, rig, folder / "bag")
     console = make_console()
+    with WorkDisplay(console, ("reading the data", "writing the bag")) as display:
+        imported, rig = read_data(arguments.sidecar)
+        display.step()
+        with OutputFolder(arguments.out, arguments.force) as folder:
+            write_data(imported, rig, folder / "bag")
     if imported.channels:
         console.print(_channel_table(imported))
     if imported.segments or imported.tables:

@@ -127,6 +127,7 @@ def run(arguments: argparse.Namespace) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.hardware_options import device_settings
     from nmt_bench.commands.linear_input import check_fits, read_linear
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_bench.harness import Bench
     from nmt_record.calibration_file import read_calibration
 
@@ -156,9 +157,10 @@ def run(arguments: argparse.Namespace) -> int:
     console = make_console()
     with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
         result = measure(bench, console, arguments.quiet, arguments.page)
-        reference, unwritten, interrupted = evaluate(
-            result, bench, folder, arguments.reference, not arguments.no_report, sheet
-        )
+        with WorkDisplay(console, quiet=arguments.quiet):
+            reference, unwritten, interrupted = evaluate(
+                result, bench, folder, arguments.reference, not arguments.no_report, sheet
+            )
     _summarise(result, bench, reference, console, folder, unwritten)
     sys.stdout.flush()
     if result.interrupted or interrupted:
@@ -188,18 +190,22 @@ def evaluate(
         The reference; what could not be written, as a sentence; whether Ctrl-C came. One leaves out the comparison that
         is being computed, a second one the report.
     """
+    from nmt_core.work_progress import tell
+
     reference, interrupted = None, False
     with deferred_interrupts(patient=True) as deferred:
         unwritten = _saving(folder, lambda: _write_tables(result, bench, folder))
     try:
         interrupted = deferred.came
         if not interrupted:
+            tell("computing the reference")
             reference = _reference(choice, bench, result)
     except KeyboardInterrupt:
         interrupted = True
     if unwritten:
         return reference, unwritten, interrupted
     try:
+        tell("writing the results")
         budgets: list[Any] = []
         unwritten = _saving(folder, lambda: budgets.extend(_write_budget(result, bench, folder, reference, sheet)))
         if report and not unwritten:

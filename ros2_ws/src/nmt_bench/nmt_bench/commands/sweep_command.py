@@ -174,7 +174,9 @@ def _finish(
     arguments: argparse.Namespace, bench: Bench, result: RunResult, levels: list[float], folder: Path, console: Any
 ) -> int:
     """Analyse the bag, write and print."""
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_core.vocabulary import ResultCode
+    from nmt_core.whole_file import write_whole
     from nmt_extract.response_table import write_response_csv
     from nmt_record.bag_reader import Bag
     from nmt_report.quantity_format import duration
@@ -184,21 +186,23 @@ def _finish(
     remarks: list[str] = []
     if result.code != ResultCode.SUCCEEDED or "not" in result.message:
         remarks.append(result.message)
-    if result.bag is not None and result.bag.exists():
-        try:
-            tables, more = responses_of_bag(Bag.open(result.bag), arguments.points)
-            remarks += more
-        except BenchError as error:
-            remarks.append(str(error))
-    models = _model(arguments, bench, tables, remarks) if tables else []
-    comparisons = compare(tables, models)
-    forces = [held for held in map(held_force, tables) if held is not None]
-    if tables:
-        write_response_csv(tables, folder / "frf.csv")
-        text = _report(arguments, bench, result, tables, models, comparisons, forces, remarks)
-        from nmt_core.whole_file import write_whole
-
-        write_whole(folder / "report.html", text)
+    steps = "analysing the recording", "computing the model's response", "writing the report"
+    with WorkDisplay(console, steps, arguments.quiet) as display:
+        if result.bag is not None and result.bag.exists():
+            try:
+                tables, more = responses_of_bag(Bag.open(result.bag), arguments.points)
+                remarks += more
+            except BenchError as error:
+                remarks.append(str(error))
+        display.step()
+        models = _model(arguments, bench, tables, remarks) if tables else []
+        comparisons = compare(tables, models)
+        forces = [held for held in map(held_force, tables) if held is not None]
+        display.step()
+        if tables:
+            write_response_csv(tables, folder / "frf.csv")
+            text = _report(arguments, bench, result, tables, models, comparisons, forces, remarks)
+            write_whole(folder / "report.html", text)
     for line in (*force_lines(forces), *comparison_lines(comparisons, "the model's steady response")):
         console.print(line, markup=False)
     for line in remarks:

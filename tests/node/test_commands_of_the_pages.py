@@ -50,7 +50,7 @@ def test_the_first_row_of_the_demo_is_that_of_the_tutorial(
     """The demo's first level, then its own commands for a second extraction and figures."""
     monkeypatch.chdir(tmp_path)
     shown = rows(TUTORIAL)
-    assert list(shown)[0] == "0.05"
+    assert next(iter(shown)) == "0.05"
     demo = ["run", "beam", "--out", "out/demo", "--no-report", "--reference", "none"]
     assert main(changed(demo, levels="0.05,0.0507")) == 0
     printed = rows(capfd.readouterr().out)

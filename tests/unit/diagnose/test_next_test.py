@@ -88,7 +88,7 @@ def test_the_expected_distance_is_that_of_dense_algebra(
     (found,) = next_tests(RIG, evidence_of(np.zeros(20), 1.0), a, classes, None)  # type: ignore[arg-type]
     assert found.expected_sigma == pytest.approx(least, rel=1e-6)
     assert found.separates == ("cubic_stiffness", "air_drag")
-    # Members of one class are told apart just so.
+    # Members of one class are distinguished just so.
     (same,) = next_tests(RIG, evidence_of(np.zeros(20), 1.0), a, [ExplanationClass(a, (a, b), 0.95)], None)  # type: ignore[arg-type]
     assert same == found
 
@@ -105,7 +105,7 @@ def test_a_test_that_cannot_tell_is_not_proposed(
 
 def test_one_sure_explanation_needs_no_further_test(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*_: Any) -> Any:
-        raise AssertionError("nothing is left to tell apart")
+        raise AssertionError("nothing is left to distinguish")
 
     monkeypatch.setattr(next_test, "proposals", never)
     a, b = rivals()

@@ -132,7 +132,7 @@ def _line_key(key: tuple[str, int], groups: Sequence[ResidualGroup]) -> tuple[in
 def _line_text(line: tuple[str, int], harmonics: bool) -> str:
     channel, harmonic = line
     if harmonic < 0:
-        return "foreign lines" if harmonics and channel != _NO_CHANNEL else channel
+        return "other spectral lines" if harmonics and channel != _NO_CHANNEL else channel
     return f"{channel}   n = {harmonic}" if harmonic == 1 else f"{harmonic}"
 
 

@@ -167,7 +167,7 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
     gap, cards = d.gap, []
     if d.verdict is Verdict.EFFECT and d.ranking:
         head = d.ranking[0]
-        note = f"of {len(head.equivalents) + 1} that these tests cannot tell apart, together"
+        note = f"of {len(head.equivalents) + 1} that these tests cannot distinguish, together"
         note = note if head.equivalents else "of this explanation"
         cards.append(("Probability", probability_text(head.probability), note))
         cards.append(
@@ -370,7 +370,7 @@ def _next(d: Diagnosis) -> Table | None:
     ]  # fmt: skip
     head = (
         Column("Test", kind="text wrap"),
-        Column("Tells apart", kind="text wrap"),
+        Column("Distinguishes", kind="text wrap"),
         Column("Expected", "standard deviations"),
         Column("Command", kind="text mono"),
     )

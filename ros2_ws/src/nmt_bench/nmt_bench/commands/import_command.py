@@ -28,7 +28,7 @@ def add_parser(subparsers: Subparsers) -> None:
         description=(
             "Reads time data, frequency responses and backbones measured elsewhere as a sidecar describes them, "
             "checks them, and writes a bag that './nmt extract' and './nmt diagnose' take. What cannot be right "
-            "is refused with one sentence; what was mended is said and kept in the bag."
+            "is refused with one sentence; what was fixed is said and kept in the bag."
         ),
     )
     what = parser.add_mutually_exclusive_group(required=True)

@@ -175,7 +175,7 @@ def _summary(reference: Reference) -> list[str]:
         f"{significant(float(q[damping.argmax()]), 3)} m√kg",
     ]
     if not reference.single_valued:
-        lines.append("The backbone folds over q; the first passage is given.")
+        lines.append("The backbone folds over q; the first crossing is given.")
     return lines
 
 

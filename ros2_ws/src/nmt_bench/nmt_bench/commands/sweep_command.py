@@ -278,7 +278,7 @@ def comparison_lines(comparisons: Sequence[tuple[FrequencyResponseTable, Resonan
         f"{table.level:g} {table.level_unit}, {error.channel}: peak {error.peak_amplitude:.4g} at "
         f"{error.peak_frequency_hz:.3f} Hz; {what}: peak {100 * error.amplitude_error:+.2f} %, frequency "
         f"{100 * error.frequency_error:+.3f} %, rms in the half-power band {100 * error.rms_error:.2f} % "
-        f"(moduli {100 * error.modulus_rms_error:.2f} %)"
+        f"(magnitudes {100 * error.modulus_rms_error:.2f} %)"
         for table, error in comparisons
     ]
 
@@ -288,7 +288,7 @@ DEFINITIONS = (
     "the measured frequencies, where the band has fewer than 40). "
     "Half-power band: where the measured modulus is at least "
     "its peak over √2. Rms: root mean square of the complex difference over that band, divided by the measured peak; "
-    "(moduli): of the difference of the moduli."
+    "(magnitudes): of the difference of the magnitudes."
 )
 
 
@@ -322,7 +322,7 @@ COMPARISON_HEAD = (
     ("Peak error", "%"),
     ("Frequency error", "%"),
     ("Rms", "%"),
-    ("Rms, moduli", "%"),
+    ("Rms, magnitudes", "%"),
     ("Half-power band", "Hz"),
 )
 

@@ -127,11 +127,11 @@ def load_table(rig: BlindRig, tolerances: str = "none", path: Path | None = None
     """
     path = path or table_file(rig, tolerances)
     values = _read(path)
-    mend = f"make it with '{_command(rig, tolerances)}'"
+    fix = f"make it with '{_command(rig, tolerances)}'"
     if values is None:
-        raise BenchError(f"There is no table of strengths {path}; {mend}.")
+        raise BenchError(f"There is no table of strengths {path}; {fix}.")
     if values.get("fingerprint") != fingerprint(rig, tolerances):
-        raise BenchError(f"The table of strengths {path} belongs to another version of the rig or its tests; {mend}.")
+        raise BenchError(f"The table of strengths {path} belongs to another version of the rig or its tests; {fix}.")
     return StrengthTable(rig.name, Operating.from_mapping(values["operating"]), values["curves"])
 
 

@@ -113,7 +113,7 @@ class HeldOut:
         """By how many of its standard deviations each explanation predicts worse than the one that predicts best.
 
         The scatter is that of the difference from block to block, over the splits that tell the parameters of both; 0
-        where there is none. Explanations that close the same share of the gap are not told apart: models of named
+        where there is none. Explanations that close the same share of the gap are not distinguished: models of named
         effects are right to some percent only, and anything added imitates the rest.
 
         Args:

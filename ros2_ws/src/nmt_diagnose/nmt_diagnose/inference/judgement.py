@@ -28,7 +28,7 @@ _CHANCE_OF_WORSE = 2.0
 
 @dataclass(frozen=True)
 class ExplanationClass:
-    """Explanations that the data cannot tell apart.
+    """Explanations that the data cannot distinguish.
 
     Attributes:
         head: the best of them.

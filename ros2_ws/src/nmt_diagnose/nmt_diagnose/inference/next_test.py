@@ -101,7 +101,7 @@ def next_tests(
 
 
 def _rivals(classes: Sequence[ExplanationClass], null: Contender, none: float) -> list[Contender]:
-    """The two explanations that most need telling apart: of one class, or the heads of the first two."""
+    """The two explanations that most need distinguishing: of one class, or the heads of the first two."""
     if not classes:
         return []
     if len(classes[0].members) > 1:

@@ -1,4 +1,4 @@
-"""Modal properties over amplitude from the recording of a ring-down, a sweep or stepped sines: what rivals get."""
+"""Modal properties over amplitude from a ring-down, a sweep or stepped sines: what other methods find."""
 
 from __future__ import annotations
 

@@ -87,8 +87,8 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         footer="Residual: (measured − model) / stated standard uncertainty of the measurement. The stated one holds "
         "tolerances of the measuring chain beside the scatter, so scatter alone leaves a root mean square of about 1 "
         "or less; it is given beside the others. ± standard uncertainty. Model as given: the rig file; re-fitted: its "
-        "own parameters adjusted to these tests within what is known of them beforehand; with the effect: re-fitted with the effect added. SI "
-        "units.",
+        "own parameters adjusted to these tests within what is known of them beforehand; with the effect: re-fitted "
+        "with the effect added. SI units.",
     )
     claimed = d.verdict in (Verdict.EFFECT, Verdict.CALIBRATION)
     return page.html(

@@ -501,9 +501,9 @@ class Contest:
             alone = self._without(pair, weakest)
             if alone is None:
                 continue
-            rivals = [own for own in better if own.explanation == alone.explanation]
-            if all(alone.fit.log_evidence > own.fit.log_evidence + 0.5 for own in rivals):
-                better = [own for own in better if own not in rivals] + [alone]
+            competing = [own for own in better if own.explanation == alone.explanation]
+            if all(alone.fit.log_evidence > own.fit.log_evidence + 0.5 for own in competing):
+                better = [own for own in better if own not in competing] + [alone]
         return sorted(better, key=lambda own: -own.fit.log_evidence), kept
 
     def _without(self, contender: Contender, member: int) -> Contender | None:
@@ -724,8 +724,8 @@ def _silent(_: str) -> None:
 def _united(added: list[Contender], known: Sequence[Contender]) -> list[Contender]:
     """Fits, and known ones where they are better than the same explanation fitted anew."""
     for own in known:
-        rivals = [other for other in added if other.explanation == own.explanation]
-        if all(own.fit.log_evidence > other.fit.log_evidence + 0.5 for other in rivals):
+        competing = [other for other in added if other.explanation == own.explanation]
+        if all(own.fit.log_evidence > other.fit.log_evidence + 0.5 for other in competing):
             added = [other for other in added if other.explanation != own.explanation] + [own]
     return added
 

@@ -122,15 +122,15 @@ class HeldOut:
         """
         result = dict.fromkeys(shares, 0.0)
         for own, mine in shares.items():
-            for rival, theirs in shares.items():
-                if rival != own and theirs.value > mine.value + alike:
-                    result[own] = max(result[own], self._distance(own, rival))
+            for competitor, theirs in shares.items():
+                if competitor != own and theirs.value > mine.value + alike:
+                    result[own] = max(result[own], self._distance(own, competitor))
         return result
 
-    def _distance(self, own: Explanation, rival: Explanation) -> float:
+    def _distance(self, own: Explanation, competitor: Explanation) -> float:
         pairs = []
         for (split, base, tops), scale in zip(self._refits, self._scale, strict=True):
-            left, right = tops.get(own), tops.get(rival)
+            left, right = tops.get(own), tops.get(competitor)
             if left is None or right is None:
                 continue
             if determined(left, base, split.held_out) and determined(right, base, split.held_out):

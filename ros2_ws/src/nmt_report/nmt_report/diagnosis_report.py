@@ -218,7 +218,7 @@ def _ranking(d: Diagnosis) -> Table:
     for number, item in enumerate(d.ranking):
         remark = ""
         if item.equivalents:
-            remark = "one class: these tests cannot tell them apart"
+            remark = "one class: these tests cannot distinguish them"
             remark += "; the test that would is below" if d.next_test and number == 0 else ""
         text = part("explanation", class_text(item), remark, effect_text(item.effect), equation_text(item.effect))
         accepted = "on" if d.verdict is Verdict.EFFECT and number == 0 else ""

@@ -203,10 +203,10 @@ def evaluate(case: StudyCase, bag: Path) -> dict[str, Any]:
     """Every method's evaluation of the recording."""
     if case.test == "phase_resonance":
         return {}
-    from nmt_study.comparison_analysis import rival_methods_of
+    from nmt_study.comparison_analysis import compared_methods_of
 
     amplitudes = np.geomspace(42.0, 1830.0, 16) / (2.0 * math.pi * LINEAR_HZ) ** 2
-    found = rival_methods_of(case, bag, amplitudes)
+    found = compared_methods_of(case, bag, amplitudes)
     main = found["methods"].pop(str(case.labels["method"]), {"levels": []})
     return {**found, "levels": main["levels"]}
 

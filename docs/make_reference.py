@@ -540,7 +540,7 @@ def effects_table(place: str) -> str:
     """Effects of the diagnosis at one place."""
     from nmt_diagnose.effects.library import library
 
-    lines = ["| effect | term | keys of the rig file | parameters | looks like (told apart by) | source |"]
+    lines = ["| effect | term | keys of the rig file | parameters | looks like (distinguished by) | source |"]
     lines.append("|---|---|---|---|---|---|")
     for effect in library():
         if effect.place != place:

@@ -16,7 +16,7 @@ USAGE = """usage: ./nmt [--wheels | --system] COMMAND [ARGUMENTS]
 
 The launcher's own commands:
   setup [--fresh]             set up and nothing else; --fresh throws the old set-up away first
-  doctor                      check this machine and the set-up, and say how to mend what is wrong
+  doctor                      check this machine and the set-up, and say how to fix what is wrong
   test [PYTEST ARGUMENTS]     run the tests
   shell                       a shell in the bench's environment
   ros PACKAGE EXECUTABLE ...  start one node, as `ros2 run` does (without arguments: list them)

@@ -1,4 +1,4 @@
-"""``./nmt doctor``: checks this machine and the set-up, and says how to mend what is wrong."""
+"""``./nmt doctor``: checks this machine and the set-up, and says how to fix what is wrong."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ sys.exit(0 if heard else 1)
 
 
 class Findings:
-    """The doctor's lines; counts those that need mending."""
+    """The doctor's lines; counts those that need fixing."""
 
     def __init__(self) -> None:
         self.bad = 0
@@ -64,10 +64,10 @@ class Findings:
         """Nothing to do."""
         self._line("ok", what)
 
-    def mend(self, what: str) -> None:
+    def fix(self, what: str) -> None:
         """Something to do."""
         self.bad += 1
-        self._line("MEND", what)
+        self._line("FIX", what)
 
     def note(self, what: str) -> None:
         """Good to know, nothing wrong."""
@@ -103,10 +103,10 @@ def examine_machine(findings: Findings, source: str, state: dict[str, Any]) -> N
             path, version = choose_python(source)
             findings.ok(f"Python {version} with venv ({path})")
     except SetupError as trouble:
-        findings.mend(str(trouble))
+        findings.fix(str(trouble))
     troubles = machine_troubles(source)
     for sentence in troubles:
-        findings.mend(sentence)
+        findings.fix(sentence)
     if not any("compiler" in sentence for sentence in troubles):
         names = [os.environ.get("CXX", "").split(" ")[0], "g++", "c++", "clang++"]
         findings.ok(f"compiler {next(filter(None, map(shutil.which, filter(None, names))))}")
@@ -116,14 +116,14 @@ def examine_machine(findings: Findings, source: str, state: dict[str, Any]) -> N
     if free >= 1.0:
         findings.ok(f"disk: {free:.0f} GB free")
     elif not any("GB free" in sentence for sentence in troubles):
-        findings.mend(f"disk: only {free:.2f} GB free, a long run's bag may not fit: make room.")
+        findings.fix(f"disk: only {free:.2f} GB free, a long run's bag may not fit: make room.")
     if not os.path.isdir("/dev/shm"):
-        findings.mend("/dev/shm is missing; the nodes exchange samples through it: mount a tmpfs there.")
+        findings.fix("/dev/shm is missing; the nodes exchange samples through it: mount a tmpfs there.")
     else:
         size = shutil.disk_usage("/dev/shm")
         line = f"/dev/shm: {size.free / 1e6:.0f} MB free of {size.total / 1e6:.0f} MB"
         if size.free < 64e6:
-            findings.mend(line + ", the nodes need 64 MB: enlarge it (containers: --shm-size=256m).")
+            findings.fix(line + ", the nodes need 64 MB: enlarge it (containers: --shm-size=256m).")
         else:
             findings.ok(line)
         stale = stale_shared_memory()
@@ -172,7 +172,7 @@ def examine_network(findings: Findings) -> None:
     except HTTPError:
         pass  # it answers
     except (OSError, ValueError) as error:
-        findings.mend(
+        findings.fix(
             f"the Python package index {index} does not answer ({getattr(error, 'reason', error)}): check "
             "the network, HTTPS_PROXY and PIP_INDEX_URL."
         )
@@ -186,19 +186,19 @@ def examine_set_up(findings: Findings, state: dict[str, Any]) -> bool:
     if "requirements" in pending:
         examine_network(findings)
     if len(pending) == len(STEPS):
-        findings.mend("not set up yet: type './nmt setup' (every command does it at first use).")
+        findings.fix("not set up yet: type './nmt setup' (every command does it at first use).")
         return False
     for step in pending:
         what = "changed since" if state.get(step) else "unfinished"
         if step == "workspace":
             what += " (" + " ".join(packages_to_build(state, expected_stamps(state))) + ")"
-        findings.mend(f"{step}: {what}: the next command brings it in step, or type './nmt setup'.")
+        findings.fix(f"{step}: {what}: the next command brings it in step, or type './nmt setup'.")
     if "requirements" not in pending:
         pins, present = pins_of(lock_file(state)), installed(state)
         wrong = [n for n, version in pins.items() if n in present and present[n][0] != version]
         wrong += [n for n in pins if n not in present and state["source"] == "wheels"]
         if wrong:
-            findings.mend(
+            findings.fix(
                 f"{len(wrong)} packages in .venv differ from the lock file "
                 f"({' '.join(sorted(wrong)[:4])}): type './nmt setup --fresh'."
             )
@@ -216,7 +216,7 @@ def examine_ros(findings: Findings, state: dict[str, Any]) -> None:
     answer = subprocess.run([VENV_PYTHON, "-c", IMPORT_CHECK], capture_output=True, text=True, env=environment)
     if answer.returncode != 0:
         reason = (answer.stderr.strip().splitlines() or ["no reason given"])[-1]
-        findings.mend(f"the messages or a library cannot be imported ({reason}): type './nmt setup --fresh'.")
+        findings.fix(f"the messages or a library cannot be imported ({reason}): type './nmt setup --fresh'.")
         return
     findings.ok("messages and libraries can be imported")
     begun = time.monotonic()
@@ -236,7 +236,7 @@ def examine_ros(findings: Findings, state: dict[str, Any]) -> None:
         findings.ok(f"two ROS 2 processes found each other on this host in {time.monotonic() - begun:.1f} s")
     else:
         reason = (listener.stderr.strip().splitlines() or ["no message in 15 s"])[-1]
-        findings.mend(
+        findings.fix(
             f"two ROS 2 processes did not find each other on this host ({reason}): the loopback interface "
             "must be up and allow multicast ('sudo ip link set lo multicast on'), and no firewall may "
             "stop UDP on it."
@@ -260,13 +260,13 @@ def examine_real_time(findings: Findings) -> None:
 
 
 def doctor(wanted: str | None) -> int:
-    """Check everything; one line each; 0 if nothing needs mending."""
+    """Check everything; one line each; 0 if nothing needs fixing."""
     findings = Findings()
     state = read_state()
     try:
         source = choose_source(wanted, state)
     except SetupError as trouble:
-        findings.mend(str(trouble))
+        findings.fix(str(trouble))
         source = "wheels"
     if state.get("source") != source:
         state = {}
@@ -275,5 +275,5 @@ def doctor(wanted: str | None) -> int:
         examine_ros(findings, state)
     examine_real_time(findings)
     examine_hardware(findings)
-    sys.stdout.write("Everything is in order.\n" if not findings.bad else f"{findings.bad} to mend.\n")
+    sys.stdout.write("Everything is in order.\n" if not findings.bad else f"{findings.bad} to fix.\n")
     return FAILED if findings.bad else 0

@@ -21,10 +21,10 @@ FAILED, MISUSED, INTERRUPTED = 1, 2, 130  # exit codes
 
 
 class SetupError(Exception):
-    """Something the user must mend; the text is the sentence to show.
+    """Something the user must fix; the text is the sentence to show.
 
     Args:
-        sentence: what is wrong and how to mend it.
+        sentence: what is wrong and how to fix it.
         code: the exit code.
     """
 

@@ -74,7 +74,7 @@ def set_up(wanted: str | None) -> dict[str, Any]:
         wanted: "wheels" or "system" where the user chose, else None.
 
     Raises:
-        SetupError: something the user must mend.
+        SetupError: something the user must fix.
     """
     state = read_state()
     source = choose_source(wanted, state)

@@ -23,7 +23,7 @@ def build_workspace(state: dict[str, Any], runner: StepRunner) -> None:
         del stamps[name]
     for name in changed:
         if stamps.pop(name, "").rpartition(" ")[0] == "" or not is_built(name):
-            remove_package(name)  # never built to its end: begin anew
+            remove_package(name)  # never built to its end: start over
     write_state(state)
     if not changed:
         return

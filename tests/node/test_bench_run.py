@@ -167,6 +167,17 @@ def test_wrong_plans_are_refused_before_anything_starts(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+def test_nodes_with_other_blocks_are_refused(tmp_path: Path) -> None:
+    odd = {"sequencer": {"block_samples": 150}}
+    with Bench("beam", [0.3], out=tmp_path / "out", node_values=odd) as bench:
+        result = bench.run()
+    assert result.code == ResultCode.REFUSED
+    assert result.message == (
+        "Node plant has block_samples 200, the sequencer 150: they would wait for each other; start all nodes with the "
+        "parameter file of one rig."
+    )
+
+
 # The plant and the recorder die with blocks that are still between them. In real time that is a part of a second; in
 # lockstep, forty times as fast, a recorder that waits for a processor is behind by any number of them.
 @pytest.mark.parametrize(

@@ -49,8 +49,8 @@ def test_options_are_checked(tmp_path: Path, capfd) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine"]
 
 
-def test_rival_methods_are_compared_on_the_joint_resonator(tmp_path: Path, capfd) -> None:
-    assert cli.main(["study", "rival_methods", "--quick", "--jobs", "1", "--out", str(tmp_path / "out")]) == 0
+def test_other_methods_are_compared_on_the_joint_resonator(tmp_path: Path, capfd) -> None:
+    assert cli.main(["study", "method_comparison", "--quick", "--jobs", "1", "--out", str(tmp_path / "out")]) == 0
     rows = list(csv.DictReader((tmp_path / "out" / "study.csv").read_text().splitlines()))
     methods = {row["labels"].split(";")[0].removeprefix("method=") for row in rows}
     assert methods == {

@@ -104,7 +104,7 @@ def models_of(evidence: Evidence) -> Models:
 
 
 def report(verdict: Verdict, evidence: Evidence | None = None) -> DiagnosisReport:
-    """A report of a verdict; ``effect`` has a class of two that cannot be told apart."""
+    """A report of a verdict; ``effect`` has a class of two that cannot be distinguished."""
     evidence = every_test() if evidence is None else evidence
     models = models_of(evidence)
     given, refitted, final = (

@@ -99,7 +99,7 @@ def test_a_class_is_named_with_its_splitting_test() -> None:
         verdict_text(report.diagnosis)[0]
         == "the model lacks cubic stiffness or quintic stiffness (the structure, point 5)"
     )
-    assert "one class: these tests cannot tell them apart; the test that would is below" in text
+    assert "one class: these tests cannot distinguish them; the test that would is below" in text
     assert "./nmt run beam --levels 1.5:3:6 --out high" in text
     assert "k = (20.00 ± 0.31)·10⁶ N/m³" in text
     assert "air drag at point 3: c2 = 0.40 ± 0.10 N s²/m²; force gain at channel f2: g = 0.0100 ± 0.0020" in text

@@ -34,7 +34,7 @@ def test_a_passing_check_holds_for_its_time(bench):
 
 def test_a_check_that_found_something_is_named(bench):
     keep_check(*bench, {"time": 1e9, "passed": False, "findings": [{"name": "sign"}, {"name": "mains"}]})
-    with pytest.raises(BenchError, match="found sign, mains; mend it and type: c"):
+    with pytest.raises(BenchError, match="found sign, mains; fix it and type: c"):
         require_check(*bench, "c", now=1e9)
 
 

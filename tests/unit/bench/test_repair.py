@@ -50,9 +50,9 @@ def test_a_cut_bag_gets_a_stop_record(bag: Path, tmp_path: Path, capsys) -> None
     local_definitions.cache_clear()  # as in a process that has written no bag yet
     assert main(["repair", str(bag), "--out", str(tmp_path / "out")]) == 0
     assert "is cut off" in capsys.readouterr().out
-    mended = Bag.open(tmp_path / "out" / "bag")
-    assert mended.run_stop["exit"]["state"] == "repaired"
-    assert mended.topics["note"][1] > 4
+    fixed = Bag.open(tmp_path / "out" / "bag")
+    assert fixed.run_stop["exit"]["state"] == "repaired"
+    assert fixed.topics["note"][1] > 4
 
 
 def test_a_whole_bag_is_copied(bag: Path, tmp_path: Path, capsys) -> None:

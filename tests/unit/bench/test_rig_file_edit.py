@@ -208,7 +208,7 @@ def test_lines_that_nothing_changes_stay_to_the_letter(text: str, tmp_path: Path
             ),
             "repeats itself",
         ),
-        ("name: [\n", "mend the YAML syntax"),
+        ("name: [\n", "fix the YAML syntax"),
         ("- name\n", "must be a mapping"),
     ],
     ids=["key twice", "tag", "aliases of aliases", "syntax", "list"],

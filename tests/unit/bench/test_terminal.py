@@ -8,7 +8,9 @@ import pytest
 from rich.console import Console
 from unit.bench.synthetic_run import synthetic_run
 
-from nmt_bench.commands.terminal import RunProgress, make_console, print_modal_table
+from nmt_bench.commands.console import make_console
+from nmt_bench.commands.run_progress import RunProgress
+from nmt_bench.commands.terminal import print_modal_table
 
 
 def printed(width: int, reference: bool = True) -> str:

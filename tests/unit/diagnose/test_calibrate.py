@@ -1,4 +1,4 @@
-"""Reliabilities learned from cases whose truth is known: as often right as they say, on made-up signs."""
+"""Reliabilities learned from cases whose truth is known: as often right as they say, on made-up features."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from nmt_diagnose.inference.confidence import CONFIDENCE_FILE, Reliability, conf
 GAP, UNNAMED, FIRST = QUESTIONS
 
 
-def case(kind: str, signs: dict[str, Any], truth: str = "", said: str = "", verdict: str = "effect") -> ScoredCase:
+def case(kind: str, features: dict[str, Any], truth: str = "", said: str = "", verdict: str = "effect") -> ScoredCase:
     effects = [{"name": truth, "place": "structure", "sigma": 8.0}] if truth else []
     entry = {"case": "0001", "kind": kind, "shifted": False, "withheld": "", "effects": effects}
     diagnosis = {
         "verdict": verdict,
         "ranking": [{"effect": said, "place": "structure", "probability": 0.5}] if said else [],
-        "features": {f"sign:{name}": value for name, value in signs.items()},
+        "features": {f"sign:{name}": value for name, value in features.items()},
     }
     return scored_case(entry, {"diagnosis": diagnosis})
 
@@ -84,6 +84,6 @@ def test_the_frozen_calibration_has_a_reliability_for_each_question() -> None:
     frozen = confidence()
     for question in QUESTIONS:
         found: Reliability = getattr(frozen, question.name)
-        assert set(found.weights) <= set(question.signs)
-        for name, sign in question.signs.items():
+        assert set(found.weights) <= set(question.features)
+        for name, sign in question.features.items():
             assert sign * found.weights.get(name, 0.0) >= 0.0

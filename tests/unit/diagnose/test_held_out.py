@@ -216,5 +216,5 @@ def test_explanations_are_compared_by_what_they_predict():
     assert found[good.explanation] == 0.0
     # Twenty blocks of twenty rows, each worse by 1 ± 2/√20 squared standard deviations a row.
     assert found[bad.explanation] == pytest.approx(np.sqrt(20.0) * 1.0 / (2.0 / np.sqrt(20.0)), rel=0.4)
-    # The bad one closes nine tenths of the gap: whoever calls that the same does not tell them apart.
+    # The bad one closes nine tenths of the gap: whoever calls that the same does not distinguish them.
     assert held.worse(shares, 0.3) == dict.fromkeys(tops, 0.0)

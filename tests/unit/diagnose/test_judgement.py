@@ -36,7 +36,7 @@ B = _generator.standard_normal(ROWS)
 B -= A * (A @ B) / (A @ A)
 B *= 8.0 / np.linalg.norm(B)
 NOISE = _generator.standard_normal(ROWS)
-# Evidences and priors as they are: what the signs are worth is another matter.
+# Evidences and priors as they are: what the features are worth is another matter.
 PLAIN = replace(
     frozen(),
     equivalence=3.0,
@@ -104,8 +104,8 @@ def test_drag_that_no_air_has_is_not_named() -> None:
             values=lambda theta, _: {"c2": float(theta[0])}, index_of=lambda _: slice(0, 1), prior_std=np.array([3.0])
         )
         fitted = replace(fitted, fit=replace(fitted.fit, parametrisation=own))
-        rivals = [fitted, contender(measured, (law, 0.95 * B + 0.05 * A))]
-        found = judge(contender(measured), rivals, (), (), (), (drag, law), PLAIN)
+        competing = [fitted, contender(measured, (law, 0.95 * B + 0.05 * A))]
+        found = judge(contender(measured), competing, (), (), (), (drag, law), PLAIN)
         assert found.classes[0].head.effects == (named,)
         assert beyond_limits(fitted.candidates, fitted.fit) == pytest.approx(
             max(0.0, (fitted.fit.theta[0] - limit) / np.hypot(0.5 * limit, fitted.fit.std[0]))
@@ -120,7 +120,7 @@ def test_a_source_that_explains_more_than_all_names_is_unknown() -> None:
     found = judged(measured, sources=(SourceScore(JOINT, plain.log_odds + 20.0, 60.0, 3.0),))
     assert found.unknown > 0.99
     assert next(iter(found.places)) == JOINT
-    assert found.signs["unknown_odds"] > 10.0
+    assert found.features["unknown_odds"] > 10.0
 
 
 def test_signs_beyond_what_was_seen_count_no_more() -> None:
@@ -154,11 +154,11 @@ def test_two_effects_at_one_point_are_a_sign_of_their_own() -> None:
     singles = [contender(2.0 * A + 2.0 * B + NOISE, (CUBIC, A))]
     plain = contender(2.0 * A + 2.0 * B + NOISE)
     apart = judge(plain, singles, [pair], (), (), LIBRARY, PLAIN, pair)
-    assert apart.signs["second"] == 1.0
-    assert apart.signs["together"] == 0.0  # points 2 and 1
+    assert apart.features["second"] == 1.0
+    assert apart.features["together"] == 0.0  # points 2 and 1
     near = replace(pair, candidates=(CUBIC, Candidate(DRAG.effect, Site(Placement.at("structure", 2), {"c2": 1.0}, 2))))
     library = (*LIBRARY, near.candidates[1])
-    assert judge(plain, singles, [near], (), (), library, PLAIN, near).signs["together"] == 1.0
+    assert judge(plain, singles, [near], (), (), library, PLAIN, near).features["together"] == 1.0
 
 
 def test_what_a_test_finds_and_chance_would_not_is_unnamed() -> None:
@@ -195,13 +195,13 @@ def test_the_prior_of_a_pair_is_that_of_two_draws_in_any_order() -> None:
     even = replace(PLAIN, inexactness=0.0)
     found = judge(plain, [single], [pair], (), (), LIBRARY, even)
     expected = even.prior_pair * share / (even.prior_effect / len(kinds))
-    assert -2.0 < found.signs["margin"] < 8.0
+    assert -2.0 < found.features["margin"] < 8.0
     ratio = found.named[pair.explanation] / found.named[single.explanation]
     gain = pair.fit.log_evidence - single.fit.log_evidence
     assert np.log(ratio) == pytest.approx(np.log(expected) + gain)
     # Something unnamed behind a pair costs the pair first.
     behind = [
-        judge(plain, [single], [pair], (), (), LIBRARY, even, best, 1e-30).signs["unknown_odds"]
+        judge(plain, [single], [pair], (), (), LIBRARY, even, best, 1e-30).features["unknown_odds"]
         for best in (pair, single)
     ]
     assert behind[0] - behind[1] == pytest.approx(np.log(expected) + gain)

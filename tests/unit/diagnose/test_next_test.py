@@ -58,7 +58,7 @@ def future(monkeypatch: pytest.MonkeyPatch) -> dict[str, np.ndarray]:
     return columns
 
 
-def rivals() -> list[Contender]:
+def competing() -> list[Contender]:
     generator = np.random.default_rng(4)
     column = generator.standard_normal(20)
     measured = 2.0 * column + generator.standard_normal(20)
@@ -80,7 +80,7 @@ def expected(future: dict[str, np.ndarray], a: Contender, b: Contender) -> float
 def test_the_expected_distance_is_that_of_dense_algebra(
     future: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    a, b = rivals()
+    a, b = competing()
     least = min(expected(future, a, b), expected(future, b, a))
     assert least > 3.0
     monkeypatch.setattr(next_test, "proposals", lambda rig, evidence: [proposal()])
@@ -88,7 +88,7 @@ def test_the_expected_distance_is_that_of_dense_algebra(
     (found,) = next_tests(RIG, evidence_of(np.zeros(20), 1.0), a, classes, None)  # type: ignore[arg-type]
     assert found.expected_sigma == pytest.approx(least, rel=1e-6)
     assert found.separates == ("cubic_stiffness", "air_drag")
-    # Members of one class are told apart just so.
+    # Members of one class are distinguished just so.
     (same,) = next_tests(RIG, evidence_of(np.zeros(20), 1.0), a, [ExplanationClass(a, (a, b), 0.95)], None)  # type: ignore[arg-type]
     assert same == found
 
@@ -96,7 +96,7 @@ def test_the_expected_distance_is_that_of_dense_algebra(
 def test_a_test_that_cannot_tell_is_not_proposed(
     future: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    a, b = rivals()
+    a, b = competing()
     future[DRAG.label] = future[CUBIC.label] * a.fit.theta[0] / b.fit.theta[0]
     monkeypatch.setattr(next_test, "proposals", lambda rig, evidence: [proposal()])
     classes = [ExplanationClass(a, (a, b), 0.9)]
@@ -105,10 +105,10 @@ def test_a_test_that_cannot_tell_is_not_proposed(
 
 def test_one_sure_explanation_needs_no_further_test(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*_: Any) -> Any:
-        raise AssertionError("nothing is left to tell apart")
+        raise AssertionError("nothing is left to distinguish")
 
     monkeypatch.setattr(next_test, "proposals", never)
-    a, b = rivals()
+    a, b = competing()
     classes = [ExplanationClass(a, (a,), 0.97), ExplanationClass(b, (b,), 0.01)]
     assert next_tests(RIG, evidence_of(np.zeros(20), 1.0), a, classes, None) == ()  # type: ignore[arg-type]
     assert next_tests(RIG, evidence_of(np.zeros(20), 1.0), a, [], None) == ()  # type: ignore[arg-type]

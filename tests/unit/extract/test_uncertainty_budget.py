@@ -24,13 +24,8 @@ from nmt_extract.uncertainty_budget import (
     uncertainty_budget,
     write_budget,
 )
-from nmt_record.channel_tolerances import (
-    CalibrationSheet,
-    ChannelTolerance,
-    Tolerances,
-    read_calibration,
-    tolerances,
-)
+from nmt_record.calibration_file import CalibrationSheet, read_calibration
+from nmt_record.channel_tolerances import ChannelTolerance, Tolerances, tolerances
 
 FORCE, A = Quantity.FORCE, Quantity.ACCELERATION
 

@@ -87,3 +87,13 @@ def test_opening_results_loads_no_kernel(tmp_path: Path) -> None:
     write_results(synthetic_run().points, tmp_path, {"rig": "beam"})
     code = "import nmt; assert len(nmt.open(sys.argv[1]).rows()) > 3"
     assert loaded_large(code, str(tmp_path)) == "[]"
+
+
+def test_a_list_of_rigs_loads_no_model() -> None:
+    code = "from nmt_bench import cli; assert cli.main(['rigs']) == 0; assert 'numpy' not in sys.modules"
+    assert loaded_large(code) == "[]"
+
+
+def test_extraction_loads_no_schemas() -> None:
+    code = "import nmt_extract.bag_budget, nmt_extract.offline, nmt_bench.commands.terminal, nmt_record.bag_reader"
+    assert loaded_large(code) == "['scipy']"  # for Student's t of the budget

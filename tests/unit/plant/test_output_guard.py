@@ -77,7 +77,7 @@ def test_the_shorter_of_two_ramps_to_zero_counts() -> None:
     out = guard.block(np.zeros(60))
     np.testing.assert_allclose(out, 0.5 * present * (1.0 + np.cos(np.pi * np.arange(1, 61) / 100.0)), atol=1e-12)
     guard.to_zero()
-    assert guard.block(np.zeros(50))[39] == pytest.approx(0.0, abs=1e-12), "the same again does not begin anew"
+    assert guard.block(np.zeros(50))[39] == pytest.approx(0.0, abs=1e-12), "the same again does not start over"
 
 
 def test_the_preview_is_limited_but_decides_nothing() -> None:

@@ -60,7 +60,7 @@ def test_moving_the_exciter_takes_the_drive_point_sensors_along():
         ("point: 3 ", "point: 9 ", "the structure has points 1 to 7"),
         ("pll: {} ", "pll: {cutoff: .inf} ", "pll.cutoff must be a finite number"),
         ("  blocks: 50", "  blocks: -1", "watchdog.blocks must not be negative"),
-        ("seed: 1", "seed: [1", "mend the YAML syntax"),
+        ("seed: 1", "seed: [1", "fix the YAML syntax"),
         ("seed: 1", "seed: 1\nsede: 2", "unknown key sede; did you mean seed?"),
     ],
 )  # fmt: skip

@@ -159,29 +159,29 @@ def test_repair_writes_a_regular_bag_that_says_what_it_lacks(make_bag, make_bloc
     content[content.index(make_block(20 * 6)) + 200] ^= 1
     file.write_bytes(content)
     broken = Bag.open(path)
-    mended = Bag.open(broken.repair(tmp_path / "mended"))
-    assert firsts(mended) == firsts(broken) == [0, 20, 40, 60, 160, 180, 200, 220]
-    assert mended.loss == broken.loss
-    (span,) = mended.lost_spans
+    fixed = Bag.open(broken.repair(tmp_path / "fixed"))
+    assert firsts(fixed) == firsts(broken) == [0, 20, 40, 60, 160, 180, 200, 220]
+    assert fixed.loss == broken.loss
+    (span,) = fixed.lost_spans
     assert span.samples == {"displacement": (80, 160)}
     assert span.messages == {"displacement": 4}
-    assert mended.run_stop == broken.run_stop
-    with Reader(tmp_path / "mended") as reader:  # another implementation of rosbag2
+    assert fixed.run_stop == broken.run_stop
+    with Reader(tmp_path / "fixed") as reader:  # another implementation of rosbag2
         assert reader.message_count == 8 + 2
-    information = yaml.safe_load((tmp_path / "mended" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    information = yaml.safe_load((tmp_path / "fixed" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     record = json.loads(information["custom_data"]["repair.json"])
     assert record["kept"] == {"run_record": 2, "displacement": 8}
     # A second repair keeps the record of the first.
-    again = Bag.open(mended.repair(tmp_path / "again"))
+    again = Bag.open(fixed.repair(tmp_path / "again"))
     assert again.loss == broken.loss
-    assert again.lost_spans == mended.lost_spans
+    assert again.lost_spans == fixed.lost_spans
 
 
 def test_a_whole_bag_is_repaired_to_itself(make_bag, tmp_path):
     bag = Bag.open(make_bag(blocks=7))
-    mended = Bag.open(bag.repair(tmp_path / "mended"))
-    assert mended.loss is None
-    assert list(mended.raw_messages()) == list(bag.raw_messages())
+    fixed = Bag.open(bag.repair(tmp_path / "fixed"))
+    assert fixed.loss is None
+    assert list(fixed.raw_messages()) == list(bag.raw_messages())
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)

@@ -118,15 +118,15 @@ def test_cut_at_any_byte(make_bag, tmp_path, data):
     assert "\n" not in bag.loss
     if samples:
         assert f"the last sample in it is {samples[-1] + 19} " in bag.loss
-    mended = Bag.open(bag.repair(tmp_path / "repaired"))
-    assert mended.loss == bag.loss  # a repaired bag still says what it lacks
-    assert mended.lost_spans == ()
-    assert first_samples(mended) == samples
-    assert mended.run_start == bag.run_start
-    assert mended.rig_yaml == bag.rig_yaml
-    assert mended.run_stop["exit"]["state"] == ("done" if bag.run_stop else "repaired")
+    fixed = Bag.open(bag.repair(tmp_path / "repaired"))
+    assert fixed.loss == bag.loss  # a repaired bag still says what it lacks
+    assert fixed.lost_spans == ()
+    assert first_samples(fixed) == samples
+    assert fixed.run_start == bag.run_start
+    assert fixed.rig_yaml == bag.rig_yaml
+    assert fixed.run_stop["exit"]["state"] == ("done" if bag.run_stop else "repaired")
     with Reader(tmp_path / "repaired") as reader:
-        assert reader.message_count == sum(count for _, count in mended.topics.values())
+        assert reader.message_count == sum(count for _, count in fixed.topics.values())
 
 
 def test_a_changed_sample_is_noticed_by_the_checksum(make_bag, make_block):

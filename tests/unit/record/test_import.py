@@ -1,4 +1,4 @@
-"""Imports that pass: values, what was mended and said, tables of others, and nothing half-written."""
+"""Imports that pass: values, what was fixed and said, tables of others, and nothing half-written."""
 
 from __future__ import annotations
 

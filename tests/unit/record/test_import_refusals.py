@@ -1,4 +1,4 @@
-"""Imports that must not pass: each is refused with one sentence that says what, where and how to mend it."""
+"""Imports that must not pass: each is refused with one sentence that says what, where and how to fix it."""
 
 from __future__ import annotations
 

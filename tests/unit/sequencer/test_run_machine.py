@@ -66,6 +66,22 @@ def test_a_level_begins_after_the_window_of_the_one_before(pacing):
 
 
 @PACINGS
+def test_progress_shows_the_level_that_the_loop_reports_of(pacing):
+    bench = Bench([Fate()], pacing)
+    bench.start(plan())
+    machine, late = bench.machine, 0
+    for _ in range(20_000):
+        if not machine.active:
+            break
+        bench.move(bench.possible()[0])
+        if machine.report is not None:
+            assert machine.reported.index == machine.report.level_index
+            late += machine.reported.index != machine.level_index
+    assert machine.code == ResultCode.SUCCEEDED
+    assert late  # there was an order that the loop did not have yet
+
+
+@PACINGS
 def test_the_drive_has_time_to_reach_zero_before_the_run_is_done(pacing):
     bench = finished(pacing=pacing)
     quiet = bench.orders[-1].apply_at_sample + round((PACING.quiet_ramp + PACING.settle) * PACING.sample_rate)

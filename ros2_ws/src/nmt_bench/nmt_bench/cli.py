@@ -3,7 +3,7 @@
 Each command is a module with ``add_parser(subparsers)`` and ``run(arguments) -> int``. Nothing but the chosen
 command's module is imported, so help and refusals come at once; what few ends need is imported where they need it.
 
-Exit codes: 0 done, 1 unexpected error (its traceback is in a log file), 2 a mistake that the user can mend,
+Exit codes: 0 done, 1 unexpected error (its traceback is in a log file), 2 a mistake that the user can fix,
 130 interrupted.
 """
 
@@ -87,7 +87,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 _LAUNCHER_COMMANDS = """\
 also, from the launcher:
   test                  the whole test-suite
-  doctor                what is missing on this machine and how to mend it
+  doctor                what is missing on this machine and how to fix it
   setup                 only the set-up
 """
 
@@ -115,7 +115,7 @@ _REASONS = {
     errno.EMFILE: "this shell allows too few open files; type 'ulimit -n 1024' and the command again",
     errno.ENFILE: "this computer has no file handles left; end other programs",
 }
-"""What the user can mend where the operating system refuses."""
+"""What the user can fix where the operating system refuses."""
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
@@ -266,7 +266,7 @@ def run_parsed(arguments: argparse.Namespace) -> int:
         Its exit code.
 
     Raises:
-        BenchError: a mistake that the user can mend.
+        BenchError: a mistake that the user can fix.
     """
     status = int(_load(arguments.command, COMMANDS[arguments.command][0]).run(arguments))
     sys.stdout.flush()
@@ -307,7 +307,7 @@ def _missing_module(name: str) -> str:
     """What to say where a module cannot be imported."""
     library = name.partition(".")[0]
     if PROGRAM == "./nmt":
-        return f"'{library}' is not installed; run './nmt setup' and, if that does not mend it, './nmt doctor'."
+        return f"'{library}' is not installed; run './nmt setup' and, if that does not fix it, './nmt doctor'."
     if library in _ROS_MODULES:
         return (
             f"This starts ROS 2 nodes and '{library}' is not installed; use './nmt' of a clone, which brings ROS 2, or "

@@ -28,7 +28,7 @@ def import_data(sidecar: Path | str, bag: Path | str) -> ImportedRun:
         bag: folder of the bag; must not exist yet.
 
     Returns:
-        What was read: channels in SI units, segments, tables, and in ``notes`` what was mended.
+        What was read: channels in SI units, segments, tables, and in ``notes`` what was fixed.
 
     Raises:
         BenchError: the sidecar, the rig it names or the data are wrong, or the bag cannot be written.

@@ -303,7 +303,7 @@ class BenchNode(Node):  # type: ignore[misc]
         return self.company.silent(time.monotonic())
 
     def forget_failures(self) -> None:
-        """Begin anew: what a watched node reported before a run does not end it."""
+        """Start over: what a watched node reported before a run does not end it."""
         self.company.failures.clear()
 
     def failed_node(self) -> tuple[str, str]:

@@ -15,13 +15,14 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
-import numpy as np
 import yaml
-from numpy.lib import format as npy
 
 from nmt_core.errors import BenchError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 LARGEST_DOCUMENT = 2**20  # bytes of a file written by hand
 LARGEST_TABLE = 2**28  # bytes of a text file that a program wrote
@@ -229,6 +230,8 @@ def read_arrays(path: Path, what: str, largest: int = LARGEST_ARRAYS) -> Mapping
         BenchError: as :func:`open_regular`, no NPZ file, an array of objects, or claims that do not fit the file or
             are more than ``largest``.
     """
+    import numpy as np  # late: most files are text, and commands that read only those start faster
+
     try:
         with open_regular(path, what, largest) as file:
             with zipfile.ZipFile(file) as archive:
@@ -257,6 +260,8 @@ def read_arrays(path: Path, what: str, largest: int = LARGEST_ARRAYS) -> Mapping
 
 def _claimed_bytes(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> int:
     """Bytes that an entry needs in memory as double precision, by its header."""
+    from numpy.lib import format as npy
+
     if not item.filename.endswith(".npy"):
         raise ValueError(f"'{item.filename}' in it is no array")
     with archive.open(item) as entry:

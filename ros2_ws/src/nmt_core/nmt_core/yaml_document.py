@@ -94,7 +94,7 @@ def _syntax_message(error: yaml.YAMLError, name: str) -> str:
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
     problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "it is not valid YAML"
     place = f"{name} line {mark.line + 1}" if mark is not None else name
-    return f"{place}: {problem}; mend the YAML syntax there."
+    return f"{place}: {problem}; fix the YAML syntax there."
 
 
 def _construct(
@@ -136,5 +136,5 @@ def _scalar(loader: BoundedYaml, node: yaml.Node, name: str) -> Any:
         said = str(getattr(node, "value", ""))[:40]
         raise BenchError(
             f"{name} line {node.start_mark.line + 1}: cannot read this value: '{said}' is no "
-            f"{node.tag.rsplit(':', 1)[-1]}; mend it, or leave the tag out."
+            f"{node.tag.rsplit(':', 1)[-1]}; fix it, or leave the tag out."
         ) from error

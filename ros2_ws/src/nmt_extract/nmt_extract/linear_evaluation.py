@@ -10,6 +10,7 @@ from typing import Any
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
+from nmt_core.work_progress import tell
 from nmt_extract.linear_file import Linearity, linear_mapping, linearity
 from nmt_extract.linear_test import LinearTest, LinearTestSettings, linear_test
 from nmt_record.bag_reader import Bag
@@ -105,10 +106,13 @@ def evaluate_linear_test(
         rig_mode=rig_mode,
         segment_s=segment_s,
     )
-    test = linear_test(read_signals(bag, main.first_sample, main.samples), settings)
     lowest = min(whole, key=lambda segment: segment.level)
+    levels = 2 if lowest.level < main.level else 1
+    tell("fitting modes to the levels", 0, levels)
+    test = linear_test(read_signals(bag, main.first_sample, main.samples), settings)
     check, remarks = None, list(test.remarks)
-    if lowest.level < main.level:
+    if levels == 2:
+        tell("fitting modes to the levels", 1, levels)
         try:
             lower = linear_test(read_signals(bag, lowest.first_sample, lowest.samples), settings)
             check = linearity(test, lower, main.level, lowest.level)

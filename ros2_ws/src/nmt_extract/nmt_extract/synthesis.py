@@ -444,7 +444,7 @@ class ResonanceError:
         frequency_error: relative error of the peak frequency.
         rms_error: root mean square of |x_s − x_m| over the half-power band of the measurement, divided by its peak;
             amplitude and phase both count.
-        modulus_rms_error: the same with the moduli only.
+        modulus_rms_error: the same with the magnitudes only.
         band_hz: half-power band: where |x_m| ≥ peak/√2, Hz.
         points: measured points in it.
     """
@@ -503,8 +503,9 @@ def resonance_error(
         frequency: Hz, shape ``(k,)``, monotone.
         measured: complex response relative to the force, shape ``(k,)``.
         synthesised: the same from the synthesis; NaN where there is none.
-        curve: frequencies (Hz) and moduli along the synthesised curve, for its peak; None, or fewer than 40 measured
-            points in the half-power band = from ``synthesised``, so that both peaks suffer alike from few points.
+        curve: frequencies (Hz) and magnitudes along the synthesised curve, for its peak; None, or fewer than 40
+            measured points in the half-power band = from ``synthesised``, so that both peaks suffer alike from few
+            points.
     """
     modulus = np.abs(measured)
     top = int(np.nanargmax(modulus))
@@ -525,7 +526,7 @@ def resonance_error(
         high += 1
     band = slice(low, high + 1)
     difference = synthesised[band] - measured[band]
-    moduli = np.abs(synthesised[band]) - np.abs(measured[band])
+    magnitudes = np.abs(synthesised[band]) - np.abs(measured[band])
     ends = sorted((float(frequency[low]), float(frequency[high])))
     return ResonanceError(
         channel,
@@ -534,7 +535,7 @@ def resonance_error(
         found / height - 1.0,
         found_at / peak_at - 1.0,
         _rms(difference) / height,
-        _rms(moduli) / height,
+        _rms(magnitudes) / height,
         (ends[0], ends[1]),
         high + 1 - low,
     )

@@ -6,7 +6,7 @@ block that starts at or after its `apply_at_sample`. `quiet` starts the emergenc
 along a half-cosine and stays there until `reset`; reading goes on meanwhile. `close` is allowed in every
 state, and twice.
 
-Raises: DeviceStateError for a call out of order, BenchError for a command or configuration the user can mend,
+Raises: DeviceStateError for a call out of order, BenchError for a command or configuration the user can fix,
 DeviceFault where the device itself fails (the node then quiets and closes it).
 """
 

@@ -52,7 +52,7 @@ class Finding(NamedTuple):
             sensitivity, no_drive, headroom, rate, delay, resonance, losses, limit.
         channels: that have it; empty = the whole bench.
         sentence: what was found.
-        remedy: what mends it.
+        remedy: what fixes it.
     """
 
     name: str

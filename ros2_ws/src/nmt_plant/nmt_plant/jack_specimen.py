@@ -258,7 +258,7 @@ def follow_input(told: threading.Event, *ends: Callable[[], bool]) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run it; one sentence and exit code 2 for what the user can mend."""
+    """Run it; one sentence and exit code 2 for what the user can fix."""
     parser = argparse.ArgumentParser(prog="nmt_plant.jack_specimen", description=__doc__)
     add_options(parser)
     try:

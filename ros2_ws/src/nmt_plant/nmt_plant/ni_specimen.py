@@ -308,7 +308,7 @@ def _stop_line(section: StopInputSection, path: Path | None) -> Callable[[], flo
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run it; one sentence and exit code 2 for what the user can mend."""
+    """Run it; one sentence and exit code 2 for what the user can fix."""
     parser = argparse.ArgumentParser(prog="nmt_plant.ni_specimen", description=__doc__)
     add_options(parser)
     try:

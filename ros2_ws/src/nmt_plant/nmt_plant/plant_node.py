@@ -417,6 +417,8 @@ class PlantNode(BenchNode):
         elapsed = time.monotonic() - self._started if self._started else 0.0
         bench_time = self.device.next_sample / self.device.sample_rate if not self._failed else 0.0
         self.counters.update(
+            sample_rate=float(self.device.sample_rate),
+            block_samples=int(self.device.block_samples),
             next_sample=self.device.next_sample,
             commands=self._commands,
             refused=self._refused,

@@ -38,7 +38,7 @@ def load_portaudio() -> ModuleType:
     """The package sounddevice with its library.
 
     Raises:
-        BenchError: package or library is missing, with the command that mends it.
+        BenchError: package or library is missing, with the command that fixes it.
     """
     try:
         import sounddevice

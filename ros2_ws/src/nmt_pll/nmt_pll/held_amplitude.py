@@ -73,7 +73,7 @@ class ExciterEstimate:
     """P and Z of F = P u − Z a, tracked along the sweep.
 
     A Kalman filter whose state [P, Z] walks at random: the variance of P grows by ``drift``² a block, relative to its
-    size, so that a slow change with the frequency is followed. Directions that the present motion does not tell apart
+    size, so that a slow change with the frequency is followed. Directions that the present motion does not distinguish
     keep what was learnt: the covariance never exceeds that of the start.
     An update weighs the noise of the sensors and a share of the force that no pair P, Z explains.
 

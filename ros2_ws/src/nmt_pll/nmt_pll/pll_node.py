@@ -132,7 +132,8 @@ class PllNode(BenchNode):
 
     def update_counters(self) -> None:
         """Counters for the heartbeat."""
-        self.counters.update(self.core.counters)
+        rate, block = float(self.values["sample_rate"]), int(self.values["block_samples"])
+        self.counters.update(sample_rate=rate, block_samples=block, **self.core.counters)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -25,7 +25,8 @@ from nmt_core.hardened import json_value, open_regular, read_text, yaml_value
 from nmt_core.records import LockEvent
 from nmt_core.vocabulary import RecordKind
 from nmt_core.wire import LOCK_EVENT, BlockHead, BlockReader
-from nmt_record.bag_writer import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY, BagWriter
+from nmt_core.work_progress import counted
+from nmt_record.bag_keys import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY
 from nmt_record.bench_topics import SAMPLE_BLOCK, bench_name
 from nmt_record.mcap_file import Channel, LostStretch, McapFile, check_magic
 from nmt_record.message_definitions import MessageDefinition, typestore_of
@@ -156,7 +157,8 @@ class Bag:
             BenchError: the bag cannot be read.
         """
         wanted = None if topics is None else {bench_name(name) for name in topics}
-        return self._source.raw(wanted)
+        total = sum(count for topic, (_, count) in self.topics.items() if wanted is None or topic in wanted)
+        return iter(counted(f"reading {self.path.name}", self._source.raw(wanted), total))
 
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[tuple[str, int, Any]]:
         """Messages as objects of the ``rosbags`` reader (arrays are read-only).
@@ -304,6 +306,8 @@ class Bag:
         Raises:
             BenchError: the folder exists, the disk is full, or this bag cannot be read.
         """
+        from nmt_record.bag_writer import BagWriter  # late: whoever only reads starts faster
+
         destination = Path(destination)
         writer = BagWriter(
             destination,

@@ -38,7 +38,7 @@ def check_responses(section: TableSection, table: ObservableTable, place: str, s
         sign: what the model says.
 
     Raises:
-        BenchError: with the key that mends it.
+        BenchError: with the key that fixes it.
     """
     if table.kind != "frf" or table.quantity not in _ORDERS or table.reference not in ("force", "base"):
         return

@@ -58,7 +58,7 @@ class SourceTable:
         columns: numbers, NaN where the file has none; all of one length.
         units: what the file itself says, empty if nothing.
         quantities: what the file itself says, ``UNKNOWN`` if nothing.
-        notes: sentences on what was mended.
+        notes: sentences on what was fixed.
         start: abscissa of the first row, if the file states an even one.
         step: its increment.
         abscissa: the file's uneven abscissa (UFF).
@@ -154,9 +154,9 @@ def kind_of(path: Path) -> str:
     if not head.strip():
         raise BenchError(f"{path.name} is empty; name the file with the data.")
     kind = _SUFFIXES.get(path.suffix.lower(), "")
-    for magic, what, mend in _FOREIGN:
+    for magic, what, fix in _FOREIGN:
         if head.startswith(magic) and not (magic == b"PK\x03\x04" and kind == "npz"):
-            raise BenchError(f"{path.name} is {what}; {mend}.")
+            raise BenchError(f"{path.name} is {what}; {fix}.")
     if uff.is_universal_file(head):
         kind = "uff"
     elif is_hdf5(head) or head.startswith(MAT5):
@@ -356,7 +356,7 @@ def _values(
                 if row == len(lines) - 1 and len(cells) < width
                 else "columns of unequal length or a stray separator"
             )
-            raise BenchError(f"{where} has {len(cells)} values instead of {width} ({more}); mend the line.")
+            raise BenchError(f"{where} has {len(cells)} values instead of {width} ({more}); fix the line.")
         rows.append([_cell(cell, form, where, names[i] or str(i + 1)) for i, cell in enumerate(cells)])
         kept.append(row)
     return np.array(rows, dtype=np.float64).reshape(-1, width), kept, tuple(breaks)
@@ -374,9 +374,7 @@ def _cell(cell: str, form: _Form, where: str, column: str) -> float:
         )
     comma = form.decimal == "." and _NUMBER[","].match(cell) is not None
     hint = "decimal comma among decimal points" if comma else "text in a column of numbers"
-    raise BenchError(
-        f"{where}: column {column} has '{cell[:30]}' ({hint}); mend it or leave it empty if it is missing."
-    )
+    raise BenchError(f"{where}: column {column} has '{cell[:30]}' ({hint}); fix it or leave it empty if it is missing.")
 
 
 # --- NPZ and UFF -----------------------------------------------------------------------------------------------------

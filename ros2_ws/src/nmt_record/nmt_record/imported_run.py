@@ -77,7 +77,7 @@ class ImportedRun:
         blocks: phase of the excitation block by block; empty = not known.
         loop: states of the loop; empty = not known.
         linear: linear modes; None = not known.
-        notes: sentences on what was mended, marked or is unusual.
+        notes: sentences on what was fixed, marked or is unusual.
         files: name and SHA-256 of every file read.
     """
 
@@ -113,7 +113,7 @@ def read_import(
         shape_sign: sign of a response away from the drive point at a resonance; asked after ``describe``.
 
     Raises:
-        BenchError: the first thing that is wrong, where, and how to mend it.
+        BenchError: the first thing that is wrong, where, and how to fix it.
     """
     sidecar, document = read_sidecar(path)
     check_sidecar(sidecar, document)

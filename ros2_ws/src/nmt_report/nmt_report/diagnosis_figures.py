@@ -91,7 +91,7 @@ def residual_figure(
     for tick, line in zip(panels[0].get_yticklabels(), lines, strict=True):
         tick.set_fontweight("bold" if line[1] in (1, -1) else "normal")
     caption = (
-        "Root-mean-square residual of each cell in standard deviations of the measurement: noise alone gives about 1. "
+        "Root-mean-square residual of each cell in stated standard deviations: scatter alone gives about 1 or less. "
         + _legend()
         + " A cell of two values passes 1.7 by chance in one case of twenty."
         + (Markup(" <i>n</i>: order of the harmonic.") if harmonics else "")
@@ -132,7 +132,7 @@ def _line_key(key: tuple[str, int], groups: Sequence[ResidualGroup]) -> tuple[in
 def _line_text(line: tuple[str, int], harmonics: bool) -> str:
     channel, harmonic = line
     if harmonic < 0:
-        return "foreign lines" if harmonics and channel != _NO_CHANNEL else channel
+        return "other spectral lines" if harmonics and channel != _NO_CHANNEL else channel
     return f"{channel}   n = {harmonic}" if harmonic == 1 else f"{harmonic}"
 
 

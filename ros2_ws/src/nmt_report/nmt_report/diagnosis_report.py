@@ -84,10 +84,11 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         answers=_answers(d),
         cards=_cards(d),
         notices=(*d.warnings, *d.notes),
-        footer="Residual: (measured − model) / standard deviation of the measurement, so noise alone gives a root mean "
-        "square of 1. ± standard uncertainty. Model as given: the rig file; re-fitted: its own parameters adjusted to "
-        "these tests within what is known of them beforehand; with the effect: re-fitted with the effect added. SI "
-        "units.",
+        footer="Residual: (measured − model) / stated standard uncertainty of the measurement. The stated one holds "
+        "tolerances of the measuring chain beside the scatter, so scatter alone leaves a root mean square of about 1 "
+        "or less; it is given beside the others. ± standard uncertainty. Model as given: the rig file; re-fitted: its "
+        "own parameters adjusted to these tests within what is known of them beforehand; with the effect: re-fitted "
+        "with the effect added. SI units.",
     )
     claimed = d.verdict in (Verdict.EFFECT, Verdict.CALIBRATION)
     return page.html(
@@ -167,7 +168,7 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
     gap, cards = d.gap, []
     if d.verdict is Verdict.EFFECT and d.ranking:
         head = d.ranking[0]
-        note = f"of {len(head.equivalents) + 1} that these tests cannot tell apart, together"
+        note = f"of {len(head.equivalents) + 1} that these tests cannot distinguish, together"
         note = note if head.equivalents else "of this explanation"
         cards.append(("Probability", probability_text(head.probability), note))
         cards.append(
@@ -179,10 +180,10 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
         cards.append(("Gap closed on held-out data", percent(gap.closed), f"90 % interval {_interval(gap)}"))
     if math.isfinite(gap.before):
         before = gap.as_given if d.verdict is Verdict.NONE else gap.before
-        text = significant(before, 3)
+        text = plain(before, 2)
         if d.verdict in (Verdict.EFFECT, Verdict.CALIBRATION):
-            text += f" → {significant(gap.after, 3)}"
-        cards.append(("Residual, rms", text, f"noise leaves {significant(gap.floor, 3)}"))
+            text += f" → {plain(gap.after, 2)}"
+        cards.append(("Residual, rms", text, f"standard deviations; scatter alone leaves {plain(gap.floor, 2)}"))
     return cards
 
 
@@ -217,7 +218,7 @@ def _ranking(d: Diagnosis) -> Table:
     for number, item in enumerate(d.ranking):
         remark = ""
         if item.equivalents:
-            remark = "one class: these tests cannot tell them apart"
+            remark = "one class: these tests cannot distinguish them"
             remark += "; the test that would is below" if d.next_test and number == 0 else ""
         text = part("explanation", class_text(item), remark, effect_text(item.effect), equation_text(item.effect))
         accepted = "on" if d.verdict is Verdict.EFFECT and number == 0 else ""
@@ -287,10 +288,10 @@ def _gap(d: Diagnosis) -> Table:
         steps = [("model as given", gap.before, ""), ("parameters re-fitted", gap.after, "on")]
     if d.verdict is Verdict.EFFECT:
         steps.append(("with the effect", gap.after, "on"))
-    steps.append(("noise and repeatability", gap.floor, "quiet"))
+    steps.append(("scatter alone", gap.floor, "quiet"))
     largest = max((value for _, value, _ in steps if math.isfinite(value)), default=1.0)
     rows = [
-        Row((name, _with_bar(value / largest, significant(value, 3), kind)))
+        Row((name, _with_bar(value / largest, plain(value, 2), kind)))
         for name, value, kind in steps
         if math.isfinite(value)
     ]
@@ -313,13 +314,13 @@ def _per_observable(gap: Gap, verdict: Verdict) -> Table | None:
             cells.append(Markup("<b>{}</b>").format(text) if size > _LARGE else text)
             cells.append(f"{significant(_number(values, f'{key}_unit'), 3)} {unit}")
         rows.append(Row([*cells, str(values.get("rows", ""))]))
-    head = [Column("Test", kind="text"), Column("Observable", kind="text"), Column("Before", "noise = 1")]
+    head = [Column("Test", kind="text"), Column("Observable", kind="text"), Column("Before", "standard deviations")]
     head.append(Column("Before", "rms"))
     if after:
-        head += [Column("After", "noise = 1"), Column("After", "rms")]
+        head += [Column("After", "standard deviations"), Column("After", "rms")]
     note = (
-        f"Bold: more than {_LARGE:g} times the noise. Predicted without the level or the test that is judged, so that "
-        "an uncertain parameter shows here too."
+        f"Bold: more than {_LARGE:g} standard deviations. Predicted without the level or the test that is judged, so "
+        "that an uncertain parameter shows here too."
     )
     return Table([*head, Column("Values")], rows, note, "By observable, on held-out data")
 
@@ -335,7 +336,7 @@ def _remainder(rest: Remainder | None) -> Table | None:
         cells = [test, _observable_text(what), item.levels or "spread", _with_bar(item.share, percent(item.share))]
         rows.append(Row([*cells, significant(item.rms, 3), value]))
     head = [Column(name, kind="text") for name in ("Test", "Observable", "Levels", "Share of the rest")]
-    head += [Column("Left", "noise = 1"), Column("Left", "rms")]
+    head += [Column("Left", "standard deviations"), Column("Left", "rms")]
     interval = f" ({percent(rest.low)[:-2]} to {percent(rest.high)})" if math.isfinite(rest.low) else ""
     note = (
         f"{percent(rest.share)}{interval} of the gap is left. A laboratory's rig differs from its model by more than "
@@ -370,7 +371,7 @@ def _next(d: Diagnosis) -> Table | None:
     ]  # fmt: skip
     head = (
         Column("Test", kind="text wrap"),
-        Column("Tells apart", kind="text wrap"),
+        Column("Distinguishes", kind="text wrap"),
         Column("Expected", "standard deviations"),
         Column("Command", kind="text mono"),
     )

@@ -101,7 +101,7 @@ def next_table(diagnosis: Diagnosis) -> Table | None:
         return None
     table = _new("Tests that would tell more")
     table.add_column("test", overflow="fold")
-    table.add_column("tells apart", overflow="fold")
+    table.add_column("distinguishes", overflow="fold")
     table.add_column("expected\nstd. dev.", justify="right", no_wrap=True)
     if any(item.command for item in diagnosis.next_test):
         table.add_column("command", overflow="fold")

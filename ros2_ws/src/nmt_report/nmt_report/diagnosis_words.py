@@ -43,7 +43,7 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
 
 
 def effect_text(name: str) -> str:
-    """``cubic stiffness`` for ``cubic_stiffness``; the rivals that are no effects in words."""
+    """``cubic stiffness`` for ``cubic_stiffness``; the competing explanations that are no effects in words."""
     if name == NULL:
         return "no effect needed"
     if name == UNKNOWN:

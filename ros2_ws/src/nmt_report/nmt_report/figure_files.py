@@ -10,6 +10,7 @@ from pathlib import Path
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_text
 from nmt_core.whole_file import write_whole
+from nmt_core.work_progress import tell
 from nmt_report.figure_record import Record, tidy_csv, unpacked
 from nmt_report.figure_redraw import FORMATS, redraw, save
 from nmt_report.svg import FIGURE_TYPE
@@ -90,9 +91,9 @@ def write_figures(
     if missing:
         raise BenchError(f"The report has no figure '{missing[0]}'; it has {', '.join(known)}.")
     written = []
-    for figure in figures:
-        if names and figure["name"] not in names:
-            continue
+    chosen = [figure for figure in figures if not names or figure["name"] in names]
+    for number, figure in enumerate(chosen):
+        tell("drawing figures", number, len(chosen))
         stem = Path(folder) / (_LETTERS.sub("-", str(figure["name"])).strip("-.") or "figure")
         drawn = redraw(figure, width_mm, letters_pt)
         files = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]

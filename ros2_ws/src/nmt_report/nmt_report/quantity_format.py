@@ -72,8 +72,11 @@ def plain(value: float, decimals: int) -> str:
 
 
 def significant(value: float, digits: int = 4) -> str:
-    """Text with a number of significant digits; an em dash for a value that is not finite."""
-    return f"{value:.{digits}g}".replace("-", "−") if math.isfinite(value) else "—"
+    """Text with a number of significant digits, as ``9.1·10⁻⁵``; an em dash for a value that is not finite."""
+    if not math.isfinite(value):
+        return "—"
+    mantissa, _, exponent = f"{value:.{digits}g}".replace("-", "−").partition("e")
+    return f"{mantissa}·{power_of_ten(int(exponent.replace('−', '-')))}" if exponent else mantissa
 
 
 def duration(seconds: float) -> str:

@@ -59,7 +59,7 @@ def reference_page(rig: Rig, reference: Reference, shapes: PointShapes, compared
             f"{plain(hertz[top], 4)} Hz at {significant(q[top], 3)} m√kg",
         ),
     ]
-    notices = [] if reference.single_valued else ["The backbone folds over the amplitude; the first passage is given."]
+    notices = [] if reference.single_valued else ["The backbone folds over the amplitude; the first crossing is given."]
     page = ResponsePage(
         kicker="Computed backbone",
         heading=rig.name,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 MOST_CURVES = 24
-"""Levels with a curve or bars of their own; more cannot be told apart."""
+"""Levels with a curve or bars of their own; more cannot be distinguished."""
 
 MOST_MARKS = 200
 """Levels with marks or hover texts of their own: they are then some 4 points apart on a page."""

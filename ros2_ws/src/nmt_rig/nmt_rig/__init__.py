@@ -11,15 +11,16 @@ from nmt_core.public_names import loaded
 
 if TYPE_CHECKING:
     from nmt_rig.reference import Reference, compute_reference, write_reference_csv
-    from nmt_rig.rig import Rig, find_rig, load_rig, rig_names
+    from nmt_rig.rig import Rig, load_rig
+    from nmt_rig.rig_places import find_rig, rig_names
 
 _HOMES = {
     "Reference": "nmt_rig.reference",
     "Rig": "nmt_rig.rig",
     "compute_reference": "nmt_rig.reference",
-    "find_rig": "nmt_rig.rig",
+    "find_rig": "nmt_rig.rig_places",
     "load_rig": "nmt_rig.rig",
-    "rig_names": "nmt_rig.rig",
+    "rig_names": "nmt_rig.rig_places",
     "write_reference_csv": "nmt_rig.reference",
 }
 __all__ = [

@@ -52,7 +52,7 @@ def check_physics(rig: Rig, document: RigDocument) -> None:
     if not np.isfinite(masses).all() or masses.max() > _HEAVIEST_RATIO * np.abs(masses).min():
         raise BenchError(
             f"{blame} has masses from {np.abs(masses).min():.3g} to {masses.max():.3g} kg (or kg m²), which no "
-            "computation tells apart: check the units of the masses."
+            "computation distinguishes: check the units of the masses."
         )
     if not fastest <= _FASTEST:
         raise BenchError(

@@ -4,4 +4,4 @@ from __future__ import annotations
 
 
 class BadFileError(ValueError):
-    """What is wrong with a file that a structure is read from, and how to mend it."""
+    """What is wrong with a file that a structure is read from, and how to fix it."""

@@ -52,7 +52,7 @@ class Reference:
         omega_rad_s: (k,) ω̃, rad/s.
         damping_ratio: (k,) δ̃.
         harmonics: highest harmonic order.
-        single_valued: the backbone does not fold in q; where it does, the first passage is given.
+        single_valued: the backbone does not fold in q; where it does, the first crossing is given.
         backbone: the full result with shapes.
     """
 
@@ -96,7 +96,7 @@ class SinglePointReference:
         exciter_point: point number of the drive.
         level: (k,) drive amplitudes, V; those beyond a fold of the phase-resonant branch are left out.
         mode: extracted properties per level.
-        single_valued: phase resonance does not fold over the level; where it does, the first passage is
+        single_valued: phase resonance does not fold over the level; where it does, the first crossing is
             given.
     """
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,7 +11,6 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.proposal import did_you_mean
 from nmt_core.validation_sentence import validation_sentence
 from nmt_rig.device_sections import AnyDevice
 from nmt_rig.device_sections import InputPortSection as InputPortSection
@@ -22,6 +19,9 @@ from nmt_rig.device_sections import OutputPortSection as OutputPortSection
 from nmt_rig.device_sections import PortAudioSection as PortAudioSection
 from nmt_rig.device_sections import StopInputSection as StopInputSection
 from nmt_rig.rig_file import KeyPath, RigDocument, apply_overrides, read_document
+from nmt_rig.rig_places import RIG_PATH_VARIABLE as RIG_PATH_VARIABLE
+from nmt_rig.rig_places import find_rig as find_rig
+from nmt_rig.rig_places import rig_names as rig_names
 from nmt_rig.rig_section import Name, NotNegative, Point, Positive
 from nmt_rig.rig_section import Section as Section
 from nmt_rig.structure_files import completed, names_files, with_channels, with_file_contents
@@ -35,9 +35,6 @@ from nmt_rig.structure_sections import ModalSection as ModalSection
 from nmt_rig.structure_sections import ModeSection as ModeSection
 from nmt_rig.structure_sections import ResidualSection as ResidualSection
 from nmt_rig.structure_sections import StructureSection as StructureSection
-
-# Environment variable with folders, separated as in PATH, that are searched for rigs by name first.
-RIG_PATH_VARIABLE = "NMT_RIG_PATH"
 
 
 class ElementSection(Section):
@@ -755,38 +752,6 @@ def validate_rig(document: RigDocument, folder: Path | None = None) -> Rig:
         raise BenchError(validation_sentence(errors, document, Rig, "the rig", words=_IN_ITS_UNIT)) from failure
     _check_references(rig, document)
     return rig
-
-
-def _rig_folders() -> list[Path]:
-    folders = [Path(part) for part in os.environ.get(RIG_PATH_VARIABLE, "").split(os.pathsep) if part]
-    folders.append(Path(__file__).parent / "rigs")
-    return folders
-
-
-def rig_names() -> list[str]:
-    """Names of the rigs that can be loaded without a path."""
-    return sorted({path.stem for folder in _rig_folders() for path in folder.glob("*.yaml")})
-
-
-def find_rig(path_or_name: str | Path) -> Path:
-    """File of a rig given by path, or by name: NMT_RIG_PATH first, then the shipped rigs.
-
-    Raises:
-        BenchError: there is no such rig.
-    """
-    path = Path(path_or_name)
-    if os.path.isfile(path):  # unlike Path.is_file it does not raise for a name that is too long
-        return path
-    if re.fullmatch(r"[A-Za-z0-9_-]+", str(path_or_name)):
-        for folder in _rig_folders():
-            candidate = folder / f"{path_or_name}.yaml"
-            if candidate.is_file():
-                return candidate
-    known = rig_names()
-    raise BenchError(
-        f"there is no rig {path_or_name}; give the path of a rig file or one of: {', '.join(known) or 'none'}"
-        f"{did_you_mean(str(path_or_name), known)}."
-    )
 
 
 def load_rig(path_or_name: str | Path, overrides: Sequence[str] = ()) -> Rig:

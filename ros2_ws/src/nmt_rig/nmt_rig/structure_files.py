@@ -106,7 +106,7 @@ def _path(document: YamlDocument, structure: Mapping[str, Any], key: str, folder
         raise BenchError(f"{place}: structure.{key} must be the path of a file.")
     path = folder / Path(text).expanduser()
     if not path.is_file():
-        raise BenchError(f"{place}: structure.{key} is {text}, and there is no file {path}; mend the path.")
+        raise BenchError(f"{place}: structure.{key} is {text}, and there is no file {path}; fix the path.")
     return path
 
 

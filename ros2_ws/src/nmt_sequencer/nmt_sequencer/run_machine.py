@@ -164,6 +164,20 @@ class RunMachine:
         return self.records[-1].index if self.records else 0
 
     @property
+    def reported(self) -> LevelRecord | None:
+        """The level that the newest report is about: the one before while the order of the present one is on its way.
+
+        None before the first level.
+        """
+        if not self.records:
+            return None
+        if self.report is None or len(self.records) == 1 or self._begun(self.report):
+            return self.records[-1]
+        return next(
+            (record for record in reversed(self.records) if record.index == self.report.level_index), self.records[-1]
+        )
+
+    @property
     def progress(self) -> float:
         """Fraction of the plan done, 0..1."""
         if self.plan is None:

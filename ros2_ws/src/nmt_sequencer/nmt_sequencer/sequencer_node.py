@@ -29,6 +29,7 @@ from nmt_sequencer.steering import SteeringRequest
 _GUARD_PERIOD = 0.1
 _FEEDBACK_PERIOD = 0.1
 _QUIET_TIMEOUT = 4.0
+_TIMING = ("sample_rate", "block_samples")  # parameters that all nodes of a bench share
 _STATUS_TOPIC = "run_levels/_action/status"  # a topic, and thus an owner, that every action server has
 _LONGEST_END = 2.0  # s that the sequencer waits for the ramp to zero when it is told to end
 
@@ -57,6 +58,7 @@ class SequencerNode(BenchNode):
         self._newest_wall = 0.0
         self._plant = ""
         self._plant_said: dict[str, str] | None = None
+        self._timing: dict[str, dict[str, str]] = {}
         self._phase = RunPhase.UNKNOWN
         self._last_feedback = 0.0
 
@@ -169,6 +171,8 @@ class SequencerNode(BenchNode):
         elif self.values["recording"] and self._bag.state == "failed" and self._bag.goal == self._announced.goal:
             why = self._bag.reason.rstrip(".")
             self._refuse(plan, ResultCode.REFUSED, f"The run would not be recorded: {why}.")
+        elif not missing and self._other_timing():
+            self._refuse(plan, ResultCode.REFUSED, self._other_timing())
         elif not missing and not own and not second and recorded:
             self._pending = None
             self.forget_failures()
@@ -186,6 +190,17 @@ class SequencerNode(BenchNode):
                 f"Not ready within {self.values['ready_timeout']:g} s: {', '.join(what)}; start the missing "
                 "nodes and end those that do not belong here.",
             )
+
+    def _other_timing(self) -> str:
+        """Which node works with other blocks than this one, as a sentence; empty where none says so."""
+        for name, said in sorted(self._timing.items()):
+            for key, text in said.items():
+                if text != str(self.values[key]):
+                    return (
+                        f"Node {name} has {key} {text}, the sequencer {self.values[key]}: they would wait for each "
+                        "other; start all nodes with the parameter file of one rig."
+                    )
+        return ""
 
     def _refuse(self, plan: RunPlan, code: ResultCode, reason: str) -> None:
         self._pending = None
@@ -326,9 +341,10 @@ class SequencerNode(BenchNode):
             return
         self._last_feedback = now
         feedback = RunLevels.Feedback()
-        feedback.level_index = self.machine.level_index
+        shown = self.machine.reported
+        feedback.level_index = 0 if shown is None else shown.index
         feedback.level_count = len(self.machine.plan.levels) if self.machine.plan else 0
-        feedback.level = self.machine.records[-1].amplitude if self.machine.records else 0.0
+        feedback.level = 0.0 if shown is None else shown.amplitude
         feedback.state = report.state
         feedback.frequency_hz = report.frequency_hz
         feedback.phase_error = report.phase_error
@@ -372,6 +388,8 @@ class SequencerNode(BenchNode):
     def _on_diagnostics(self, message: Any) -> None:
         super()._on_diagnostics(message)
         for status in message.status:
+            if status.name in self.watched_nodes:
+                self._timing[status.name] = {item.key: item.value for item in status.values if item.key in _TIMING}
             if status.name in self.watched_nodes and any(item.key == "drive_at_zero" for item in status.values):
                 self._plant = status.name
                 self._plant_said = {item.key: item.value for item in status.values}

@@ -419,10 +419,11 @@ class Session:
         report = machine.report
         if report is None or machine.plan is None:
             return None
+        shown = machine.reported
         return Progress(
-            level_index=machine.level_index,
+            level_index=0 if shown is None else shown.index,
             level_count=len(machine.plan.levels),
-            level=machine.records[-1].amplitude if machine.records else 0.0,
+            level=0.0 if shown is None else shown.amplitude,
             state=report.state,
             frequency_hz=report.frequency_hz,
             phase_error=report.phase_error,

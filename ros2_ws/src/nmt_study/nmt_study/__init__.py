@@ -18,8 +18,8 @@ STUDIES: dict[str, tuple[str, str]] = {
         "nmt_study.bench_time",
         "accuracy against periods per level for four ways to test",
     ),
-    "rival_methods": (
-        "nmt_study.rival_methods",
+    "method_comparison": (
+        "nmt_study.method_comparison",
         "joint resonator: phase resonance, ring-downs, sweeps, stepped sines; bench time, accuracy, noise",
     ),
 }

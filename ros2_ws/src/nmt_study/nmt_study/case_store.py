@@ -23,7 +23,7 @@ class CaseStore:
     Args:
         folder: the folder; made if it does not exist.
         study: name of the study.
-        force: begin anew, without the cases that are there.
+        force: start over, without the cases that are there.
 
     Raises:
         BenchError: the folder holds something else, or cannot be written.

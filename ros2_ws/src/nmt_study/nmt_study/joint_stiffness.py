@@ -139,7 +139,7 @@ _REMARKS = (
     "With the identified cross-section the drive point 2 has no phase resonance of mode 1 in the sticking range from "
     "100 kN/m on: residual flexibility of the other modes covers the weak first mode there. The mode is reached from "
     "the slipping range instead, level by level downwards.",
-    "Where the EPMC backbone folds over q (from 50 kN/m on), its first passage is given; folded ranges do not count "
+    "Where the EPMC backbone folds over q (from 50 kN/m on), its first crossing is given; folded ranges do not count "
     "in the summary.",
 )
 

@@ -41,14 +41,14 @@ def show(results: Sequence[Result]) -> StudyOutput:
     omega, damping = _largest_difference(results)
     finding = Finding(
         "A friction-damped beam has one steady state a level: the order of the levels does not matter.",
-        f"largest difference between any two passages of a level: ω̃ {percent(omega)}, δ̃ {percent(damping)}",
+        f"largest difference between any two windows of a level: ω̃ {percent(omega)}, δ̃ {percent(damping)}",
         omega < 1e-4 and damping < 5e-3,
     )
     return StudyOutput(figures, [finding])
 
 
 def _largest_difference(results: Sequence[Result]) -> tuple[float, float]:
-    """Largest relative spread of ω̃ and δ̃ among all passages of the same level."""
+    """Largest relative spread of ω̃ and δ̃ among all windows of the same level."""
     passages: dict[float, list[tuple[float, float]]] = {}
     for result in results:
         for row in result["levels"]:

@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise BenchError(f"The folder of {arguments.json} does not exist; make it or give another --json file.")
 
     from nmt_bench import benchmark_figures
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
 
     console = make_console()
     parts: dict[str, Callable[[float], list[Figure]]] = {

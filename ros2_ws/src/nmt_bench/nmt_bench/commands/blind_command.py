@@ -256,7 +256,7 @@ def _strengths(arguments: argparse.Namespace) -> int:
 
 
 def _console() -> Any:
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
 
     return make_console()
 

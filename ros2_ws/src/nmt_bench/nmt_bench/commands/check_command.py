@@ -56,10 +56,10 @@ def run(arguments: argparse.Namespace) -> int:
         BenchError: rig, option or device are refused, or the device failed.
     """
     check_output(arguments.out, arguments.force)
+    from nmt_bench.commands.console import make_console
     from nmt_bench.commands.hardware_checks import fingerprint, keep_check
     from nmt_bench.commands.hardware_options import chosen_rig, look_for_device, parsed_device
     from nmt_bench.commands.linear_input import read_linear
-    from nmt_bench.commands.terminal import make_console
     from nmt_plant.device import DeviceFault
     from nmt_plant.hardware_check import evaluate_check, record_check
     from nmt_plant.hardware_rig import HardwareRig, device_of

@@ -115,11 +115,11 @@ def run(arguments: argparse.Namespace) -> int:
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
     from nmt_bench.page.task_feed import task_page
     from nmt_diagnose.effects.library import effect_named
     from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
-    from nmt_record.channel_tolerances import read_calibration
+    from nmt_record.calibration_file import read_calibration
     from nmt_report.diagnosis_files import write_diagnosis
     from nmt_rig.rig import load_rig
 
@@ -180,6 +180,8 @@ class DiagnosisProgress:
             disable=not self._live,
         )  # fmt: skip
         self._task = self._progress.add_task("starting", total=None)
+        self._total = self._first = 0
+        self._began = time.monotonic()
 
     def __enter__(self) -> DiagnosisProgress:
         self._progress.start()
@@ -194,10 +196,26 @@ class DiagnosisProgress:
 
         if self._page is not None:
             _tell(self._page, sentence)
+        counted = sentence + self._count(sentence)
         if self._live:
-            self._progress.update(self._task, description=escape(sentence))
+            self._progress.update(self._task, description=escape(counted))
         elif not self._quiet:
-            self._console.print(sentence, markup=False, soft_wrap=True)
+            self._console.print(counted, markup=False, soft_wrap=True)
+
+    def _count(self, sentence: str) -> str:
+        """How much of the present work is done and the time left; empty where it is not counted."""
+        from nmt_report.quantity_format import duration
+
+        done, total = getattr(sentence, "done", 0), getattr(sentence, "total", 0)
+        now = time.monotonic()
+        if total != self._total or done < self._first:
+            self._total, self._first, self._began = total, done, now
+        if total == 0:
+            return ""
+        left = ""
+        if done > self._first and now - self._began > 0.5:
+            left = f", about {duration((now - self._began) / (done - self._first) * (total - done))} left"
+        return f" ({min(done + 1, total)} of {total}{left})"
 
 
 def _tell(page: TaskFeed, sentence: str) -> None:

@@ -63,17 +63,18 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.ascii and arguments.format != "uff":
         raise BenchError(f"--ascii is a form of UFF; leave it out for --format {arguments.format}.")
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_record.exported_run import export_run
 
-    with OutputFolder(arguments.out, arguments.force) as folder:
+    console = make_console()
+    with WorkDisplay(console, ("exporting",)), OutputFolder(arguments.out, arguments.force) as folder:
         exported = export_run(
             arguments.source, folder, arguments.format, ascii_uff=arguments.ascii, only=arguments.segment
         )
         files = list(exported.files)
         if arguments.format == "uff" and _export_modes(arguments.source, folder):
             files.append("modes.uff")
-    console = make_console()
     if exported.loss:
         console.print(exported.loss, style="yellow", markup=False)
     console.print(f"Results in {arguments.out}: {', '.join(files)}", markup=False, soft_wrap=True)

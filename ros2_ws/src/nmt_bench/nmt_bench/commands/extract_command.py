@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from nmt_extract.settings import ExtractionSettings
     from nmt_extract.uncertainty_budget import MethodError
     from nmt_record.bag_reader import Bag
-    from nmt_record.channel_tolerances import CalibrationSheet
+    from nmt_record.calibration_file import CalibrationSheet
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -82,8 +82,10 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
 
+    from nmt_bench.commands.console import make_console
     from nmt_bench.commands.linear_input import read_linear
-    from nmt_bench.commands.terminal import make_console, print_modal_table
+    from nmt_bench.commands.terminal import print_modal_table
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_extract.modal_table import write_results
     from nmt_extract.offline import extract_opened_bag
     from nmt_record.bag_reader import Bag
@@ -95,7 +97,9 @@ def run(arguments: argparse.Namespace) -> int:
     reference = read_reference(arguments.reference) if arguments.reference is not None else None
     bag = Bag.open(arguments.bag)
     settings = _settings(bag.run_start, arguments.harmonics)
-    result = extract_opened_bag(bag, linear, settings)
+    console = make_console()
+    with WorkDisplay(console, ("extracting",)):
+        result = extract_opened_bag(bag, linear, settings)
     if not result.points:
         raise BenchError(f"The bag {arguments.bag} gave no modal point; its run may have ended before the first lock.")
     from nmt_extract.bag_budget import bag_budget
@@ -103,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     expected = None if reference is None else reference.at
     budgets, known = bag_budget(bag, result.points, result.linear, result.settings, sheet, method, expected)
-    with OutputFolder(arguments.out, arguments.force) as folder:
+    with OutputFolder(arguments.out, arguments.force) as folder, WorkDisplay(console, ("writing the report",)):
         write_results(result.points, folder, result.inputs)
         write_budget(budgets, folder, known)
         if not arguments.no_report:
@@ -113,7 +117,6 @@ def run(arguments: argparse.Namespace) -> int:
             data.linear, data.budgets, data.budget_inputs = result.linear, budgets, known
             data.files = list_files(folder)
             write_report(data, folder / "report.html")
-    console = make_console()
     if result.loss:
         console.print(result.loss, style="yellow", markup=False)
     print_modal_table(result.points, reference, console)
@@ -127,7 +130,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _calibration(path: Path) -> CalibrationSheet:
-    from nmt_record.channel_tolerances import read_calibration
+    from nmt_record.calibration_file import read_calibration
 
     return read_calibration(path)
 

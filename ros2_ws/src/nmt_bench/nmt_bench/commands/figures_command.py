@@ -51,12 +51,13 @@ def run(arguments: argparse.Namespace) -> int:
     formats = list(dict.fromkeys(part.strip().lower().lstrip(".") for part in arguments.format.split(",")))
     check_output(out, arguments.force)
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_report.figure_files import write_figures
 
-    with OutputFolder(out, arguments.force) as folder:
-        written = write_figures(source, folder, formats, width, arguments.letters, arguments.figure)
     console = make_console()
+    with OutputFolder(out, arguments.force) as folder, WorkDisplay(console, ("reading the report",)):
+        written = write_figures(source, folder, formats, width, arguments.letters, arguments.figure)
     kinds = ", ".join([*formats, "csv"])
     for figure in written:
         console.print(f"{figure.name}: {figure.title}", markup=False, soft_wrap=True)

@@ -73,7 +73,7 @@ def require_check(rig: Rig, section: AnyDevice, command: str, now: float | None 
     age = ((time.time() if now is None else now) - made) / 3600.0
     if not passed:
         names = ", ".join(dict.fromkeys(str(each.get("name")) for each in document.get("findings", ())))
-        raise BenchError(f"The last check of rig {rig.name} found {names}; mend it and type: {command}")
+        raise BenchError(f"The last check of rig {rig.name} found {names}; fix it and type: {command}")
     if not 0.0 <= age <= section.check_valid_hours:
         raise BenchError(
             f"The last check of rig {rig.name} is {age:.1f} h old and holds for {section.check_valid_hours:g} h "

@@ -111,7 +111,7 @@ def look_for_device(section: AnyDevice, rig: Rig) -> None:
     """Refuse a converter that is not there, before anything is started.
 
     Raises:
-        BenchError: driver, library or device is missing, with what mends it.
+        BenchError: driver, library or device is missing, with what fixes it.
     """
     if section.kind == "portaudio":
         from nmt_plant.portaudio_converter import find_device, list_devices

@@ -28,7 +28,7 @@ def add_parser(subparsers: Subparsers) -> None:
         description=(
             "Reads time data, frequency responses and backbones measured elsewhere as a sidecar describes them, "
             "checks them, and writes a bag that './nmt extract' and './nmt diagnose' take. What cannot be right "
-            "is refused with one sentence; what was mended is said and kept in the bag."
+            "is refused with one sentence; what was fixed is said and kept in the bag."
         ),
     )
     what = parser.add_mutually_exclusive_group(required=True)
@@ -58,13 +58,16 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.sidecar.exists() or arguments.sidecar.suffix.lower() in _DATA:
         raise no_sidecar(arguments.sidecar)
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_bench.data_import import read_data, write_data
 
-    imported, rig = read_data(arguments.sidecar)
-    with OutputFolder(arguments.out, arguments.force) as folder:
-        write_data(imported, rig, folder / "bag")
     console = make_console()
+    with WorkDisplay(console, ("reading the data", "writing the bag")) as display:
+        imported, rig = read_data(arguments.sidecar)
+        display.step()
+        with OutputFolder(arguments.out, arguments.force) as folder:
+            write_data(imported, rig, folder / "bag")
     if imported.channels:
         console.print(_channel_table(imported))
     if imported.segments or imported.tables:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
 DEFAULT_DURATION = 60.0
 DEFAULT_BAND = "10:2000"
+_STEPS = "evaluating the recording", "writing the report"
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -94,16 +95,19 @@ def run(arguments: argparse.Namespace) -> int:
         raise BenchError("Give either a rig to measure or --bag with a recording to evaluate.")
     band = _band(arguments.band)
     check_output(arguments.out, arguments.force)
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
+    from nmt_bench.commands.work_display import WorkDisplay
 
     console = make_console()
     if arguments.bag is not None:
         from nmt_record.bag_reader import Bag
 
         bag = Bag.open(arguments.bag)
-        evaluated = _evaluate(bag, arguments, band)
-        with OutputFolder(arguments.out, arguments.force) as folder:
-            _write(*evaluated, folder, arguments)
+        with WorkDisplay(console, _STEPS, arguments.quiet) as display:
+            evaluated = _evaluate(bag, arguments, band)
+            display.step()
+            with OutputFolder(arguments.out, arguments.force) as folder:
+                _write(*evaluated, folder, arguments)
         _show(*evaluated, arguments, console)
         return EXIT_DONE
     return _measure(arguments, band, console)
@@ -112,6 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: Any) -> int:
     from nmt_bench.commands.hardware_options import device_settings
     from nmt_bench.commands.run_command import measure
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_bench.harness import Bench
     from nmt_bench.orchestration.interrupts import terminate_as_interrupt
     from nmt_core.vocabulary import ResultCode
@@ -144,7 +149,8 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
             console.print(result.message, style="yellow", markup=False)
             return EXIT_FAILED
         try:
-            evaluated = _evaluate(Bag.open(result.bag), arguments, band)
+            with WorkDisplay(console, _STEPS[:1], arguments.quiet):
+                evaluated = _evaluate(Bag.open(result.bag), arguments, band)
         except KeyboardInterrupt:
             console.print(
                 f"Stopped before the evaluation was done. The recording is in {folder / 'bag'}; './nmt linear --bag "
@@ -160,7 +166,8 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
                 f"{str(error).rstrip('.')}. The recording is in {folder / 'bag'}; './nmt linear --bag' evaluates it "
                 "again."
             ) from error
-        _write(*evaluated, folder, arguments)
+        with WorkDisplay(console, _STEPS[1:], arguments.quiet):
+            _write(*evaluated, folder, arguments)
     _show(*evaluated, arguments, console)
     _say_how_it_ran(result, console)
     if result.interrupted:

@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
     from nmt_bench.orchestration.bench_files import write_bench_files
     from nmt_session.node_plan import NODES
 

@@ -79,7 +79,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1 <= arguments.harmonics <= 200:
         raise BenchError(f"--harmonics must be a whole number from 1 to 200, got {arguments.harmonics}.")
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_report.reference_report import reference_page
     from nmt_report.run_data import read_reference
     from nmt_rig.reference import (
@@ -98,16 +99,19 @@ def run(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.rig, arguments.set)
     if amplitudes is None:
         amplitudes = [float(q) for q in default_amplitudes(rig)]
-    compute_reference(rig, arguments.harmonics, amplitudes[:: max(1, len(amplitudes) // 4)])  # compiles
-    began = time.perf_counter()
-    reference = compute_reference(rig, arguments.harmonics, amplitudes)
-    elapsed = time.perf_counter() - began
-    with OutputFolder(arguments.out, arguments.force) as folder:
+    console = make_console()
+    steps = "compiling", f"computing {len(amplitudes)} points of the backbone", "writing the report"
+    with WorkDisplay(console, steps) as display, OutputFolder(arguments.out, arguments.force) as folder:
+        compute_reference(rig, arguments.harmonics, amplitudes[:: max(1, len(amplitudes) // 4)])
+        display.step()
+        began = time.perf_counter()
+        reference = compute_reference(rig, arguments.harmonics, amplitudes)
+        elapsed = time.perf_counter() - began
+        display.step()
         shapes = point_shapes(rig, reference)
         write_reference_csv(reference, folder / "reference.csv")
         write_shapes_csv(reference, shapes, folder / "shapes.csv")
         (folder / "report.html").write_text(reference_page(rig, reference, shapes, given), encoding="utf-8")
-    console = make_console()
     for line in _summary(reference):
         console.print(line, markup=False)
     console.print(f"solved in {elapsed:.3f} s once compiled", markup=False)
@@ -171,7 +175,7 @@ def _summary(reference: Reference) -> list[str]:
         f"{significant(float(q[damping.argmax()]), 3)} m√kg",
     ]
     if not reference.single_valued:
-        lines.append("The backbone folds over q; the first passage is given.")
+        lines.append("The backbone folds over q; the first crossing is given.")
     return lines
 
 

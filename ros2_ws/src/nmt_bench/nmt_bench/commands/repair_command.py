@@ -38,15 +38,16 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_record.bag_reader import Bag
 
-    bag = Bag.open(arguments.bag)
-    record = bag.repair_record()
-    with OutputFolder(arguments.out, arguments.force) as folder:
+    console = make_console()
+    with WorkDisplay(console, ("opening the bag",)), OutputFolder(arguments.out, arguments.force) as folder:
+        bag = Bag.open(arguments.bag)
+        record = bag.repair_record()
         bag.repair(folder / "bag")
         (folder / "repair.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    console = make_console()
     if bag.loss:
         console.print(bag.loss, style="yellow", markup=False, soft_wrap=True)
     else:

@@ -27,8 +27,8 @@ def rig_rows() -> list[dict[str, str]]:
     Raises:
         BenchError: a rig file cannot be read.
     """
-    from nmt_rig.rig import find_rig, rig_names
-    from nmt_rig.rig_file import read_document
+    from nmt_core.yaml_document import read_document
+    from nmt_rig.rig_places import find_rig, rig_names
 
     rows = []
     for name in rig_names():
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     from rich.table import Table
 
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
 
     table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
     for row in rig_rows():

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from nmt_bench.harness import Bench
-    from nmt_record.channel_tolerances import CalibrationSheet
+    from nmt_record.calibration_file import CalibrationSheet
     from nmt_report.run_data import ReferenceCurve
     from nmt_session.run_result import RunResult
 
@@ -124,11 +124,12 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
 
+    from nmt_bench.commands.console import make_console
     from nmt_bench.commands.hardware_options import device_settings
     from nmt_bench.commands.linear_input import check_fits, read_linear
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_bench.harness import Bench
-    from nmt_record.channel_tolerances import read_calibration
+    from nmt_record.calibration_file import read_calibration
 
     linear = read_linear(arguments.linear) if arguments.linear is not None else None
     sheet = None if arguments.calibration is None else read_calibration(arguments.calibration)
@@ -156,9 +157,10 @@ def run(arguments: argparse.Namespace) -> int:
     console = make_console()
     with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
         result = measure(bench, console, arguments.quiet, arguments.page)
-        reference, unwritten, interrupted = evaluate(
-            result, bench, folder, arguments.reference, not arguments.no_report, sheet
-        )
+        with WorkDisplay(console, quiet=arguments.quiet):
+            reference, unwritten, interrupted = evaluate(
+                result, bench, folder, arguments.reference, not arguments.no_report, sheet
+            )
     _summarise(result, bench, reference, console, folder, unwritten)
     sys.stdout.flush()
     if result.interrupted or interrupted:
@@ -188,18 +190,22 @@ def evaluate(
         The reference; what could not be written, as a sentence; whether Ctrl-C came. One leaves out the comparison that
         is being computed, a second one the report.
     """
+    from nmt_core.work_progress import tell
+
     reference, interrupted = None, False
     with deferred_interrupts(patient=True) as deferred:
         unwritten = _saving(folder, lambda: _write_tables(result, bench, folder))
     try:
         interrupted = deferred.came
         if not interrupted:
+            tell("computing the reference")
             reference = _reference(choice, bench, result)
     except KeyboardInterrupt:
         interrupted = True
     if unwritten:
         return reference, unwritten, interrupted
     try:
+        tell("writing the results")
         budgets: list[Any] = []
         unwritten = _saving(folder, lambda: budgets.extend(_write_budget(result, bench, folder, reference, sheet)))
         if report and not unwritten:
@@ -225,7 +231,7 @@ def _levels(arguments: argparse.Namespace) -> list[float] | str | None:
 
 def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunResult:
     """Start the nodes and run the test, with a progress display unless ``quiet``, and with the live page if wanted."""
-    from nmt_bench.commands.terminal import RunProgress
+    from nmt_bench.commands.run_progress import RunProgress
     from nmt_report.columns import unit_text
 
     began = time.monotonic()

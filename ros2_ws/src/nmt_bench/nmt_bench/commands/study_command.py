@@ -50,7 +50,7 @@ def add_parser(subparsers: Subparsers) -> None:
         help="folder for the results (study.csv, report.html, cases/); one of the same study is gone on with "
         "(default: out/study-NAME)",
     )
-    parser.add_argument("--force", action="store_true", help="begin anew in a folder that has results")
+    parser.add_argument("--force", action="store_true", help="start over in a folder that has results")
     parser.add_argument("--quick", action="store_true", help="few, short cases: shows that it works, no more")
     add_jobs(parser)
     add_task_page_option(parser)
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     jobs = worker_count(arguments)
     if arguments.out is None:
         arguments.out = Path("out") / f"study-{arguments.name}"
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.console import make_console
     from nmt_bench.page.task_feed import task_page
 
     console = make_console()

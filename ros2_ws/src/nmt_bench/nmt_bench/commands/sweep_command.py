@@ -99,9 +99,9 @@ def run(arguments: argparse.Namespace) -> int:
     levels, start, stop = _checked(arguments)
     check_output(arguments.out, arguments.replace, "replace")
 
+    from nmt_bench.commands.console import make_console
     from nmt_bench.commands.hardware_options import device_settings
     from nmt_bench.commands.run_command import measure
-    from nmt_bench.commands.terminal import make_console
     from nmt_bench.harness import Bench
     from nmt_bench.orchestration.interrupts import terminate_as_interrupt
 
@@ -174,7 +174,9 @@ def _finish(
     arguments: argparse.Namespace, bench: Bench, result: RunResult, levels: list[float], folder: Path, console: Any
 ) -> int:
     """Analyse the bag, write and print."""
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_core.vocabulary import ResultCode
+    from nmt_core.whole_file import write_whole
     from nmt_extract.response_table import write_response_csv
     from nmt_record.bag_reader import Bag
     from nmt_report.quantity_format import duration
@@ -184,21 +186,23 @@ def _finish(
     remarks: list[str] = []
     if result.code != ResultCode.SUCCEEDED or "not" in result.message:
         remarks.append(result.message)
-    if result.bag is not None and result.bag.exists():
-        try:
-            tables, more = responses_of_bag(Bag.open(result.bag), arguments.points)
-            remarks += more
-        except BenchError as error:
-            remarks.append(str(error))
-    models = _model(arguments, bench, tables, remarks) if tables else []
-    comparisons = compare(tables, models)
-    forces = [held for held in map(held_force, tables) if held is not None]
-    if tables:
-        write_response_csv(tables, folder / "frf.csv")
-        text = _report(arguments, bench, result, tables, models, comparisons, forces, remarks)
-        from nmt_core.whole_file import write_whole
-
-        write_whole(folder / "report.html", text)
+    steps = "analysing the recording", "computing the model's response", "writing the report"
+    with WorkDisplay(console, steps, arguments.quiet) as display:
+        if result.bag is not None and result.bag.exists():
+            try:
+                tables, more = responses_of_bag(Bag.open(result.bag), arguments.points)
+                remarks += more
+            except BenchError as error:
+                remarks.append(str(error))
+        display.step()
+        models = _model(arguments, bench, tables, remarks) if tables else []
+        comparisons = compare(tables, models)
+        forces = [held for held in map(held_force, tables) if held is not None]
+        display.step()
+        if tables:
+            write_response_csv(tables, folder / "frf.csv")
+            text = _report(arguments, bench, result, tables, models, comparisons, forces, remarks)
+            write_whole(folder / "report.html", text)
     for line in (*force_lines(forces), *comparison_lines(comparisons, "the model's steady response")):
         console.print(line, markup=False)
     for line in remarks:
@@ -274,7 +278,7 @@ def comparison_lines(comparisons: Sequence[tuple[FrequencyResponseTable, Resonan
         f"{table.level:g} {table.level_unit}, {error.channel}: peak {error.peak_amplitude:.4g} at "
         f"{error.peak_frequency_hz:.3f} Hz; {what}: peak {100 * error.amplitude_error:+.2f} %, frequency "
         f"{100 * error.frequency_error:+.3f} %, rms in the half-power band {100 * error.rms_error:.2f} % "
-        f"(moduli {100 * error.modulus_rms_error:.2f} %)"
+        f"(magnitudes {100 * error.modulus_rms_error:.2f} %)"
         for table, error in comparisons
     ]
 
@@ -284,7 +288,7 @@ DEFINITIONS = (
     "the measured frequencies, where the band has fewer than 40). "
     "Half-power band: where the measured modulus is at least "
     "its peak over √2. Rms: root mean square of the complex difference over that band, divided by the measured peak; "
-    "(moduli): of the difference of the moduli."
+    "(magnitudes): of the difference of the magnitudes."
 )
 
 
@@ -318,7 +322,7 @@ COMPARISON_HEAD = (
     ("Peak error", "%"),
     ("Frequency error", "%"),
     ("Rms", "%"),
-    ("Rms, moduli", "%"),
+    ("Rms, magnitudes", "%"),
     ("Half-power band", "Hz"),
 )
 

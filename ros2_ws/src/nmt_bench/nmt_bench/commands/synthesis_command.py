@@ -63,25 +63,28 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
 
+    from nmt_bench.commands.console import make_console
     from nmt_bench.commands.sweep_command import comparison_lines
-    from nmt_bench.commands.terminal import make_console
+    from nmt_bench.commands.work_display import WorkDisplay
     from nmt_core.whole_file import write_whole
     from nmt_extract.synthesised_responses import synthesise
     from nmt_sequencer.level_plan import parse_levels
 
-    result = synthesise(
-        arguments.backbone,
-        sweeps=arguments.sweep,
-        linear=arguments.linear,
-        forces=None if arguments.levels is None else parse_levels(arguments.levels),
-        low_hz=arguments.start,
-        high_hz=arguments.stop,
-    )
-    table = result.csv(arguments.points)
-    with OutputFolder(arguments.out, arguments.force) as folder:
-        write_whole(folder / "synthesis.csv", table)
-        write_whole(folder / "report.html", _report(arguments, result))
     console = make_console()
+    with WorkDisplay(console, ("computing the responses", "writing the report")) as display:
+        result = synthesise(
+            arguments.backbone,
+            sweeps=arguments.sweep,
+            linear=arguments.linear,
+            forces=None if arguments.levels is None else parse_levels(arguments.levels),
+            low_hz=arguments.start,
+            high_hz=arguments.stop,
+        )
+        table = result.csv(arguments.points)
+        display.step()
+        with OutputFolder(arguments.out, arguments.force) as folder:
+            write_whole(folder / "synthesis.csv", table)
+            write_whole(folder / "report.html", _report(arguments, result))
     q = result.backbone.modal_amplitude
     console.print(
         f"Backbone of {q.size} amplitudes, q from {q[0]:.3g} to {q[-1]:.3g} m√kg; {result.others.origin}.", markup=False

@@ -36,13 +36,13 @@ class Question:
     Attributes:
         name: key in ``confidence.json``.
         answer: of a case whose truth is known.
-        signs: what is learned from, and the sign that each weight must have (0 = any): more of an odds must not make
+        features: what is learned from, and the sign that each weight must have (0 = any): more of an odds must not make
             the answer less probable, whatever few cases say.
     """
 
     name: str
     answer: Asked
-    signs: dict[str, int]
+    features: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def learn(question: Question, cases: Sequence[ScoredCase]) -> Learned:
             f"Only {y.size} development cases tell about '{question.name}', or all tell the same; diagnose more."
         )
     x = np.array([_row(case, question) for case in asked])
-    limits = [_LIMITS[sign] for sign in question.signs.values()]
+    limits = [_LIMITS[sign] for sign in question.features.values()]
     weights = _fitted(x, y, limits)
     # Each tenth judged by what the others teach.
     stated = np.empty(y.size)
@@ -134,14 +134,14 @@ def learn(question: Question, cases: Sequence[ScoredCase]) -> Learned:
         stated[part] = _probability(x[part], _fitted(x[others], y[others], limits))
     found: ReliabilityDiagram = reliability(list(stated), [bool(value) for value in y], equal=True)
     area = area_under_roc(list(stated[y > 0.5]), list(stated[y < 0.5]))
-    named = dict(zip(question.signs, (float(w) for w in weights[1:]), strict=True))
+    named = dict(zip(question.features, (float(w) for w in weights[1:]), strict=True))
     return Learned(question.name, float(weights[0]), named, y.size, float(y.mean()), found.error, area)
 
 
 def _row(case: ScoredCase, question: Question) -> list[float]:
     features = case.details["features"]
-    # A sign that is not finite has no number in the file: it is the lowest of its range.
-    values = {name: features.get(f"sign:{name}") for name in question.signs}
+    # A feature that is not finite has no number in the file: it is the lowest of its range.
+    values = {name: features.get(f"sign:{name}") for name in question.features}
     return [bounded(name, -np.inf if value is None else float(value)) for name, value in values.items()]
 
 

@@ -1,4 +1,4 @@
-"""Diagnoses all cases of a blind check; the sealed truth is never opened here."""
+"""Diagnoses all cases of a blind check; the sealed file is never opened here."""
 
 from __future__ import annotations
 

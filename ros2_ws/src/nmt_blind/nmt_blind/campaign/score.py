@@ -397,16 +397,16 @@ def _opened(folder: Path, seal: dict[str, Any]) -> dict[str, Any]:
     try:
         text = path.read_bytes()
     except OSError as error:
-        raise BenchError(f"The sealed truth {path} is not there; without it nothing can be scored.") from error
+        raise BenchError(f"The sealed file {path} is not there; without it nothing can be scored.") from error
     digest = hashlib.sha256(text).hexdigest()
     if digest != seal.get("sha256"):
         raise BenchError(
             f"The seal is broken: {path} has sha256 {digest}, sealed was {seal.get('sha256')}; these cases cannot be "
             "scored."
         )
-    values = json_value(text.decode("utf-8", "replace"), f"The sealed truth {path}")
+    values = json_value(text.decode("utf-8", "replace"), f"The sealed file {path}")
     if not isinstance(values, dict):
-        raise BenchError(f"The sealed truth {path} is not what a campaign holds.")
+        raise BenchError(f"The sealed file {path} is not what a campaign holds.")
     return values
 
 

@@ -20,7 +20,7 @@ from nmt_rig.rig import Rig
 STRENGTHS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 256.0, 1024.0, 4096.0)
 """Standard deviations at which single effects are drawn."""
 TWIN_STRENGTHS = (4.0, 8.0, 16.0)
-"""Of effects with a near twin: what is strong enough is told apart by anyone."""
+"""Of effects with a near twin: what is strong enough is distinguished by anyone."""
 UNNAMED_STRENGTHS = (8.0, 16.0, 32.0, 64.0, 256.0, 1024.0)
 """Of effects without a name: a named relative takes most of a weak one."""
 COMPOUND_STRENGTHS = (

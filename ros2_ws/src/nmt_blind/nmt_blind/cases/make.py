@@ -1,4 +1,4 @@
-"""Makes the cases of a blind check: first the sealed truth, then bags that say nothing of it."""
+"""Makes the cases of a blind check: first the sealed file, then bags that say nothing of it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Made:
 
     Attributes:
         folder: its folder.
-        seal: sha256 of the sealed truth.
+        seal: sha256 of the sealed file.
         trail: sha256 of the list of all bags' hashes; empty while some are to be made.
         cases: number of cases; new: of those, made this time; left: still to be made.
         seconds: computing time of the new ones, s in all.

@@ -76,9 +76,9 @@ class StrengthTable:
 
     def twins(self, truth: Truth, spot: Spot) -> tuple[str, ...]:
         """Known truths whose mark is hardly another: with one of them in the library nothing is unnamed."""
-        rivals = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
+        competing = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
         return tuple(
-            name for name, cosine in rivals.items() if cosine >= _TWIN and TRUTHS[name].known and name != truth.name
+            name for name, cosine in competing.items() if cosine >= _TWIN and TRUTHS[name].known and name != truth.name
         )
 
     def alone(self, truth: Truth, spot: Spot, without: Collection[str] = ()) -> float:
@@ -86,11 +86,11 @@ class StrengthTable:
 
         Args:
             truth, spot: the truth.
-            without: truths that are no rivals.
+            without: truths that do not compete.
         """
-        rivals = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
-        known = (name for name in rivals if TRUTHS[name].known and name != truth.name and name not in without)
-        closest = max((float(rivals[name]) for name in known), default=0.0)
+        competing = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
+        known = (name for name in competing if TRUTHS[name].known and name != truth.name and name not in without)
+        closest = max((float(competing[name]) for name in known), default=0.0)
         return math.sqrt(max(0.0, 1.0 - closest**2))
 
 
@@ -127,11 +127,11 @@ def load_table(rig: BlindRig, tolerances: str = "none", path: Path | None = None
     """
     path = path or table_file(rig, tolerances)
     values = _read(path)
-    mend = f"make it with '{_command(rig, tolerances)}'"
+    fix = f"make it with '{_command(rig, tolerances)}'"
     if values is None:
-        raise BenchError(f"There is no table of strengths {path}; {mend}.")
+        raise BenchError(f"There is no table of strengths {path}; {fix}.")
     if values.get("fingerprint") != fingerprint(rig, tolerances):
-        raise BenchError(f"The table of strengths {path} belongs to another version of the rig or its tests; {mend}.")
+        raise BenchError(f"The table of strengths {path} belongs to another version of the rig or its tests; {fix}.")
     return StrengthTable(rig.name, Operating.from_mapping(values["operating"]), values["curves"])
 
 

@@ -649,7 +649,7 @@ NEAR_TWINS: tuple[tuple[str, str], ...] = (
     ("channel_skew", "shared_delay"),
     ("response_gain", "transverse_sensitivity"),
 )
-"""Pairs that are hard to tell apart."""
+"""Pairs that are hard to distinguish."""
 
 
 def truth_named(name: str) -> Truth:

@@ -76,7 +76,7 @@ class Effect:
         sites: (rig, operating range) -> where it may sit; empty where it does not apply.
         change: (rig, site, values by name) -> rig with the effect; called only with some strength not 0.
         report: values -> physical parameters as they are reported; the values themselves when None.
-        equivalents: effects that look alike, and the test that tells them apart.
+        equivalents: effects that look alike, and the test that distinguishes them.
         force: what it adds is a smooth nonlinear force that stores energy, or one that takes it; empty for others.
     """
 

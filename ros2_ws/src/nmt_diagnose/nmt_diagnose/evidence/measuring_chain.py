@@ -14,11 +14,11 @@ from typing import Any
 
 from nmt_core.blocks import Quantity
 from nmt_diagnose.evidence.conditions import MeasuredChannel
+from nmt_record.calibration_file import CalibrationSheet
 from nmt_record.channel_tolerances import (
     CLOCK_STD,
     DELAY_STD_S,
     GAIN_STD,
-    CalibrationSheet,
     ChannelTolerance,
     is_simulated,
     tolerances,

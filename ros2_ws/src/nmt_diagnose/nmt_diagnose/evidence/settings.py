@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from nmt_diagnose.evidence.floors import Floors
-from nmt_record.channel_tolerances import CalibrationSheet
+from nmt_record.calibration_file import CalibrationSheet
 
 
 @dataclass(frozen=True)

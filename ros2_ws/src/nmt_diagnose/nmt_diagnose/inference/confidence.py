@@ -26,19 +26,19 @@ CONFIDENCE_FILE = Path(__file__).with_name("confidence.json")
 
 @dataclass(frozen=True)
 class Reliability:
-    """Probability that something is so, from signs: 1 / (1 + exp(-bias - Σ weight · sign)).
+    """Probability that something is so, from features: 1 / (1 + exp(-bias - Σ weight · feature)).
 
     Attributes:
-        bias: log-odds where all signs are zero.
-        weights: of the signs, by name.
+        bias: log-odds where all features are zero.
+        weights: of the features, by name.
     """
 
     bias: float
     weights: Mapping[str, float]
 
-    def probability(self, signs: Mapping[str, float]) -> float:
-        """Of signs by name; each counts within the range in which it was learned only."""
-        total = self.bias + sum(weight * bounded(name, signs[name]) for name, weight in self.weights.items())
+    def probability(self, features: Mapping[str, float]) -> float:
+        """Of features by name; each counts within the range in which it was learned only."""
+        total = self.bias + sum(weight * bounded(name, features[name]) for name, weight in self.weights.items())
         return 1.0 / (1.0 + math.exp(-min(max(total, -30.0), 30.0)))
 
 
@@ -52,7 +52,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "sigmas": (0.0, 4.0),
     "rivals": (0.0, 4.0),
 }
-"""Signs, and the range in which each counts.
+"""Features, and the range in which each counts.
 
 log_odds: ln of all explanations over none; unknown_odds: ln of something unnamed over the named; leftover: ln of the
 evidence for a generic source on top of the best explanation; second: 1 if that has two effects; together: 1 if these
@@ -62,7 +62,7 @@ standard deviations); rivals: members of the best class beyond the first.
 
 
 def bounded(name: str, value: float) -> float:
-    """A sign within its range."""
+    """A feature within its range."""
     low, high = RANGES[name]
     return low if not value > low else min(value, high)
 

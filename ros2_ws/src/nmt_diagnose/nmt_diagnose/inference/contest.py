@@ -530,8 +530,8 @@ class Contest:
             alone = self._without(pair, weakest)
             if alone is None:
                 continue
-            rivals = [own for own in better if own.explanation == alone.explanation]
-            if all(alone.fit.log_evidence > own.fit.log_evidence + 0.5 for own in rivals):
+            competing = [own for own in better if own.explanation == alone.explanation]
+            if all(alone.fit.log_evidence > own.fit.log_evidence + 0.5 for own in competing):
                 better = [own for own in better if own.explanation != alone.explanation] + [alone]
         return sorted(better, key=lambda own: -own.fit.log_evidence), kept
 
@@ -753,8 +753,8 @@ def _silent(_: str) -> None:
 def _united(added: list[Contender], known: Sequence[Contender]) -> list[Contender]:
     """Fits, and known ones where they are better than the same explanation fitted anew."""
     for own in known:
-        rivals = [other for other in added if other.explanation == own.explanation]
-        if all(own.fit.log_evidence > other.fit.log_evidence + 0.5 for other in rivals):
+        competing = [other for other in added if other.explanation == own.explanation]
+        if all(own.fit.log_evidence > other.fit.log_evidence + 0.5 for other in competing):
             added = [other for other in added if other.explanation != own.explanation] + [own]
     return added
 

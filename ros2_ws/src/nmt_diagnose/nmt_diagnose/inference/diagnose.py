@@ -62,7 +62,7 @@ from nmt_diagnose.inference.warnings import warned
 from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.twin.forward import Forward, Prediction, traced
 from nmt_diagnose.twin.operating_range import operating_range
-from nmt_record.channel_tolerances import CalibrationSheet
+from nmt_record.calibration_file import CalibrationSheet
 from nmt_rig.rig import Rig, load_rig
 
 _RANKED = 8
@@ -667,7 +667,7 @@ class _Diagnoser:
             "none": judgement.none,
             "unknown": judgement.unknown,
             "chance": chance,
-            **{f"sign:{name}": value for name, value in judgement.signs.items()},
+            **{f"sign:{name}": value for name, value in judgement.features.items()},
         }
         for name in dict.fromkeys(self.candidates[score.direction.candidate].effect.name for score in scan):
             gains = [s.gain for s in scan if self.candidates[s.direction.candidate].effect.name == name]

@@ -154,7 +154,7 @@ class NextTest:
     Attributes:
         test: what to do, for people.
         command: the command that does it on the recorded rig; empty where that is not simulated here.
-        separates: the explanations that it tells apart.
+        separates: the explanations that it distinguishes.
         expected_sigma: by how many standard deviations.
     """
 

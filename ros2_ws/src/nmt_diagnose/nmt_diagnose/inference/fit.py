@@ -292,7 +292,7 @@ def _approached(
     """Parameters near the optimum, from a start that may be thousands of σ away.
 
     As long as the residual is large the linearisation is wrong by more than the noise. Taken at face value it throws
-    parameters that the evidence hardly tells apart many prior deviations away, into valleys of their own. So the noise
+    parameters that the evidence hardly separates many prior deviations away, into valleys of their own. So the noise
     counts as large as what is left, and less from step to step: the prior holds those parameters meanwhile.
     """
     std, lower = parametrisation.prior_std, parametrisation.lower

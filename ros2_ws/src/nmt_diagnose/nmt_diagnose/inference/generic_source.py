@@ -1,4 +1,4 @@
-"""Evidence for an unnamed source at a place: the rival of every named effect.
+"""Evidence for an unnamed source at a place: competes with every named effect.
 
 A generic source is a combination of columns B (responses to equivalent forces or channel errors at a place, smooth
 over the level) with amplitudes of unknown size, Gaussian with standard deviation τ. Its evidence is known in closed

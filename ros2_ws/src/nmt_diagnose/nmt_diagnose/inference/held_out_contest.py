@@ -113,7 +113,7 @@ class HeldOut:
         """By how many of its standard deviations each explanation predicts worse than the one that predicts best.
 
         The scatter is that of the difference from block to block, over the splits that tell the parameters of both; 0
-        where there is none. Explanations that close the same share of the gap are not told apart: models of named
+        where there is none. Explanations that close the same share of the gap are not distinguished: models of named
         effects are right to some percent only, and anything added imitates the rest.
 
         Args:
@@ -122,15 +122,15 @@ class HeldOut:
         """
         result = dict.fromkeys(shares, 0.0)
         for own, mine in shares.items():
-            for rival, theirs in shares.items():
-                if rival != own and theirs.value > mine.value + alike:
-                    result[own] = max(result[own], self._distance(own, rival))
+            for competitor, theirs in shares.items():
+                if competitor != own and theirs.value > mine.value + alike:
+                    result[own] = max(result[own], self._distance(own, competitor))
         return result
 
-    def _distance(self, own: Explanation, rival: Explanation) -> float:
+    def _distance(self, own: Explanation, competitor: Explanation) -> float:
         pairs = []
         for (split, base, tops), scale in zip(self._refits, self._scale, strict=True):
-            left, right = tops.get(own), tops.get(rival)
+            left, right = tops.get(own), tops.get(competitor)
             if left is None or right is None:
                 continue
             if determined(left, base, split.held_out) and determined(right, base, split.held_out):

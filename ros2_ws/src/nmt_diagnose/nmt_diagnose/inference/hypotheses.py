@@ -71,7 +71,7 @@ def equivalent(left: Fit, right: Fit, limit: float = 3.0) -> bool:
 
 
 def equivalence_classes(fits: Sequence[Fit], limit: float = 3.0) -> list[list[int]]:
-    """Groups of fits that the data cannot tell apart, each around its best member.
+    """Groups of fits that the data cannot distinguish, each around its best member.
 
     Args:
         fits: fits, best first.

@@ -28,7 +28,7 @@ _CHANCE_OF_WORSE = 2.0
 
 @dataclass(frozen=True)
 class ExplanationClass:
-    """Explanations that the data cannot tell apart.
+    """Explanations that the data cannot distinguish.
 
     Attributes:
         head: the best of them.
@@ -57,7 +57,7 @@ class Judgement:
         places: probability by place, given that there is a gap; sum 1.
         named: probability of each explanation that competed.
         other: probability of a named one that was not among them.
-        signs: what the probabilities follow from, see :data:`nmt_diagnose.inference.confidence.RANGES`.
+        features: what the probabilities follow from, see :data:`nmt_diagnose.inference.confidence.RANGES`.
     """
 
     none: float
@@ -66,12 +66,12 @@ class Judgement:
     places: dict[Placement, float]
     named: dict[Explanation, float]
     other: float
-    signs: dict[str, float]
+    features: dict[str, float]
 
     @property
     def log_odds(self) -> float:
         """ln of all explanations over ``none``, as evidence and priors have it."""
-        return self.signs["log_odds"]
+        return self.features["log_odds"]
 
     @property
     def unknown_odds(self) -> float:
@@ -149,7 +149,7 @@ def judge(
         gain = source.gain - confidence.inexactness * max(single_gain.values(), default=0.0)
         hypotheses.append(Hypothesis(Kind.UNNAMED, gain, prior, placement=source.placement))
     # What a focused test finds and no source explains: noise of another kind, for example. Unlike evidence it has no
-    # rival, so it counts from where chance would not get once in a hundred thousand diagnoses.
+    # competitor, so it counts from where chance would not get once in a hundred thousand diagnoses.
     found, behind = -math.log(max(chance, 1e-300)) - _UNLIKELY, math.log(confidence.prior_unknown)
     if best is not None:
         if len(best.candidates) == 1:
@@ -169,11 +169,11 @@ def judge(
     plain = np.array([h.log_prior + h.log_evidence for h in hypotheses])
     named = np.array([value for value, h in zip(plain, hypotheses, strict=True) if h.kind is Kind.NAMED])
     unnamed = np.array([value for value, h in zip(plain, hypotheses, strict=True) if h.kind is Kind.UNNAMED])
-    signs = _signs(plain[0], named, unnamed, classes, max((s.gain for s in leftovers), default=0.0))
-    return _calibrated(weights, hypotheses, classes, signs, confidence)
+    features = _features(plain[0], named, unnamed, classes, max((s.gain for s in leftovers), default=0.0))
+    return _calibrated(weights, hypotheses, classes, features, confidence)
 
 
-def _signs(
+def _features(
     null: float, named: FloatArray, unnamed: FloatArray, classes: Sequence[ExplanationClass], leftover: float
 ) -> dict[str, float]:
     """What the reliabilities are functions of."""
@@ -202,13 +202,13 @@ def _calibrated(
     weights: FloatArray,
     hypotheses: Sequence[Hypothesis],
     classes: tuple[ExplanationClass, ...],
-    signs: dict[str, float],
+    features: dict[str, float],
     confidence: Confidence,
 ) -> Judgement:
     """Probabilities as often right as they say: shares within none, unnamed and named stay in proportion."""
-    gap = confidence.gap.probability(signs)
-    unnamed = confidence.unnamed.probability(signs) if classes else 1.0
-    first = confidence.first.probability(signs)
+    gap = confidence.gap.probability(features)
+    unnamed = confidence.unnamed.probability(features) if classes else 1.0
+    first = confidence.first.probability(features)
     named = gap * (1.0 - unnamed)
     scaled = []
     others = sum(group.probability for group in classes[1:])
@@ -239,7 +239,7 @@ def _calibrated(
             by_explanation[explanation] = by_explanation.get(explanation, 0.0) + float(factor)
     other = max(0.0, 1.0 - sum((1.0 - gap, gap * unnamed, *by_explanation.values())))
     places = _places(factors[1:], hypotheses[1:])
-    return Judgement(1.0 - gap, gap * unnamed, tuple(scaled), places, by_explanation, other, signs)
+    return Judgement(1.0 - gap, gap * unnamed, tuple(scaled), places, by_explanation, other, features)
 
 
 def _contender(hypothesis: Hypothesis) -> Contender:

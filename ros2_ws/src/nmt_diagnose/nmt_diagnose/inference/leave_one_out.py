@@ -61,11 +61,11 @@ def left_out(recording: Recording, refits: Sequence[Contender | None]) -> LeftOu
     base = refits[0]
     if base is None:
         return None
-    rivals = [own for own in refits if own is not None]
-    logs = np.array([own.fit.log_evidence for own in rivals])
+    competing = [own for own in refits if own is not None]
+    logs = np.array([own.fit.log_evidence for own in competing])
     shares = np.exp(logs - logs.max())
     best = int(np.argmax(logs))
-    leader = rivals[best]
+    leader = competing[best]
     before, after = (_rms(own, recording.rows) for own in (base, leader))
     # Noise alone leaves 1: below that nothing more is explained.
     closed = (before - max(after, 1.0)) / (before - 1.0) if leader is not base and before > _NO_GAP else math.nan

@@ -38,7 +38,7 @@ from nmt_rig.rig_model import build_elements, build_structure
 
 _LEAST = 3.0
 _MOST = 99.0  # more says nothing more
-_DOUBTFUL = 0.05  # probability of no effect at all from which that is a rival
+_DOUBTFUL = 0.05  # probability of no effect at all from which that competes
 _LINES = 80
 # Uncertainties of a kind of observable of which the tests at hand hold none.
 _TYPICAL = {
@@ -82,26 +82,26 @@ def next_tests(
     Args:
         rig: the model.
         evidence: what has been measured.
-        null: the model with its parameters re-fitted; the rival where there is only one explanation.
+        null: the model with its parameters re-fitted; what competes where there is only one explanation.
         classes: explanations, most probable first.
         workers: processes that share the work; None = this one alone.
         most: tests to name.
         none: probability of no effect at all.
     """
-    rivals = _rivals(classes, null, none)
-    if len(rivals) < 2:
+    competing = _competing(classes, null, none)
+    if len(competing) < 2:
         return ()
     found: list[NextTest] = []
     wanted = proposals(rig, evidence)
-    for proposal, sigma in zip(wanted, (workers or Workers()).map(_separates, rivals, wanted), strict=True):
+    for proposal, sigma in zip(wanted, (workers or Workers()).map(_separates, competing, wanted), strict=True):
         if sigma >= _LEAST:
-            names = tuple(joined(rival.effects) or NULL for rival in rivals)
+            names = tuple(joined(competitor.effects) or NULL for competitor in competing)
             found.append(NextTest(proposal.text, proposal.command, names, min(sigma, _MOST)))
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
 
 
-def _rivals(classes: Sequence[ExplanationClass], null: Contender, none: float) -> list[Contender]:
-    """The two explanations that most need telling apart: of one class, or the heads of the first two."""
+def _competing(classes: Sequence[ExplanationClass], null: Contender, none: float) -> list[Contender]:
+    """The two explanations that most need distinguishing: of one class, or the heads of the first two."""
     if not classes:
         return []
     if len(classes[0].members) > 1:
@@ -112,27 +112,27 @@ def _rivals(classes: Sequence[ExplanationClass], null: Contender, none: float) -
     return [classes[0].head, null] if none > _DOUBTFUL else []
 
 
-def _separates(rivals: Sequence[Contender], proposal: Proposal) -> float:
-    return _separation(proposal, rivals)
+def _separates(competing: Sequence[Contender], proposal: Proposal) -> float:
+    return _separation(proposal, competing)
 
 
-def _separation(proposal: Proposal, rivals: Sequence[Contender]) -> float:
-    """Least expected distance over all ordered pairs of rivals, standard deviations."""
+def _separation(proposal: Proposal, competing: Sequence[Contender]) -> float:
+    """Least expected distance over all ordered pairs of competing hypotheses, standard deviations."""
     problem = Problem(proposal.evidence, Forward(proposal.evidence.tests, proposal.evidence.rows))
     predictions, jacobians = [], []
     try:
-        for rival in rivals:
-            parametrisation = rival.fit.parametrisation
-            prediction = problem.forward.predict(parametrisation.rig(rival.fit.theta))
+        for competitor in competing:
+            parametrisation = competitor.fit.parametrisation
+            prediction = problem.forward.predict(parametrisation.rig(competitor.fit.theta))
             predictions.append(prediction)
-            jacobian = problem.forward.jacobian(parametrisation, rival.fit.theta, prediction)
+            jacobian = problem.forward.jacobian(parametrisation, competitor.fit.theta, prediction)
             jacobians.append(jacobian / proposal.evidence.sigma[:, None])
     except BenchError:
         return 0.0
     worst = math.inf
     for i, own in enumerate(predictions):
         truth = Problem(replace(proposal.evidence, values=own.values), problem.forward)
-        for j, other in enumerate(rivals):
+        for j, other in enumerate(competing):
             if i == j:
                 continue
             difference = truth.residual(predictions[j])

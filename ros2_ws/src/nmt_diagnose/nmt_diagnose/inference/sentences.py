@@ -41,7 +41,8 @@ def sentences(
         return (
             "There is no gap that the noise and the repeatability of these tests could not explain.",
             "No unmodelled effect is claimed; the model's own parameters need no change either.",
-            f"Held-out data lie {gap.as_given:.2f} standard deviations (rms) from the model; noise alone gives 1.",
+            f"Held-out data lie {gap.as_given:.2f} standard deviations (rms) from the model; 1 is what the stated "
+            "uncertainties allow.",
         )
     if verdict is Verdict.CALIBRATION:
         moved = sorted(calibration, key=lambda item: -abs(item.sigmas))[:3]
@@ -104,13 +105,13 @@ def _where(where: Sequence[PlaceShare]) -> str:
 def _how_far(gap: Gap, what: str) -> str:
     if not math.isfinite(gap.closed):
         return (
-            f"{what} takes the fit from {gap.before:.2f} to {gap.after:.2f} standard deviations (rms; noise gives 1); "
-            "too few data could be held out to say how much of the gap that closes."
+            f"{what} takes the fit from {gap.before:.2f} to {gap.after:.2f} standard deviations (rms; 1 is what "
+            "the stated uncertainties allow); too few data could be held out to say how much of the gap that closes."
         )
     interval = f" (90 % interval {100 * gap.low:.0f} to {100 * gap.high:.0f} %)" if math.isfinite(gap.low) else ""
     return (
         f"{what} closes {100.0 * gap.closed:.0f} % of the gap on data held out from the fit{interval}: from "
-        f"{gap.before:.2f} to {gap.after:.2f} standard deviations rms, where noise alone gives {gap.floor:.2f}."
+        f"{gap.before:.2f} to {gap.after:.2f} standard deviations rms, where scatter alone leaves {gap.floor:.2f}."
     )
 
 

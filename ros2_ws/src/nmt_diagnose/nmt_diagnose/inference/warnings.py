@@ -29,7 +29,7 @@ def warned(
         best: the model as it came out, with the accepted explanation or without.
         calibration: its own parameters.
         gap: on held-out data.
-        alike: explanations that the tests cannot tell apart, the accepted one among them.
+        alike: explanations that the tests cannot distinguish, the accepted one among them.
     """
     found = []
     if not best.fit.converged:

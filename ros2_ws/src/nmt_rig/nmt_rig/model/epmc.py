@@ -383,7 +383,7 @@ def epmc_backbone(
         ) from error
     branch = follow_branch(problem, start, float(logs[-1]) + 1e-9, control, what="nonlinear mode")
 
-    # First passage of each amplitude; on a branch that folds in q the later ones are not reported.
+    # First crossing of each amplitude; on a branch that folds in q the later ones are not reported.
     local = problem.local.coordinates * basis.size
     omega, excitation = np.empty(logs.size), np.empty(logs.size)
     shapes = np.empty((logs.size, basis.orders.size, structure.size), dtype=np.complex128)

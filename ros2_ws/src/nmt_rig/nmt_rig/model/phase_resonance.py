@@ -57,7 +57,7 @@ class PhaseResonantBackbone:
     """Phase-resonant responses at the requested drive amplitudes.
 
     Attributes:
-        responses: one per drive amplitude reached (first passage where the branch folds).
+        responses: one per drive amplitude reached (first crossing where the branch folds).
         branch: the continuation's own points; the parameter is log10 of the drive amplitude.
     """
 

@@ -1,4 +1,4 @@
-"""The study of rival methods: its cases, and what it makes of results."""
+"""The study of other methods: its cases, and what it makes of results."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from nmt_rig.rig import load_rig
 from nmt_study.case import StudyCase
-from nmt_study.rival_methods import METHODS, RANGE, cases, derived_results, expected, outcomes
+from nmt_study.method_comparison import METHODS, RANGE, cases, derived_results, expected, outcomes
 
 
 def test_cases_keep_the_limits_and_have_a_frequency_for_every_level() -> None:

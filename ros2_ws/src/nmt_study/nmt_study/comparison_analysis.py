@@ -1,4 +1,4 @@
-"""Modal properties over amplitude from the recording of a ring-down, a sweep or stepped sines: what rivals get."""
+"""Modal properties over amplitude from a ring-down, a sweep or stepped sines: what other methods find."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _OWN_LEVEL_WIDTH = 0.1
 """In ln q: points of one held response amplitude lie closer together than neighbouring amplitudes."""
 
 
-def rival_methods_of(case: StudyCase, bag: Path, modal_amplitudes: FloatArray) -> dict[str, Any]:
+def compared_methods_of(case: StudyCase, bag: Path, modal_amplitudes: FloatArray) -> dict[str, Any]:
     """Every method's evaluation of a case's recording.
 
     Args:

@@ -1,4 +1,4 @@
-"""Phase resonance beside its rivals on the joint resonator: ring-down, sweeps, stepped sines; time, accuracy, noise."""
+"""Phase resonance beside other methods on the joint resonator: ring-down, sweeps, stepped sines."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from nmt_study.study import Finding, Result, StudyOutput, StudyTable
 from nmt_study.study_figures import COLOURS, MARKERS, percent
 from nmt_study.study_table import at_amplitude, level_rows
 
-TITLE = "Rival methods on the joint resonator"
+TITLE = "Comparison of methods on the joint resonator"
 
 RIG = "joint_resonator"
 LINEAR_HZ = 370.0
@@ -62,7 +62,7 @@ _EXPECTED = np.array(
         (2268.0, 365.46, 0.683),
     ]
 )
-"""Modal acceleration, frequency (Hz), damping (%): what the rivals' frequencies and forces are chosen from."""
+"""Modal acceleration, frequency (Hz), damping (%): what the other methods' frequencies and forces are chosen from."""
 _FORCE_OFFSETS = (-1.5, -1.0, -0.6, -0.3, -0.1, 0.1, 0.3, 0.6, 1.0, 1.5)
 _RESPONSE_OFFSETS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 
@@ -203,10 +203,10 @@ def evaluate(case: StudyCase, bag: Path) -> dict[str, Any]:
     """Every method's evaluation of the recording."""
     if case.test == "phase_resonance":
         return {}
-    from nmt_study.rival_analysis import rival_methods_of
+    from nmt_study.comparison_analysis import compared_methods_of
 
     amplitudes = np.geomspace(42.0, 1830.0, 16) / (2.0 * math.pi * LINEAR_HZ) ** 2
-    found = rival_methods_of(case, bag, amplitudes)
+    found = compared_methods_of(case, bag, amplitudes)
     main = found["methods"].pop(str(case.labels["method"]), {"levels": []})
     return {**found, "levels": main["levels"]}
 
@@ -308,7 +308,7 @@ def show(results: Sequence[Result]) -> StudyOutput:
     rows: list[Mapping[str, Any]] = []
     for made in derived_results(results):
         if not any(made is result for result in results):
-            rows += level_rows("rival_methods", made)
+            rows += level_rows("method_comparison", made)
     figures = [_overlay(results, found), _errors(found), _noise_figure(found), _time_figure(found)]
     return StudyOutput(
         figures, _findings(found), [*_FAIRNESS, *_remarks(results)], rows, [_comparison(found), *_noise_tables(found)]
@@ -330,7 +330,7 @@ _FAIRNESS = (
     "Half-power bandwidth: peak and band of each sweep at constant force, as for a linear structure.",
     "Phase resonance: the rig's own plan of 16 levels with 80 periods a window; with 400 each level gets as many "
     "periods as the five frequencies of a held response have. “Paper's loop”: its gain K = 20π and 25 s a level.",
-    "Level of the rivals in the tables of levels: ω̃²q.",
+    "Level of the other methods in the tables of levels: ω̃²q.",
 )
 
 
@@ -487,7 +487,7 @@ def _overlay(results: Sequence[Result], found: Sequence[Outcome]) -> ReportFigur
         "Frequency and damping over the modal acceleration, all methods at the rig's own noise (first seed), with "
         "standard uncertainties."
     )
-    return ReportFigure("rivals", "All methods", caption, svg_text(figure, "rivals", caption), True)
+    return ReportFigure("methods", "All methods", caption, svg_text(figure, "methods", caption), True)
 
 
 def _errors(found: Sequence[Outcome]) -> ReportFigure:
@@ -527,7 +527,7 @@ def _errors(found: Sequence[Outcome]) -> ReportFigure:
         "wrong by construction (apparent values of structure and exciter, half-power bandwidth). Mind the "
         "different scales."
     )
-    return ReportFigure("rival-errors", "Errors and noise", caption, svg_text(figure, "rival-errors", caption), True)
+    return ReportFigure("method-errors", "Errors and noise", caption, svg_text(figure, "method-errors", caption), True)
 
 
 def _noise_figure(found: Sequence[Outcome]) -> ReportFigure:
@@ -549,7 +549,9 @@ def _noise_figure(found: Sequence[Outcome]) -> ReportFigure:
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=2)
     caption = "Root mean square of the errors over amplitudes and seeds, over the sensor noise."
-    return ReportFigure("rival-noise", "Sensitivity to noise", caption, svg_text(figure, "rival-noise", caption), True)
+    return ReportFigure(
+        "method-noise", "Sensitivity to noise", caption, svg_text(figure, "method-noise", caption), True
+    )
 
 
 def _time_figure(found: Sequence[Outcome]) -> ReportFigure:
@@ -567,7 +569,7 @@ def _time_figure(found: Sequence[Outcome]) -> ReportFigure:
     axes.minorticks_off()
     axes.set_xlabel("bench time / s")
     caption = "Bench time of a whole backbone at the rig's own noise."
-    return ReportFigure("rival-time", "Bench time", caption, svg_text(figure, "rival-time", caption))
+    return ReportFigure("method-time", "Bench time", caption, svg_text(figure, "method-time", caption))
 
 
 def _acceleration_axis(axes: Any) -> None:

@@ -1,0 +1,93 @@
+"""Commands of README and tutorial that start nodes run, with short plans and all nodes in one process."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from unit.docs.test_command_blocks import ROOT, block_lines, words_of
+
+from nmt_bench.cli import main
+
+pytest.importorskip("rclpy")
+pytestmark = pytest.mark.node
+
+TUTORIAL = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+ROW = re.compile(r"^ *(\d[\d.]*) +(\S+) +(\S+) +(\S+) +(\S+) ", re.M)
+"""Level, frequency, damping ratio, modal amplitude and force of a row of the table."""
+
+
+def command(text: str, beginning: str) -> list[str]:
+    """Words of the one command of a page that begins so."""
+    found = [words_of(line) for line in block_lines(text) if line.removeprefix("./nmt ").startswith(beginning)]
+    assert len(found) == 1, f"{beginning}: {found}"
+    return found[0]
+
+
+def changed(words: list[str], **values: str) -> list[str]:
+    """The command with other values of some options."""
+    words = list(words)
+    for name, value in values.items():
+        option = f"--{name}"
+        if option in words:
+            words[words.index(option) + 1] = value
+        else:
+            words += [option, value]
+    return [*words, "--one-process", "--quiet"]
+
+
+def rows(text: str) -> dict[str, tuple[str, ...]]:
+    """Rows of a table of modal properties: level -> what is printed for it."""
+    return {match[1]: match.groups()[1:] for match in ROW.finditer(text)}
+
+
+def test_the_first_row_of_the_demo_is_that_of_the_tutorial(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The demo's first level, then its own commands for a second extraction and figures."""
+    monkeypatch.chdir(tmp_path)
+    shown = rows(TUTORIAL)
+    assert next(iter(shown)) == "0.05"
+    demo = ["run", "beam", "--out", "out/demo", "--no-report", "--reference", "none"]
+    assert main(changed(demo, levels="0.05,0.0507")) == 0
+    printed = rows(capfd.readouterr().out)
+    assert printed["0.05"] == shown["0.05"]
+    assert main([*command(TUTORIAL, "extract out/demo --out"), "--no-report"]) == 0
+    assert "Equal to the live results bit for bit (2 of 2 levels compared)." in capfd.readouterr().out
+
+
+def test_the_run_of_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = command(README, "run beam")
+    assert main([*changed(words, levels="0.5", periods="20"), "--no-report"]) == 0
+    point = json.loads((tmp_path / "out" / "point4" / "modal.json").read_text(encoding="utf-8"))
+    assert len(point["points"]) == 1
+
+
+def test_the_sweep_of_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = changed(command(README, "sweep joint_resonator"), force="14.65", to="352", rate="2")
+    assert main([*words, "--reference", "none"]) == 0
+    assert (tmp_path / "out" / "sweep" / "frf.csv").exists()
+
+
+def test_the_rig_of_the_guide_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    guide = (ROOT / "docs" / "how-to" / "write-a-rig-file.md").read_text(encoding="utf-8")
+    complete = re.search(r"```yaml\n(name:.*?)```", guide, re.S)
+    assert complete is not None
+    (tmp_path / "duffing.yaml").write_text(complete[1], encoding="utf-8")
+    words = command(TUTORIAL, "run duffing.yaml")
+    assert main([*changed(words, levels="0.1,0.2", periods="20"), "--no-report"]) == 0
+
+
+def test_the_linear_test_of_the_tutorial(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = changed(command(TUTORIAL, "linear joint_resonator"), duration="20")
+    assert main([*words, "--no-half-level"]) == 0
+    assert "Linear modes: value ± standard uncertainty" in capfd.readouterr().out

@@ -1,0 +1,102 @@
+"""The words of the field (ISO 2041, Ewins' Modal Testing, the paper) instead of private ones, and short sentences."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
+SOURCES = sorted([*(ROOT / "ros2_ws" / "src").rglob("*.py"), *(ROOT / "requirements").rglob("*.py")])
+TEMPLATES = sorted((ROOT / "ros2_ws" / "src").rglob("templates/*"))
+
+GLOSSARY = {
+    r"mend(s|ed|ing)?": "fix",
+    r"(told|tell|tells|telling)( them| it)? apart": "distinguish",
+    r"begin anew": "start over",
+    r"foreign lines?": "other spectral lines",
+    r"sealed truth": "sealed file",
+    r"moduli": "magnitudes",
+    r"rival methods": "other methods",
+    r"first passage": "first crossing",
+}
+"""A private word, and the one to write."""
+
+FIRST = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "docs" / "tutorial.md"]
+"""What a newcomer reads: here colons and semicolons do not end a sentence."""
+GUIDES = sorted((ROOT / "docs" / "how-to").glob("*.md"))
+MOST_WORDS = 30
+LONGEST_LIST = 45
+"""Words of a sentence of a guide, in which enumerations stand."""
+
+
+def private_words(text: str) -> list[str]:
+    return [f"'{found[0]}': write '{word}'" for pattern, word in GLOSSARY.items()
+            for found in re.finditer(rf"\b{pattern}\b", text, re.I)]  # fmt: skip
+
+
+@pytest.mark.parametrize("path", [*PAGES, *TEMPLATES], ids=lambda path: str(path.relative_to(ROOT)))
+def test_pages_use_the_words_of_the_field(path: Path) -> None:
+    assert private_words(path.read_text(encoding="utf-8")) == []
+
+
+def test_messages_and_docstrings_use_the_words_of_the_field() -> None:
+    found = []
+    for path in SOURCES:
+        if "build" in path.parts or "install" in path.parts:
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found += [f"{path.relative_to(ROOT)}:{node.lineno}: {what}" for what in private_words(node.value)]
+    assert found == []
+
+
+def blocks(text: str) -> Iterator[str]:
+    """Paragraphs, items of lists and cells of tables of a page, without code."""
+    text = re.sub(r"^ *```.*?^ *```", "", text, flags=re.S | re.M)
+    lines: list[str] = []
+    for line in [*text.splitlines(), ""]:
+        line = line.strip()
+        item = re.match(r"(\*|-|\d+\.)\s+", line)
+        if lines and (not line or item or line.startswith(("|", "#"))):
+            yield " ".join(lines)
+            lines = []
+        if line.startswith("|"):
+            yield from (cell.strip() for cell in line.strip("|").split("|"))
+        elif line and not line.startswith("#"):
+            lines.append(line[item.end() :] if item else line)
+
+
+def sentences(text: str) -> Iterator[str]:
+    for block in blocks(text):
+        plain = re.sub(r"`[^`]*`", "X", re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", block))
+        yield from re.split(r"(?<=[.!?])\s+(?=[\"'(A-ZΔδωφ0-9*])", plain)
+
+
+def words(sentence: str) -> int:
+    return len(re.findall(r"[A-Za-z][\w'’-]*", sentence))
+
+
+@pytest.mark.parametrize("page", FIRST, ids=lambda path: path.name)
+def test_sentences_of_the_first_pages_are_short(page: Path) -> None:
+    assert [s for s in sentences(page.read_text(encoding="utf-8")) if words(s) > MOST_WORDS] == []
+
+
+@pytest.mark.parametrize("page", GUIDES, ids=lambda path: path.name)
+def test_sentences_of_the_guides_are_short(page: Path) -> None:
+    """At most thirty words to a colon or semicolon, which open and part enumerations."""
+    long = []
+    for sentence in sentences(page.read_text(encoding="utf-8")):
+        parts = [words(part) for part in re.split(r"[:;]\s", sentence)]
+        if max(parts) > MOST_WORDS or sum(parts) > LONGEST_LIST:
+            long.append(sentence)
+    assert long == []
+
+
+def test_a_private_word_and_a_long_sentence_are_seen() -> None:
+    assert private_words("It says how to mend it.") == ["'mend': write 'fix'"]
+    assert [words(s) for s in sentences("One two. " + "Word " * 31 + ".\n\n* And `code` here.")] == [2, 31, 3]

@@ -47,7 +47,7 @@ from nmt_bench.orchestration.bench_domain import BenchDomain, bench_environment
 from nmt_bench.orchestration.interrupts import deferred_interrupts
 from nmt_bench.orchestration.node_processes import NodeProcesses
 from nmt_bench.orchestration.surroundings import check_surroundings
-from nmt_core.base_node import STATE_QOS
+from nmt_core.base_node import STATE_QOS, calm_collector
 from nmt_core.company import Company
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
@@ -73,7 +73,6 @@ _RESEND = 1.5  # s without an answer after which the goal, or the wish for its r
 _SILENCE = 3.0  # s without a heartbeat after which a node that runs as a process is lost
 _LAST_WRITES = 0.5  # s that the recorder gets for what is on its way to it
 _LAST_MEMORY = 1.5  # s that shared memory of a killed node is waited for, to be cleared away
-_CALM = (50_000, 50, 100)  # thresholds of the cyclic collector while a bench runs
 _LATE_DEATH = 1.5  # s after a result of a lost node in which that may be seen here, too
 
 
@@ -238,10 +237,9 @@ class Bench:
         self.client = _RunClient(self.context, tuple(self.plan.values))
         self._add("client", self.client)
         thresholds = gc.get_threshold()
-        # As in a node's own process, but without a collection first: that looks at all that the program around the
-        # bench holds, a fifth of a second in a test session. What is garbage by now is freed after the bench.
-        gc.freeze()
-        gc.set_threshold(*_CALM)
+        # A collection would look at all that the program around the bench holds, a fifth of a second in a large one.
+        # What is garbage by now is freed after the bench.
+        calm_collector(collect=False)
         self._cleanup.callback(gc.set_threshold, *thresholds)
         self._cleanup.callback(gc.unfreeze)
 

@@ -438,13 +438,17 @@ def _descriptor(item: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
-def calm_collector() -> None:
+def calm_collector(collect: bool = True) -> None:
     """Keep the cyclic collector off what lives as long as the node, and from looking often.
 
     Blocks and messages are freed by reference counting; a collection over everything that was imported would stop the
     sample path for tens of milliseconds.
+
+    Args:
+        collect: free what is garbage first; that looks at all that the program holds.
     """
-    gc.collect()
+    if collect:
+        gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 50, 100)
 

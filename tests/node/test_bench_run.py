@@ -24,6 +24,7 @@ from nmt_record.bag_reader import Bag
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import load_rig
 
+ATTEMPTS = 3  # a busy computer without real-time priority may stop a process for half a second
 SAMPLES = ("force", "displacement", "acceleration", "voltage")
 
 
@@ -226,9 +227,12 @@ def test_a_killed_node_ends_the_run(victim: str, pacing: str, tmp_path: Path) ->
 
 
 def test_real_time_keeps_the_clock() -> None:
-    with Bench("beam", [0.7], window_periods=20, pacing="realtime", latency_blocks=10) as bench:
-        result = bench.run()
-    assert result.code == ResultCode.SUCCEEDED
+    for _ in range(ATTEMPTS):
+        with Bench("beam", [0.7], window_periods=20, pacing="realtime", latency_blocks=10) as bench:
+            result = bench.run()
+        if "does not report" not in result.message:
+            break
+    assert result.code == ResultCode.SUCCEEDED, result.message
     assert result.points[0].status == Status.OK
     assert 0.8 < result.real_time_factor < 1.2
     assert any("Real time" in line for line in result.remarks)

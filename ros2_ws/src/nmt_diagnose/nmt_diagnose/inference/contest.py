@@ -190,8 +190,8 @@ class Contest:
     def from_below(self, null: Contender) -> list[Contender]:
         """Explanations by one effect, added to the model as the lowest levels show it; none where that says nothing.
 
-        Where the real structure is far from any linear one, the model without effect fitted to all levels is nowhere,
-        and directions about it lead nowhere. The lowest levels are nearly linear.
+        Where the real structure is far from any linear one, the model without effect that is fitted to all levels has
+        parameters that mean nothing, and so have directions about it. The lowest levels are nearly linear.
         """
         if not _incredible(null.fit):
             return []

@@ -54,15 +54,18 @@ def weigh(extended: FloatArray, weights: FloatArray, decay: float, last: float, 
 
     Args:
         extended: (m - 1 + n,) history, then the present samples.
-        weights: (m,).
+        weights: (m,); zeros in front of the others cost nothing.
         decay, last: of the recursion; last is the result before the first.
         result: (n,) overwritten.
     """
     m = weights.size
+    first = 0
+    while first < m - 1 and weights[first] == 0.0:
+        first += 1
     value = last
     for k in range(result.size):
         total = decay * value
-        for j in range(m):
+        for j in range(first, m):
             total += weights[j] * extended[k + m - 1 - j]
         value = total
         result[k] = value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,12 @@ from nmt_core.blocks import FloatArray
 from nmt_plant.device import DeviceFault
 from nmt_plant.oscillator import OscillatorBlock
 from nmt_plant.simulated_rig import SimulatedRig, sensor_row
+from nmt_rig.analogue_chain import AnalogueChain
 from nmt_rig.drift import Drift
 from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_system
+from nmt_rig.sensors import SensorChannel
 
 STEPS = 20
 """Steps of the time integration per sample: the drive is held over all but the last, in which it moves on."""
@@ -45,6 +47,9 @@ class Converters:
 class LaboratoryRig(SimulatedRig):
     """A rig as a laboratory drives and records it.
 
+    Filters and delays of the channels act on the steps of the time integration, before anything is sampled. Where the
+    drive is held, the integration is ahead of the samples by all steps but one of a sample: a channel may lead by that.
+
     Args:
         rig: the rig with everything that it really has.
         converters: what they make of the drive and of the channels.
@@ -52,13 +57,23 @@ class LaboratoryRig(SimulatedRig):
 
     def __init__(self, rig: Rig, converters: Converters) -> None:
         self._converters = converters
+        self._ahead = STEPS - 1 if converters.held else 0
         self._filter = butter(8, 0.8 / STEPS, output="sos")
         super().__init__(rig)
 
     def _prepare(self) -> None:
         super()._prepare()
+        rate = STEPS * self.true_sample_rate
+        self._begun = False
         self._memory = np.zeros((self._filter.shape[0], len(self.sensors), 2))
         self._drift = Drift(self.rig.model_copy(update={"sample_rate_hz": STEPS * self.rig.sample_rate_hz}))
+        self._chains = [
+            AnalogueChain(rate, sensor.low_pass_hz, sensor.high_pass_hz, sensor.delay + self._ahead / rate)
+            for sensor in self.sensors
+        ]
+        sampled = [replace(s, low_pass_hz=None, high_pass_hz=None, delay=0.0, dead_zone=0.0) for s in self.sensors]
+        self._channels = [SensorChannel(sensor, self.true_sample_rate, self.rig.seed) for sensor in sampled]
+        self._plain_sensors = all(channel.plain for channel in self._channels)
 
     def _make_integrator(self) -> TimeIntegrator:
         system = build_system(self.rig)
@@ -80,14 +95,27 @@ class LaboratoryRig(SimulatedRig):
         except (IntegrationError, ValueError) as error:
             raise DeviceFault(str(error)) from error
         values[self._voltage_rows] = self._between(monitor)[:-1]  # measured before the amplifier
+        first = 0 if self._begun else self._ahead
+        self._begun = True
+        values = self._sensed(values)
         if self._converters.filtered:
             values, self._memory = sosfilt(self._filter, values, zi=self._memory)
-        return np.ascontiguousarray(values[:, ::STEPS])
+        return np.ascontiguousarray(values[:, first::STEPS])
+
+    def _sensed(self, values: FloatArray) -> FloatArray:
+        """What the sensors and their conditioners pass, at every step."""
+        result = np.empty_like(values)
+        for row, (sensor, chain) in enumerate(zip(self.sensors, self._chains, strict=True)):
+            seen = values[row]
+            if sensor.dead_zone > 0.0:
+                seen = np.sign(seen) * np.maximum(np.abs(seen) - sensor.dead_zone, 0.0)
+            result[row] = chain.process(seen)
+        return result
 
     def _between(self, voltage: FloatArray) -> FloatArray:
-        """The drive at every step, shape (STEPS n + 1,), from that at the samples, (n + 1,)."""
+        """The drive at every step that is to be made and at the end of the last, from that at the samples, (n + 1,)."""
         if self._converters.held:
-            return np.append(np.repeat(voltage[:-1], STEPS), voltage[-1])
+            return np.repeat(voltage, STEPS)[self._ahead if self._begun else 0 :]
         places = np.arange(STEPS * (voltage.size - 1) + 1) / STEPS
         return np.interp(places, np.arange(voltage.size), voltage)
 

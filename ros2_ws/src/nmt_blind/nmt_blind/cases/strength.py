@@ -57,9 +57,13 @@ _STEP = 0.1
 # Size over σ from which a difference counts as imitated by parameters; how often and how far they are shifted then,
 # and what is not worth another turn, prior standard deviations.
 _IMITATED = 5.0
-_TURNS = 4
+_TURNS = 12
 _LARGEST_STEP = 1.5
 _SMALL_STEP = 0.2
+# Turns end where one takes less of what is left.
+_WORTH = 0.05
+# Share of a linear estimate that is left after such turns, from which the estimate may stand for the strongest.
+_MOSTLY = 0.5
 _PHASE_STEP = 1e-2
 
 # The loop of a laboratory: the same two.
@@ -226,7 +230,7 @@ class Sensitivity:
         largest = float(np.max(np.abs(shifts[own])))
         if largest < _SMALL_STEP or (size <= _IMITATED * found and largest <= _LARGEST_STEP):
             return found
-        made = np.zeros(shifts.size)
+        made, least = np.zeros(shifts.size), math.inf
         for _ in range(_TURNS):
             # What the phase at lock takes stays linear; the model is not moved by it.
             step = np.where(own, np.clip(shifts - made, -_LARGEST_STEP, _LARGEST_STEP), 0.0)
@@ -240,9 +244,12 @@ class Sensitivity:
             except BenchError as error:
                 raise TrialError(str(error)) from error
             _, found, shifts = self._fitted(observed, moved.values, made)
-            if float(np.max(np.abs((shifts - made)[own]))) < _SMALL_STEP:
+            settled = float(np.max(np.abs((shifts - made)[own]))) < _SMALL_STEP
+            if settled and found > (1.0 - _WORTH) * least:
                 break
-        return found
+            least = min(least, found)
+        # Whatever shifts leave least is at most what the best ones leave.
+        return min(least, found)
 
     def _fitted(self, observed: Observed, values: FloatArray, shifts: FloatArray) -> tuple[float, float, FloatArray]:
         """Size of the difference from the plain model, σ after the best shifts about given ones, and these."""
@@ -343,7 +350,8 @@ class Sensitivity:
             guess = self.rig.caution * truth.guess(self.model, self.operating, spot)
         largest = truth.limit(self.model, self.operating, spot)
         for target in (MIDDLE, STRONGEST) if truth.proportional else (MIDDLE, STRONGEST, WEAK):
-            refine = target < STRONGEST
+            # What is imitated at the middle strength is so at the strongest: there in full, too.
+            refine = target < STRONGEST or min(shares.values(), default=1.0) < _MOSTLY
             _approach(partial(trial, refine=refine), tried, target, min(guess, largest), largest)
         points = sorted((value, found) for value, found in tried if math.isfinite(found) and found > 0.0)
         rounded = [[float(f"{v:.6g}"), float(f"{s:.5g}")] for v, s in points]

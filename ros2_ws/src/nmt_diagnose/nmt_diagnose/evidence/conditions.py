@@ -110,6 +110,8 @@ class RandomTest:
         drive_hold_hz: rate at which the drive went straight from sample to sample, Hz; infinite where it did not. The
             observables are responses to the samples of the drive then: smaller by sinc², and with images of the drive
             around multiples of that rate.
+        sampled_at: for a drive that was held from sample to sample at that rate, and channels without anti-alias
+            filters: when they are sampled, in samples after the drive has moved on; None = otherwise.
     """
 
     name: str
@@ -123,6 +125,7 @@ class RandomTest:
     start_s: float
     stop_s: float
     drive_hold_hz: float = math.inf
+    sampled_at: float | None = None
 
 
 @dataclass(frozen=True)

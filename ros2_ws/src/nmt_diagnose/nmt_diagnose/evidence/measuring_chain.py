@@ -38,6 +38,7 @@ class MeasuringChain:
         shared_delay_s: standard deviation of a delay that all sensors share against the voltage, and of one that the
             sensors of a kind share, s.
         hold_hz: rate at which the drive may have been held from sample to sample, Hz.
+        images: whether images of a drive so held may be in the channels in a way that is not known.
         mains: hum of the mains that is ordinary, over the largest fundamental of its channel.
         clock: relative standard deviation of the sampling clock.
     """
@@ -46,6 +47,7 @@ class MeasuringChain:
     voltage_gain: float = GAIN_STD
     shared_delay_s: float = SHARED_DELAY_STD_S
     hold_hz: float = math.inf
+    images: bool = True
     mains: float = 1e-3
     clock: float = CLOCK_STD
 

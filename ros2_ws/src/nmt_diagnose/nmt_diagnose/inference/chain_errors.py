@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -43,6 +43,8 @@ _IMAGE_ORDERS = tuple((order,) for order in (-1, 1, -2, 2, -3, 3, -4, 4))
 # noise of each line it must be larger by the root of their number not to count for more than it is. The share of it
 # that differs from level to level.
 _IMAGE_FLOOR, _SAME_FOR_LEVELS = 1.0, 0.2
+# Samples about the step of a held drive in which it is on the way, and what that makes of a response at most, relative.
+_JUMP, _JUMP_FLOOR = 0.1, 3e-3
 # What the model's response to a harmonic of the drive may be off by, relative.
 _DRIVEN_FLOOR = 0.03
 _CLOCK_STEP = 1e-5
@@ -256,12 +258,12 @@ class _Columns:
             found.setdefault(key, []).append(int(row))
         return found
 
-    def _late(self, base: FloatArray) -> FloatArray:
+    def _late(self, base: FloatArray, tests: Sequence[int]) -> FloatArray:
         """Change of harmonics above the first by half a sample of delay, in the frame of the drive."""
         result = np.zeros(len(self.rows))
         for (number, _, _, order), mine in self._harmonics().items():
             rate = self.own[number].hold_hz
-            if number in self._referred() and np.isfinite(rate) and len(mine) == 2:
+            if number in tests and np.isfinite(rate) and len(mine) == 2:
                 values = {int(self.rows.part[row]): row for row in mine}
                 angle = -np.pi * order * self.rows.frequency_hz[mine[0]] / rate
                 real, imag = values[int(Part.REAL)], values[int(Part.IMAG)]
@@ -395,7 +397,7 @@ class _Columns:
             test, chain = self.tests[number], self.own[number]
             channels = getattr(test, "channels", ())
             mine = np.flatnonzero(self._linear_rows(number))
-            if not mine.size or not np.isfinite(chain.hold_hz):
+            if not mine.size or not np.isfinite(chain.hold_hz) or not chain.images:
                 continue
             view = ModelView.of(self.rig, test.drive_point)
             frequency = self.rows.frequency_hz[mine]
@@ -432,14 +434,20 @@ class _Columns:
         A sampler with a delay τ of its own turns the image of order m by 2π m f_h τ, any angle; so each has an
         amplitude and a phase of its own in every channel.
         """
-        direct = np.zeros(len(self.rows), dtype=np.complex128)
-        for number in self._referred():
-            rate = self.own[number].hold_hz
-            mine = self._linear_rows(number)
-            if np.isfinite(rate):
-                share = self.rows.frequency_hz[mine] / rate
-                direct[mine] = np.log(np.maximum(np.sinc(share), 1e-3)) - 1j * np.pi * share
-        found = [self._parts(direct) + self._late(base)]
+        found = []
+        commanded = [n for n in self._referred() if getattr(self.tests[n], "commanded", False)]
+        recorded = [n for n in self._referred() if n not in commanded]
+        # A voltage that filters smooth before it is recorded shows the hold as the responses do; what was commanded
+        # does not.
+        for tests in (commanded, recorded):
+            direct = np.zeros(len(self.rows), dtype=np.complex128)
+            for number in tests:
+                rate = self.own[number].hold_hz
+                mine = self._linear_rows(number)
+                if np.isfinite(rate):
+                    share = self.rows.frequency_hz[mine] / rate
+                    direct[mine] = np.log(np.maximum(np.sinc(share), 1e-3)) - 1j * np.pi * share
+            found.append(self._parts(direct) + self._late(base, tests))
         harmonics = self._over_fundamental()
         for channel in self.channels:
             own = self._rows_of(channel)
@@ -507,6 +515,11 @@ class _Columns:
         for number, test in enumerate(self.tests):
             if isinstance(test, PhaseResonanceTest):
                 result[(self.rows.test == number) & self._linear_rows(number)] *= _SAME_FOR_LEVELS
+        for number, test in enumerate(self.tests):
+            if isinstance(test, RandomTest) and test.sampled_at is not None:
+                # No drive jumps at once: what is sampled at that moment sees something between.
+                near = abs(test.sampled_at - round(test.sampled_at)) < _JUMP
+                result[(self.rows.test == number) & self._linear_rows(number)] += _JUMP_FLOOR if near else 0.0
         # Near zeros of a response images are as large as the response: there ln(1 + z) is far from z.
         result += 0.5 * size**2
         values = prediction.values[self.mine]

@@ -40,6 +40,7 @@ from nmt_diagnose.inference.discrepancy import measured_elsewhere, smooth_errors
 from nmt_diagnose.inference.fit import Fit, FitError, fit
 from nmt_diagnose.inference.gap import Closed, rms
 from nmt_diagnose.inference.generic_source import SourceScore
+from nmt_diagnose.inference.held_images import may_hold_images, told_drives
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.held_out_contest import HeldOut, Refits
 from nmt_diagnose.inference.hypotheses import NULL
@@ -71,6 +72,7 @@ _HELPS = 2.0
 _CHANCE = 1.0
 # ln of the evidence from which an effect moves the solution so far that errors of the measuring chain act otherwise.
 _MOVES = 50.0
+_GOOD = 1.5  # rms of residuals of a model that may tell whether images of a held drive are there
 _TRACED, _SETTLED = 3, 0.3  # most times that they are traced anew, and change in standard deviations that ends it
 # Share of the gap of a laboratory's tests that a named effect may leave, and by how many times as much its interval may
 # fall short.
@@ -310,6 +312,7 @@ class _Diagnoser:
             null = self.contest.polished(self.contest.null())
         except FitError as error:
             raise BenchError(f"The model cannot be compared with the evidence: {error}.") from error
+        null = self._with_told_drive(null)
         self.progress(f"scanning {len(self.candidates)} candidates")
         known = self.contest.from_below(null)
         scan = self.contest.scan(null)
@@ -378,6 +381,35 @@ class _Diagnoser:
             self.problem = with_shared(noisy, np.hstack([columns, smooth]))
         self.contest = self._contest()
         return True
+
+    def _with_told_drive(self, null: Contender) -> Contender:
+        """The model alone after random tests told whether images of a held drive are in them."""
+        for last in (False, True):
+            evidence = self.plain.evidence
+            if not any(may_hold_images(test, own) for test, own in zip(evidence.tests, evidence.chains, strict=False)):
+                break
+            options = told_drives(evidence, null.fit.parametrisation.rig(null.fit.theta))
+            if len(options) == 1:
+                null = self._under(options[0], null)
+            elif options and last:
+                # Both nearly suit the responses line by line: the better fit of all tests decides, if it is good.
+                fits = [self._under(option, null) for option in options]
+                best = int(np.argmax([found.fit.log_evidence for found in fits]))
+                told = options[best] if rms_left(fits[best]) < _GOOD else evidence
+                null = self._under(told, null)
+            elif not last:
+                # The nearer the model is, the clearer they tell it.
+                null = self._under(evidence, null)
+        return null
+
+    def _under(self, evidence: Evidence, null: Contender) -> Contender:
+        """The model alone, re-fitted to evidence of other chains, its errors traced about what it was."""
+        self.forward = Forward(evidence.tests, evidence.rows)
+        self.given = self.forward.predict(self.rig, self.given)
+        self.plain = Problem(evidence, self.forward, self.plain.nuisances)
+        self._trace(null.fit, np.zeros(len(evidence.rows)), 0.0)
+        self.judged, self.contest = self.problem, self._contest()
+        return self.contest.polished(self.contest.null())
 
     @property
     def _amplitudes_measured(self) -> bool:

@@ -1,0 +1,222 @@
+"""Whether images of a held drive are in measured responses: converters with anti-alias filters let none through.
+
+A response to a random test refers to the samples of the drive. Where the drive is held and nothing is filtered, it is
+H(f) + Σ_m e^{2πimθ} I_m(f), with I_m the model's response to the image of order m; θ is where within a held sample the
+channel is sampled, much the same for all channels. Both descriptions, with these images and without, are fitted to the
+lines of all channels, and the one that leaves clearly less is right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.evidence.conditions import RandomTest, Test
+from nmt_diagnose.evidence.drive_hold import zero_order_images
+from nmt_diagnose.evidence.measuring_chain import MeasuringChain
+from nmt_diagnose.evidence.model_view import ModelView
+from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_rig.rig import Rig
+
+ComplexArray = NDArray[np.complex128]
+
+SEEN_ORDERS = tuple(sign * order for order in range(1, 41) for sign in (-1, 1))
+"""Orders of the images: those of a force that has no resonance fall off with their order only."""
+# Of the sample rate, up to which anti-alias filters pass nearly everything; standard deviation of a line that counts.
+_BELOW_FILTERS, _CLEAR_LINE = 0.3, 0.01
+_FEWEST_LINES = 20
+_TURNS = 6
+_ANGLES = np.linspace(0.0, 1.0, 80, endpoint=False)
+_DELAYS_S = np.linspace(-1e-3, 1e-3, 401)
+# Errors of a model go smoothly over so many lines.
+_ALIKE = 4.0
+# Twice the logarithm of likelihoods, and shares of it: what the images must matter, and how much of that they must
+# improve the description by, or worsen it.
+_CLEARLY, _THERE, _ABSENT = 10.0, 0.5, -0.3
+_LEAST_SPREAD = 1e-5
+
+
+class MeasuredResponse(NamedTuple):
+    """One channel of a random test.
+
+    Attributes:
+        frequency_hz: shape (lines,).
+        measured, plain: response and the model's to a held drive, but for images, shape (lines,).
+        images: what the images of each of `SEEN_ORDERS` add to the model's, shape (orders, lines).
+    """
+
+    frequency_hz: FloatArray
+    measured: ComplexArray
+    plain: ComplexArray
+    images: ComplexArray
+
+
+class ToldImages(NamedTuple):
+    """What responses tell of images.
+
+    Attributes:
+        there: whether they are in the responses; None = that is not clear.
+        sampled_at: when the channels are sampled if they are, in samples after the drive has moved on.
+    """
+
+    there: bool | None
+    sampled_at: float
+
+
+def told_drives(evidence: Evidence, rig: Rig) -> tuple[Evidence, ...]:
+    """The evidence with what its random tests tell of a held drive: one, two where either may be, none without a hint.
+
+    Without images none are looked for in any test of that rate. Images that are there become part of what the model
+    predicts for that random test.
+
+    Args:
+        evidence: the real side.
+        rig: the model, near enough to the rig.
+    """
+    for number, test in enumerate(evidence.tests):
+        chain = evidence.chains[number] if number < len(evidence.chains) else None
+        if chain is None or not isinstance(test, RandomTest) or not may_hold_images(test, chain):
+            continue
+        rate = chain.hold_hz
+        apart = rate * max(chain.of(channel.name).delay_s for channel in test.channels)
+        channels = range(len(test.channels))
+        told = told_images([_response(evidence, number, test, k, rig, rate) for k in channels], rate, apart)
+        if told is None:
+            continue
+        seen = replace(test, drive_hold_hz=rate, sampled_at=told.sampled_at)
+        with_images = replace(
+            evidence,
+            tests=tuple(seen if k == number else own for k, own in enumerate(evidence.tests)),
+            chains=tuple(replace(chain, images=False) if k == number else own for k, own in enumerate(evidence.chains)),
+        )
+        chains = tuple(
+            replace(own, images=False) if own is not None and own.hold_hz == rate else own for own in evidence.chains
+        )
+        without = replace(evidence, chains=chains)
+        return (with_images, without) if told.there is None else (with_images if told.there else without,)
+    return ()
+
+
+def may_hold_images(test: Test, chain: MeasuringChain | None) -> bool:
+    """Whether a test is a random one that refers to a voltage whose images may be in it, nobody knows how."""
+    return (
+        isinstance(test, RandomTest)
+        and test.reference == "voltage"
+        and bool(test.channels)
+        and chain is not None
+        and chain.images
+        and math.isfinite(chain.hold_hz)
+    )
+
+
+def _response(evidence: Evidence, number: int, test: Test, channel: int, rig: Rig, rate: float) -> MeasuredResponse:
+    """One channel of a random test, line by line."""
+    rows = evidence.rows
+    mine = (rows.test == number) & (rows.channel == channel) & (rows.frequency_hz < _BELOW_FILTERS * rate)
+    mine &= evidence.std < _CLEAR_LINE
+    size, turn = (np.flatnonzero(mine & (rows.part == part)) for part in (Part.LOG_MAGNITUDE, Part.PHASE))
+    frequency, one, other = np.intersect1d(rows.frequency_hz[size], rows.frequency_hz[turn], return_indices=True)
+    view, own = ModelView.of(rig, test.drive_point), (test.channels[channel],)
+    images = [zero_order_images(view, own, frequency, rate, (order,))[0] for order in SEEN_ORDERS]
+    return MeasuredResponse(
+        frequency,
+        np.exp(evidence.values[size[one]] + 1j * evidence.values[turn[other]]),
+        zero_order_images(view, own, frequency, rate, (0,))[0],
+        np.array(images),
+    )
+
+
+def told_images(responses: Sequence[MeasuredResponse], rate: float, apart: float) -> ToldImages | None:
+    """Whether responses hold images of a held drive, and how they are turned; None where they hardly matter.
+
+    Every response may have a gain, a phase, a delay, a high-pass and a roll-off of its own. Errors of the model near
+    its resonances are taken as outliers. The images are there if including them improves the description by at least
+    half of what it would lose without them; they are not if including them makes it clearly worse.
+
+    Args:
+        responses: of one random test, one for each channel.
+        rate: of the drive's samples, Hz.
+        apart: standard deviation of the delays of the channels, samples.
+    """
+    usable = [own for own in responses if own.frequency_hz.size >= _FEWEST_LINES]
+    if not usable:
+        return None
+    turns = np.exp(2j * np.pi * np.outer(_ANGLES, SEEN_ORDERS))
+    held = [
+        [_fitted(own.frequency_hz, own.measured, own.plain + turn @ own.images) for turn in turns] for own in usable
+    ]
+    costs = np.array([[_cost(each) for each in of_channel] for of_channel in held])
+    # Each channel has the angle that suits it best, and that is near to the angle of all.
+    distance = np.abs(_ANGLES[:, np.newaxis] - _ANGLES)
+    distance = np.minimum(distance, 1.0 - distance) / max(apart, 1.0 / _ANGLES.size)
+    weighed = costs[:, np.newaxis, :] + distance**2
+    together = np.sum(np.min(weighed, axis=2), axis=0)
+    common = int(np.argmin(together))
+    gained = lost = 0.0
+    lead = []
+    for own, of_channel, cost, near in zip(usable, held, costs, weighed[:, common], strict=True):
+        best = int(np.argmin(near))
+        plain = _fitted(own.frequency_hz, own.measured, own.plain)
+        missed = _fitted(own.frequency_hz, own.plain + turns[best] @ own.images, own.plain)
+        least = min(plain.spread, of_channel[best].spread)
+        gained += _cost(plain) - float(cost[best])
+        lost += _cost(missed._replace(spread=least)) - _cost(missed._replace(left=0.0 * missed.left, spread=least))
+        lead.append(-rate * of_channel[best].delay_s)
+    if lost <= _CLEARLY:
+        return None
+    angle = _between(together, common)
+    there = None if _ABSENT * lost <= gained <= _THERE * lost else gained > 0.0
+    return ToldImages(there, angle + round(float(np.median(lead)) - angle))
+
+
+def _between(costs: FloatArray, best: int) -> float:
+    """The angle of least cost, by a parabola through the best one of the grid and its neighbours."""
+    before, at, after = (float(costs[(best + step) % costs.size]) for step in (-1, 0, 1))
+    bend = before - 2.0 * at + after
+    step = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+    return float((_ANGLES[best] + min(max(step, -0.5), 0.5) / costs.size) % 1.0)
+
+
+class _Description(NamedTuple):
+    """What a description leaves of a response: over the sum of both sizes, (lines,), typically, and its delay, s."""
+
+    left: FloatArray
+    spread: float
+    delay_s: float
+
+
+def _cost(found: _Description) -> float:
+    """Minus twice the log likelihood of what a description leaves, but for constants; large errors are outliers."""
+    return float(2.0 * np.sum(np.log(found.spread**2 + 0.1 * found.left**2)) / _ALIKE)
+
+
+def _fitted(hertz: FloatArray, measured: ComplexArray, expected: ComplexArray) -> _Description:
+    """What a response leaves of a measured one with the best gain, phase, delay, high-pass and roll-off."""
+    ratio = measured / expected
+    turning = np.exp(2j * np.pi * np.outer(_DELAYS_S, hertz))
+    best = int(np.argmax(np.abs(turning @ (ratio / np.abs(ratio)))))
+    late = turning[best]
+    # Over the size of both, so that neither a resonance nor a zero of the model weighs more than all else.
+    size = np.abs(expected) + np.abs(measured)
+    model, values = expected / late / size, measured / size
+    mean = hertz.mean()
+    over = hertz / mean
+    # A filter's roll-off and the bend of its phase go with the second and the third power.
+    own = [model * factor for factor in (np.ones(hertz.size), 1j, 1j * over, 1j / over, over**2, 1j * over**3)]
+    design = np.concatenate([np.real(own), np.imag(own)], axis=1).T
+    target = np.concatenate([values.real, values.imag])
+    weights = np.ones(hertz.size)
+    left, spread = weights, 1.0
+    for _ in range(_TURNS):
+        both = np.concatenate([weights, weights])
+        solution, *_ = np.linalg.lstsq(design * both[:, np.newaxis], target * both, rcond=None)
+        left = np.hypot(*np.split(target - design @ solution, 2))
+        spread = max(float(np.median(left)), _LEAST_SPREAD)
+        weights = 1.0 / (1.0 + (left / (2.0 * spread)) ** 2)
+    return _Description(left, spread, float(_DELAYS_S[best]))

@@ -32,6 +32,8 @@ from nmt_plant.simulated_rig import SimulatedRig
 from nmt_record.bag_reader import Bag
 
 MODAL = blind_rig("modal_beam").model()
+# Of the sensors of the modal beam, s.
+_DELAYS = (-0.9 / 5000.0, 0.4 / 5000.0, 2.3 / 5000.0, -0.5 / 5000.0, 0.0, 0.0)
 RIG = short_rig()
 MODEL = RIG.model()
 
@@ -130,6 +132,20 @@ def test_the_drive_is_held_and_distorted_as_drawn() -> None:
     assert np.abs(apart[jumps] / still - 1.0).max() < 0.05 * np.abs(held[0][jumps] / plain[0][jumps] / late - 1.0).max()
     np.testing.assert_allclose(rough[1][voltage], 1e-4j, rtol=1e-6)
     np.testing.assert_allclose(rough[0][voltage], 0.1, rtol=1e-9)
+
+
+def test_channels_lead_and_lag_by_what_they_should_far_up_too() -> None:
+    """At a fifth of the sample rate, where six samples say little of what is between them."""
+    frequency, lead = 1000.0, 0.9 / MODAL.sample_rate_hz
+    moved = [s.model_copy(update={"delay_s": delay}) for s, delay in zip(MODAL.sensors, _DELAYS, strict=True)]
+    prompt, apart = (
+        _amplitudes(_started(LaboratoryRig(rig, Converters(held=True, filtered=True))), frequency, (1,))[0]
+        for rig in (MODAL, MODAL.model_copy(update={"sensors": moved}))
+    )
+    assert min(_DELAYS) == -lead
+    expected = np.exp(-2j * np.pi * frequency * np.array(_DELAYS))
+    # The filter leaves some 0.3 % of the image at four fifths of the sample rate.
+    np.testing.assert_allclose(apart / prompt, expected, rtol=3e-3)
 
 
 def test_a_bag_with_tolerances_says_that_it_comes_from_elsewhere(tmp_path: Path) -> None:

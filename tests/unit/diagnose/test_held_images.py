@@ -1,0 +1,148 @@
+"""A drive that is held from sample to sample, seen through channels without anti-alias filters and with them.
+
+The witness is the sampled system in closed form: modes by matrix exponentials, the output a share of a sample after the
+drive has moved on. It shares nothing with the sum over images that the diagnosis works with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from unit.diagnose.twin_tests import noise_test, rows_of
+
+from nmt_blind.cases.blind_rigs import blind_rig
+from nmt_core.blocks import Quantity
+from nmt_diagnose.evidence.conditions import RandomTest
+from nmt_diagnose.evidence.measuring_chain import MeasuringChain
+from nmt_diagnose.evidence.observables import Evidence, Part, Rows
+from nmt_diagnose.inference.held_images import told_drives
+from nmt_diagnose.twin.forward import Forward
+from nmt_rig.rig import Rig
+
+MODEL = blind_rig("modal_beam").model()
+RATE = float(MODEL.sample_rate_hz)
+_POWER = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
+
+
+def _random(count: int = 80) -> tuple[RandomTest, Rows]:
+    test, table = noise_test(MODEL, 30.0, 1100.0, count, window="none")
+    rows = rows_of(table)
+    return test, replace(rows, frequency_hz=test.lines_hz[rows.level])
+
+
+def _sampled(rig: Rig, test: RandomTest, at: float) -> np.ndarray:
+    """Responses (lines, channels) of the modes to samples that are held, sampled a share of a sample after a step."""
+    structure = rig.structure
+    points = [int(point) for point in structure.points]
+    z = np.exp(2j * np.pi * test.lines_hz / RATE)
+    result = np.zeros((test.lines_hz.size, len(test.channels)), dtype=complex)
+    whole = int(np.floor(at))
+    for mode in structure.modes:
+        omega = 2.0 * np.pi * mode.frequency_hz
+        shape = np.array(mode.shape) / np.sqrt(getattr(mode, "modal_mass_kg", None) or 1.0)
+        drive = float(shape[points.index(test.drive_point)])
+        # State (q, q', u) with u constant over a sample.
+        system = np.array([[0.0, 1.0, 0.0], [-(omega**2), -2.0 * mode.damping_ratio * omega, drive], [0.0, 0.0, 0.0]])
+        step, part = expm(system / RATE), expm(system * (at - whole) / RATE)
+        states = np.array([
+            np.append(np.linalg.solve(z_line * np.eye(2) - step[:2, :2], step[:2, 2]), 1.0) for z_line in z
+        ])  # fmt: skip
+        after = states @ part.T
+        for column, channel in enumerate(test.channels):
+            if channel.quantity in _POWER:
+                seen = (after @ np.linalg.matrix_power(system, _POWER[channel.quantity]).T)[:, 0]
+                result[:, column] += shape[points.index(channel.point)] * seen * z**whole
+    for column, channel in enumerate(test.channels):
+        if channel.quantity is Quantity.FORCE:
+            result[:, column] = z**whole
+    return result
+
+
+def _values(responses: np.ndarray, rows: Rows) -> np.ndarray:
+    own = np.log(responses[rows.level, rows.channel])
+    return np.where(rows.part == Part.PHASE, own.imag, own.real)
+
+
+def _off(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    return np.abs(found - expected) / np.abs(expected).max(axis=0)
+
+
+@pytest.mark.parametrize("at", [0.25, 0.8, -0.3, 1.6])
+def test_a_held_drive_seen_without_filters_is_the_sampled_system(at: float) -> None:
+    test, rows = _random()
+    held = replace(test, drive_hold_hz=RATE, sampled_at=at)
+    values = Forward([held], rows).predict(MODEL).values
+    found = np.zeros((test.lines_hz.size, len(test.channels)), dtype=complex)
+    for part, factor in ((Part.LOG_MAGNITUDE, 1.0), (Part.PHASE, 1j)):
+        mine = rows.part == part
+        found[rows.level[mine], rows.channel[mine]] += factor * values[mine]
+    assert _off(np.exp(found), _sampled(MODEL, test, at)).max() < 2e-3
+    # Without images it is far from that.
+    smooth = Forward([test], rows).predict(MODEL).values
+    assert np.abs(smooth - _values(_sampled(MODEL, test, at), rows)).max() > 0.1
+
+
+def test_the_delay_of_a_sensor_turns_its_images() -> None:
+    """A channel that is late sees an earlier part of the held sample."""
+    test, rows = _random()
+    late = [
+        sensor if sensor.quantity == "voltage" else sensor.model_copy(update={"delay_s": 0.2 / RATE})
+        for sensor in MODEL.sensors
+    ]
+    moved = MODEL.model_copy(update={"sensors": late})
+    found = Forward([replace(test, drive_hold_hz=RATE, sampled_at=0.7)], rows).predict(moved).values
+    expected = Forward([replace(test, drive_hold_hz=RATE, sampled_at=0.5)], rows).predict(MODEL).values
+    turned = (found - expected + np.pi) % (2.0 * np.pi) - np.pi
+    assert np.abs(np.where(rows.part == Part.PHASE, turned, found - expected)).max() < 2e-2
+
+
+def _evidence(responses: np.ndarray, test: RandomTest, rows: Rows, seed: int, noise: float = 2e-3) -> Evidence:
+    values = _values(responses, rows) + noise * np.random.default_rng(seed).standard_normal(len(rows))
+    full = np.full(len(rows), noise)
+    return Evidence((test,), rows, values, full, 0.0 * full, chains=(MeasuringChain(hold_hz=RATE),))
+
+
+def _off_by(factor: float) -> Rig:
+    """The model with frequencies a little off, as after a first re-fit."""
+    modes = [
+        mode.model_copy(update={"frequency_hz": mode.frequency_hz * (1.0 + factor * sign)})
+        for mode, sign in zip(MODEL.structure.modes, (1.0, -1.0, 0.5), strict=True)
+    ]
+    return MODEL.model_copy(update={"structure": MODEL.structure.model_copy(update={"modes": modes})})
+
+
+@pytest.mark.parametrize("at", [0.25, -0.2])
+def test_images_that_are_there_are_found_and_when_the_channels_are_sampled(at: float) -> None:
+    test, rows = _random()
+    told = told_drives(_evidence(_sampled(MODEL, test, at), test, rows, 1), _off_by(2e-4))
+    assert len(told) == 1
+    (seen,) = told[0].tests
+    assert isinstance(seen, RandomTest)
+    assert seen.sampled_at == pytest.approx(at, abs=0.08)
+    assert seen.drive_hold_hz == RATE
+    assert not told[0].chains[0].images
+
+
+def test_filters_that_keep_images_out_are_found() -> None:
+    test, rows = _random()
+    values = Forward([test], rows).predict(MODEL).values
+    late = 1e-4 * 2.0 * np.pi * rows.frequency_hz * (rows.part == Part.PHASE)
+    gain = 0.01 * (rows.part == Part.LOG_MAGNITUDE) * (rows.channel == 1)
+    noise = 2e-3 * np.random.default_rng(2).standard_normal(len(rows))
+    full = np.full(len(rows), 2e-3)
+    chains = (MeasuringChain(hold_hz=RATE),)
+    evidence = Evidence((test,), rows, values - late + gain + noise, full, 0.0 * full, chains=chains)
+    told = told_drives(evidence, _off_by(2e-4))
+    assert len(told) == 1
+    assert told[0].tests == evidence.tests
+    assert not told[0].chains[0].images
+
+
+def test_where_images_hardly_matter_nothing_is_told() -> None:
+    test, rows = _random()
+    noisy = _evidence(_sampled(MODEL, test, 0.25), test, rows, 3, noise=2e-2)
+    assert told_drives(noisy, MODEL) == ()
+    assert told_drives(replace(noisy, chains=(None,)), MODEL) == ()

@@ -230,7 +230,7 @@ class Sensitivity:
         largest = float(np.max(np.abs(shifts[own])))
         if largest < _SMALL_STEP or (size <= _IMITATED * found and largest <= _LARGEST_STEP):
             return found
-        made, least = np.zeros(shifts.size), math.inf
+        made, least, changes, values = np.zeros(shifts.size), math.inf, self._nuisance, self.base.values
         for _ in range(_TURNS):
             # What the phase at lock takes stays linear; the model is not moved by it.
             step = np.where(own, np.clip(shifts - made, -_LARGEST_STEP, _LARGEST_STEP), 0.0)
@@ -240,10 +240,14 @@ class Sensitivity:
                 for (path, (value, std)), shift in zip(paths.items(), made, strict=False)
             ]
             try:
-                moved = self.observe(with_edits(self.model, edits))
+                moved = self.observe(with_edits(self.model, edits)).values
             except BenchError as error:
                 raise TrialError(str(error)) from error
-            _, found, shifts = self._fitted(observed, moved.values, made)
+            # Along the step the changes are known now (Broyden's update).
+            missed = np.nan_to_num(moved - values - changes @ step)
+            changes = changes + np.outer(missed, step) / max(float(step @ step), 1e-12)
+            values = moved
+            _, found, shifts = self._fitted(observed, values, made, changes)
             settled = float(np.max(np.abs((shifts - made)[own]))) < _SMALL_STEP
             if settled and found > (1.0 - _WORTH) * least:
                 break
@@ -251,7 +255,9 @@ class Sensitivity:
         # Whatever shifts leave least is at most what the best ones leave.
         return min(least, found)
 
-    def _fitted(self, observed: Observed, values: FloatArray, shifts: FloatArray) -> tuple[float, float, FloatArray]:
+    def _fitted(
+        self, observed: Observed, values: FloatArray, shifts: FloatArray, changes: FloatArray | None = None
+    ) -> tuple[float, float, FloatArray]:
         """Size of the difference from the plain model, σ after the best shifts about given ones, and these."""
         good = np.isfinite(observed.values) & np.isfinite(values) & np.isfinite(self.base.noise)
         levels = np.unique(self.base.level[good & (self.base.level >= 0)]).size
@@ -259,7 +265,7 @@ class Sensitivity:
             raise TrialError(f"only {levels} levels locked")
         scale = 1.0 / self.base.noise[good]
         d = (observed.values - values)[good] * scale
-        c = self._nuisance[good] * scale[:, np.newaxis]
+        c = (self._nuisance if changes is None else changes)[good] * scale[:, np.newaxis]
         step = np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, c.T @ d - shifts)
         rest, total = d - c @ step, shifts + step
         whole = np.nan_to_num((observed.values - self.base.values)[good] * scale)

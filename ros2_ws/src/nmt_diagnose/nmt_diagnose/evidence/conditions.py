@@ -112,6 +112,7 @@ class RandomTest:
             around multiples of that rate.
         sampled_at: for a drive that was held from sample to sample at that rate, and channels without anti-alias
             filters: when they are sampled, in samples after the drive has moved on; None = otherwise.
+        rise: time that the drive takes to move on, in samples.
     """
 
     name: str
@@ -126,6 +127,7 @@ class RandomTest:
     stop_s: float
     drive_hold_hz: float = math.inf
     sampled_at: float | None = None
+    rise: float = 0.0
 
 
 @dataclass(frozen=True)

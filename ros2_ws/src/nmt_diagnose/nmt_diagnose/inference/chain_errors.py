@@ -45,6 +45,8 @@ _IMAGE_ORDERS = tuple((order,) for order in (-1, 1, -2, 2, -3, 3, -4, 4))
 _IMAGE_FLOOR, _SAME_FOR_LEVELS = 1.0, 0.2
 # Samples about the step of a held drive in which it is on the way, and what that makes of a response at most, relative.
 _JUMP, _JUMP_FLOOR = 0.1, 3e-3
+# Time that such a drive takes to move on, samples; what images that are part of the model may be off by, relative.
+_RISE, _KNOWN_IMAGES = 0.05, 0.01
 # What the model's response to a harmonic of the drive may be off by, relative.
 _DRIVEN_FLOOR = 0.03
 _CLOCK_STEP = 1e-5
@@ -206,7 +208,7 @@ class _Columns:
         found += [shared * group for group in (*groups.values(), np.sum(list(groups.values()), axis=0))]
         voltage_gain = max(chain.voltage_gain for chain in self.own)
         found += [voltage_gain * self._voltage(base), voltage_gain * self._recorded_voltage()]
-        found += self._hold(self._slopes(base), base.values)
+        found += self._hold(self._slopes(base), base)
         clock = self.rig.model_copy(update={"clock_error": self.rig.clock_error + _CLOCK_STEP})
         moved = forward.difference(forward.predict(clock, base).values, base.values)
         found.append(max(chain.clock for chain in self.own) * moved / _CLOCK_STEP)
@@ -428,7 +430,7 @@ class _Columns:
                 found.append((int(row), np.flatnonzero(same)))
         return found
 
-    def _hold(self, slopes: FloatArray, base: FloatArray) -> list[FloatArray]:
+    def _hold(self, slopes: FloatArray, base: Prediction) -> list[FloatArray]:
         """A drive that is held over each sample: smaller, half a sample late, and with images.
 
         A sampler with a delay τ of its own turns the image of order m by 2π m f_h τ, any angle; so each has an
@@ -447,7 +449,8 @@ class _Columns:
                 if np.isfinite(rate):
                     share = self.rows.frequency_hz[mine] / rate
                     direct[mine] = np.log(np.maximum(np.sinc(share), 1e-3)) - 1j * np.pi * share
-            found.append(self._parts(direct) + self._late(base, tests))
+            found.append(self._parts(direct) + self._late(base.values, tests))
+        found.append(self._other_steps(base, rise=_RISE))
         harmonics = self._over_fundamental()
         for channel in self.channels:
             own = self._rows_of(channel)
@@ -455,7 +458,7 @@ class _Columns:
                 for turned in (images, 1j * images):
                     changed = self._parts(turned) * own
                     for fundamental, above in harmonics:
-                        changed[above] = -base[above] * changed[fundamental]
+                        changed[above] = -base.values[above] * changed[fundamental]
                     found.append(changed + slopes * self._turned(channel, turned))
         return found
 
@@ -467,6 +470,14 @@ class _Columns:
             if channel in names:
                 own |= (self.rows.test == number) & (self.rows.channel == names.index(channel))
         return own
+
+    def _other_steps(self, base: Prediction, **changes: Any) -> FloatArray:
+        """Change of the rows if the steps of a held drive were others, where their images are part of the model."""
+        moved = tuple(
+            replace(test, **changes) if isinstance(test, RandomTest) and test.sampled_at is not None else test
+            for test in self.tests
+        )
+        return np.nan_to_num(self._moved(moved, base))
 
     def _turned(self, channel: str, images: ComplexArray) -> FloatArray:
         """By how much the phase between force and response truly was off at each locked row, if images were in it."""
@@ -520,6 +531,9 @@ class _Columns:
                 # No drive jumps at once: what is sampled at that moment sees something between.
                 near = abs(test.sampled_at - round(test.sampled_at)) < _JUMP
                 result[(self.rows.test == number) & self._linear_rows(number)] += _JUMP_FLOOR if near else 0.0
+        result += _KNOWN_IMAGES * np.abs(
+            self._other_steps(self._start(prediction), sampled_at=None, drive_hold_hz=math.inf)
+        )
         # Near zeros of a response images are as large as the response: there ln(1 + z) is far from z.
         result += 0.5 * size**2
         values = prediction.values[self.mine]

@@ -115,7 +115,9 @@ def may_hold_images(test: Test, chain: MeasuringChain | None) -> bool:
     )
 
 
-def _response(evidence: Evidence, number: int, test: RandomTest, channel: int, rig: Rig, rate: float) -> MeasuredResponse:
+def _response(
+    evidence: Evidence, number: int, test: RandomTest, channel: int, rig: Rig, rate: float
+) -> MeasuredResponse:
     """One channel of a random test, line by line."""
     rows = evidence.rows
     mine = (rows.test == number) & (rows.channel == channel) & (rows.frequency_hz < _BELOW_FILTERS * rate)

@@ -69,11 +69,12 @@ class HeldSteps:
     """What channels without anti-alias filters see of a drive that is held from sample to sample.
 
     The tone e^{iωt} of the samples becomes Σ_m S(f + m f_h) e^{2πi (f + m f_h) t}, S(x) = sinc(x/f_h) e^{−iπx/f_h}. A
-    channel that is sampled a time s after the drive has moved on sees all of these turned by 2π (f + m f_h) s.
+    channel that is sampled a time s after the drive has moved on sees all of these turned by 2π (f + m f_h) s. A drive
+    that moves on in a straight line within a time r has sinc(x r) in addition.
 
     Attributes:
         rate: f_h, Hz.
-        sampled_at: s, in samples.
+        sampled_at, rise: s and r, in samples.
         lines: (lines,) Hz.
         nodes: (nodes,) between which a polynomial does, Hz.
         frequencies: (images · nodes,) where responses are wanted, Hz.
@@ -83,6 +84,7 @@ class HeldSteps:
 
     rate: float
     sampled_at: float
+    rise: float
     lines: FloatArray
     nodes: FloatArray
     frequencies: FloatArray
@@ -90,10 +92,10 @@ class HeldSteps:
     between: FloatArray
 
     @classmethod
-    def of(cls, lines: FloatArray, rate: float, sampled_at: float) -> HeldSteps:
+    def of(cls, lines: FloatArray, rate: float, sampled_at: float, rise: float) -> HeldSteps:
         """For some lines (Hz) and the rate of the samples (Hz)."""
         plain = folding(lines, rate)
-        return cls(rate, sampled_at, lines, plain.nodes, plain.frequencies, plain.below, plain.between)
+        return cls(rate, sampled_at, rise, lines, plain.nodes, plain.frequencies, plain.below, plain.between)
 
     def seen(self, responses: ComplexArray, above: ComplexArray, delays: FloatArray) -> ComplexArray:
         """Responses to the samples (lines, channels).
@@ -108,21 +110,20 @@ class HeldSteps:
         images = above.reshape((*self.below.shape, -1))
         images = np.where(self.below[:, :, np.newaxis], np.conj(images), images)
         place = (self.nodes / self.rate + orders)[:, :, np.newaxis]
-        folded_down = self.between @ np.sum(_held(place) * np.exp(2j * np.pi * place * at) * images, axis=0)
+        folded_down = self.between @ np.sum(self._held(place) * np.exp(2j * np.pi * place * at) * images, axis=0)
         share = (self.lines / self.rate)[:, np.newaxis]
-        own = _held(share) * np.exp(2j * np.pi * share * self.sampled_at)
+        own = self._held(share) * np.exp(2j * np.pi * share * self.sampled_at)
         # All images of a response of 1 at all frequencies add up to the step that the channel sees: beyond those that
         # are taken one by one nothing resonates, what passes there is passed at once.
         place = (self.lines / self.rate + np.vstack([np.zeros((1, 1)), orders]))[:, :, np.newaxis]
-        one_by_one = np.sum(_held(place) * np.exp(2j * np.pi * place * at), axis=0)
+        one_by_one = np.sum(self._held(place) * np.exp(2j * np.pi * place * at), axis=0)
         rest = np.exp(2j * np.pi * share * np.floor(at)) - one_by_one
         return np.asarray(own * responses + folded_down + rest * images[-1].real.mean(axis=0))
 
-
-def _held(share: FloatArray) -> ComplexArray:
-    """S at frequencies over the rate of the samples."""
-    result: ComplexArray = np.sinc(share) * np.exp(-1j * np.pi * share)
-    return result
+    def _held(self, share: FloatArray) -> ComplexArray:
+        """S at frequencies over the rate of the samples."""
+        result: ComplexArray = np.sinc(share) * np.sinc(share * self.rise) * np.exp(-1j * np.pi * share)
+        return result
 
 
 class RandomTwin:
@@ -166,9 +167,9 @@ class RandomTwin:
         rate = test.drive_hold_hz
         held = math.isfinite(rate) and test.reference == "voltage" and test.lines_hz.size > 0
         self._folding = folding(test.lines_hz, rate) if held and test.sampled_at is None else None
-        self._steps = (
-            HeldSteps.of(test.lines_hz, rate, test.sampled_at) if held and test.sampled_at is not None else None
-        )
+        self._steps: HeldSteps | None = None
+        if held and test.sampled_at is not None:
+            self._steps = HeldSteps.of(test.lines_hz, rate, test.sampled_at, test.rise)
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""

@@ -99,6 +99,24 @@ def test_the_delay_of_a_sensor_turns_its_images() -> None:
     assert np.abs(np.where(rows.part == Part.PHASE, turned, found - expected)).max() < 2e-2
 
 
+def test_a_low_pass_far_above_smooths_the_step_and_nothing_else() -> None:
+    """Against a filter of first order in closed form, on a force that follows the drive at once."""
+    test, rows = _random()
+    corner, at = 20_000.0, 0.1
+    slow = [s.model_copy(update={"low_pass_hz": corner}) if s.quantity == "force" else s for s in MODEL.sensors]
+    found = Forward([replace(test, drive_hold_hz=RATE, sampled_at=at)], rows).predict(
+        MODEL.model_copy(update={"sensors": slow})
+    )
+    force = next(k for k, channel in enumerate(test.channels) if channel.quantity is Quantity.FORCE)
+    mine = (rows.channel == force) & (rows.part == Part.LOG_MAGNITUDE)
+    z = np.exp(2j * np.pi * test.lines_hz / RATE)
+    # State of the filter at the samples, and a tenth of one later.
+    whole, part = np.exp(-2.0 * np.pi * corner / RATE), np.exp(-2.0 * np.pi * corner * at / RATE)
+    expected = part * (1.0 - whole) / (z - whole) + 1.0 - part
+    np.testing.assert_allclose(np.exp(found.values[mine]), np.abs(expected)[rows.level[mine]], rtol=2e-4)
+    assert np.ptp(np.abs(expected)) > 0.02
+
+
 def _evidence(responses: np.ndarray, test: RandomTest, rows: Rows, seed: int, noise: float = 2e-3) -> Evidence:
     values = _values(responses, rows) + noise * np.random.default_rng(seed).standard_normal(len(rows))
     full = np.full(len(rows), noise)

@@ -13,6 +13,7 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.evidence.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_diagnose.twin.held_steps import HeldSteps
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import sensor_gain
@@ -64,68 +65,6 @@ def folding(lines: FloatArray, rate: float) -> Folding:
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class HeldSteps:
-    """What channels without anti-alias filters see of a drive that is held from sample to sample.
-
-    The tone e^{iωt} of the samples becomes Σ_m S(f + m f_h) e^{2πi (f + m f_h) t}, S(x) = sinc(x/f_h) e^{−iπx/f_h}. A
-    channel that is sampled a time s after the drive has moved on sees all of these turned by 2π (f + m f_h) s. A drive
-    that moves on in a straight line within a time r has sinc(x r) in addition.
-
-    Attributes:
-        rate: f_h, Hz.
-        sampled_at, rise: s and r, in samples.
-        lines: (lines,) Hz.
-        nodes: (nodes,) between which a polynomial does, Hz.
-        frequencies: (images · nodes,) where responses are wanted, Hz.
-        below: (images, nodes) whether an image lies below zero.
-        between: (lines, nodes) from the nodes to the lines.
-    """
-
-    rate: float
-    sampled_at: float
-    rise: float
-    lines: FloatArray
-    nodes: FloatArray
-    frequencies: FloatArray
-    below: NDArray[np.bool_]
-    between: FloatArray
-
-    @classmethod
-    def of(cls, lines: FloatArray, rate: float, sampled_at: float, rise: float) -> HeldSteps:
-        """For some lines (Hz) and the rate of the samples (Hz)."""
-        plain = folding(lines, rate)
-        return cls(rate, sampled_at, rise, lines, plain.nodes, plain.frequencies, plain.below, plain.between)
-
-    def seen(self, responses: ComplexArray, above: ComplexArray, delays: FloatArray) -> ComplexArray:
-        """Responses to the samples (lines, channels).
-
-        Args:
-            responses: to a smooth drive (lines, channels).
-            above: those at ``frequencies``, but for the delays of the sensors (images · nodes, channels).
-            delays: of the sensors, s, (channels,).
-        """
-        orders = np.array(IMAGES)[:, np.newaxis]
-        at = self.sampled_at - self.rate * delays
-        images = above.reshape((*self.below.shape, -1))
-        images = np.where(self.below[:, :, np.newaxis], np.conj(images), images)
-        place = (self.nodes / self.rate + orders)[:, :, np.newaxis]
-        folded_down = self.between @ np.sum(self._held(place) * np.exp(2j * np.pi * place * at) * images, axis=0)
-        share = (self.lines / self.rate)[:, np.newaxis]
-        own = self._held(share) * np.exp(2j * np.pi * share * self.sampled_at)
-        # All images of a response of 1 at all frequencies add up to the step that the channel sees: beyond those that
-        # are taken one by one nothing resonates, what passes there is passed at once.
-        place = (self.lines / self.rate + np.vstack([np.zeros((1, 1)), orders]))[:, :, np.newaxis]
-        one_by_one = np.sum(self._held(place) * np.exp(2j * np.pi * place * at), axis=0)
-        rest = np.exp(2j * np.pi * share * np.floor(at)) - one_by_one
-        return np.asarray(own * responses + folded_down + rest * images[-1].real.mean(axis=0))
-
-    def _held(self, share: FloatArray) -> ComplexArray:
-        """S at frequencies over the rate of the samples."""
-        result: ComplexArray = np.sinc(share) * np.sinc(share * self.rise) * np.exp(-1j * np.pi * share)
-        return result
-
-
 class RandomTwin:
     """Predicts the frequency responses of one random test.
 
@@ -169,7 +108,10 @@ class RandomTwin:
         self._folding = folding(test.lines_hz, rate) if held and test.sampled_at is None else None
         self._steps: HeldSteps | None = None
         if held and test.sampled_at is not None:
-            self._steps = HeldSteps.of(test.lines_hz, rate, test.sampled_at, test.rise)
+            down = folding(test.lines_hz, rate)
+            self._steps = HeldSteps(
+                rate, test.sampled_at, test.rise, test.lines_hz, down.nodes, np.array(IMAGES), down.between
+            )
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""
@@ -193,12 +135,11 @@ class RandomTwin:
         )
         result = self._smoothed(parts, self.frequencies, fractions)
         if self._steps is not None:
-            # A sensor's delay is part of when it is sampled.
             chains = parts.channels[self._own]
-            prompt = chains.copy()
-            prompt[:, 1] = 0.0
-            above = self._plain(parts, self._steps.frequencies, fractions, prompt)[:, :-1]
-            return self._steps.seen(result, above, chains[:-1, 1])
+            plain = chains.copy()
+            plain[:, 1:3] = 0.0
+            above = self._plain(parts, self._steps.frequencies, fractions, plain)[:, :-1]
+            return self._steps.seen(result, above, chains[:-1, 1], chains[:-1, 2])
         if self._folding is None:
             return result
         return np.asarray(self._folding.own * result + self._images(parts, self._folding, fractions))

@@ -43,8 +43,9 @@ _IMAGE_ORDERS = tuple((order,) for order in (-1, 1, -2, 2, -3, 3, -4, 4))
 # noise of each line it must be larger by the root of their number not to count for more than it is. The share of it
 # that differs from level to level.
 _IMAGE_FLOOR, _SAME_FOR_LEVELS = 1.0, 0.2
-# Samples about the step of a held drive in which it is on the way, and what that makes of a response at most, relative.
-_JUMP, _JUMP_FLOOR = 0.1, 3e-3
+# Samples about the step of a held drive in which it is on the way, time constant of that, and what is left of a
+# response at most, relative.
+_JUMP, _SMOOTH, _JUMP_FLOOR = 0.15, 0.03, 1e-3
 # Time that such a drive takes to move on, samples; what images that are part of the model may be off by, relative.
 _RISE, _KNOWN_IMAGES = 0.05, 0.01
 # What the model's response to a harmonic of the drive may be off by, relative.
@@ -203,6 +204,9 @@ class _Columns:
                 # Its high-pass leads by ω_h/ω: by the phase that is stated at the mode that is tested.
                 lead = change(_edited(self.rig, own, partial(_leading, corner_hz=_LEAD_STEP * tested)), _LEAD_STEP)
                 found.append(tolerance.phase * lead)
+            if any(_near_step(test) for test in self.tests):
+                smooth = partial(_smoothed, time_s=_SMOOTH / self._step_rate())
+                found.append(change(_edited(self.rig, own, smooth), 1.0))
         # Sensors of one kind share their conditioners; all of them together may be late against the voltage.
         shared = max(chain.shared_delay_s for chain in self.own)
         found += [shared * group for group in (*groups.values(), np.sum(list(groups.values()), axis=0))]
@@ -295,6 +299,10 @@ class _Columns:
         forward = Forward([tests[number] for number in others], rows)
         result[mine] = forward.difference(forward.predict(self.rig, start).values, base.values[mine])
         return result
+
+    def _step_rate(self) -> float:
+        """Rate of the held drive whose images are part of the model, Hz."""
+        return min(t.drive_hold_hz for t in self.tests if isinstance(t, RandomTest) and t.sampled_at is not None)
 
     def _tested(self) -> float:
         """Frequency at which the phase of a channel is stated: that of the locked windows, Hz."""
@@ -528,9 +536,7 @@ class _Columns:
                 result[(self.rows.test == number) & self._linear_rows(number)] *= _SAME_FOR_LEVELS
         for number, test in enumerate(self.tests):
             if isinstance(test, RandomTest) and test.sampled_at is not None:
-                # No drive jumps at once: what is sampled at that moment sees something between.
-                near = abs(test.sampled_at - round(test.sampled_at)) < _JUMP
-                result[(self.rows.test == number) & self._linear_rows(number)] += _JUMP_FLOOR if near else 0.0
+                result[(self.rows.test == number) & self._linear_rows(number)] += _JUMP_FLOOR * _near_step(test)
         result += _KNOWN_IMAGES * np.abs(
             self._other_steps(self._start(prediction), sampled_at=None, drive_hold_hz=math.inf)
         )
@@ -555,6 +561,21 @@ def _louder(sensor: SensorSection) -> SensorSection:
 
 def _leading(sensor: SensorSection, corner_hz: float) -> SensorSection:
     return sensor.model_copy(update={"high_pass_hz": (sensor.high_pass_hz or 0.0) + corner_hz})
+
+
+def _smoothed(sensor: SensorSection, time_s: float) -> SensorSection:
+    corner = 1.0 / (2.0 * math.pi * time_s)
+    return sensor.model_copy(update={"low_pass_hz": min(sensor.low_pass_hz or math.inf, corner)})
+
+
+def _near_step(test: Test) -> bool:
+    """Whether images are part of the model, and the channels are sampled about when the held drive moves on.
+
+    No drive jumps at once: what is sampled at that moment sees something between.
+    """
+    if not isinstance(test, RandomTest) or test.sampled_at is None:
+        return False
+    return abs(test.sampled_at - round(test.sampled_at)) < _JUMP
 
 
 def _later(sensor: SensorSection) -> SensorSection:

@@ -30,6 +30,7 @@ from nmt_rig.model.structure import Array
 _PIECEWISE_LINEAR = frozenset({JENKINS, UNILATERAL_STOP, TWO_SIDED_GAP})
 # A corner is timed to step / 2^8; its error in impulse falls with the square of that.
 CORNER_LEVELS = 8
+_LINE = 8  # numbers
 # Share of a force that it causes itself by the end of a step, below which forces at many places are iterated for.
 _ITERATED_BELOW = 0.05
 
@@ -257,8 +258,10 @@ class TimeIntegrator:
         n = inputs.size - 1
         p = self._propagator
         if self._history.shape[1] < n:
-            self._history = np.empty((self._state.size, n))
-            self._force_history = np.empty((p.port_feedthrough.shape[1], n))
+            # Rows an odd number of cache lines apart: at a power of two a sample's values share one place of the cache.
+            width = n + (_LINE - n) % (2 * _LINE)
+            self._history = np.empty((self._state.size, width))
+            self._force_history = np.empty((p.port_feedthrough.shape[1], width))
         result = np.empty((self._c.shape[0], n))
         if self._at_many_places:
             good = integrate_contacts(

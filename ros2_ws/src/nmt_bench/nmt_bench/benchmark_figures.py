@@ -35,6 +35,7 @@ LIMIT_MANY_LEVELS = 0.6
 LIMIT_GROWTH = 4.5
 LIMIT_OPENING = 50.0
 LIMIT_CONTACTS = 10.0
+LIMIT_CHANNELS = 10.0
 _CONTACTS = 49
 # A beam whose joint slips earlier than its model says, with a sensor that shows too much and noise as in the paper.
 _MEASURED = (
@@ -71,8 +72,8 @@ class Figure:
 
 
 def plant_figures(seconds: float) -> list[Figure]:
-    """Time integration of the beam beside its limit and beside scipy's solve_ivp; friction at many places."""
-    from nmt_plant.benchmark import contact_speed, owned_output_cost, run_benchmark
+    """Time integration of the beam beside its limit and scipy's solve_ivp; friction at many places; many channels."""
+    from nmt_plant.benchmark import channel_speed, contact_speed, owned_output_cost, run_benchmark
     from nmt_rig.rig import load_rig
 
     rig = load_rig("beam")
@@ -84,6 +85,7 @@ def plant_figures(seconds: float) -> list[Figure]:
     every = contact_speed(_CONTACTS, _CONTACTS // 10, 0.05, every_place=True)
     all_slip = contact_speed(_CONTACTS, _CONTACTS)
     growth = contact_speed(12, 3) / contact_speed(48, 12)
+    channels, more_channels = channel_speed(32), channel_speed(12) / channel_speed(48)
     name = f"plant: {_CONTACTS} joints along a beam"
     contacts = [
         Figure(f"{name}, {_CONTACTS // 10} slip", few, "× real time", LIMIT_CONTACTS, _AT_LEAST, few >= LIMIT_CONTACTS),
@@ -96,6 +98,22 @@ def plant_figures(seconds: float) -> list[Figure]:
             LIMIT_GROWTH,
             _AT_MOST,
             growth <= LIMIT_GROWTH,
+        ),
+        Figure(
+            "plant: whole device, 49 elements, 32 channels, 51.2 kHz",
+            channels,
+            "× real time",
+            LIMIT_CHANNELS,
+            _AT_LEAST,
+            channels >= LIMIT_CHANNELS,
+        ),
+        Figure(
+            "plant: growth over four times the channels",
+            more_channels,
+            "×",
+            LIMIT_GROWTH,
+            _AT_MOST,
+            more_channels <= LIMIT_GROWTH,
         ),
     ]
     return [

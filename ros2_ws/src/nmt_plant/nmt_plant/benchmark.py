@@ -21,7 +21,7 @@ from nmt_rig.model.beam import euler_bernoulli_cantilever
 from nmt_rig.model.local_elements import JENKINS, Jenkins
 from nmt_rig.model.propagator import state_space
 from nmt_rig.model.time_integration import TimeIntegrator
-from nmt_rig.rig import Rig
+from nmt_rig.rig import Rig, SensorSection, load_rig
 from nmt_rig.rig_model import build_system
 
 _LOOK = 1e-3  # s, as often as the plant node looks in real time
@@ -246,3 +246,44 @@ def contact_speed(places: int, slipping: int, seconds: float = 0.5, every_place:
     for k in range(blocks):
         integrator.advance(drive[k * block : (k + 1) * block + 1])
     return blocks * block / rate / (time.thread_time() - begin)
+
+
+def channel_speed(channels: int, seconds: float = 0.5) -> float:
+    """Multiple of real time of the whole device: the rig `beam` with 49 elements at 51.2 kHz, blocks of 40 ms.
+
+    By processor time of the thread.
+
+    Args:
+        channels: force, voltage and accelerometers along the beam.
+        seconds: simulated time.
+
+    Raises:
+        ValueError: fewer than 3 channels, or more than 51.
+    """
+    if not 3 <= channels <= 51:
+        raise ValueError(f"3 to 51 channels, got {channels}")
+    rig = load_rig(
+        "beam",
+        [
+            "sample_rate_hz=51200",
+            "structure.elements=49",
+            "local_elements.0.point=21",
+            "exciter.point=14",
+        ],
+    )
+    points = np.round(np.linspace(1, 49, channels - 2)).astype(int)
+    sensors = [SensorSection(quantity="force", point="drive"), SensorSection(quantity="voltage")]
+    sensors += [SensorSection(quantity="acceleration", point=int(point)) for point in points]
+    block = 2048
+    device = SimulatedRig(rig.model_copy(update={"sensors": sensors}), block)
+    device.configure()
+    device.start()
+    device.write(DriveCommand(Waveform.SINE, linear_description(rig).frequency_hz, 1.0))
+    device.read()
+    blocks = max(round(seconds * rig.sample_rate_hz / block), 1)
+    begin = time.thread_time()
+    for _ in range(blocks):
+        device.read()
+    spent = time.thread_time() - begin
+    device.close()
+    return blocks * block / rig.sample_rate_hz / spent

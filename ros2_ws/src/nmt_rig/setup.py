@@ -13,7 +13,6 @@ setup(
         "numba>=0.59",
         "numpy>=1.26",
         "pydantic>=2.5",
-        "PyYAML>=6.0",
         "ruamel.yaml>=0.17.21",
         "scipy>=1.11",
     ],

@@ -10,6 +10,7 @@ from nmt_bench import benchmark_figures, cli
 from nmt_bench.benchmark_figures import Figure
 from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag
+from nmt_plant.benchmark import channel_speed, contact_speed
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test
@@ -68,3 +69,12 @@ def test_many_levels_have_a_report_and_their_growth(monkeypatch: pytest.MonkeyPa
     assert all(figure.value is not None and figure.value > 0.0 for figure in figures.values())
     assert all(figure.met is not None for figure in figures.values())
     assert figures["report of 8 levels: page"].met
+
+
+def test_contacts_and_channels_have_their_speeds() -> None:
+    assert contact_speed(3, 1, 0.02) > 0.0
+    assert contact_speed(3, 1, 0.02, every_place=True) > 0.0
+    assert channel_speed(4, 0.04) > 0.0
+    for channels in (2, 52):
+        with pytest.raises(ValueError, match="3 to 51 channels"):
+            channel_speed(channels)

@@ -97,3 +97,13 @@ def test_a_list_of_rigs_loads_no_model() -> None:
 def test_extraction_loads_no_schemas() -> None:
     code = "import nmt_extract.bag_budget, nmt_extract.offline, nmt_bench.commands.terminal, nmt_record.bag_reader"
     assert loaded_large(code) == "['scipy']"  # for Student's t of the budget
+
+
+def test_a_reference_and_a_plant_load_the_part_of_scipy_they_use() -> None:
+    code = (
+        "import sys, nmt_rig.reference, nmt_plant.simulated_rig\n"
+        "parts = {'scipy.io', 'scipy.optimize', 'scipy.signal', 'scipy.sparse'}\n"
+        "sys.exit(', '.join(sorted(parts & set(sys.modules))) or 0)"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr

@@ -10,8 +10,8 @@ from scipy.linalg import eigh
 from nmt_core.errors import BenchError
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.beam import euler_bernoulli_beam
-from nmt_rig.model.linear_modes import sticking_modes
-from nmt_rig.model.matrix_structure import Matrices, craig_bampton, modal_damping_matrix
+from nmt_rig.model.linear_modes import modal_damping_matrix, sticking_modes
+from nmt_rig.model.matrix_structure import Matrices, craig_bampton
 from nmt_rig.reference import compute_reference
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_structure

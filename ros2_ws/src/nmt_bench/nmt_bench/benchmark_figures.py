@@ -34,6 +34,9 @@ LIMIT_PAGE = 3.0
 LIMIT_MANY_LEVELS = 0.6
 LIMIT_GROWTH = 4.5
 LIMIT_OPENING = 50.0
+LIMIT_CONTACTS = 10.0
+LIMIT_CHANNELS = 10.0
+_CONTACTS = 49
 # A beam whose joint slips earlier than its model says, with a sensor that shows too much and noise as in the paper.
 _MEASURED = (
     "local_elements.0.slip_force_n=0.9",
@@ -69,8 +72,8 @@ class Figure:
 
 
 def plant_figures(seconds: float) -> list[Figure]:
-    """Time integration of the beam beside its limit and beside scipy's solve_ivp."""
-    from nmt_plant.benchmark import owned_output_cost, run_benchmark
+    """Time integration of the beam beside its limit and scipy's solve_ivp; friction at many places; many channels."""
+    from nmt_plant.benchmark import channel_speed, contact_speed, owned_output_cost, run_benchmark
     from nmt_rig.rig import load_rig
 
     rig = load_rig("beam")
@@ -78,6 +81,41 @@ def plant_figures(seconds: float) -> list[Figure]:
     result = run_benchmark(rig, seconds)
     kernel = result.kernel
     owned = owned_output_cost(rig, min(seconds, _REAL_TIME))
+    few = contact_speed(_CONTACTS, _CONTACTS // 10)
+    every = contact_speed(_CONTACTS, _CONTACTS // 10, 0.05, every_place=True)
+    all_slip = contact_speed(_CONTACTS, _CONTACTS)
+    growth = contact_speed(12, 3) / contact_speed(48, 12)
+    channels, more_channels = channel_speed(32), channel_speed(12) / channel_speed(48)
+    name = f"plant: {_CONTACTS} joints along a beam"
+    contacts = [
+        Figure(f"{name}, {_CONTACTS // 10} slip", few, "× real time", LIMIT_CONTACTS, _AT_LEAST, few >= LIMIT_CONTACTS),
+        Figure(f"{name}, {_CONTACTS // 10} slip", few, "× real time", every, "all of them solved for at every step"),
+        Figure(f"{name}, all slip", all_slip, "× real time", LIMIT_CONTACTS, _AT_LEAST, all_slip >= LIMIT_CONTACTS),
+        Figure(
+            "plant: growth over four times the joints, a quarter slip",
+            growth,
+            "×",
+            LIMIT_GROWTH,
+            _AT_MOST,
+            growth <= LIMIT_GROWTH,
+        ),
+        Figure(
+            "plant: whole device, 49 elements, 32 channels, 51.2 kHz",
+            channels,
+            "× real time",
+            LIMIT_CHANNELS,
+            _AT_LEAST,
+            channels >= LIMIT_CHANNELS,
+        ),
+        Figure(
+            "plant: growth over four times the channels",
+            more_channels,
+            "×",
+            LIMIT_GROWTH,
+            _AT_MOST,
+            more_channels <= LIMIT_GROWTH,
+        ),
+    ]
     return [
         Figure(
             "plant: time integration",
@@ -94,6 +132,7 @@ def plant_figures(seconds: float) -> list[Figure]:
             "plant: the process that owns the output", 100.0 * owned.owner, "% of a core", None, "250 looks a second"
         ),
         Figure("plant: block later than put out", 1e3 * owned.late, "ms, worst", None, "of 20 ms a block"),
+        *contacts,
     ]
 
 

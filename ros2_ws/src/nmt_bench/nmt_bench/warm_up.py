@@ -10,6 +10,7 @@ from pathlib import Path
 
 from nmt_diagnose.twin.warm_up import warm_up_twin
 from nmt_extract.offline import extract_bag
+from nmt_plant.benchmark import contact_speed
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings
@@ -43,7 +44,8 @@ def warm_up() -> None:
     compute_reference(rig, harmonics=3, points=5)
     single_point_reference(rig, levels=[0.1, 0.6], harmonics=3)
     PaperLoop(linear_description(rig), PaperSettings(), rig.sample_rate_hz, rig.block_samples)
-    # Forces of two arguments have a time loop of their own, slow channels a filter.
+    # Forces of two arguments have a time loop of their own, as have joints at several places; slow channels a filter.
+    contact_speed(2, 1, 0.02)
     further = SimulatedRig(load_rig("beam", ["exciter.force_factor_linear_per_m=1.0", "sensors.0.delay_s=1e-5"]))
     further.configure()
     further.start()

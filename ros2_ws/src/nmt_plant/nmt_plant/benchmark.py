@@ -16,10 +16,12 @@ from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.linear_description import linear_description
-from nmt_rig.model.assembly import ElectromechanicalSystem
-from nmt_rig.model.local_elements import JENKINS
+from nmt_rig.model.assembly import ElectromechanicalSystem, assemble, displacement_output
+from nmt_rig.model.beam import euler_bernoulli_cantilever
+from nmt_rig.model.local_elements import JENKINS, Jenkins
 from nmt_rig.model.propagator import state_space
-from nmt_rig.rig import Rig
+from nmt_rig.model.time_integration import TimeIntegrator
+from nmt_rig.rig import Rig, SensorSection, load_rig
 from nmt_rig.rig_model import build_system
 
 _LOOK = 1e-3  # s, as often as the plant node looks in real time
@@ -214,3 +216,74 @@ def _process_time(process: int | None) -> float:
     """Processor time of another process so far, s."""
     words = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def contact_speed(places: int, slipping: int, seconds: float = 0.5, every_place: bool = False) -> float:
+    """Multiple of real time of the time integration of a cantilever of 50 elements with sliders to the ground along it.
+
+    10 kHz, driven at 20 Hz at point 14; by processor time of the thread.
+
+    Args:
+        places: sliders, at most 49, whose stiffnesses add up to 8000 N/m.
+        slipping: how many of them are weak enough to slip, evenly spread; those that slip do in most of each period.
+        seconds: simulated time.
+        every_place: solve for all places at every step, as for smooth local elements.
+    """
+    rate, block = 10_000.0, 200
+    beam = euler_bernoulli_cantilever(0.7, 0.00527668, 0.01156978, 185e9, 7830.0, 50, 1e-4)
+    points = np.round(np.linspace(2, 50, places)).astype(int)
+    weak = set(np.round(np.linspace(0, places - 1, slipping)).astype(int)) if slipping else set()
+    elements = [
+        Jenkins(beam.selector(int(point)), 8000.0 / places, (0.5 if k in weak else 50.0) / places)
+        for k, point in enumerate(points)
+    ]
+    system = assemble(beam, elements, 14)
+    integrator = TimeIntegrator(system, rate, [displacement_output(system, 50)], dense=every_place)
+    integrator.advance(np.zeros(2))  # compiles or loads the kernel
+    blocks = max(round(seconds * rate / block), 1)
+    drive = 2.0 * np.sin(2 * np.pi * 20.0 * np.arange(blocks * block + 1) / rate)
+    begin = time.thread_time()
+    for k in range(blocks):
+        integrator.advance(drive[k * block : (k + 1) * block + 1])
+    return blocks * block / rate / (time.thread_time() - begin)
+
+
+def channel_speed(channels: int, seconds: float = 0.5) -> float:
+    """Multiple of real time of the whole device: the rig `beam` with 49 elements at 51.2 kHz, blocks of 40 ms.
+
+    By processor time of the thread.
+
+    Args:
+        channels: force, voltage and accelerometers along the beam.
+        seconds: simulated time.
+
+    Raises:
+        ValueError: fewer than 3 channels, or more than 51.
+    """
+    if not 3 <= channels <= 51:
+        raise ValueError(f"3 to 51 channels, got {channels}")
+    rig = load_rig(
+        "beam",
+        [
+            "sample_rate_hz=51200",
+            "structure.elements=49",
+            "local_elements.0.point=21",
+            "exciter.point=14",
+        ],
+    )
+    points = np.round(np.linspace(1, 49, channels - 2)).astype(int)
+    sensors = [SensorSection(quantity="force", point="drive"), SensorSection(quantity="voltage")]
+    sensors += [SensorSection(quantity="acceleration", point=int(point)) for point in points]
+    block = 2048
+    device = SimulatedRig(rig.model_copy(update={"sensors": sensors}), block)
+    device.configure()
+    device.start()
+    device.write(DriveCommand(Waveform.SINE, linear_description(rig).frequency_hz, 1.0))
+    device.read()
+    blocks = max(round(seconds * rig.sample_rate_hz / block), 1)
+    begin = time.thread_time()
+    for _ in range(blocks):
+        device.read()
+    spent = time.thread_time() - begin
+    device.close()
+    return blocks * block / rig.sample_rate_hz / spent

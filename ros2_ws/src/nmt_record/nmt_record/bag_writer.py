@@ -16,13 +16,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
 from mcap.writer import CompressionType, Writer
 
 from nmt_core.errors import BenchError
 from nmt_core.records import RunRecord
 from nmt_core.vocabulary import RecordKind
 from nmt_core.wire import RUN_RECORD as RUN_RECORD_CODEC
+from nmt_core.yaml_text import yaml_text
 from nmt_record.bag_keys import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY
 from nmt_record.bench_topics import RUN_RECORD, Service, bench_name, qos_profile
 from nmt_record.chunk_messages import ChunkMessages
@@ -325,7 +325,8 @@ class BagWriter:
         self._file.keep()
 
     def _end_file(self) -> None:
-        self._mcap.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(self._metadata()).strip()})
+        metadata = yaml_text(self._metadata(), sort_keys=True, ascii_only=True).strip()
+        self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata})
         self._mcap.finish()
         self._file.keep()
         self._file.close()
@@ -347,7 +348,7 @@ class BagWriter:
                 message_type, definition.encoding if definition.text else "", definition.text.encode()
             )
         metadata = {
-            "offered_qos_profiles": yaml.safe_dump(profiles).strip() if profiles else "",
+            "offered_qos_profiles": yaml_text(profiles, sort_keys=True, ascii_only=True).strip() if profiles else "",
             "topic_type_hash": definition.type_hash,
         }
         channel = self._mcap.register_channel(f"/{topic}", "cdr", self._schemas[key], metadata)
@@ -406,7 +407,7 @@ class BagWriter:
     def _write_metadata(self) -> None:
         target = self.path / "metadata.yaml"
         part = self.path / "metadata.yaml.part"
-        text = yaml.dump({"rosbag2_bagfile_information": self._metadata()}, Dumper=_PlainDumper, sort_keys=False)
+        text = yaml_text({"rosbag2_bagfile_information": self._metadata()}, ascii_only=True)
         try:
             part.write_text(text, encoding="utf-8")
             part.replace(target)
@@ -458,13 +459,6 @@ class _State:
     counts: dict[str, int] = field(default_factory=dict)
     times: tuple[int, int] | None = None
     file: _FileSpan | None = None
-
-
-class _PlainDumper(yaml.SafeDumper):
-    """Without anchors: the YAML parsers of others need not know them."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
 
 
 class _ChunkFile:

@@ -12,7 +12,7 @@ from nmt_rig.model.attachments import Attachment, BoucWen, FractionalDamper, LuG
 from nmt_rig.model.beam import euler_bernoulli_beam
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.iwan import IwanJoint
-from nmt_rig.model.linear_modes import sticking_modes
+from nmt_rig.model.linear_modes import modal_damping_matrix, sticking_modes
 from nmt_rig.model.local_elements import (
     AmplitudeDamper,
     BacklashDamper,
@@ -30,7 +30,6 @@ from nmt_rig.model.local_elements import (
     TwoSidedGap,
     UnilateralStop,
 )
-from nmt_rig.model.matrix_structure import modal_damping_matrix
 from nmt_rig.model.modal_structure import Mode, modal_structure
 from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.shaking_table import ShakingTable, effective_mass

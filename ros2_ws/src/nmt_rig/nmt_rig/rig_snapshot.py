@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
-
+from nmt_core.yaml_text import yaml_text
 from nmt_rig.rig import Rig, find_rig
 
 
@@ -26,4 +25,4 @@ def rig_text(rig: Rig, source: str | Path | None = None, overrides: Sequence[str
     header = f"# {rig.name}"
     if overrides:
         header += " with " + ", ".join(overrides)
-    return header + "\n" + yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
+    return header + "\n" + yaml_text(values)

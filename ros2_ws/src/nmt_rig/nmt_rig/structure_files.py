@@ -16,9 +16,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.yaml_document import YamlDocument
 from nmt_rig.file_errors import BadFileError
-from nmt_rig.matrix_files import read_matrices, read_matrix
 from nmt_rig.modal_files import read_modal_csv, read_uff55
-from nmt_rig.model.matrix_structure import Matrices, craig_bampton
 
 # Larger structures are integrated too slowly, and their rig files become too long.
 LARGEST = 60
@@ -159,6 +157,10 @@ def _modal(document: YamlDocument, structure: Mapping[str, Any], folder: Path) -
 
 
 def _matrices(document: YamlDocument, structure: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    # Late: scipy's sparse matrices and file formats take a third of a second, in every node that loads a rig.
+    from nmt_rig.matrix_files import read_matrices, read_matrix
+    from nmt_rig.model.matrix_structure import Matrices, craig_bampton
+
     key = next((key for key in _FILE_KEYS if structure.get(key) is not None), "modes")
     place = document.place(("structure", key))
     paths = {name: _path(document, structure, name, folder) for name in _FILE_KEYS}

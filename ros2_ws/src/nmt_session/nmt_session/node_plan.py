@@ -11,14 +11,13 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from nmt_core.blocks import SAMPLE_TOPICS, Quantity
 from nmt_core.bundle import MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
 from nmt_core.linear_description import LinearDescription
 from nmt_core.vocabulary import ControlKind, TestKind
+from nmt_core.yaml_text import yaml_text
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_extract.settings import ExtractionSettings
 from nmt_plant.guarded_device import LEAST_LEAD
@@ -252,7 +251,7 @@ class NodePlan:
         It holds in every namespace.
         """
         content = {f"/**/{name}": {"ros__parameters": values} for name, values in self.values.items()}
-        path.write_text(yaml.safe_dump(content, sort_keys=True, allow_unicode=True), encoding="utf-8")
+        path.write_text(yaml_text(content, sort_keys=True), encoding="utf-8")
 
 
 def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> NodePlan:

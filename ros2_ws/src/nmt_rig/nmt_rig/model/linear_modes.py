@@ -124,3 +124,15 @@ def damped_modes(system: ElectromechanicalSystem) -> DampedModes:
         largest = np.argmax(np.abs(shapes), axis=0)
         shapes = shapes / shapes[largest, np.arange(shapes.shape[1])]
     return DampedModes(values, np.abs(values), -values.real / np.abs(values), shapes, points)
+
+
+def modal_damping_matrix(mass: Array, stiffness: Array, ratios: Sequence[float]) -> Array:
+    """Damping matrix (n, n) that gives the undamped modes these damping ratios, the last one all higher modes.
+
+    C = M Φ diag(2 ζ ω) Φᵀ M with mass-normalised Φ.
+    """
+    squares, shapes = eigh(stiffness, mass)
+    zeta = np.array([*ratios, *[ratios[-1]] * max(squares.size - len(ratios), 0)])[: squares.size]
+    weighted = mass @ shapes
+    result: Array = (weighted * (2.0 * zeta * np.sqrt(np.maximum(squares, 0.0)))) @ weighted.T
+    return result

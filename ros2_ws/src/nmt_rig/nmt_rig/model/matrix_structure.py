@@ -190,15 +190,3 @@ def _lowest(stiffness: Any, mass: Any, count: int) -> Array:
     # A fixed start vector: the same file gives the same numbers.
     values, vectors = eigsh(stiffness, k=count, M=mass, sigma=0.0, v0=np.ones(n))
     return np.asarray(vectors[:, np.argsort(values)])
-
-
-def modal_damping_matrix(mass: Array, stiffness: Array, ratios: Sequence[float]) -> Array:
-    """Damping matrix (n, n) that gives the undamped modes these damping ratios, the last one all higher modes.
-
-    C = M Φ diag(2 ζ ω) Φᵀ M with mass-normalised Φ.
-    """
-    squares, shapes = eigh(stiffness, mass)
-    zeta = np.array([*ratios, *[ratios[-1]] * max(squares.size - len(ratios), 0)])[: squares.size]
-    weighted = mass @ shapes
-    result: Array = (weighted * (2.0 * zeta * np.sqrt(np.maximum(squares, 0.0)))) @ weighted.T
-    return result

@@ -183,6 +183,9 @@ class Propagator:
         compliance: (K+1, 3 ports, 2 ports) share of port forces and slopes at the step's end in them.
         from_working: (N, Z).
         to_working: (Z, N).
+        projection: (ports, Z) of port forces on the rates of the working coordinates; empty unless modal.
+        holds: (K+1, 4, 4, pairs) blocks [xx, xy, yx, yy] that take such projected forces, their slopes at the start,
+            forces and slopes at the end of a step to the working coordinates; empty unless modal.
     """
 
     modal: bool
@@ -196,6 +199,8 @@ class Propagator:
     compliance: Array
     from_working: Array
     to_working: Array
+    projection: Array
+    holds: Array
 
 
 def phi_functions(z: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
@@ -269,11 +274,20 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
         pair = np.zeros((levels + 1, 4, pairs))
         dense = np.zeros((0, size, size))
         left_inputs = left @ inputs
+        projection = np.zeros((ports, size))
+        projection[:, :u], projection[:, pairs : pairs + u] = (
+            left_inputs[upper, 1:].real.T,
+            left_inputs[upper, 1:].imag.T,
+        )
+        projection[:, u : u + f] = left_inputs[first, 1:].real.T
+        projection[:, pairs + u : pairs + u + g] = left_inputs[second, 1:].real.T
+        holds = np.zeros((levels + 1, 4, 4, pairs))
     else:
         size = space.size
         from_working = to_working = np.eye(size)
         pair = np.zeros((0, 4, 0))
         dense = np.zeros((levels + 1, size, size))
+        projection, holds = np.zeros((0, 0)), np.zeros((0, 4, 4, 0))
 
     weights = [np.zeros((levels + 1, size, 1 + ports)) for _ in range(6)]
     if modal:
@@ -293,6 +307,11 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
                 weight[level, :u], weight[level, pairs : pairs + u] = product[upper].real, product[upper].imag
                 weight[level, u : u + f] = product[first].real
                 weight[level, pairs + u : pairs + u + g] = product[second].real
+            for row, hold in enumerate(_holds(phi[1:], h)[2:]):
+                holds[level, row, 0, :u], holds[level, row, 1, :u] = hold[upper].real, -hold[upper].imag
+                holds[level, row, 2, :u], holds[level, row, 3, :u] = hold[upper].imag, hold[upper].real
+                holds[level, row, 0, u : u + f] = hold[first].real
+                holds[level, row, 3, u : u + g] = hold[second].real
         else:
             augmented = np.zeros((5 * size, 5 * size))
             augmented[:size, :size] = space.a * h
@@ -344,4 +363,6 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
         compliance=compliance,
         from_working=from_working,
         to_working=to_working,
+        projection=projection,
+        holds=holds,
     )

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
+from nmt_rig.model.contact_kernel import integrate_contacts, own_force
 from nmt_rig.model.coupled_kernel import coupled_forces, integrate_coupled
 from nmt_rig.model.couplings import COUPLING_PARAMETERS
 from nmt_rig.model.integration_kernel import integrate, port_forces
@@ -19,6 +21,7 @@ from nmt_rig.model.local_elements import (
     PARAMETER_COUNT,
     TWO_SIDED_GAP,
     UNILATERAL_STOP,
+    LocalElement,
     element_stored_energy,
 )
 from nmt_rig.model.propagator import propagator, state_space
@@ -27,6 +30,9 @@ from nmt_rig.model.structure import Array
 _PIECEWISE_LINEAR = frozenset({JENKINS, UNILATERAL_STOP, TWO_SIDED_GAP})
 # A corner is timed to step / 2^8; its error in impulse falls with the square of that.
 CORNER_LEVELS = 8
+_LINE = 8  # numbers
+# Share of a force that it causes itself by the end of a step, below which forces at many places are iterated for.
+_ITERATED_BELOW = 0.05
 
 
 class IntegrationError(ArithmeticError):
@@ -68,6 +74,7 @@ class TimeIntegrator:
         self._levels = int(corner_levels)
         self._outputs = list(outputs)
         self._dense = bool(dense or system.couplings)
+        self._affine = all(element.kind in _PIECEWISE_LINEAR for element in _local(system))
         self._take(system)
         elements, couplings = self._space.elements, self._space.couplings
         self._kinds = np.array([element.kind for element in elements], dtype=np.int64)
@@ -76,7 +83,6 @@ class TimeIntegrator:
         self._coupling_parameters = np.array([coupling.parameters for coupling in couplings]).reshape(
             -1, COUPLING_PARAMETERS
         )
-        self._affine = all(element.kind in _PIECEWISE_LINEAR for element in elements)
         self._history = np.empty((0, 0))
         self._force_history = np.empty((0, 0))
         self.reset()
@@ -84,11 +90,52 @@ class TimeIntegrator:
     def _take(self, system: ElectromechanicalSystem) -> None:
         """Matrices of `system`; the state stays as it is."""
         self.system = system
-        self._space = state_space(system)
+        space = state_space(system)
         step = 1.0 / (self.sample_rate * self.substeps)
-        self._propagator = propagator(self._space, step, self._levels, self._dense)
+        # Springs that stick are part of the linear motion, unless they are on the exciter's side, which outputs know.
+        self._at_many_places = False
+        ports = space.directions.shape[0]
+        if self._affine and not self._dense and ports > 1:
+            absorbed = [
+                element.linear_stiffness if element.kind == JENKINS and not space.exciter_ports[port] else 0.0
+                for element, port in zip(space.elements, space.element_port, strict=True)
+            ]
+            stiffness = system.stiffness.copy()
+            for element, share in zip(space.elements, absorbed, strict=True):
+                stiffness += share * np.outer(element.direction, element.direction)
+            stuck = state_space(replace(system, stiffness=stiffness))
+            found = propagator(stuck, step, self._levels)
+            if found.modal:
+                self._space, self._propagator, self._at_many_places = stuck, found, True
+                self._absorbed = np.array(absorbed)
+                self._port_columns = np.ascontiguousarray(found.port_rows[: 2 * ports].T)
+                self._answers = np.ascontiguousarray(found.compliance[:, : 2 * ports].transpose(0, 2, 1))
+                self._iterated = self._loosely_coupled(step)
+        if not self._at_many_places:
+            self._space = space
+            self._propagator = propagator(space, step, self._levels, self._dense)
+        order = np.argsort(self._space.element_port, kind="stable")
+        self._port_elements = order.astype(np.int64)
+        self._port_start = np.searchsorted(self._space.element_port[order], np.arange(ports + 1)).astype(np.int64)
+        rows = np.abs(self._propagator.port_rows[:ports])
+        self._reach = rows.max(axis=0) if ports else np.zeros(rows.shape[1])
         c, self._d_ports, self._d_input = self._space.output(self._outputs)
         self._c = np.ascontiguousarray(c @ self._propagator.from_working)
+
+    def _loosely_coupled(self, step: float) -> NDArray[np.bool_]:
+        """(K + 1,) step widths at which forces act back on their ports so little that an iteration is soon done."""
+        space, compliance = self._space, self._propagator.compliance
+        ports = space.directions.shape[0]
+        stiffest = np.zeros(ports)
+        for element, port in zip(space.elements, space.element_port, strict=True):
+            stiffest[port] += element.parameters[0]
+        loosely = np.zeros(self._levels + 1, dtype=np.bool_)
+        for level, share in enumerate(np.abs(compliance)):
+            width = step / 2.0**level  # takes slopes and velocities to forces and displacements
+            w = share[:ports, :ports].sum(axis=1) + share[:ports, ports:].sum(axis=1) / width
+            v = width * share[ports : 2 * ports, :ports].sum(axis=1) + share[ports : 2 * ports, ports:].sum(axis=1)
+            loosely[level] = (stiffest * np.maximum(w, v)).max() < _ITERATED_BELOW
+        return loosely
 
     def change(self, system: ElectromechanicalSystem) -> None:
         """Go on with slightly different matrices or parameters of elements; motion and memory stay as they are.
@@ -103,11 +150,10 @@ class TimeIntegrator:
         physical = self.physical_state
         same = all(
             np.array_equal(getattr(system, name), getattr(before, name)) for name in ("mass", "damping", "stiffness")
-        )
+        ) and [e.linear_stiffness for e in system.elements] == [e.linear_stiffness for e in before.elements]
         if same:
             self.system = system
-            elements = [e for e in system.elements if e.kind not in (LINEAR_SPRING, LINEAR_DAMPER)]
-            self._space = replace(self._space, elements=tuple(elements))
+            self._space = replace(self._space, elements=tuple(_local(system)))
         else:
             self._take(system)
             # A new array: the modal form may have another size.
@@ -115,6 +161,8 @@ class TimeIntegrator:
             self._history = np.empty((0, 0))
         for row, element in enumerate(self._space.elements):
             self._parameters[row] = element.parameters
+        if self._at_many_places:
+            self._settle_own_forces()
 
     def reset(self) -> None:
         """Return to rest at time zero, sliders at zero."""
@@ -129,6 +177,7 @@ class TimeIntegrator:
             np.zeros(n),
             np.zeros(2, dtype=np.int64),
         )
+        self._due, self._way = np.zeros(ports), np.zeros(1)
         self._settle_branches()
         self.samples = 0
 
@@ -158,6 +207,9 @@ class TimeIntegrator:
                 branch[e] = int(w > values[1]) - int(w < -values[1])
             elif kind == BACKLASH_DAMPER:
                 branch[e] = int(w > values[2]) - int(w < -values[2])
+        if self._at_many_places:
+            self._settle_own_forces()
+            return
         # Twice: the accelerations in the slopes depend on the forces.
         for _ in range(2):
             if self._space.couplings:
@@ -171,6 +223,18 @@ class TimeIntegrator:
                     forces, np.zeros(ports), np.zeros(ports),
                 )  # fmt: skip
             kinematics[:] = p.port_rows @ self._state + p.port_feedthrough @ forces[:total]
+
+    def _settle_own_forces(self) -> None:
+        """Kinematics of the ports, and the forces that are not part of the linear motion, for the present branches."""
+        forces, kinematics, branch, slider, _, _ = self._memory
+        ports = self._space.directions.shape[0]
+        kinematics[:] = self._propagator.port_rows @ self._state
+        forces[:] = 0.0
+        for e, (kind, q) in enumerate(zip(self._kinds, self._space.element_port, strict=True)):
+            k, rest = own_force(kind, self._parameters, e, branch[e], slider[e], self._absorbed[e])
+            forces[q] += rest + k * kinematics[q]
+            forces[ports + q] += k * kinematics[ports + q]
+        self._due[:] = 0.0
 
     def advance(self, inputs: Array) -> Array:
         """Integrate over one block.
@@ -194,9 +258,20 @@ class TimeIntegrator:
         n = inputs.size - 1
         p = self._propagator
         if self._history.shape[1] < n:
-            self._history = np.empty((self._state.size, n))
-            self._force_history = np.empty((p.port_feedthrough.shape[1], n))
+            # Rows an odd number of cache lines apart: at a power of two a sample's values share one place of the cache.
+            width = n + (_LINE - n) % (2 * _LINE)
+            self._history = np.empty((self._state.size, width))
+            self._force_history = np.empty((p.port_feedthrough.shape[1], width))
         result = np.empty((self._c.shape[0], n))
+        if self._at_many_places:
+            good = integrate_contacts(
+                p.pair, p.holds, p.start_weights, p.projection, p.port_rows, self._port_columns, self._answers,
+                self._reach, self._kinds, self._parameters, self._absorbed, self._space.element_port,
+                self._port_start, self._port_elements, self._iterated, self._levels,
+                1.0 / (self.sample_rate * self.substeps), self.substeps, inputs, self._state, *self._memory,
+                self._due, self._way, self._c, self._d_ports, self._d_input, result,
+            )  # fmt: skip
+            return self._moved(n, good, result)
         good = integrate_coupled(
             p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input, p.compliance, self._kinds,
             self._parameters, self._space.element_port, self._coupling_kinds, self._coupling_parameters,
@@ -208,7 +283,11 @@ class TimeIntegrator:
             self._affine, self._levels, self.substeps, inputs, self._state, *self._memory, self._c,
             self._d_ports, self._d_input, self._history, self._force_history, result,
         )  # fmt: skip
-        self.samples += n
+        return self._moved(n, good, result)
+
+    def _moved(self, samples: int, good: bool, result: Array) -> Array:
+        """Count the samples of a block; refuse one whose end is not finite."""
+        self.samples += samples
         if not good:
             raise IntegrationError(
                 f"the motion is not finite near sample {self.samples}; check the local elements' parameters"
@@ -262,3 +341,8 @@ class TimeIntegrator:
             w = float(element.direction[:m] @ x)
             energy += element_stored_energy(element.kind, element.parameters, w, slider[e])
         return energy
+
+
+def _local(system: ElectromechanicalSystem) -> list[LocalElement]:
+    """Elements that are not part of the linear motion."""
+    return [element for element in system.elements if element.kind not in (LINEAR_SPRING, LINEAR_DAMPER)]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_rig.model import phase_resonance
 from nmt_rig.model.assembly import assemble
 from nmt_rig.model.epmc import epmc_backbone
 from nmt_rig.model.forced_response import ForcedProblem
@@ -158,18 +157,3 @@ def test_refusals(beam, tested, shapes) -> None:
         phase_resonant_backbone(problem, [2.0, 1.0])
     with pytest.raises(BenchError, match="one row of shapes"):
         extract_mode(problem, backbone.responses, (2, 4), shapes, beam.mass)
-
-
-@pytest.mark.parametrize(
-    ("function", "low", "high", "root"),
-    [
-        (lambda x: 2.0 - x * x, 1.0, 2.0, np.sqrt(2.0)),
-        (lambda x: 1e-9 * (np.exp(5.0 * x) - 5.0), -1.0, 1.0, np.log(5.0) / 5.0),
-        (np.cos, 0.0, 3.0, 0.5 * np.pi),
-        (lambda x: 1.0 - x, 1.0, 4.0, 1.0),
-        (lambda x: 1.0 - x, 0.0, 1.0, 1.0),
-    ],
-)
-def test_the_root_within_a_bracket(function, low, high, root):
-    """Smooth, flat on one side, at an end."""
-    assert phase_resonance._root(function, low, high, 1e-9) == pytest.approx(root, abs=1e-9)

@@ -9,7 +9,7 @@ the test.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,6 +109,8 @@ def linear_phase_resonance(problem: ForcedProblem, band: float = 0.3) -> float:
     Raises:
         BenchError: force and displacement are nowhere in quadrature there, e.g. with the drive near a node.
     """
+    from scipy.optimize import brentq  # late: half a second that a plant does without
+
     system, reference = problem.system, problem.reference_frequency
 
     def quadrature(omega: float) -> float:
@@ -120,7 +122,7 @@ def linear_phase_resonance(problem: ForcedProblem, band: float = 0.3) -> float:
     if fast is not None:
         bracket = _falling_bracket(grid, (fast[1] * np.conj(fast[0])).real, reference)
         if bracket is not None and quadrature(bracket[0]) > 0.0 >= quadrature(bracket[1]):
-            return _root(quadrature, *bracket, 1e-10 * reference)
+            return float(brentq(quadrature, *bracket, xtol=1e-10 * reference))
     values = np.array([quadrature(omega) for omega in grid])
     bracket = _falling_bracket(grid, values, reference)
     if bracket is None:
@@ -128,36 +130,7 @@ def linear_phase_resonance(problem: ForcedProblem, band: float = 0.3) -> float:
             f"no phase resonance near {reference / (2.0 * np.pi):.4g} Hz with the drive at point "
             f"{system.drive_point}: the point lies near a node of the mode; drive another point."
         )
-    return _root(quadrature, *bracket, 1e-10 * reference)
-
-
-def _root(function: Callable[[float], float], low: float, high: float, width: float) -> float:
-    """Root between `low` and `high`, where the signs differ, by the Illinois rule; scipy.optimize takes 0.4 s to load.
-
-    Args:
-        function: of one variable, continuous.
-        low, high: the bracket; either end may be the root.
-        width: the change of the variable at which to stop.
-    """
-    at_low, at_high = function(low), function(high)
-    if at_low == 0.0:
-        return low
-    side, last = 0, high
-    for _ in range(100):
-        point = high if at_high == at_low else (low * at_high - high * at_low) / (at_high - at_low)
-        value = function(point)
-        if value == 0.0 or abs(point - last) < width:
-            return point
-        last = point
-        if (value > 0.0) == (at_high > 0.0):
-            high, at_high = point, value
-            at_low = 0.5 * at_low if side == 1 else at_low
-            side = 1
-        else:
-            low, at_low = point, value
-            at_high = 0.5 * at_high if side == -1 else at_high
-            side = -1
-    return last
+    return float(brentq(quadrature, *bracket, xtol=1e-10 * reference))
 
 
 def _falling_bracket(grid: FloatArray, values: FloatArray, reference: float) -> tuple[float, float] | None:

@@ -101,7 +101,7 @@ class NonlinearRig:
             turned = 1j * found[DRIVE - 1, 0] * np.exp(-1j * shift)
             return np.concatenate((left.real, left.imag, [np.angle(turned)]))
 
-        shares = np.linspace(0.2, 1.0, 5)
+        shares = np.linspace(0.1, 1.0, 10)
         guess[:6] *= shares[0]
         for share, following in zip(shares, [*shares[1:], 1.0], strict=True):
             found = root(apart, guess, args=(share * rig.force,), tol=1e-11)

@@ -10,7 +10,6 @@ setup(
         ("share/nmt_extract", ["package.xml"]),
     ],
     install_requires=[
-        "numba>=0.59",
         "numpy>=1.26",
         "pyuff>=2.4",
         "scipy>=1.11",

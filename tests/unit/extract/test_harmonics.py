@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -127,3 +129,30 @@ def test_resolvable_harmonics():
     assert resolvable_harmonics(10, 450.0) == 10
     assert resolvable_harmonics(10, 10.0) == 4
     assert resolvable_harmonics(10, 2.0) == 0
+
+
+@pytest.mark.parametrize("offset", range(1, 9))
+def test_same_bits_wherever_the_data_lie_in_memory(offset):
+    """Live and offline extraction must agree to the bit, whatever memory each was given."""
+    random = np.random.default_rng(11)
+    data, cycles = random.normal(size=(3, 9001)), np.arange(9001) * 0.00321
+    moved = np.empty(data.size + offset)[offset:].reshape(data.shape)
+    moved[:] = data
+    shifted = np.empty(cycles.size + offset)[offset:]
+    shifted[:] = cycles
+    bounds = np.array([0, 1000, 4097, 9001])
+    first, second = segment_moments(cycles, data, 7, bounds), segment_moments(shifted, moved, 7, bounds)
+    assert first.basis.tobytes() == second.basis.tobytes()
+    assert first.projections.tobytes() == second.projections.tobytes()
+    assert solve_moments(first).tobytes() == solve_moments(second).tobytes()
+
+
+def test_sums_equal_their_definition():
+    random = np.random.default_rng(12)
+    data, cycles = random.normal(size=(2, 9001)), 3.7 + np.arange(9001) * 0.00321
+    bounds = np.array([5, 1000, 1000, 4097, 8999])
+    found = segment_moments(cycles, data, 6, bounds)
+    for segment, (start, stop) in enumerate(pairwise(bounds)):
+        rotation = np.exp(2j * np.pi * np.outer(np.arange(13), cycles[start:stop]))
+        np.testing.assert_allclose(found.basis[segment], rotation.sum(axis=1), atol=1e-9)
+        np.testing.assert_allclose(found.projections[segment], data[:, start:stop] @ rotation[:7].T, atol=1e-9)

@@ -11,7 +11,6 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.modal_point import ModalPoint
 from nmt_core.parameters import Parameter
 from nmt_extract.extractor import Extractor
-from nmt_extract.harmonics import compile_kernels
 from nmt_extract.message_feed import STATE_TOPICS, MessageFeed
 from nmt_extract.settings import ExtractionSettings
 
@@ -65,7 +64,6 @@ class ExtractionCore:
         self.feed: MessageFeed | None = None
         if text:
             self.extractor = Extractor(LinearDescription.from_json(text), settings)
-            compile_kernels()
             self.feed = MessageFeed(self.extractor)
 
     def callback(self, topic: str) -> Callable[[bytes], None]:

@@ -10,10 +10,7 @@ Convention: x(t) = Re Σ ψ_n exp(i n θ); ψ_0 is real.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +21,8 @@ from nmt_core.errors import BenchError
 ComplexArray = NDArray[np.complex128]
 IndexArray = NDArray[np.int64]
 
-_LANES = 8
+_CHUNK = 4096  # samples whose rotations are held at a time: they fit in the cache
+_LEAST_PIVOT = 1e-9  # of the normal matrix beside the number of samples; below it the fit is not determined
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +62,22 @@ def segment_moments(cycles: FloatArray, data: FloatArray, harmonics: int, bounds
     Returns:
         The sums, one set for each segment.
     """
-    basis, projections = _compiled(_segment_moments)(
-        np.ascontiguousarray(cycles, dtype=np.float64),
-        np.ascontiguousarray(data, dtype=np.float64),
-        int(harmonics),
-        np.ascontiguousarray(bounds, dtype=np.int64),
-    )
-    return Moments(basis, projections)
+    data = np.ascontiguousarray(data, dtype=np.float64)
+    segments = len(bounds) - 1
+    # Sums of cosines and sines, the real and imaginary parts of what is returned.
+    basis = np.zeros((2, segments, 2 * harmonics + 1))
+    projections = np.zeros((2, segments, data.shape[0], harmonics + 1))
+    room = np.empty((2, 2 * harmonics + 1, _CHUNK))
+    for first in range(int(bounds[0]), int(bounds[-1]), _CHUNK):
+        chunk = slice(first, min(first + _CHUNK, int(bounds[-1])))
+        rotations = _rotations(cycles[chunk], room)
+        for segment in range(np.searchsorted(bounds, chunk.start, "right") - 1, np.searchsorted(bounds, chunk.stop)):
+            start, stop = max(bounds[segment], chunk.start), min(bounds[segment + 1], chunk.stop)
+            part = rotations[:, :, start - first : stop - first]
+            basis[:, segment] += part.sum(axis=2)
+            # Not matmul: its sums may depend on the number of threads, and live and offline must agree to the bit.
+            projections[:, segment] += np.einsum("cs,khs->kch", data[:, start:stop], part[:, : harmonics + 1])
+    return Moments(basis[0] + 1j * basis[1], projections[0] + 1j * projections[1])
 
 
 def solve_moments(moments: Moments) -> ComplexArray:
@@ -86,16 +93,26 @@ def solve_moments(moments: Moments) -> ComplexArray:
         BenchError: the samples do not determine the harmonics (too few samples in a period or in the
             segment).
     """
-    amplitudes, regular = _compiled(_solve_moments)(moments.basis, moments.projections)
+    gram = _normal_matrices(moments.basis)
+    right = np.empty((*moments.projections.shape[:2], gram.shape[1]))
+    right[..., 0] = moments.projections[..., 0].real
+    right[..., 1::2] = moments.projections[..., 1:].real
+    right[..., 2::2] = moments.projections[..., 1:].imag
+    try:
+        pivots = np.diagonal(np.linalg.cholesky(gram), axis1=1, axis2=2) ** 2
+        regular = bool((pivots > _LEAST_PIVOT * gram[:, :1, 0]).all())
+    except np.linalg.LinAlgError:
+        regular = False
     if not regular:
-        harmonics = moments.projections.shape[-1] - 1
         raise BenchError(
-            f"The samples do not determine {harmonics} harmonics; use fewer harmonics, more samples in a "
-            "period or "
-            "more periods."
+            f"The samples do not determine {moments.projections.shape[-1] - 1} harmonics; use fewer harmonics, more "
+            "samples in a period or more periods."
         )
-    result: ComplexArray = amplitudes
-    return result
+    solved = np.linalg.solve(gram, right.transpose(0, 2, 1)).transpose(0, 2, 1)
+    amplitudes: ComplexArray = np.zeros(moments.projections.shape, dtype=np.complex128)
+    amplitudes[..., 0] = solved[..., 0]
+    amplitudes[..., 1:] = solved[..., 1::2] - 1j * solved[..., 2::2]
+    return amplitudes
 
 
 def harmonic_amplitudes(cycles: FloatArray, data: FloatArray, harmonics: int) -> ComplexArray:
@@ -156,145 +173,53 @@ def synthesise(cycles: FloatArray, amplitudes: ComplexArray) -> FloatArray:
     return np.ascontiguousarray(total.real)
 
 
-def compile_kernels() -> None:
-    """Compile (or load from the cache) what the first window would otherwise wait for."""
-    cycles = np.arange(64) / 16.0
-    harmonic_amplitudes(cycles, np.zeros((1, 64)), 2)
+def _rotations(cycles: FloatArray, out: FloatArray) -> FloatArray:
+    """cos nθ and sin nθ of every order n that ``out`` has room for.
+
+    Args:
+        cycles: phase, cycles, shape ``(samples,)``.
+        out: where they go, shape ``(2, orders, at least samples)``.
+
+    Returns:
+        The part of ``out`` that was written, shape ``(2, orders, samples)``.
+    """
+    rotations = out[:, :, : cycles.shape[0]]
+    cosines, sines = rotations
+    angle = 2.0 * np.pi * (cycles - np.floor(cycles))
+    cosines[0] = 1.0
+    sines[0] = 0.0
+    np.cos(angle, out=cosines[1])
+    np.sin(angle, out=sines[1])
+    known, last = 1, out.shape[1] - 1
+    while known < last:  # orders 1..k give k + 1..2k, so that rounding grows with the logarithm of the order
+        new = slice(known + 1, min(2 * known, last) + 1)
+        first = slice(1, new.stop - known)
+        np.multiply(cosines[known], cosines[first], out=cosines[new])
+        cosines[new] -= sines[known] * sines[first]
+        np.multiply(sines[known], cosines[first], out=sines[new])
+        sines[new] += cosines[known] * sines[first]
+        known = new.stop - 1
+    return rotations
 
 
-@cache
-def _compiled(kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """The kernel as machine code. numba is imported here: reading results needs no kernel and starts twice as fast."""
-    import numba
+def _normal_matrices(basis: ComplexArray) -> FloatArray:
+    """Gram matrices of 1, cos θ, sin θ, cos 2θ, ...; products of two of these are sums over n ± m.
 
-    compiled: Callable[..., Any] = numba.njit(cache=True)(kernel)
-    return compiled
+    Args:
+        basis: Σ exp(i n θ), shape ``(segments, 2H + 1)``.
 
-
-def _segment_moments(
-    cycles: FloatArray, data: FloatArray, harmonics: int, bounds: IndexArray
-) -> tuple[ComplexArray, ComplexArray]:
-    segments = bounds.shape[0] - 1
-    channels = data.shape[0]
-    orders = 2 * harmonics + 1
-    basis = np.zeros((segments, orders), dtype=np.complex128)
-    projections = np.zeros((segments, channels, harmonics + 1), dtype=np.complex128)
-    # Eight independent partial sums a quantity: they fill the vector registers without reordering any sum, so
-    # the result is the same on every call.
-    basis_cos = np.empty((orders, _LANES))
-    basis_sin = np.empty((orders, _LANES))
-    data_cos = np.empty((channels, harmonics + 1, _LANES))
-    data_sin = np.empty((channels, harmonics + 1, _LANES))
-    cos1 = np.empty(_LANES)
-    sin1 = np.empty(_LANES)
-    cos_n = np.empty(_LANES)
-    sin_n = np.empty(_LANES)
-    values = np.empty((channels, _LANES))
-    for segment in range(segments):
-        basis_cos[:] = 0.0
-        basis_sin[:] = 0.0
-        data_cos[:] = 0.0
-        data_sin[:] = 0.0
-        start = bounds[segment]
-        stop = bounds[segment + 1]
-        while start < stop:
-            count = min(_LANES, stop - start)
-            for lane in range(_LANES):
-                cos1[lane] = 0.0
-                sin1[lane] = 0.0
-                cos_n[lane] = 0.0
-                sin_n[lane] = 0.0
-            for lane in range(count):
-                phase = cycles[start + lane]
-                theta = 2.0 * np.pi * (phase - np.floor(phase))
-                cos1[lane] = np.cos(theta)
-                sin1[lane] = np.sin(theta)
-                cos_n[lane] = 1.0
-            for channel in range(channels):
-                for lane in range(_LANES):
-                    values[channel, lane] = 0.0
-                for lane in range(count):
-                    values[channel, lane] = data[channel, start + lane]
-            for order in range(orders):
-                for lane in range(_LANES):
-                    basis_cos[order, lane] += cos_n[lane]
-                    basis_sin[order, lane] += sin_n[lane]
-                if order <= harmonics:
-                    for channel in range(channels):
-                        for lane in range(_LANES):
-                            data_cos[channel, order, lane] += values[channel, lane] * cos_n[lane]
-                            data_sin[channel, order, lane] += values[channel, lane] * sin_n[lane]
-                for lane in range(_LANES):
-                    turned = cos_n[lane] * cos1[lane] - sin_n[lane] * sin1[lane]
-                    sin_n[lane] = sin_n[lane] * cos1[lane] + cos_n[lane] * sin1[lane]
-                    cos_n[lane] = turned
-            start += count
-        for order in range(orders):
-            real = 0.0
-            imag = 0.0
-            for lane in range(_LANES):
-                real += basis_cos[order, lane]
-                imag += basis_sin[order, lane]
-            basis[segment, order] = complex(real, imag)
-        for channel in range(channels):
-            for order in range(harmonics + 1):
-                real = 0.0
-                imag = 0.0
-                for lane in range(_LANES):
-                    real += data_cos[channel, order, lane]
-                    imag += data_sin[channel, order, lane]
-                projections[segment, channel, order] = complex(real, imag)
-    return basis, projections
-
-
-def _solve_moments(basis: ComplexArray, projections: ComplexArray) -> tuple[ComplexArray, bool]:
-    segments, channels, terms = projections.shape
-    harmonics = terms - 1
-    size = 2 * harmonics + 1
-    amplitudes = np.zeros((segments, channels, terms), dtype=np.complex128)
-    gram = np.empty((size, size))
-    right = np.empty(size)
-    for segment in range(segments):
-        sums = basis[segment]
-        samples = sums[0].real
-        # Unknowns 1, cos θ, sin θ, cos 2θ, ...; products of two basis functions are sums over n ± m.
-        gram[0, 0] = samples
-        for n in range(1, harmonics + 1):
-            gram[2 * n - 1, 0] = sums[n].real
-            gram[2 * n, 0] = sums[n].imag
-            for m in range(1, n + 1):
-                plus = sums[n + m]
-                minus = sums[n - m]
-                gram[2 * n - 1, 2 * m - 1] = 0.5 * (minus.real + plus.real)
-                gram[2 * n, 2 * m] = 0.5 * (minus.real - plus.real)
-                gram[2 * n, 2 * m - 1] = 0.5 * (plus.imag + minus.imag)
-                gram[2 * n - 1, 2 * m] = 0.5 * (plus.imag - minus.imag)
-            # The upper half is not read; sin n · cos n stands at (2n, 2n - 1).
-        for j in range(size):
-            for k in range(j):
-                gram[j, j] -= gram[j, k] * gram[j, k]
-            if not gram[j, j] > 1e-9 * samples:
-                return amplitudes, False
-            gram[j, j] = np.sqrt(gram[j, j])
-            for i in range(j + 1, size):
-                for k in range(j):
-                    gram[i, j] -= gram[i, k] * gram[j, k]
-                gram[i, j] /= gram[j, j]
-        for channel in range(channels):
-            row = projections[segment, channel]
-            right[0] = row[0].real
-            for n in range(1, terms):
-                right[2 * n - 1] = row[n].real
-                right[2 * n] = row[n].imag
-            for i in range(size):
-                for k in range(i):
-                    right[i] -= gram[i, k] * right[k]
-                right[i] /= gram[i, i]
-            for i in range(size - 1, -1, -1):
-                for k in range(i + 1, size):
-                    right[i] -= gram[k, i] * right[k]
-                right[i] /= gram[i, i]
-            amplitudes[segment, channel, 0] = right[0]
-            for n in range(1, terms):
-                amplitudes[segment, channel, n] = complex(right[2 * n - 1], -right[2 * n])
-    return amplitudes, True
+    Returns:
+        Shape ``(segments, 2H + 1, 2H + 1)``.
+    """
+    harmonics = (basis.shape[1] - 1) // 2
+    order = np.arange(harmonics + 1)
+    plus = basis[:, order[:, None] + order]
+    minus = basis[:, np.abs(order[:, None] - order)]
+    sign = np.sign(order[:, None] - order)  # Σ exp(-i n θ) is the conjugate of Σ exp(i n θ)
+    gram = np.empty((basis.shape[0], 2 * harmonics + 2, 2 * harmonics + 2))
+    gram[:, 0::2, 0::2] = 0.5 * (minus.real + plus.real)
+    gram[:, 1::2, 1::2] = 0.5 * (minus.real - plus.real)
+    gram[:, 1::2, 0::2] = 0.5 * (plus.imag + sign * minus.imag)
+    gram[:, 0::2, 1::2] = gram[:, 1::2, 0::2].transpose(0, 2, 1)
+    kept = np.delete(np.arange(2 * harmonics + 2), 1)  # sin 0θ is no unknown
+    return gram[:, kept[:, None], kept]

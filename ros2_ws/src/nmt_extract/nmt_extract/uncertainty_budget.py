@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.whole_file import write_whole
 from nmt_extract.modal_point import ModalPoint, Status
+from nmt_extract.student import two_sided_quantile
 from nmt_record.channel_tolerances import Tolerances
 
 FORMAT = "nmt uncertainty budget 1"
@@ -131,7 +131,7 @@ class Budget:
         """k for an interval of 95 %, Student's t at the effective degrees of freedom (Welch–Satterthwaite)."""
         noise, total = self.parts.get(Source.NOISE, 0.0), self.total
         degrees = self.noise_degrees * (total / noise) ** 4 if noise > 0.0 and self.noise_degrees > 0.0 else math.inf
-        return float(stdtrit(min(degrees, 1e9), 0.5 * (1.0 + COVERAGE)))
+        return two_sided_quantile(max(degrees, 1.0), COVERAGE)
 
     @property
     def expanded(self) -> float:

@@ -15,16 +15,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
-from rosbags.interfaces import MessageDefinitionFormat
-from rosbags.rosbag2 import Reader
-
 from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import MessageCodec, Record
 from nmt_core.errors import BenchError
 from nmt_core.hardened import json_value, open_regular, read_text, yaml_value
 from nmt_core.records import LockEvent
 from nmt_core.vocabulary import RecordKind
-from nmt_core.wire import LOCK_EVENT, BlockHead, BlockReader
+from nmt_core.wire import LOCK_EVENT, RUN_RECORD, BlockHead, BlockReader
 from nmt_core.work_progress import counted
 from nmt_record.bag_keys import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY
 from nmt_record.bench_topics import SAMPLE_BLOCK, bench_name
@@ -32,7 +29,7 @@ from nmt_record.mcap_file import Channel, LostStretch, McapFile, check_magic
 from nmt_record.message_definitions import MessageDefinition, typestore_of
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
-_ENCODINGS = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
+_ENCODINGS = {"MSG": "ros2msg", "IDL": "ros2idl"}  # by the name of the format in rosbags
 
 RawMessage = tuple[str, int, int, bytes]
 
@@ -80,7 +77,7 @@ class Bag:
     """An opened bag. No file stays open between reads.
 
     Topics are named without leading slash, and messages come in the order of reception. Messages in damaged parts are
-    left out; ``lost_spans`` and ``loss`` say which, and read the whole bag once to find out.
+    left out; ``lost_spans`` and ``loss`` say which, and read what has not been read before to find out.
 
     Attributes:
         path: what was opened.
@@ -251,7 +248,7 @@ class Bag:
         ends: dict[str, int] = {}
         open_spans: list[LostSpan] = []
         readers = {name: BlockReader() for name in names}
-        for part in self._source.parts(names):
+        for part in self._source.parts(names) if self._source.has_lost() else ():
             if isinstance(part, LostSpan):
                 # Where the recording of a topic stood; the next block of the topic says where it goes on.
                 part.samples.update({topic: (ends.get(topic, 0), -1) for topic in names})
@@ -378,7 +375,7 @@ class Bag:
     def _read_records(self) -> None:
         run_json, rig_yaml = self._custom.get(RUN_JSON_KEY), self._custom.get(RIG_YAML_KEY)
         if "run_record" in self.topics:
-            for _, _, record in self.messages(["run_record"]):
+            for record in self._run_records():
                 if record.kind == RecordKind.START and self.run_start is None:
                     self.run_start = self._parse(record.run_json)
                     rig_yaml = record.rig_yaml or rig_yaml
@@ -388,6 +385,19 @@ class Bag:
             self.run_start = self._parse(run_json)
         self.rig_yaml = rig_yaml or None
         self._repair = self._parse(self._custom.get(REPAIR_KEY, ""))
+
+    def _run_records(self) -> Iterator[Any]:
+        """Start and stop records; by the bag's own definitions, which take long to compile, only if they differ."""
+        kind, definition = next(
+            (channel.message_type, channel.definition)
+            for channel, _ in self._source.channels()
+            if bench_name(channel.topic) == "run_record"
+        )
+        if kind == f"nmt_msgs/msg/{RUN_RECORD.name}" and _fields_in(definition) == RUN_RECORD.fields:
+            yield from self.records("run_record", RUN_RECORD)
+        else:
+            for _, _, record in self.messages(["run_record"]):
+                yield record
 
     def _parse(self, text: str) -> dict[str, Any]:
         if not text:
@@ -442,6 +452,10 @@ class _Source(Protocol):
 
     def parts(self, wanted: set[str]) -> Iterator[list[RawMessage] | LostSpan]: ...
 
+    def has_lost(self) -> bool:
+        """Whether :meth:`parts` would give a lost span; reads only what has not been read yet."""
+        ...
+
 
 class _McapSource:
     """The MCAP files of one bag, in order."""
@@ -477,6 +491,9 @@ class _McapSource:
                 size = file.path.stat().st_size
                 yield LostSpan(file.path.name, size - file.lost_bytes, file.lost_bytes, file.damage or "", {}, {})
 
+    def has_lost(self) -> bool:
+        return any(file.has_lost() or (file.cut and file is not self._files[-1]) for file in self._files)
+
 
 class _RosbagsSource:
     """Whatever else the ``rosbags`` reader opens: SQLite, compressed messages."""
@@ -490,7 +507,9 @@ class _RosbagsSource:
         self._channels: list[tuple[Channel, int]] = []
         with self._reader() as reader:
             for item in reader.connections:
-                definition = MessageDefinition(item.msgdef.data, item.digest, _ENCODINGS.get(item.msgdef.format, ""))
+                definition = MessageDefinition(
+                    item.msgdef.data, item.digest, _ENCODINGS.get(item.msgdef.format.name, "")
+                )
                 channel = Channel(item.topic, item.msgtype, definition, item.ext.serialization_format, [])
                 self._channels.append((channel, item.msgcount))
 
@@ -514,7 +533,12 @@ class _RosbagsSource:
         """Nothing: what these stores lose they do not survive."""
         return iter(())
 
+    def has_lost(self) -> bool:
+        return False
+
     def _reader(self) -> Any:
+        from rosbags.rosbag2 import Reader  # here: the bench's own bags are read without it
+
         try:
             reader = Reader(self._path)
             reader.open()
@@ -604,6 +628,15 @@ def _information(text: str, name: str) -> dict[str, Any]:
 def _custom_of(information: dict[str, Any]) -> dict[str, str]:
     custom = information.get("custom_data")
     return {str(key): str(value) for key, value in custom.items()} if isinstance(custom, dict) else {}
+
+
+def _fields_in(definition: MessageDefinition) -> tuple[tuple[str, str], ...]:
+    """Name and type of each field of a message, without those of messages in it; empty if its text is no ros2msg."""
+    if definition.encoding != "ros2msg":
+        return ()
+    own = definition.text.partition("=" * 80)[0]
+    words = [line.partition("#")[0].split() for line in own.splitlines() if "=" not in line.partition("#")[0]]
+    return tuple((pair[1], pair[0]) for pair in words if len(pair) == 2)
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

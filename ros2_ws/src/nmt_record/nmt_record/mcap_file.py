@@ -129,6 +129,7 @@ class McapFile:
     damage: str | None = None
     cut: bool = False
     _end_is_whole: bool = False
+    _read_whole: set[int] = field(default_factory=set)
 
     @classmethod
     def open(cls, path: Path) -> McapFile:
@@ -170,11 +171,16 @@ class McapFile:
             BenchError: the file cannot be read.
         """
         wanted = set(self.channels) if wanted is None else wanted & set(self.channels)
+        held = [item for item in self.stretches if item.fault or not wanted.isdisjoint(item.channels)]
+        yield from self._read(held, wanted)
+
+    def _read(
+        self, stretches: list[Stretch], wanted: set[int]
+    ) -> Iterator[list[tuple[int, int, int, bytes]] | LostStretch]:
+        """The wanted messages of some stretches, or what was lost; see :meth:`parts`."""
         try:
             with self.path.open("rb") as file:
-                for stretch in self.stretches:
-                    if wanted.isdisjoint(stretch.channels) and not stretch.fault:
-                        continue
+                for stretch in stretches:
                     try:
                         if stretch.fault:
                             raise ValueError(stretch.fault)
@@ -186,9 +192,19 @@ class McapFile:
                             self.path, stretch.offset, stretch.length, str(error), self._indexed_counts(file, stretch)
                         )
                     else:
+                        self._read_whole.add(stretch.offset)
                         yield messages
         except OSError as error:
             raise BenchError(f"The bag file {self.path} cannot be read: {error.strerror or error}.") from error
+
+    def has_lost(self) -> bool:
+        """Whether a stretch cannot be read. Those that were read whole before are not read again.
+
+        Raises:
+            BenchError: the file cannot be read.
+        """
+        unread = [stretch for stretch in self.stretches if stretch.offset not in self._read_whole]
+        return any(isinstance(part, LostStretch) for part in self._read(unread, set()))
 
     def custom_data(self) -> str:
         """Content of ``metadata.yaml`` that rosbag2 keeps inside the file; empty if there is none to be read."""

@@ -1,7 +1,8 @@
 """Texts and hashes of message definitions, which make a bag readable where the message packages are absent.
 
 The texts of the bench's own messages are those of the installed package ``nmt_msgs`` (found by
-``AMENT_PREFIX_PATH``) or, without ROS, those of the source tree or the wheel; the common ones come with ``rosbags``.
+``AMENT_PREFIX_PATH``) or, without ROS, those of the source tree or the wheel. The common ones come with ``rosbags``,
+which is imported where it is used: the bench's own bags are read without it.
 """
 
 from __future__ import annotations
@@ -11,9 +12,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
-
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from nmt_core.errors import BenchError
 
@@ -43,6 +41,8 @@ class DefinitionStore:
     """
 
     def __init__(self) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
         self.typestore = get_typestore(Stores.ROS2_JAZZY)
         self._texts: dict[str, str] = {}
 
@@ -74,6 +74,8 @@ class DefinitionStore:
             return
         path = _find_definition(message_type)
         text = path.read_text(encoding="utf-8")
+        from rosbags.typesys import get_types_from_msg
+
         try:
             self.typestore.register(get_types_from_msg(text, message_type))
         except Exception as error:  # the parser raises whatever its grammar meets
@@ -120,6 +122,8 @@ class _UnreadableError(Exception):
 
 @lru_cache(maxsize=32)
 def _compiled_store(definitions: tuple[tuple[str, MessageDefinition], ...]) -> Any:
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
     store = get_typestore(Stores.EMPTY)
     for message_type, definition in definitions:
         parse = get_types_from_idl if definition.encoding == "ros2idl" else get_types_from_msg
@@ -157,6 +161,8 @@ def _find_definition(message_type: str) -> Path:
 
 
 def _contained_type(description: Any) -> str | None:
+    from rosbags.interfaces import Nodetype
+
     kind, detail = description
     if kind == Nodetype.NAME:
         return str(detail)

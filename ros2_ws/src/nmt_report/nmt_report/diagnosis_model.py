@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from nmt_core.number_words import value_text
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
-from nmt_report.diagnosis_words import key_text, value_text
+from nmt_report.diagnosis_words import key_text
 from nmt_report.quantity_format import significant
 from nmt_rig.rig import Rig
 from nmt_rig.rig_file_edit import changed_keys, edited_rig_text

@@ -9,6 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from nmt_core.number_words import percent, share_with_interval, value_text
 from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest, RecordTest, SteppedSineTest
 from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Remainder, Verdict
@@ -24,12 +25,10 @@ from nmt_report.diagnosis_words import (
     equation_text,
     key_text,
     parameters_text,
-    percent,
     place_text,
     probability_text,
     rest_text,
     sigma_text,
-    value_text,
     verdict_text,
 )
 from nmt_report.html_page import Column, Row, Table, part
@@ -177,7 +176,8 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
     if d.verdict is Verdict.UNKNOWN:
         cards.append(("Not in the library", probability_text(d.probabilities.get(UNKNOWN, math.nan)), "probability"))
     if d.verdict is Verdict.EFFECT or (d.verdict is Verdict.CALIBRATION and math.isfinite(gap.closed)):
-        cards.append(("Gap closed on held-out data", percent(gap.closed), f"90 % interval {_interval(gap)}"))
+        closed, interval = share_with_interval(gap.closed, gap.low, gap.high)
+        cards.append(("Gap closed on held-out data", closed, f"90 % interval {interval or 'not known'}"))
     if math.isfinite(gap.before):
         before = gap.as_given if d.verdict is Verdict.NONE else gap.before
         text = plain(before, 2)
@@ -185,12 +185,6 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
             text += f" → {plain(gap.after, 2)}"
         cards.append(("Residual, rms", text, f"standard deviations; scatter alone leaves {plain(gap.floor, 2)}"))
     return cards
-
-
-def _interval(gap: Gap) -> str:
-    if not math.isfinite(gap.low):
-        return "not known"
-    return f"{percent(gap.low)[:-2]} to {percent(gap.high)}"
 
 
 # -- which, where, how far --------------------------------------------------------------------------------------------
@@ -223,14 +217,14 @@ def _ranking(d: Diagnosis) -> Table:
         text = part("explanation", class_text(item), remark, effect_text(item.effect), equation_text(item.effect))
         accepted = "on" if d.verdict is Verdict.EFFECT and number == 0 else ""
         closed = item.closed
-        limits = f"{percent(closed.low)[:-2]} to {percent(closed.high)}" if math.isfinite(closed.low) else ""
+        value, limits = share_with_interval(closed.value, closed.low, closed.high)
         cells = (
             _probability_cell(item.probability, accepted),
             text,
             place_text(item.place, item.detail),
             parameters_text(item.parameters),
             plain(item.sigmas, 1),
-            part("std", percent(closed.value), limits),
+            part("std", value, limits),
         )
         rows.append((item.probability, Row(cells)))
     rest, p_rest = rest_text(d)
@@ -269,14 +263,13 @@ def _places(d: Diagnosis) -> Table | None:
             place_text(item.place),
             place_text(item.place, item.detail).partition(", ")[2] or "—",
             _probability_cell(item.p, "on" if number == 0 else ""),
-            _with_bar(item.share, percent(item.share)),
         ))
         for number, item in enumerate(d.where)
     ]  # fmt: skip
-    head = [Column(name, kind="text") for name in ("Place", "Most probably", "Probability", "Share of the gap")]
+    head = [Column(name, kind="text") for name in ("Place", "Most probably", "Probability")]
     note = (
-        "Probability: of all explanations at the place together, named and unnamed. Share: what a source at this place "
-        "can account for, weighted with that probability."
+        "Probability: of all explanations at the place together, named and unnamed, so it is at least that of any one "
+        "of them."
     )
     return Table(head, rows, note)
 
@@ -337,9 +330,10 @@ def _remainder(rest: Remainder | None) -> Table | None:
         rows.append(Row([*cells, significant(item.rms, 3), value]))
     head = [Column(name, kind="text") for name in ("Test", "Observable", "Levels", "Share of the rest")]
     head += [Column("Left", "standard deviations"), Column("Left", "rms")]
-    interval = f" ({percent(rest.low)[:-2]} to {percent(rest.high)})" if math.isfinite(rest.low) else ""
+    left, interval = share_with_interval(rest.share, rest.low, rest.high)
+    interval = f" ({interval})" if interval else ""
     note = (
-        f"{percent(rest.share)}{interval} of the gap is left. A laboratory's rig differs from its model by more than "
+        f"{left}{interval} of the gap is left. A laboratory's rig differs from its model by more than "
         "one thing; a smooth error of some percent of what the effect does is expected."
     )
     return Table(head, rows, note, "What is left")

@@ -8,18 +8,17 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from nmt_core.number_words import percent, value_text
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.hypotheses import NULL
 from nmt_report.diagnosis_words import (
     class_text,
     effect_text,
     parameters_text,
-    percent,
     place_text,
     probability_text,
     rest_text,
     sigma_text,
-    value_text,
 )
 from nmt_report.quantity_format import plain
 

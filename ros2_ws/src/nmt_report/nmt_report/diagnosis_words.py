@@ -7,11 +7,11 @@ import re
 from collections.abc import Mapping
 
 from nmt_core.errors import BenchError
+from nmt_core.number_words import plain, share_with_interval, value_text
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Ranked, Value, Verdict
 from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN
 from nmt_diagnose.inference.sentences import PLACES
-from nmt_report.quantity_format import plain, power_of_ten, significant
 from nmt_rig.rig import Rig
 
 VERDICTS = {
@@ -65,7 +65,7 @@ def place_text(place: str, detail: str = "") -> str:
     """Where, in words: ``the structure, point 5``."""
     places = [PLACES.get(part, part.replace("_", " ")) for part in place.split(" + ")]
     details = [detail_text(part, place) for part in detail.split(" + ") if part]
-    details = [part for part in details if part]
+    details = list(dict.fromkeys(part for part in details if part))
     return " and ".join(places) + (f", {' and '.join(details)}" if details else "")
 
 
@@ -115,23 +115,6 @@ def equation_text(effect: str) -> str:
     return "; ".join(found)
 
 
-def value_text(value: float, std: float, unit: str = "") -> str:
-    """``(2.00 ± 0.27)·10⁶ N/m³``: two digits of the uncertainty, a common power of ten where it saves zeros."""
-    tail = "" if unit in ("", "1") else f" {unit}"
-    if not math.isfinite(value):
-        return "—"
-    known = math.isfinite(std) and std > 0.0
-    size = max(abs(value), std) if known else abs(value)
-    exponent = math.floor(math.log10(size)) if size > 0.0 else 0
-    exponent = 0 if -3 <= exponent < 5 else 3 * math.floor(exponent / 3)
-    scale = 10.0**exponent
-    if not known:
-        return significant(value / scale, 5) + (f"·{power_of_ten(exponent)}" if exponent else "") + tail
-    decimals = max(0, min(9, 1 - math.floor(math.log10(std / scale))))
-    text = f"{plain(value / scale, decimals)} ± {plain(std / scale, decimals)}"
-    return (f"({text})·{power_of_ten(exponent)}" if exponent else text) + tail
-
-
 def parameters_text(parameters: Mapping[str, Value]) -> str:
     """Parameters with uncertainties, separated by commas."""
     groups: dict[str, list[str]] = {}
@@ -152,11 +135,6 @@ def sigma_text(sigma: float) -> str:
     return "> 100" if sigma > 100.0 else plain(sigma, 0)
 
 
-def percent(share: float, digits: int = 0) -> str:
-    """A share as percent; an em dash where it is not known."""
-    return f"{plain(100.0 * share, digits)} %" if math.isfinite(share) else "—"
-
-
 def probability_text(p: float) -> str:
     """A probability in percent, never claiming more certainty than two digits show."""
     if not math.isfinite(p):
@@ -167,9 +145,9 @@ def probability_text(p: float) -> str:
 
 
 def closed_text(gap: Gap) -> str:
-    """Share of the gap that is closed, with its interval."""
-    text = percent(gap.closed)
-    return f"{text} ({percent(gap.low)[:-2]} to {percent(gap.high)})" if math.isfinite(gap.low) else text
+    """Share of the gap that is closed, with its interval of 90 %."""
+    value, interval = share_with_interval(gap.closed, gap.low, gap.high)
+    return f"{value} ({interval})" if interval else value
 
 
 def rest_text(diagnosis: Diagnosis) -> tuple[str, float]:

@@ -5,7 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+from nmt_core.number_words import plain, power_of_ten, significant
+
+__all__ = [
+    "concise",
+    "decimals_of",
+    "duration",
+    "engineering_exponent",
+    "file_size",
+    "plain",
+    "power_of_ten",
+    "significant",
+    "uncertain",
+]
+
 _NARROW_SPACE = "\u202f"
 
 
@@ -13,11 +26,6 @@ def engineering_exponent(values: Iterable[float]) -> int:
     """Exponent, a multiple of 3, that brings the largest finite magnitude into [1, 1000); 0 if none."""
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     return 3 * math.floor(math.log10(largest) / 3.0) if largest > 0.0 else 0
-
-
-def power_of_ten(exponent: int) -> str:
-    """``10⁻³`` for -3, empty for 0."""
-    return "" if exponent == 0 else "10" + str(exponent).translate(_SUPERSCRIPT)
 
 
 def decimals_of(std: float, digits: int = 2) -> int | None:
@@ -64,19 +72,6 @@ def concise(value: float, std: float, fallback_decimals: int = 4, most_decimals:
     whole, _, fraction = std_text.partition(".")
     digits = fraction.lstrip("0") if whole == "0" else std_text
     return f"{value_text}({digits or '0'})"
-
-
-def plain(value: float, decimals: int) -> str:
-    """Fixed-point text with a true minus sign; an em dash for a value that is not finite."""
-    return f"{value:.{decimals}f}".replace("-", "−") if math.isfinite(value) else "—"
-
-
-def significant(value: float, digits: int = 4) -> str:
-    """Text with a number of significant digits, as ``9.1·10⁻⁵``; an em dash for a value that is not finite."""
-    if not math.isfinite(value):
-        return "—"
-    mantissa, _, exponent = f"{value:.{digits}g}".replace("-", "−").partition("e")
-    return f"{mantissa}·{power_of_ten(int(exponent.replace('−', '-')))}" if exponent else mantissa
 
 
 def duration(seconds: float) -> str:

@@ -162,7 +162,7 @@ def _comparison(points: Sequence[ModalPoint], recorded: Sequence[ModalPoint]) ->
     different = [point.level_index + 1 for point in shared if not point.identical(by_level[point.level_index])]
     if different:
         levels = ", ".join(map(str, different))
-        return f"Level {levels} differs from the live result: settings or blocks were others at the time."
+        return f"Level {levels} differs from the live result: settings, blocks or version were others at the time."
     return f"Equal to the live results bit for bit ({len(shared)} of {len(points)} levels compared)."
 
 

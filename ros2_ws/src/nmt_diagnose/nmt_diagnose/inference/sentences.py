@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from nmt_core.number_words import share_with_interval, significant, value_text
 from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.inference.diagnosis import Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
 from nmt_diagnose.inference.hypotheses import NULL
@@ -46,7 +47,9 @@ def sentences(
         )
     if verdict is Verdict.CALIBRATION:
         moved = sorted(calibration, key=lambda item: -abs(item.sigmas))[:3]
-        named = "; ".join(f"{m.name} {_number(m.start)} to {_uncertain(m.to, m.std)} {m.unit}" for m in moved)
+        named = "; ".join(
+            f"{m.name} {value_text(m.start, math.nan)} to {value_text(m.to, m.std, m.unit)}" for m in moved
+        )
         return (
             "The gap lies in parameters that the model already has.",
             f"No unmodelled effect is needed; the parameters that moved most beside their uncertainty: {named}.",
@@ -67,7 +70,7 @@ def sentences(
         )
     head = ranking[0]
     sure = "The cause is" if head.probability >= _LIKELY else "The most probable cause is"
-    values = ", ".join(f"{k} = {_uncertain(v.value, v.std)} {v.unit}" for k, v in head.parameters.items())
+    values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())
     where_it_acts = _at(classes[0].head.explanation)
     which = f"{sure} {_title(head.effect)}{where_it_acts} ({values}), probability {_sure(head.probability)}"
     if head.equivalents:
@@ -84,7 +87,7 @@ def _left(remainder: Remainder | None) -> str:
     if remainder.where:
         first = remainder.where[0]
         at = f" at the {first.levels}" if first.levels else ""
-        text += f", most of it in {first.observable}{at} ({_number(first.rms_unit)} {first.unit} rms)"
+        text += f", most of it in {first.observable}{at} ({significant(first.rms_unit, 3)} {first.unit} rms)"
     return text + "."
 
 
@@ -93,7 +96,8 @@ def _where(where: Sequence[PlaceShare]) -> str:
         return "Where the gap lies could not be told."
     first = where[0]
     detail = f", {_detail(first.detail)}," if first.detail and _detail(first.detail) else ""
-    text = f"The gap lies in {PLACES.get(first.place, first.place)}{detail.rstrip(',')}, probability {_sure(first.p)}"
+    text = f"The gap lies in {PLACES.get(first.place, first.place)}{detail.rstrip(',')}"
+    text += f"; all explanations there together have a probability of {_sure(first.p)}"
     others = [item for item in where[1:3] if item.p > 0.05]
     if others:
         text += "; otherwise " + " or ".join(
@@ -108,9 +112,10 @@ def _how_far(gap: Gap, what: str) -> str:
             f"{what} takes the fit from {gap.before:.2f} to {gap.after:.2f} standard deviations (rms; 1 is what "
             "the stated uncertainties allow); too few data could be held out to say how much of the gap that closes."
         )
-    interval = f" (90 % interval {100 * gap.low:.0f} to {100 * gap.high:.0f} %)" if math.isfinite(gap.low) else ""
+    closed, limits = share_with_interval(gap.closed, gap.low, gap.high)
+    interval = f" (90 % interval {limits})" if limits else ""
     return (
-        f"{what} closes {100.0 * gap.closed:.0f} % of the gap on data held out from the fit{interval}: from "
+        f"{what} closes {closed} of the gap on data held out from the fit{interval}: from "
         f"{gap.before:.2f} to {gap.after:.2f} standard deviations rms, where scatter alone leaves {gap.floor:.2f}."
     )
 
@@ -148,19 +153,3 @@ def _detail(detail: str) -> str:
 def _sure(p: float) -> str:
     """A probability without more certainty than two digits show."""
     return "over 99 %" if p > 0.995 else f"{100.0 * p:.0f} %"
-
-
-def _uncertain(value: float, std: float) -> str:
-    """Value ± standard uncertainty, both to the uncertainty's second digit."""
-    if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
-        return _number(value)
-    exponent = math.floor(math.log10(max(abs(value), std)))
-    exponent = 0 if -3 <= exponent < 5 else exponent
-    scale = 10.0**exponent
-    places = max(0, 1 - math.floor(math.log10(std / scale)))
-    text = f"{value / scale:.{places}f} ± {std / scale:.{places}f}"
-    return f"({text})e{exponent}" if exponent else text
-
-
-def _number(value: float) -> str:
-    return f"{value:.4g}"

@@ -1,0 +1,69 @@
+"""One notation of numbers for people, on pages, in consoles and in the sentences of JSON files."""
+
+from __future__ import annotations
+
+import math
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_MOST_DECIMALS = 3
+
+
+def power_of_ten(exponent: int) -> str:
+    """``10⁻³`` for -3, empty for 0."""
+    return "" if exponent == 0 else "10" + str(exponent).translate(_SUPERSCRIPT)
+
+
+def plain(value: float, decimals: int) -> str:
+    """Fixed-point text with a true minus sign; an em dash for a value that is not finite."""
+    return f"{value:.{decimals}f}".replace("-", "−") if math.isfinite(value) else "—"
+
+
+def significant(value: float, digits: int = 4) -> str:
+    """Text with a number of significant digits, as ``9.1·10⁻⁵``; an em dash for a value that is not finite."""
+    if not math.isfinite(value):
+        return "—"
+    mantissa, _, exponent = f"{value:.{digits}g}".replace("-", "−").partition("e")
+    return f"{mantissa}·{power_of_ten(int(exponent.replace('−', '-')))}" if exponent else mantissa
+
+
+def value_text(value: float, std: float, unit: str = "") -> str:
+    """``(2.00 ± 0.27)·10⁶ N/m³``: two digits of the uncertainty, a common power of ten where it saves zeros."""
+    tail = "" if unit in ("", "1") else f" {unit}"
+    if not math.isfinite(value):
+        return "—"
+    known = math.isfinite(std) and std > 0.0
+    size = max(abs(value), std) if known else abs(value)
+    exponent = math.floor(math.log10(size)) if size > 0.0 else 0
+    exponent = 0 if -3 <= exponent < 5 else 3 * math.floor(exponent / 3)
+    scale = 10.0**exponent
+    if not known:
+        return significant(value / scale, 5) + (f"·{power_of_ten(exponent)}" if exponent else "") + tail
+    decimals = max(0, min(9, 1 - math.floor(math.log10(std / scale))))
+    text = f"{plain(value / scale, decimals)} ± {plain(std / scale, decimals)}"
+    return (f"({text})·{power_of_ten(exponent)}" if exponent else text) + tail
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """A share as percent; an em dash where it is not known."""
+    return f"{plain(100.0 * share, digits)} %" if math.isfinite(share) else "—"
+
+
+def share_with_interval(value: float, low: float, high: float) -> tuple[str, str]:
+    """A share and its interval in percent, with as many decimals as the ends need to differ: ``92 %``, ``89 to 94 %``.
+
+    Args:
+        value: the share.
+        low: lower end of the interval; NaN = not known.
+        high: upper end.
+
+    Returns:
+        Text of the share; text of the interval, empty where it is not known, and a bound of its width where the ends
+        do not differ in a thousandth of a percent.
+    """
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return percent(value), ""
+    for digits in range(_MOST_DECIMALS + 1):
+        ends = percent(low, digits), percent(high, digits)
+        if ends[0] != ends[1]:
+            return percent(value, digits), f"{ends[0][:-2]} to {ends[1]}"
+    return percent(value), f"narrower than {10.0**-_MOST_DECIMALS:g} %"

@@ -1,0 +1,26 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from nmt_core.number_words import share_with_interval, value_text
+
+
+@pytest.mark.parametrize(
+    ("share", "low", "high", "texts"),
+    [
+        (0.92, 0.89, 0.94, ("92 %", "89 to 94 %")),
+        (0.9992, 0.9990, 0.9995, ("99.9 %", "99.9 to 100.0 %")),
+        (0.99992, 0.99990, 0.99994, ("99.992 %", "99.990 to 99.994 %")),
+        (1.0, 1.0, 1.0, ("100 %", "narrower than 0.001 %")),
+        (-0.2, -0.4, 0.1, ("−20 %", "−40 to 10 %")),
+        (0.5, math.nan, math.nan, ("50 %", "")),
+    ],
+)
+def test_the_ends_of_an_interval_never_read_alike(share, low, high, texts):
+    assert share_with_interval(share, low, high) == texts
+
+
+def test_a_value_has_one_notation():
+    assert value_text(2.1116e5, 1.0e4, "N/m") == "(211 ± 10)·10³ N/m"

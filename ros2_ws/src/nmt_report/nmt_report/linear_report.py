@@ -97,8 +97,12 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
     if check is not None:
         text += "; linear at this level" if check.is_linear else "; not linear at this level"
     cards = [
-        ("Target mode", f"{plain(target.frequency_hz, 4)} Hz", f"± {target.frequency_std:.1g} Hz"),
-        ("Damping ratio", f"{plain(100 * target.damping_ratio, 4)} %", f"± {100 * target.damping_std:.1g} %"),
+        ("Target mode", f"{plain(target.frequency_hz, 4)} Hz", f"± {significant(target.frequency_std, 1)} Hz"),
+        (
+            "Damping ratio",
+            f"{plain(100 * target.damping_ratio, 4)} %",
+            f"± {significant(100 * target.damping_std, 1)} %",
+        ),
     ]
     if test.plant is not None:
         plant = test.plant
@@ -174,7 +178,7 @@ def _mode_tables(test: LinearTest, exact: ExactModes | None) -> list[Table]:
                     plain(100 * errors.exact_damping_ratio, 4),
                     plain(100 * errors.frequency, 4),
                     plain(100 * errors.damping, 3),
-                    f"{errors.mac_defect:.1e}",
+                    significant(errors.mac_defect, 2),
                     plain(100 * errors.scale, 3),
                 ]
             )

@@ -53,8 +53,7 @@ def uncertain(value: float, std: float, fallback_decimals: int = 4, most_decimal
     if decimals is None:
         return plain(value, fallback_decimals)
     if decimals > most_decimals and std < 0.5 * 10.0**-most_decimals:
-        exponent = math.floor(math.log10(std))
-        return f"{plain(value, most_decimals)} ± {std / 10.0**exponent:.0f}·{power_of_ten(exponent)}"
+        return f"{plain(value, most_decimals)} ± {significant(std, 1)}"
     decimals = min(decimals, most_decimals)
     return f"{plain(value, decimals)} ± {std:.{decimals}f}"
 

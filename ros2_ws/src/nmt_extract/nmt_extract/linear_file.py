@@ -14,6 +14,7 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray
 from nmt_core.linear_description import LinearDescription
+from nmt_core.number_words import significant
 from nmt_extract.frf import ComplexArray, FrfEstimate
 from nmt_extract.linear_residuals import Residuals
 from nmt_extract.linear_test import LinearTest
@@ -54,10 +55,16 @@ class Linearity:
     def sentence(self) -> str:
         """The finding in words."""
         verdict = "linear" if self.is_linear else "NOT linear, lower the level"
+        frequency, damping = (
+            f"{significant(100 * change, 2)} % (± {significant(100 * std, 1)})"
+            for change, std in (
+                (self.frequency_change, self.frequency_std),
+                (self.damping_change, self.damping_std),
+            )
+        )
         return (
-            f"From {self.lower_level:g} to {self.level:g} V rms the target's frequency changes by "
-            f"{100 * self.frequency_change:+.4f} % (± {100 * self.frequency_std:.4f}), its damping ratio by "
-            f"{100 * self.damping_change:+.2f} % (± {100 * self.damping_std:.2f}): {verdict}."
+            f"From {self.lower_level:g} to {self.level:g} V rms the target's frequency changes by {frequency}, "
+            f"its damping ratio by {damping}: {verdict}."
         )
 
 

@@ -18,7 +18,7 @@ from nmt_core.blocks import Quantity
 from nmt_diagnose.evidence.conditions import RandomTest
 from nmt_diagnose.evidence.measuring_chain import MeasuringChain
 from nmt_diagnose.evidence.observables import Evidence, Part, Rows
-from nmt_diagnose.inference.held_images import told_drives
+from nmt_diagnose.inference.held_images import with_detected_images
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig
 
@@ -135,13 +135,13 @@ def _off_by(factor: float) -> Rig:
 @pytest.mark.parametrize("at", [0.25, -0.2])
 def test_images_that_are_there_are_found_and_when_the_channels_are_sampled(at: float) -> None:
     test, rows = _random()
-    told = told_drives(_evidence(_sampled(MODEL, test, at), test, rows, 1), _off_by(2e-4))
-    assert len(told) == 1
-    (seen,) = told[0].tests
+    found = with_detected_images(_evidence(_sampled(MODEL, test, at), test, rows, 1), _off_by(2e-4))
+    assert len(found) == 1
+    (seen,) = found[0].tests
     assert isinstance(seen, RandomTest)
     assert seen.sampled_at == pytest.approx(at, abs=0.08)
     assert seen.drive_hold_hz == RATE
-    assert not told[0].chains[0].images
+    assert not found[0].chains[0].images
 
 
 def test_filters_that_keep_images_out_are_found() -> None:
@@ -153,14 +153,14 @@ def test_filters_that_keep_images_out_are_found() -> None:
     full = np.full(len(rows), 2e-3)
     chains = (MeasuringChain(hold_hz=RATE),)
     evidence = Evidence((test,), rows, values - late + gain + noise, full, 0.0 * full, chains=chains)
-    told = told_drives(evidence, _off_by(2e-4))
-    assert len(told) == 1
-    assert told[0].tests == evidence.tests
-    assert not told[0].chains[0].images
+    found = with_detected_images(evidence, _off_by(2e-4))
+    assert len(found) == 1
+    assert found[0].tests == evidence.tests
+    assert not found[0].chains[0].images
 
 
-def test_where_images_hardly_matter_nothing_is_told() -> None:
+def test_where_images_hardly_matter_nothing_is_decided() -> None:
     test, rows = _random()
     noisy = _evidence(_sampled(MODEL, test, 0.25), test, rows, 3, noise=2e-2)
-    assert told_drives(noisy, MODEL) == ()
-    assert told_drives(replace(noisy, chains=(None,)), MODEL) == ()
+    assert with_detected_images(noisy, MODEL) == ()
+    assert with_detected_images(replace(noisy, chains=(None,)), MODEL) == ()

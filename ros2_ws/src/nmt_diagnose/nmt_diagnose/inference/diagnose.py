@@ -40,7 +40,7 @@ from nmt_diagnose.inference.discrepancy import measured_elsewhere, smooth_errors
 from nmt_diagnose.inference.fit import Fit, FitError, fit
 from nmt_diagnose.inference.gap import Closed, rms
 from nmt_diagnose.inference.generic_source import SourceScore
-from nmt_diagnose.inference.held_images import may_hold_images, told_drives
+from nmt_diagnose.inference.held_images import may_hold_images, with_detected_images
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.held_out_contest import HeldOut, Refits
 from nmt_diagnose.inference.hypotheses import NULL
@@ -312,7 +312,7 @@ class _Diagnoser:
             null = self.contest.polished(self.contest.null())
         except FitError as error:
             raise BenchError(f"The model cannot be compared with the evidence: {error}.") from error
-        null = self._with_told_drive(null)
+        null = self._with_detected_images(null)
         self.progress(f"scanning {len(self.candidates)} candidates")
         known = self.contest.from_below(null)
         scan = self.contest.scan(null)
@@ -382,23 +382,23 @@ class _Diagnoser:
         self.contest = self._contest()
         return True
 
-    def _with_told_drive(self, null: Contender) -> Contender:
-        """The model alone after random tests told whether images of a held drive are in them."""
+    def _with_detected_images(self, null: Contender) -> Contender:
+        """The model alone after random tests showed whether images of a held drive are in them."""
         for last in (False, True):
             evidence = self.plain.evidence
             if not any(may_hold_images(test, own) for test, own in zip(evidence.tests, evidence.chains, strict=False)):
                 break
-            options = told_drives(evidence, null.fit.parametrisation.rig(null.fit.theta))
+            options = with_detected_images(evidence, null.fit.parametrisation.rig(null.fit.theta))
             if len(options) == 1:
                 null = self._under(options[0], null)
             elif options and last:
                 # Both nearly suit the responses line by line: the better fit of all tests decides, if it is good.
                 fits = [self._under(option, null) for option in options]
                 best = int(np.argmax([found.fit.log_evidence for found in fits]))
-                told = options[best] if rms_left(fits[best]) < _GOOD else evidence
-                null = self._under(told, null)
+                chosen = options[best] if rms_left(fits[best]) < _GOOD else evidence
+                null = self._under(chosen, null)
             elif not last:
-                # The nearer the model is, the clearer they tell it.
+                # The nearer the model is, the clearer they show it.
                 null = self._under(evidence, null)
         return null
 

@@ -57,8 +57,8 @@ class MeasuredResponse(NamedTuple):
     images: ComplexArray
 
 
-class ToldImages(NamedTuple):
-    """What responses tell of images.
+class DetectedImages(NamedTuple):
+    """What was found in responses.
 
     Attributes:
         there: whether they are in the responses; None = that is not clear.
@@ -69,8 +69,8 @@ class ToldImages(NamedTuple):
     sampled_at: float
 
 
-def told_drives(evidence: Evidence, rig: Rig) -> tuple[Evidence, ...]:
-    """The evidence with what its random tests tell of a held drive: one, two where either may be, none without a hint.
+def with_detected_images(evidence: Evidence, rig: Rig) -> tuple[Evidence, ...]:
+    """The evidence with what its first random test shows of a held drive.
 
     Without images none are looked for in any test of that rate. Images that are there become part of what the model
     predicts for that random test.
@@ -78,6 +78,9 @@ def told_drives(evidence: Evidence, rig: Rig) -> tuple[Evidence, ...]:
     Args:
         evidence: the real side.
         rig: the model, near enough to the rig.
+
+    Returns:
+        One; two, with images and without, where that is not clear; none where images hardly matter.
     """
     for number, test in enumerate(evidence.tests):
         chain = evidence.chains[number] if number < len(evidence.chains) else None
@@ -86,10 +89,10 @@ def told_drives(evidence: Evidence, rig: Rig) -> tuple[Evidence, ...]:
         rate = chain.hold_hz
         apart = rate * max(chain.of(channel.name).delay_s for channel in test.channels)
         channels = range(len(test.channels))
-        told = told_images([_response(evidence, number, test, k, rig, rate) for k in channels], rate, apart)
-        if told is None:
+        found = detected_images([_response(evidence, number, test, k, rig, rate) for k in channels], rate, apart)
+        if found is None:
             continue
-        seen = replace(test, drive_hold_hz=rate, sampled_at=told.sampled_at)
+        seen = replace(test, drive_hold_hz=rate, sampled_at=found.sampled_at)
         with_images = replace(
             evidence,
             tests=tuple(seen if k == number else own for k, own in enumerate(evidence.tests)),
@@ -99,12 +102,12 @@ def told_drives(evidence: Evidence, rig: Rig) -> tuple[Evidence, ...]:
             replace(own, images=False) if own is not None and own.hold_hz == rate else own for own in evidence.chains
         )
         without = replace(evidence, chains=chains)
-        return (with_images, without) if told.there is None else (with_images if told.there else without,)
+        return (with_images, without) if found.there is None else (with_images if found.there else without,)
     return ()
 
 
 def may_hold_images(test: Test, chain: MeasuringChain | None) -> bool:
-    """Whether a test is a random one that refers to a voltage whose images may be in it, nobody knows how."""
+    """Whether a test is a random one over a voltage that may be held, and nothing says whether its images are there."""
     return (
         isinstance(test, RandomTest)
         and test.reference == "voltage"
@@ -134,7 +137,7 @@ def _response(
     )
 
 
-def told_images(responses: Sequence[MeasuredResponse], rate: float, apart: float) -> ToldImages | None:
+def detected_images(responses: Sequence[MeasuredResponse], rate: float, apart: float) -> DetectedImages | None:
     """Whether responses hold images of a held drive, and how they are turned; None where they hardly matter.
 
     Every response may have a gain, a phase, a delay, a high-pass and a roll-off of its own. Errors of the model near
@@ -174,7 +177,7 @@ def told_images(responses: Sequence[MeasuredResponse], rate: float, apart: float
         return None
     angle = _between(together, common)
     there = None if _ABSENT * lost <= gained <= _THERE * lost else gained > 0.0
-    return ToldImages(there, angle + round(float(np.median(lead)) - angle))
+    return DetectedImages(there, angle + round(float(np.median(lead)) - angle))
 
 
 def _between(costs: FloatArray, best: int) -> float:

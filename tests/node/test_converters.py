@@ -6,7 +6,6 @@ The scripts beside this file do the same at length: `converter_demo`, `converter
 
 from __future__ import annotations
 
-import functools
 import json
 import os
 import re
@@ -15,6 +14,7 @@ import time
 
 import numpy as np
 import pytest
+from busy_computer import ATTEMPTS, on_a_quiet_computer
 from node.converter_bench import KINDS, MISSING, WHAT_IS_MISSING, converter_bench, environment
 from node.converter_delay import measured_delay, sentences, true_delay
 from node.converter_demo import MOST_DAMPING, MOST_FREQUENCY, compare
@@ -23,8 +23,6 @@ from node.converter_faults import attempt, processes, until_locked
 from node.converter_gaps import stream
 
 SEED = 3
-ATTEMPTS = 3  # a busy computer loses samples of its own; such a run shows nothing
-BUSY = "it loses samples again and again"
 AT_ONCE = 5.0  # s; what has to be waited for otherwise takes ten
 
 
@@ -35,33 +33,13 @@ def kind(request):
     return request.param
 
 
-def on_a_quiet_computer(test):
-    """Do it again, up to three times in all, where the converter did not start because the computer was busy."""
-
-    @functools.wraps(test)
-    def again(tmp_path, **given):
-        for turn in range(1, ATTEMPTS + 1):
-            folder = tmp_path / f"turn-{turn}"
-            folder.mkdir()
-            try:
-                with pytest.MonkeyPatch.context() as patch:
-                    for name, value in environment(folder).items():
-                        patch.setenv(name, value)
-                    return test(tmp_path=folder, **given)
-            except Exception as error:
-                if BUSY not in str(error) or turn == ATTEMPTS:
-                    raise
-
-    return again
-
-
 def only(kind):
     """One converter is enough for what is the same on both; the scripts do both."""
     return pytest.mark.parametrize("kind", [kind], indirect=True)
 
 
 @pytest.mark.slow
-@on_a_quiet_computer
+@on_a_quiet_computer(environment)
 def test_the_demo_on_a_converter_is_the_simulated_one(kind, tmp_path):
     found, said = compare(kind, tmp_path, "--levels", "1", "--periods", "40", "--reference", "none", attempts=ATTEMPTS)
     assert [each.level for each in found] == [1.0]
@@ -76,7 +54,7 @@ def test_the_demo_on_a_converter_is_the_simulated_one(kind, tmp_path):
     assert re.search(r"round trip \d+ samples", said)
 
 
-@on_a_quiet_computer
+@on_a_quiet_computer(environment)
 def test_a_start_finds_the_delay(kind, tmp_path):
     for planted in np.random.default_rng(SEED).integers(0, 900, 2):
         assert abs(measured_delay(kind, tmp_path, int(planted)) - true_delay(kind, int(planted))) <= 1
@@ -84,7 +62,7 @@ def test_a_start_finds_the_delay(kind, tmp_path):
 
 @pytest.mark.slow
 @only("portaudio")
-@on_a_quiet_computer
+@on_a_quiet_computer(environment)
 def test_a_clock_that_is_off_is_said(kind, tmp_path):
     """A card whose output and input drift apart shows in the delay; of a whole converter see `converter_delay`."""
     _, drift, said = sentences(kind, tmp_path, 50.0, 10.0)
@@ -98,7 +76,7 @@ def test_a_clock_that_is_off_is_said(kind, tmp_path):
     [("portaudio", "owner", "SIGSTOP"), ("nidaqmx", "plant", "SIGKILL")],
     indirect=["kind"],
 )
-@on_a_quiet_computer
+@on_a_quiet_computer(environment)
 def test_the_port_is_at_zero_after_a_fault(kind, process, fault, tmp_path):
     """Recorded on the other side; JACK repeats the last period of a client that is stopped, until it is ended."""
     found = attempt(kind, process, fault, tmp_path)
@@ -110,7 +88,7 @@ def test_the_port_is_at_zero_after_a_fault(kind, process, fault, tmp_path):
 
 
 @pytest.mark.slow
-@on_a_quiet_computer
+@on_a_quiet_computer(environment)
 def test_a_gap_is_marked(kind, tmp_path):
     """The process at the converter is stopped now and then: blocks that are given are what was put out."""
     found = stream(kind, tmp_path, 8.0, stop_every=1.5, stop_s=0.03 if kind == "portaudio" else 0.2)
@@ -122,7 +100,7 @@ def test_a_gap_is_marked(kind, tmp_path):
 
 @pytest.mark.slow
 @only("portaudio")
-@on_a_quiet_computer
+@on_a_quiet_computer(environment)
 def test_lost_samples_reject_their_window_only(kind, tmp_path):
     """The process at the converter is stopped for a moment in the window of the second of three levels."""
     for turn in range(ATTEMPTS):
@@ -157,7 +135,7 @@ def run_with_a_stop(kind, folder, out):
 
 @pytest.mark.slow
 @only("nidaqmx")
-@on_a_quiet_computer
+@on_a_quiet_computer(environment)
 def test_a_ring_down_on_a_converter_is_the_simulated_one(kind, tmp_path):
     for name, found, wanted in excitations(kind, tmp_path, "ring_down"):
         assert found == pytest.approx(wanted, rel=2e-3), name

@@ -26,7 +26,7 @@ SEED = 101
 
 
 @dataclass(frozen=True)
-class Truth:
+class InjectedEffect:
     """An effect that the laboratory has and its model has not.
 
     Attributes:
@@ -48,12 +48,12 @@ def _weak(measuring: MeasuringChain) -> MeasuringChain:
     return replace(measuring, gains=tuple(gains))
 
 
-TRUTHS = {
-    "gain": Truth(Chain(), "response_gain", {"g": -0.05}, _weak),
-    "cubic": Truth(Chain(cubic=2e11), "cubic_stiffness", {"k": 2e11}),
-    "stop": Truth(Chain(stop=1e4, stop_gap=4e-5), "one_sided_stop", {"k": 1e4, "gap": 4e-5}),
-    "gap": Truth(Chain(gap_stiffness=1e4, gap=4e-5), "two_sided_gap", {"k": 1e4, "gap": 4e-5}),
-    "source": Truth(Chain(source_resistance=1.5), "source_impedance", {"R": 1.5}),
+INJECTED_EFFECTS = {
+    "gain": InjectedEffect(Chain(), "response_gain", {"g": -0.05}, _weak),
+    "cubic": InjectedEffect(Chain(cubic=2e11), "cubic_stiffness", {"k": 2e11}),
+    "stop": InjectedEffect(Chain(stop=1e4, stop_gap=4e-5), "one_sided_stop", {"k": 1e4, "gap": 4e-5}),
+    "gap": InjectedEffect(Chain(gap_stiffness=1e4, gap=4e-5), "two_sided_gap", {"k": 1e4, "gap": 4e-5}),
+    "source": InjectedEffect(Chain(source_resistance=1.5), "source_impedance", {"R": 1.5}),
 }
 
 
@@ -85,7 +85,7 @@ def main() -> None:
         alarms += found.verdict.value not in ("none", "calibration")
         print(f"healthy {seed}: {found.verdict.value}", flush=True)
     print(f"{alarms} alarms in {given.healthy} healthy recordings")
-    for name, truth in TRUTHS.items() if given.effects else ():
+    for name, truth in INJECTED_EFFECTS.items() if given.effects else ():
         measuring = truth.change(MeasuringChain.drawn(SEED))
         with tempfile.TemporaryDirectory() as folder:
             found = diagnosed(Path(folder), truth.chain, measuring, (0.2, 0.4, 0.6, 0.8, 1.0))

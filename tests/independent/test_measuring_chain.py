@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from independent.campaign import SEED, TRUTHS, diagnosed
+from independent.campaign import INJECTED_EFFECTS, SEED, diagnosed
 from independent.laboratory import Chain, MeasuringChain
 
 
@@ -19,7 +19,7 @@ def test_a_healthy_recording_raises_no_alarm(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gain", "source"])
 def test_an_effect_beyond_the_tolerances_is_named(tmp_path: Path, name: str) -> None:
-    truth = TRUTHS[name]
+    truth = INJECTED_EFFECTS[name]
     measuring = truth.change(MeasuringChain.drawn(SEED))
     found = diagnosed(tmp_path, truth.chain, measuring, (0.2, 0.4, 0.6, 0.8, 1.0))
     head = found.ranking[0]

@@ -1,4 +1,4 @@
-"""A diagnosis by hand: evidence of every kind of test, models beside it, and one outcome per verdict."""
+"""A diagnosis by hand: observations of every kind of test, models beside it, and one outcome per verdict."""
 
 from __future__ import annotations
 
@@ -8,16 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.evidence.conditions import (
-    LockedLevel,
-    MeasuredChannel,
-    PhaseResonanceTest,
-    RandomTest,
-    RecordTest,
-    RingDownTest,
-)
-from nmt_diagnose.evidence.observables import Evidence, Part, joined
-from nmt_diagnose.evidence.row_table import Place, RowTable
 from nmt_diagnose.inference.diagnosis import (
     Diagnosis,
     Gap,
@@ -31,6 +21,16 @@ from nmt_diagnose.inference.diagnosis import (
 )
 from nmt_diagnose.inference.gap import rms
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
+from nmt_diagnose.observations.conditions import (
+    LockedLevel,
+    MeasuredChannel,
+    PhaseResonanceTest,
+    RandomTest,
+    RecordTest,
+    RingDownTest,
+)
+from nmt_diagnose.observations.observables import Observations, Part, joined
+from nmt_diagnose.observations.row_table import Place, RowTable
 from nmt_report.diagnosis_curves import Models
 from nmt_report.diagnosis_report import DiagnosisReport
 from nmt_rig.rig import load_rig
@@ -41,7 +41,7 @@ DISPLACEMENT = MeasuredChannel("x5", Quantity.DISPLACEMENT, 5)
 HZ = 22.5
 
 
-def phase_resonance() -> Evidence:
+def phase_resonance() -> Observations:
     table = RowTable()
     levels = []
     for k, drive in enumerate(DRIVES):
@@ -56,62 +56,63 @@ def phase_resonance() -> Evidence:
                 table.add(Part.REAL, 0.003 * order, 1e-4, 0.0, place, channel, order)
                 table.add(Part.IMAG, -0.004 * order, 1e-4, 0.0, place, channel, order)
     test = PhaseResonanceTest("backbone", 2, "x5", (FORCE, DISPLACEMENT), 3, "voltage", tuple(levels))
-    return table.evidence(test)
+    return table.observations(test)
 
 
-def random() -> Evidence:
+def random() -> Observations:
     lines = np.linspace(10.0, 200.0, 50)
     table = RowTable()
     for k, line in enumerate(lines):
         place = Place(k, 0.0, float(line), 0.05)
         table.add(Part.LOG_MAGNITUDE, 0.01 * k, 5e-3, 0.0, place, 0)
         table.add(Part.PHASE, -0.01 * k, 5e-3, 0.0, place, 0)
-    return table.evidence(RandomTest("random", 2, (FORCE,), "voltage", lines, 0.1, "none", 0.05, 0.0, 30.0))
+    return table.observations(RandomTest("random", 2, (FORCE,), "voltage", lines, 0.1, "none", 0.05, 0.0, 30.0))
 
 
-def ring_down() -> Evidence:
+def ring_down() -> Observations:
     amplitudes = np.geomspace(1e-3, 1e-5, 6)
     table = RowTable()
     for k, amplitude in enumerate(amplitudes):
         place = Place(k, 0.3 * k, HZ, float(amplitude))
         table.add(Part.LOG_FREQUENCY, math.log(2.0 * math.pi * HZ), 1e-4, 0.0, place)
         table.add(Part.DAMPING, 0.01, 1e-4, 0.0, place)
-    return table.evidence(RingDownTest("decay", 2, DISPLACEMENT, amplitudes, HZ))
+    return table.observations(RingDownTest("decay", 2, DISPLACEMENT, amplitudes, HZ))
 
 
-def record() -> Evidence:
+def record() -> Observations:
     table = RowTable()
     for k in range(60):
         table.add(Part.SAMPLE, 1e-3 * math.sin(0.3 * k), 1e-5, 0.0, Place(k // 20, 0.01 * k, 0.0, 0.0), 0)
     bounds = np.array([0.0, 20.0, 40.0, 60.0])
-    return table.evidence(RecordTest("record", 2, 100.0, FORCE, np.zeros(60), (DISPLACEMENT,), bounds))
+    return table.observations(RecordTest("record", 2, 100.0, FORCE, np.zeros(60), (DISPLACEMENT,), bounds))
 
 
-def every_test() -> Evidence:
+def every_test() -> Observations:
     found = joined([phase_resonance(), random(), ring_down(), record()])
     return replace(found, inputs=(("bags/backbone", "ab" * 32), ("bags/random", "cd" * 32)))
 
 
-def one_test() -> Evidence:
+def one_test() -> Observations:
     return replace(phase_resonance(), inputs=(("bags/backbone", "ab" * 32),))
 
 
-def models_of(evidence: Evidence) -> Models:
+def models_of(observations: Observations) -> Models:
     """The model as given is 5 standard deviations off everywhere, the re-fitted one 3, the final one 0.5."""
-    sign = np.where(np.arange(len(evidence.rows)) % 2, 1.0, -1.0)
-    shifted: list[FloatArray] = [evidence.values + size * sign * evidence.sigma for size in (5.0, 3.0, 0.5)]
+    sign = np.where(np.arange(len(observations.rows)) % 2, 1.0, -1.0)
+    shifted: list[FloatArray] = [observations.values + size * sign * observations.sigma for size in (5.0, 3.0, 0.5)]
     return Models(*shifted)
 
 
-def report(verdict: Verdict, evidence: Evidence | None = None) -> DiagnosisReport:
+def report(verdict: Verdict, observations: Observations | None = None) -> DiagnosisReport:
     """A report of a verdict; ``effect`` has a class of two that cannot be distinguished."""
-    evidence = every_test() if evidence is None else evidence
-    models = models_of(evidence)
+    observations = every_test() if observations is None else observations
+    models = models_of(observations)
     given, refitted, final = (
-        (values - evidence.values) / evidence.sigma for values in (models.as_given, models.refitted, models.final)
+        (values - observations.values) / observations.sigma
+        for values in (models.as_given, models.refitted, models.final)
     )
     last = final if verdict is Verdict.EFFECT else refitted
-    everything = np.ones(len(evidence.rows), dtype=bool)
+    everything = np.ones(len(observations.rows), dtype=bool)
     nan = math.nan
     closed = (0.9, 0.8, 0.95) if verdict in (Verdict.EFFECT, Verdict.CALIBRATION) else (nan, nan, nan)
     ranked = Ranked(
@@ -131,7 +132,7 @@ def report(verdict: Verdict, evidence: Evidence | None = None) -> DiagnosisRepor
         ranking=(ranked, pair),
         probabilities={"none": 0.01, "unknown": 0.04, "cubic_stiffness@5": 0.93},
         gap=Gap(
-            3.0, rms(last), 1.0, 5.0, *closed, per_observable(evidence, refitted, last, everything),
+            3.0, rms(last), 1.0, 5.0, *closed, per_observable(observations, refitted, last, everything),
             ("every second level",),
         ),
         next_test=() if gapless else (
@@ -145,14 +146,14 @@ def report(verdict: Verdict, evidence: Evidence | None = None) -> DiagnosisRepor
             Recalibrated("structure.youngs_modulus_pa", 1.85e11, 1.8502e11, 9e7, "Pa", 0.01, 0.2),
         ),
         inputs={
-            "bags": [{"path": path, "sha256": digest} for path, digest in evidence.inputs],
+            "bags": [{"path": path, "sha256": digest} for path, digest in observations.inputs],
             "tests": [{"name": "backbone", "kind": "PhaseResonanceTest", "drive_point": 2, "levels": 5}],
             "held_out": ["every second level"],
             "withheld": ["microslip"],
             "seed": 0,
         },
         notes=("backbone: level 7 is left out.",),
-        residual_map=residual_map(evidence, given, refitted, last),
+        residual_map=residual_map(observations, given, refitted, last),
         residual_tests=(
             {"name": "even harmonics", "where": "backbone", "statistic": 99.0, "freedom": 10, "p": 1e-9,
              "p_holm": 1e-8},
@@ -161,4 +162,4 @@ def report(verdict: Verdict, evidence: Evidence | None = None) -> DiagnosisRepor
         ),
         candidates=({"label": "none", "log_evidence": 0.0, "chi_square": 900.0, "rows": 100, "converged": True},),
     )  # fmt: skip
-    return DiagnosisReport(diagnosis, evidence, models, load_rig("beam"))
+    return DiagnosisReport(diagnosis, observations, models, load_rig("beam"))

@@ -17,7 +17,7 @@ from nmt_bench.orchestration.bench_files import write_bench_files
 from nmt_core.errors import BenchError
 from nmt_core.parameters import check_values
 from nmt_core.run_announcement import RunAnnouncement
-from nmt_diagnose.evidence.origin import origin_of
+from nmt_diagnose.observations.origin import origin_of
 from nmt_plant.hardware_rig import HARDWARE_LEAD, device_of
 from nmt_record.bag_reader import Bag
 from nmt_record.run_recorder import PARAMETERS, RunRecorder, described_run

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from nmt_pll.settings import LoopSettings
+from nmt_pll.loop_settings import LoopSettings
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test

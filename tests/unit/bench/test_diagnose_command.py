@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from unit.diagnose.evidence_bags import altered, record, rig_with_noise, with_data
+from unit.diagnose.observation_bags import altered, record, rig_with_noise, with_data
 
 from nmt_bench.cli import build_parser, main
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.records import LockEvent
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.evidence.read_evidence import read_evidence
 from nmt_diagnose.inference.next_test import proposals
+from nmt_diagnose.observations.read_observations import read_observations
 from nmt_record.bag_reader import Bag
 from nmt_rig.rig import find_rig, load_rig
 from nmt_session import Session, plan_test
@@ -127,7 +127,7 @@ def test_a_next_test_runs_the_recorded_rig_and_keeps_the_answer(
     assert real
     (tmp_path / "rig.yaml").write_text(real, encoding="utf-8")
     levels = record(tmp_path / "bag", load_rig(tmp_path / "rig.yaml"), run={"device": "simulated rig"})
-    found = proposals(load_rig("beam"), read_evidence([levels], load_rig("beam")))
+    found = proposals(load_rig("beam"), read_observations([levels], load_rig("beam")))
     command = next(item.command for item in found if "--exciter 5" in item.command)
     words = shlex.split(command)
     assert words[0] == "./nmt"

@@ -15,8 +15,8 @@ import pytest
 from unit.bench import diagnosis_fixture as fixture
 
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.evidence.observables import Part
 from nmt_diagnose.inference.diagnosis import Left, Ranked, Remainder, Share, Value, Verdict
+from nmt_diagnose.observations.observables import Part
 from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv
 from nmt_report.diagnosis_report import diagnosis_page, probability_shares
 from nmt_report.diagnosis_words import (
@@ -84,7 +84,7 @@ def test_a_page_for_every_verdict(verdict: Verdict) -> None:
     assert "something is left" in text
     steps = text[text.index("Residual, rms", text.index("How far of")) : text.index("Held out")]
     assert ("with the effect" in steps) == (verdict is Verdict.EFFECT)
-    assert page.count('<figure id="map-') == len(report.evidence.tests)
+    assert page.count('<figure id="map-') == len(report.observations.tests)
 
 
 def test_the_same_report_is_the_same_page() -> None:
@@ -131,7 +131,7 @@ def test_hostile_names_stay_text() -> None:
 
 def test_what_was_not_found_leaves_the_page_whole() -> None:
     report = fixture.report(Verdict.EFFECT)
-    nan = np.full(len(report.evidence.rows), math.nan)
+    nan = np.full(len(report.observations.rows), math.nan)
     d = report.diagnosis
     empty = replace(
         d, residual_map=(), residual_tests=(), candidates=(), calibration=(), where=(), next_test=(), ranking=(),
@@ -146,41 +146,41 @@ def test_what_was_not_found_leaves_the_page_whole() -> None:
 
 
 def test_a_course_is_in_the_units_that_its_axes_say() -> None:
-    evidence = fixture.every_test()
-    models = fixture.models_of(evidence)
-    (frequency,) = courses(evidence, models, 0, Part.LOG_FREQUENCY)
+    observations = fixture.every_test()
+    models = fixture.models_of(observations)
+    (frequency,) = courses(observations, models, 0, Part.LOG_FREQUENCY)
     np.testing.assert_allclose(frequency.measured, fixture.HZ)
     np.testing.assert_allclose(frequency.x, fixture.DRIVES)
     # 1e-4 of a logarithm is 0.01 %.
     np.testing.assert_allclose(frequency.deviations[3], 0.01)
     np.testing.assert_allclose(np.abs(frequency.deviations[0]), 0.05)
     np.testing.assert_allclose(np.abs(frequency.deviations[2]), 0.005)
-    force, displacement = courses(evidence, models, 0, Part.LOG_MAGNITUDE)
+    force, displacement = courses(observations, models, 0, Part.LOG_MAGNITUDE)
     np.testing.assert_allclose(force.measured, 2.0 * np.array(fixture.DRIVES))
     assert (force.unit, displacement.unit) == ("N", "10⁻⁶ m")
     np.testing.assert_allclose(displacement.measured, 300.0 * np.array(fixture.DRIVES))
-    (response,) = courses(evidence, models, 1, Part.LOG_MAGNITUDE)
+    (response,) = courses(observations, models, 1, Part.LOG_MAGNITUDE)
     assert response.unit == "N / V"
-    np.testing.assert_allclose(response.x, evidence.tests[1].lines_hz)
-    (damping,) = courses(evidence, models, 2, Part.DAMPING)
+    np.testing.assert_allclose(response.x, observations.tests[1].lines_hz)
+    (damping,) = courses(observations, models, 2, Part.DAMPING)
     np.testing.assert_allclose(damping.measured, 1.0)
     np.testing.assert_allclose(damping.deviations[3], 0.01)
 
 
 def test_phases_are_compared_over_the_cut() -> None:
-    evidence = fixture.phase_resonance()
-    mine = (evidence.rows.part == Part.PHASE) & (evidence.rows.channel == 1)
-    models = fixture.models_of(evidence)
+    observations = fixture.phase_resonance()
+    mine = (observations.rows.part == Part.PHASE) & (observations.rows.channel == 1)
+    models = fixture.models_of(observations)
     turned = models.as_given.copy()
-    turned[mine] = evidence.values[mine] + 0.01 - 2.0 * math.pi
-    course = courses(evidence, replace(models, as_given=turned), 0, Part.PHASE)[1]
+    turned[mine] = observations.values[mine] + 0.01 - 2.0 * math.pi
+    course = courses(observations, replace(models, as_given=turned), 0, Part.PHASE)[1]
     np.testing.assert_allclose(course.deviations[0], math.degrees(0.01), rtol=1e-9)
     np.testing.assert_allclose(course.given - course.measured, math.degrees(0.01), rtol=1e-9)
 
 
 def test_harmonics_are_magnitudes() -> None:
-    evidence = fixture.phase_resonance()
-    force, displacement = harmonic_courses(evidence, fixture.models_of(evidence), 0)
+    observations = fixture.phase_resonance()
+    force, displacement = harmonic_courses(observations, fixture.models_of(observations), 0)
     assert force.orders == (2, 3)
     # 3-4-5 triangles: 0.003 and 0.004 times the order.
     np.testing.assert_allclose(force.measured, np.outer([0.010, 0.015], np.ones(5)))
@@ -188,11 +188,11 @@ def test_harmonics_are_magnitudes() -> None:
 
 
 def test_the_table_has_every_observable_with_all_its_digits() -> None:
-    evidence = fixture.every_test()
-    models = fixture.models_of(evidence)
-    rows = list(csv.DictReader(io.StringIO(observables_csv(evidence, models))))
-    assert len(rows) == len(evidence.rows)
-    assert [float(row["measured"]) for row in rows] == evidence.values.tolist()
+    observations = fixture.every_test()
+    models = fixture.models_of(observations)
+    rows = list(csv.DictReader(io.StringIO(observables_csv(observations, models))))
+    assert len(rows) == len(observations.rows)
+    assert [float(row["measured"]) for row in rows] == observations.values.tolist()
     assert [float(row["model_final"]) for row in rows] == models.final.tolist()
     assert {row["test"] for row in rows} == {"backbone", "random", "decay", "record"}
     assert all(row["part"] for row in rows)

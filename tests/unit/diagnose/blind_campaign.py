@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from nmt_blind.cases.blind_rigs import BLIND_RIGS, BlindRig
+from nmt_blind.cases.injected_effects import INJECTED_EFFECTS
 from nmt_blind.cases.laboratory import BenchSettings
 from nmt_blind.cases.make import Made, make_campaign
 from nmt_blind.cases.operating import Operating
 from nmt_blind.cases.strength import spot_key
 from nmt_blind.cases.strength_table import StrengthTable
-from nmt_blind.cases.truths import TRUTHS
 
 SHORT = BenchSettings(
     levels=(0.5, 1.0), window_periods=10, ramp=0.1, random_level=0.15, band_hz=(5.0, 500.0), duration=1.0,
@@ -47,7 +47,7 @@ def made_up_table(rig: BlindRig) -> StrengthTable:
     """Every guess is worth 64 σ."""
     model, motion = rig.model(), operating()
     curves: dict[str, dict[str, Any]] = {}
-    for truth in TRUTHS.values():
+    for truth in INJECTED_EFFECTS.values():
         for spot in truth.spots(model, motion):
             guess = min(truth.guess(model, motion, spot), 0.5 * truth.limit(model, motion, spot))
             curves[spot_key(truth, spot)] = {"points": [[guess, 64.0]], "trouble": ""}

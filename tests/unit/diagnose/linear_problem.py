@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest
-from nmt_diagnose.evidence.observables import Evidence, Part, Rows
+from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest
+from nmt_diagnose.observations.observables import Observations, Part, Rows
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,10 @@ def rows_of(m, levels=None, test=0, part=Part.REAL):
     )
 
 
-def evidence_of(values, std, levels=None, part=Part.REAL, tests=("run",)):
+def observations_of(values, std, levels=None, part=Part.REAL, tests=("run",)):
     m = len(values)
     kinds = tuple(PhaseResonanceTest(name, 1, "a1", (), 1, "voltage", ()) for name in tests)
-    return Evidence(
+    return Observations(
         kinds,
         rows_of(m, levels, part=part),
         np.asarray(values, float),

@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from unit.diagnose.twin_evidence import evidence_of_twin
+from unit.diagnose.twin_observations import observations_of_twin
 from unit.diagnose.twin_tests import chain
 
 from nmt_core.blocks import Quantity
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.evidence.conditions import BackboneTable, MeasuredChannel, RandomTest, RingDownTest
-from nmt_diagnose.evidence.observables import Evidence, Part, Rows
-from nmt_diagnose.evidence.settings import EvidenceSettings
-from nmt_diagnose.evidence.table_evidence import table_evidence
-from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_evidence
+from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_observations
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.motion_scale import covariance_with_scale
 from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RandomTest, RingDownTest
+from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.table_observations import table_observations
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_record.observables import ObservableTable
@@ -72,7 +72,7 @@ def free_vibration(peak: float, cubic: float) -> tuple[float, float]:
     return pi / half, float(abs(fundamental))
 
 
-def backbone(scale: float) -> Evidence:
+def backbone(scale: float) -> Observations:
     """A backbone with scatter as laboratories have it, its amplitudes in another unit, so to say."""
     cubic = SHARE * OMEGA**2 / TOP**2
     points = [free_vibration(peak, cubic) for peak in np.linspace(0.1, 1.0, 10) * TOP]
@@ -87,12 +87,12 @@ def backbone(scale: float) -> Evidence:
     )  # fmt: skip
     channel = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1)
     test = BackboneTable("backbone", 1, channel, amplitudes)
-    return Evidence((test,), rows, values, np.full(count, SCATTER), np.zeros(count))
+    return Observations((test,), rows, values, np.full(count, SCATTER), np.zeros(count))
 
 
 def diagnosed(scale: float) -> Diagnosis:
     withheld = tuple(effect.name for effect in library() if effect.name not in KNOWN)
-    return diagnose_evidence(
+    return diagnose_observations(
         oscillator(), backbone(scale), DiagnosisSettings(withheld=withheld, look_ahead=False)
     ).diagnosis
 
@@ -132,7 +132,7 @@ def test_the_scale_of_a_table_and_of_a_decay_is_their_own_amplitude(quantity: Qu
         BackboneTable("table", 1, channel, amplitudes),
         RingDownTest("decay", 1, channel, amplitudes[::-1], HZ),
     ):
-        found = operating_range(oscillator(), [test], evidence=backbone(1.0))
+        found = operating_range(oscillator(), [test], observations=backbone(1.0))
         assert found.displacement[1] == pytest.approx(3e-3, rel=1e-9)
         assert found.omega == pytest.approx(OMEGA, rel=1e-9)
         assert found.channels["x1"] == pytest.approx(3e-3, rel=1e-9)
@@ -150,7 +150,7 @@ def test_the_mode_of_a_table_is_the_one_at_its_frequency() -> None:
         test = BackboneTable("table", 1, channel, np.array([1e-3]))
         one = backbone(1.0).take(np.arange(1))
         found = operating_range(
-            rig, [test], evidence=replace(one, rows=replace(one.rows, frequency_hz=np.array([frequency])))
+            rig, [test], observations=replace(one, rows=replace(one.rows, frequency_hz=np.array([frequency])))
         )
         assert found.omega == pytest.approx(2.0 * pi * frequency, rel=0.02)
         assert found.displacement[1] == pytest.approx(1e-3, rel=1e-9)
@@ -167,39 +167,41 @@ def test_without_any_motion_the_scale_is_a_millimetre_at_the_mode_under_test() -
 
 def test_a_backbone_whose_resonance_doubles_has_a_prediction_at_every_amplitude() -> None:
     """The linear model stays at its resonance, and the model with the spring follows: no level goes without."""
-    evidence = backbone(1.0)
-    forward = Forward(evidence.tests, evidence.rows)
-    assert np.exp(evidence.values[-1] - evidence.values[0]) > 1.9
+    observations = backbone(1.0)
+    forward = Forward(observations.tests, observations.rows)
+    assert np.exp(observations.values[-1] - observations.values[0]) > 1.9
     assert forward.predict(oscillator()).values == pytest.approx(np.full(10, np.log(OMEGA)), abs=1e-4)
     spring = {"kind": "cubic_spring", "point": 1, "stiffness_n_m3": SHARE * OMEGA**2 / TOP**2}
     values = {**oscillator().model_dump(), "local_elements": [spring]}
     truth = validate_rig(RigDocument("test", values, {}))
-    assert forward.predict(truth).values == pytest.approx(evidence.values, abs=4.0 * SCATTER)
+    assert forward.predict(truth).values == pytest.approx(observations.values, abs=4.0 * SCATTER)
 
 
 def test_motions_that_the_model_is_far_from_are_taken_as_measured() -> None:
     model = chain()
-    evidence = evidence_of_twin(model, noise=0.0, drives=(0.1, 0.4, 1.6))
-    plain = operating_range(model, evidence.tests)
-    assert operating_range(model, evidence.tests, evidence=evidence) == plain
-    motion = (evidence.rows.part == Part.LOG_MAGNITUDE) & (evidence.rows.channel > 0) & (evidence.rows.test == 0)
-    motion &= evidence.rows.harmonic == 1
-    run = evidence.take(evidence.rows.test == 0)
-    far = replace(run, tests=run.tests[:1], values=run.values + np.log(30.0) * motion[evidence.rows.test == 0])
+    observations = observations_of_twin(model, noise=0.0, drives=(0.1, 0.4, 1.6))
+    plain = operating_range(model, observations.tests)
+    assert operating_range(model, observations.tests, observations=observations) == plain
+    motion = (
+        (observations.rows.part == Part.LOG_MAGNITUDE) & (observations.rows.channel > 0) & (observations.rows.test == 0)
+    )
+    motion &= observations.rows.harmonic == 1
+    run = observations.take(observations.rows.test == 0)
+    far = replace(run, tests=run.tests[:1], values=run.values + np.log(30.0) * motion[observations.rows.test == 0])
     alone = operating_range(model, far.tests)
-    found = operating_range(model, far.tests, evidence=far)
+    found = operating_range(model, far.tests, observations=far)
     assert found.displacement[2] == pytest.approx(30.0 * alone.displacement[2], rel=1e-3)
     assert found.channels["a2"] == pytest.approx(30.0 * alone.channels["a2"], rel=1e-3)
     assert found.channels_low["a2"] == pytest.approx(30.0 * alone.channels_low["a2"], rel=1e-3)
     assert (found.omega, found.voltage) == (alone.omega, alone.voltage)
-    lines = evidence.take(evidence.rows.test == 1)
+    lines = observations.take(observations.rows.test == 1)
     lines = replace(
         lines, tests=lines.tests[1:], rows=replace(lines.rows, test=np.zeros(len(lines.rows), dtype=np.int64))
     )
     alone = operating_range(model, lines.tests)
-    assert operating_range(model, lines.tests, evidence=lines) == alone
+    assert operating_range(model, lines.tests, observations=lines) == alone
     louder = replace(lines, values=lines.values + np.log(5.0) * (lines.rows.part == Part.LOG_MAGNITUDE))
-    found = operating_range(model, lines.tests, evidence=louder)
+    found = operating_range(model, lines.tests, observations=louder)
     assert found.displacement[1] == pytest.approx(5.0 * alone.displacement[1], rel=0.02)
 
 
@@ -215,13 +217,15 @@ def test_wider_parts_of_the_prior_are_as_much_less_probable() -> None:
 
 def test_a_gain_of_the_motion_is_part_of_the_uncertainty_of_a_cubic_stiffness() -> None:
     """Amplitudes that are 1 % too small make k₃ = ω² f(k₃ a²)/a² too large by 2 %; no frequency shows it."""
-    rig, evidence = oscillator(), backbone(1.0)
-    evidence = replace(evidence, std=np.full(len(evidence.rows), 1e-5), floor=np.zeros(len(evidence.rows)))
-    operating = operating_range(rig, evidence.tests, evidence=evidence)
+    rig, observations = oscillator(), backbone(1.0)
+    observations = replace(
+        observations, std=np.full(len(observations.rows), 1e-5), floor=np.zeros(len(observations.rows))
+    )
+    operating = operating_range(rig, observations.tests, observations=observations)
     (cubic,) = [c for c in candidates(rig, operating) if c.effect.name == "cubic_stiffness"]
     scale = cubic.site.scales["k"]
     parametrisation = Parametrisation(rig, (), (cubic,), (100.0,))
-    problem = Problem(evidence, Forward(evidence.tests, evidence.rows))
+    problem = Problem(observations, Forward(observations.tests, observations.rows))
     found = fit(problem, parametrisation, np.array([SHARE * OMEGA**2 / TOP**2 / scale]))
     whole = covariance_with_scale(problem, found)
     added = np.sqrt(whole[0, 0] - found.covariance[0, 0]) / found.theta[0]
@@ -233,6 +237,6 @@ def test_the_noise_of_a_table_without_level_counts() -> None:
     response = 1.0 / (OMEGA**2 - (2.0 * pi * frequency) ** 2 + 2j * RATIO * OMEGA * 2.0 * pi * frequency)
     columns = {"frequency_hz": frequency, "real": response.real, "imag": response.imag}
     table = ObservableTable("frf", columns, {}, Quantity.DISPLACEMENT, point=1, drive_point=1, noise=0.005)
-    found = table_evidence("table", table, oscillator(), EvidenceSettings())
+    found = table_observations("table", table, oscillator(), ObservationSettings())
     assert np.allclose(found.std, 0.005)
     assert not found.notes

@@ -11,13 +11,13 @@ import pytest
 
 from nmt_blind.campaign.ensemble_sindy import sparse_terms
 from nmt_blind.cases.blind_rigs import BLIND_RIGS, blind_rig
+from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, OPEN
 from nmt_blind.cases.laboratory import record_backbone, record_random
 from nmt_blind.cases.quiet_tests import play_backbone, play_random
 from nmt_blind.cases.rig_edits import Edit, with_edits
 from nmt_blind.cases.strength import Sensitivity, value_at
 from nmt_blind.cases.strength_table import load_table, table_file
 from nmt_blind.cases.tolerances import TOLERANCES
-from nmt_blind.cases.truths import KNOWN, OPEN, TRUTHS
 from nmt_core.vocabulary import TestKind
 from nmt_extract.offline import extract_bag
 from nmt_record.bag_reader import Bag
@@ -157,7 +157,7 @@ def test_the_program_has_tables_for_its_rigs(name: str, tolerances: str) -> None
         spots = truth.spots(model, table.operating)
         found = [table.value(truth, spot, 1.0) for spot in spots]
         assert truth.name in YOUNGER or not spots or any(value is not None for value in found), truth.name
-    cubic = TRUTHS["cubic_stiffness"]
+    cubic = INJECTED_EFFECTS["cubic_stiffness"]
     spot = cubic.spots(model, table.operating)[0]
     values = [table.value(cubic, spot, sigma) for sigma in (1.0, 4.0, 16.0)]
     assert all(value is not None for value in values)

@@ -12,12 +12,12 @@ import pytest
 from unit.diagnose.blind_campaign import SHORT, made_up_table, make, operating, short_rig
 
 from nmt_blind.cases.draw import MIXTURE, STRENGTHS, draw_cases
+from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, NEAR_TWINS, OPEN, injected_effect_named
 from nmt_blind.cases.laboratory import record_backbone, record_random
 from nmt_blind.cases.make import bag_hash, make_campaign
 from nmt_blind.cases.priors import LARGEST_SHIFT, parameters
 from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
 from nmt_blind.cases.strength import spot_key
-from nmt_blind.cases.truths import KNOWN, NEAR_TWINS, OPEN, TRUTHS, truth_named
 from nmt_core.errors import BenchError
 from nmt_record.bag_reader import Bag
 from nmt_rig.rig import load_rig
@@ -175,7 +175,7 @@ def test_shifts_stay_within_their_priors() -> None:
 
 @pytest.mark.parametrize("truth", [*KNOWN, *OPEN], ids=lambda truth: truth.name)
 def test_every_truth_is_a_rig_file(truth: object) -> None:
-    chosen = TRUTHS[truth.name]  # type: ignore[attr-defined]
+    chosen = INJECTED_EFFECTS[truth.name]  # type: ignore[attr-defined]
     for spot in chosen.spots(MODEL, operating()):
         value = min(chosen.guess(MODEL, operating(), spot), 0.5 * chosen.limit(MODEL, operating(), spot))
         rig = with_edits(MODEL, chosen.edits(MODEL, operating(), spot, value))
@@ -226,7 +226,7 @@ def test_what_hardly_differs_is_withheld_together_and_leaves_nothing_alone() -> 
     gain = next(key for key in plain.curves if key.startswith("response_gain"))
     curve = {**plain.curves[gain], "rivals": {"transverse_sensitivity": 0.99, "clock_error": 0.6, "ground_loop": 0.98}}
     table = replace(plain, curves={**plain.curves, gain: curve})
-    truth = truth_named("response_gain")
+    truth = injected_effect_named("response_gain")
     spot = next(s for s in truth.spots(MODEL, table.operating) if spot_key(truth, s) == gain)
     assert table.twins(truth, spot) == ("transverse_sensitivity",)  # no library has a ground loop
     assert table.alone(truth, spot) == pytest.approx((1.0 - 0.99**2) ** 0.5)

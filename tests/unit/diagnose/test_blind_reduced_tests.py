@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from nmt_blind.cases.blind_rigs import blind_rig
+from nmt_blind.cases.injected_effects import INJECTED_EFFECTS
 from nmt_blind.cases.operating import operating_point
 from nmt_blind.cases.reduced_tests import (
     BenchRig,
@@ -22,7 +23,6 @@ from nmt_blind.cases.reduced_tests import (
     stepped_lines,
 )
 from nmt_blind.cases.rig_edits import Edit, with_edits
-from nmt_blind.cases.truths import TRUTHS
 from nmt_core.vocabulary import TestKind
 from nmt_record.bag_reader import Bag
 from nmt_record.observables import observable_tables
@@ -135,10 +135,10 @@ def test_truths_find_places_on_any_rig(points: list[int]) -> None:
     motion = operating_point(rig, bench)
     assert set(motion.displacement) == set(points)
     for name in ("cubic_stiffness", "added_mass", "two_sided_gap", "response_gain", "air_drag"):
-        truth = TRUTHS[name]
+        truth = INJECTED_EFFECTS[name]
         spots = truth.spots(rig, motion)
         assert spots
         for spot in spots:
             with_edits(rig, truth.edits(rig, motion, spot, truth.guess(rig, motion, spot)))
-    assert bool(TRUTHS["transverse_sensitivity"].spots(rig, motion)) == (len(points) > 1)
-    assert not TRUTHS["clamp_compliance"].spots(rig, motion)
+    assert bool(INJECTED_EFFECTS["transverse_sensitivity"].spots(rig, motion)) == (len(points) > 1)
+    assert not INJECTED_EFFECTS["clamp_compliance"].spots(rig, motion)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from nmt_blind.cases import strength
+from nmt_blind.cases.injected_effects import INJECTED_EFFECTS
 from nmt_blind.cases.laboratory import TrialError
 from nmt_blind.cases.strength import Observed, Sensitivity
-from nmt_blind.cases.truths import TRUTHS
 
 ROWS = 60
 LEVEL = np.repeat(np.arange(12.0), 5)
@@ -84,7 +84,7 @@ def test_a_former_curve_is_where_the_search_starts(monkeypatch: pytest.MonkeyPat
         # Parameters take half of what a linear estimate says.
         return (4.0 if refine else 8.0) * float(edits), 8.0 * float(edits), np.array([float(edits)])
 
-    truth = TRUTHS["response_gain"]
+    truth = INJECTED_EFFECTS["response_gain"]
     monkeypatch.setattr(own, "sigmas", sigmas)
     object.__setattr__(own, "operating", None)
     flat = replace(truth, edits=lambda rig, operating, spot, value: value, guess=lambda *_: 0.001, largest=math.inf)
@@ -108,7 +108,7 @@ def test_a_curve_ends_where_the_tests_end_and_says_so(monkeypatch: pytest.Monkey
             raise TrialError("only 3 levels locked")
         return 4.0 * float(edits), 4.0 * float(edits), np.zeros(1)
 
-    truth = TRUTHS["cubic_stiffness"]
+    truth = INJECTED_EFFECTS["cubic_stiffness"]
     monkeypatch.setattr(own, "sigmas", sigmas)
     object.__setattr__(own, "operating", None)
     flat = replace(truth, edits=lambda rig, operating, spot, value: value, guess=lambda *_: 10.0)

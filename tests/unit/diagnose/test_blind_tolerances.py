@@ -26,7 +26,7 @@ from nmt_blind.cases.tolerances import (
 )
 from nmt_core.blocks import OscillatorPhase
 from nmt_core.errors import BenchError
-from nmt_diagnose.evidence.measuring_chain import measuring_chain
+from nmt_diagnose.observations.measuring_chain import measuring_chain
 from nmt_plant.oscillator import OscillatorBlock
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_record.bag_reader import Bag

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from unit.diagnose.evidence_bags import record, rig_with_noise
+from unit.diagnose.observation_bags import record, rig_with_noise
 
 from nmt_diagnose.effects.library import candidates
-from nmt_diagnose.evidence.converter_step import converter_step
-from nmt_diagnose.evidence.observables import Part
-from nmt_diagnose.evidence.read_evidence import read_evidence
+from nmt_diagnose.observations.converter_step import converter_step
+from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.twin.converter import expected_clipped
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.influence import Source
@@ -43,23 +43,23 @@ def test_a_coarse_channel_of_a_bag_is_named_and_the_twin_knows_its_step(tmp_path
     sensors[index] = sensors[index].model_copy(update={"bits": 16, "range": step * 2.0**15})
     rig = model.model_copy(update={"sensors": sensors})
     bag = record(tmp_path / "run", rig, levels=(0.1, 0.2, 0.4), periods=40)
-    evidence = read_evidence([bag], model)
-    rows, names = evidence.rows, [channel.name for channel in evidence.tests[0].channels]  # type: ignore[union-attr]
+    observations = read_observations([bag], model)
+    rows, names = observations.rows, [channel.name for channel in observations.tests[0].channels]  # type: ignore[union-attr]
     seen = rows.part == Part.STEP
     assert set(rows.channel[seen]) == {names.index("x4")}
-    assert evidence.values[seen] == pytest.approx(step, rel=1e-6)
-    assert [note for note in evidence.notes if "x4 is recorded in steps of 3e-06 m" in note]
-    forward = Forward(evidence.tests, rows)
+    assert observations.values[seen] == pytest.approx(step, rel=1e-6)
+    assert [note for note in observations.notes if "x4 is recorded in steps of 3e-06 m" in note]
+    forward = Forward(observations.tests, rows)
     assert np.all(forward.predict(model).values[seen] == 0.0)
     assert forward.predict(rig).values[seen] == pytest.approx(step)
-    found = {c.label: c for c in candidates(model, operating_range(model, evidence.tests))}["quantisation@x4"]
+    found = {c.label: c for c in candidates(model, operating_range(model, observations.tests))}["quantisation@x4"]
     changed = found.effect.apply(model, found.site, {"lsb": step})
     assert forward.predict(changed).values[seen] == pytest.approx(step)
     columns, _ = forward.influence(model, forward.predict(model), Source("response_sensor", channel="x4"))
     assert np.isfinite(columns).all()
     assert np.all(np.any(columns[seen], axis=1))
     # A converter that the model has, too, is no news.
-    assert not np.any(read_evidence([bag], rig).rows.part == Part.STEP)
+    assert not np.any(read_observations([bag], rig).rows.part == Part.STEP)
 
 
 def test_mean_of_clipped_noise() -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.evidence.decay_hum import Hum, without_hum
-from nmt_diagnose.evidence.decay_signal import ridges
+from nmt_diagnose.observations.decay_hum import Hum, without_hum
+from nmt_diagnose.observations.decay_signal import ridges
 
 RATE = 2048.0
 TIME = np.arange(int(4.0 * RATE)) / RATE

@@ -1,4 +1,4 @@
-"""From evidence to diagnosis.json: verdicts, and the keys that others rely on."""
+"""From observations to diagnosis.json: verdicts, and the keys that others rely on."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from unit.diagnose.twin_evidence import chain, evidence_of_twin, real
+from unit.diagnose.twin_observations import chain, observations_of_twin, real
 
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.diagnose import DiagnosisSettings, Outcome, diagnose_evidence
+from nmt_diagnose.inference.diagnose import DiagnosisOutcome, DiagnosisSettings, diagnose_observations
 from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_rig.rig import Rig
 
@@ -31,20 +31,20 @@ PLACES = {
 }  # fmt: skip
 
 
-def diagnosed(truth: Rig, known: tuple[str, ...] = KNOWN, look_ahead: bool = False, seed: int = 6) -> Outcome:
+def diagnosed(truth: Rig, known: tuple[str, ...] = KNOWN, look_ahead: bool = False, seed: int = 6) -> DiagnosisOutcome:
     withheld = tuple(effect.name for effect in library() if effect.name not in known)
-    evidence = evidence_of_twin(truth, seed=seed, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
-    return diagnose_evidence(MODEL, evidence, DiagnosisSettings(withheld=withheld, look_ahead=look_ahead))
+    observations = observations_of_twin(truth, seed=seed, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
+    return diagnose_observations(MODEL, observations, DiagnosisSettings(withheld=withheld, look_ahead=look_ahead))
 
 
 @pytest.fixture(scope="module")
-def hardening() -> Outcome:
+def hardening() -> DiagnosisOutcome:
     return diagnosed(
         real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}]), look_ahead=True
     )
 
 
-def test_diagnosis_json_has_the_keys_of_the_contract(hardening: Outcome, tmp_path: Path) -> None:
+def test_diagnosis_json_has_the_keys_of_the_contract(hardening: DiagnosisOutcome, tmp_path: Path) -> None:
     hardening.diagnosis.write(tmp_path / "diagnosis.json")
     found: dict[str, Any] = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
     for key, inner in KEYS.items():
@@ -64,7 +64,7 @@ def test_diagnosis_json_has_the_keys_of_the_contract(hardening: Outcome, tmp_pat
     assert "NaN" not in (tmp_path / "diagnosis.json").read_text(encoding="utf-8")
 
 
-def test_an_effect_is_named_placed_sized_and_closes_the_gap(hardening: Outcome) -> None:
+def test_an_effect_is_named_placed_sized_and_closes_the_gap(hardening: DiagnosisOutcome) -> None:
     found = hardening.diagnosis
     assert found.verdict is Verdict.EFFECT
     first = found.ranking[0]

@@ -5,11 +5,11 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
-from unit.diagnose.linear_problem import FunctionModel, Plain, evidence_of
+from unit.diagnose.linear_problem import FunctionModel, Plain, observations_of
 
-from nmt_diagnose.evidence.observables import Part
 from nmt_diagnose.inference.fit import FitError, fit
 from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.observations.observables import Part
 
 
 def test_linear_fit_is_the_gaussian_posterior():
@@ -19,7 +19,7 @@ def test_linear_fit_is_the_gaussian_posterior():
     prior = np.array([1.0, 0.3, 2.0])
     measured = matrix @ np.array([0.4, -0.2, 1.5]) + sigma * generator.standard_normal(40)
     plain = Plain(prior, np.full(3, -np.inf), ("a", "b", "c"))
-    result = fit(Problem(evidence_of(measured, sigma), FunctionModel(lambda t: matrix @ t)), plain, np.zeros(3))
+    result = fit(Problem(observations_of(measured, sigma), FunctionModel(lambda t: matrix @ t)), plain, np.zeros(3))
     # Conditional mean of jointly Gaussian θ and y, by the other formula (gain matrix).
     joint = matrix @ np.diag(prior**2) @ matrix.T + np.diag(sigma**2)
     gain = np.diag(prior**2) @ matrix.T @ np.linalg.inv(joint)
@@ -33,7 +33,7 @@ def test_log_evidence_is_the_marginal_likelihood_of_a_linear_model():
     matrix = generator.standard_normal((15, 2))
     measured = generator.standard_normal(15) * 2.0
     result = fit(
-        Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: matrix @ t)), Plain.of(2, 0.7), np.zeros(2)
+        Problem(observations_of(measured, 1.0), FunctionModel(lambda t: matrix @ t)), Plain.of(2, 0.7), np.zeros(2)
     )
     exact = multivariate_normal(np.zeros(15), np.eye(15) + 0.49 * matrix @ matrix.T).logpdf(measured)
     assert result.log_evidence - 7.5 * np.log(2.0 * np.pi) == pytest.approx(exact, abs=1e-4)
@@ -46,7 +46,7 @@ def test_log_evidence_of_a_curved_model_is_close_to_its_integral():
         return np.exp(0.3 * t[0] * x)
 
     measured = model(np.array([1.2])) + 0.05 * np.random.default_rng(3).standard_normal(30)
-    result = fit(Problem(evidence_of(measured, 0.05), FunctionModel(model)), Plain.of(1, 2.0), np.zeros(1))
+    result = fit(Problem(observations_of(measured, 0.05), FunctionModel(model)), Plain.of(1, 2.0), np.zeros(1))
 
     def integrand(t):
         residual = (measured - model(np.array([t]))) / 0.05
@@ -59,21 +59,21 @@ def test_log_evidence_of_a_curved_model_is_close_to_its_integral():
 
 
 def test_phases_are_compared_on_the_shortest_way():
-    evidence = evidence_of([np.pi - 0.01], 0.1, part=Part.PHASE)
+    observations = observations_of([np.pi - 0.01], 0.1, part=Part.PHASE)
     result = fit(
-        Problem(evidence, FunctionModel(lambda t: np.array([-np.pi + 0.01]) + t)), Plain.of(1, 10.0), np.zeros(1)
+        Problem(observations, FunctionModel(lambda t: np.array([-np.pi + 0.01]) + t)), Plain.of(1, 10.0), np.zeros(1)
     )
     assert abs(result.theta[0] + 0.02) < 1e-3
 
 
 def test_bounds_hold_and_rows_without_solution_are_left_out():
-    evidence = evidence_of([-1.0, -1.0, 5.0], 1.0)
+    observations = observations_of([-1.0, -1.0, 5.0], 1.0)
     model = FunctionModel(lambda t: np.array([t[0], t[0], np.nan]))
-    result = fit(Problem(evidence, model), Plain.of(1, 3.0, lower=0.0), np.ones(1))
+    result = fit(Problem(observations, model), Plain.of(1, 3.0, lower=0.0), np.ones(1))
     assert result.theta[0] == 0.0
     assert not result.used[2]
     with pytest.raises(FitError, match="no solution"):
-        fit(Problem(evidence, FunctionModel(lambda t: np.full(3, np.nan))), Plain.of(1), np.zeros(1))
+        fit(Problem(observations, FunctionModel(lambda t: np.full(3, np.nan))), Plain.of(1), np.zeros(1))
 
 
 def test_a_cold_fit_goes_around_a_fold_that_a_warm_one_ends_in():
@@ -83,7 +83,7 @@ def test_a_cold_fit_goes_around_a_fold_that_a_warm_one_ends_in():
         return np.array([np.cos(2.0 * (t[0] - 0.5)) * 5.0, t[0] * 0.01])
 
     function = FunctionModel(model)
-    problem = Problem(evidence_of(model(np.array([0.4])), 0.01), function)
+    problem = Problem(observations_of(model(np.array([0.4])), 0.01), function)
     plain, begin = Plain.of(1, 1.0), np.array([2.3])
     warm = fit(problem, plain, begin, start=function.predict(begin))
     assert abs(warm.theta[0] - 0.4) > 2.0
@@ -96,7 +96,7 @@ def test_parameters_that_hardly_differ_still_have_uncertainties():
     column = np.linspace(1.0, 2.0, 30) * 1e6
     matrix = np.column_stack([column, column * (1.0 + 1e-9), column])
     model = FunctionModel(lambda t: matrix @ t)
-    result = fit(Problem(evidence_of(matrix @ np.ones(3), 1.0), model), Plain.of(3, 1.0), np.zeros(3))
+    result = fit(Problem(observations_of(matrix @ np.ones(3), 1.0), model), Plain.of(3, 1.0), np.zeros(3))
     assert np.all(np.isfinite(result.std))
     assert np.all(result.predictive_std >= 1.0)
 
@@ -110,7 +110,7 @@ def test_a_fit_that_stops_before_its_optimum_says_so():
     def derivative(t):
         return np.array([[-40.0 * t[0], 20.0], [-1.0, 0.0]])
 
-    problem = Problem(evidence_of(np.zeros(2), 0.01), FunctionModel(valley, derivative))
+    problem = Problem(observations_of(np.zeros(2), 0.01), FunctionModel(valley, derivative))
     plain = Plain.of(2, 10.0)
     start = FunctionModel(valley).predict(np.array([-1.5, 2.0]))
     early = fit(problem, plain, np.array([-1.5, 2.0]), start=start, steps=2)
@@ -129,7 +129,7 @@ def test_what_is_left_beyond_the_noise_makes_parameters_uncertain():
     def slope(size):
         measured = 2.0 * x + size * generator.standard_normal(x.size)
         model = FunctionModel(lambda t: x * t[0])
-        return fit(Problem(evidence_of(measured, 1.0), model), Plain.of(1, 100.0), np.zeros(1))
+        return fit(Problem(observations_of(measured, 1.0), model), Plain.of(1, 100.0), np.zeros(1))
 
     found = [slope(5.0) for _ in range(200)]
     spread = np.std([item.theta[0] for item in found])
@@ -141,7 +141,7 @@ def test_what_is_left_beyond_the_noise_makes_parameters_uncertain():
 
 def test_a_less_probable_part_of_the_prior_costs_its_weight():
     x = np.linspace(0.0, 1.0, 20)
-    problem = Problem(evidence_of(3.0 * x, 1.0), FunctionModel(lambda t: x * t[0]))
+    problem = Problem(observations_of(3.0 * x, 1.0), FunctionModel(lambda t: x * t[0]))
     plain = Plain.of(1, 2.0)
     usual, rare = (fit(problem, replace(plain, log_prior=value), np.zeros(1)) for value in (0.0, -2.5))
     assert usual.log_evidence - rare.log_evidence == pytest.approx(2.5)
@@ -158,7 +158,7 @@ def test_sensitivities_that_are_known_are_not_computed_again():
         return np.column_stack([np.exp(theta[1] * grid), theta[0] * grid * np.exp(theta[1] * grid)])
 
     model = FunctionModel(lambda t: t[0] * np.exp(t[1] * grid), derivative)
-    problem = Problem(evidence_of(1.5 * np.exp(0.8 * grid) + 0.1 * generator.standard_normal(30), 0.1), model)
+    problem = Problem(observations_of(1.5 * np.exp(0.8 * grid) + 0.1 * generator.standard_normal(30), 0.1), model)
     plain = Plain.of(2, 2.0)
     first = fit(problem, plain, np.zeros(2))
     assert first.fresh
@@ -210,7 +210,7 @@ def test_a_narrow_curved_valley_is_followed_to_its_optimum():
     assert np.allclose(_shaker(away), measured)
     model = _Counting(_shaker)
     sigma = np.concatenate([np.full(40, 5.0e-6 * 5.0), np.full(40, 5.0e-6 * 100.0)])
-    problem = Problem(evidence_of(measured, sigma), model)
+    problem = Problem(observations_of(measured, sigma), model)
     result = fit(problem, Plain.of(3), away, start=model.predict(away))
 
     def prior(share):
@@ -228,12 +228,12 @@ def test_what_a_fit_leaves_is_the_noise_by_which_its_steps_count():
     x = np.linspace(0.0, 1.0, 200)
     measured = 100.0 * np.sign(np.sin(40.0 * x))
     model = _Counting(lambda t: 30.0 * np.tanh(0.3 * t[0] * x) + 30.0 * np.exp(0.2 * t[1] * x))
-    result = fit(Problem(evidence_of(measured, 1.0), model), Plain.of(2), np.zeros(2))
+    result = fit(Problem(observations_of(measured, 1.0), model), Plain.of(2), np.zeros(2))
     noise = result.chi_square / 200.0
     assert noise > 1000.0
     assert result.converged
     best = min(
-        fit(Problem(evidence_of(measured, 1.0), model), Plain.of(2), start).chi_square
+        fit(Problem(observations_of(measured, 1.0), model), Plain.of(2), start).chi_square
         for start in ([0.5, 0.5], [-0.5, -0.5])
     )
     assert result.chi_square - best < noise

@@ -15,10 +15,10 @@ from unit.diagnose.twin_tests import noise_test, rows_of
 
 from nmt_blind.cases.blind_rigs import blind_rig
 from nmt_core.blocks import Quantity
-from nmt_diagnose.evidence.conditions import RandomTest
-from nmt_diagnose.evidence.measuring_chain import MeasuringChain
-from nmt_diagnose.evidence.observables import Evidence, Part, Rows
 from nmt_diagnose.inference.held_images import with_detected_images
+from nmt_diagnose.observations.conditions import RandomTest
+from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig
 
@@ -117,10 +117,10 @@ def test_a_low_pass_far_above_smooths_the_step_and_nothing_else() -> None:
     assert np.ptp(np.abs(expected)) > 0.02
 
 
-def _evidence(responses: np.ndarray, test: RandomTest, rows: Rows, seed: int, noise: float = 2e-3) -> Evidence:
+def _observations(responses: np.ndarray, test: RandomTest, rows: Rows, seed: int, noise: float = 2e-3) -> Observations:
     values = _values(responses, rows) + noise * np.random.default_rng(seed).standard_normal(len(rows))
     full = np.full(len(rows), noise)
-    return Evidence((test,), rows, values, full, 0.0 * full, chains=(MeasuringChain(hold_hz=RATE),))
+    return Observations((test,), rows, values, full, 0.0 * full, chains=(MeasuringChain(hold_hz=RATE),))
 
 
 def _off_by(factor: float) -> Rig:
@@ -135,7 +135,7 @@ def _off_by(factor: float) -> Rig:
 @pytest.mark.parametrize("at", [0.25, -0.2])
 def test_images_that_are_there_are_found_and_when_the_channels_are_sampled(at: float) -> None:
     test, rows = _random()
-    found = with_detected_images(_evidence(_sampled(MODEL, test, at), test, rows, 1), _off_by(2e-4))
+    found = with_detected_images(_observations(_sampled(MODEL, test, at), test, rows, 1), _off_by(2e-4))
     assert len(found) == 1
     (seen,) = found[0].tests
     assert isinstance(seen, RandomTest)
@@ -152,15 +152,15 @@ def test_filters_that_keep_images_out_are_found() -> None:
     noise = 2e-3 * np.random.default_rng(2).standard_normal(len(rows))
     full = np.full(len(rows), 2e-3)
     chains = (MeasuringChain(hold_hz=RATE),)
-    evidence = Evidence((test,), rows, values - late + gain + noise, full, 0.0 * full, chains=chains)
-    found = with_detected_images(evidence, _off_by(2e-4))
+    observations = Observations((test,), rows, values - late + gain + noise, full, 0.0 * full, chains=chains)
+    found = with_detected_images(observations, _off_by(2e-4))
     assert len(found) == 1
-    assert found[0].tests == evidence.tests
+    assert found[0].tests == observations.tests
     assert not found[0].chains[0].images
 
 
 def test_where_images_hardly_matter_nothing_is_decided() -> None:
     test, rows = _random()
-    noisy = _evidence(_sampled(MODEL, test, 0.25), test, rows, 3, noise=2e-2)
+    noisy = _observations(_sampled(MODEL, test, 0.25), test, rows, 3, noise=2e-2)
     assert with_detected_images(noisy, MODEL) == ()
     assert with_detected_images(replace(noisy, chains=(None,)), MODEL) == ()

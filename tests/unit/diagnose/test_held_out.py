@@ -3,21 +3,24 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from unit.diagnose.linear_problem import evidence_of
+from unit.diagnose.linear_problem import observations_of
 
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.placement import Placement
-from nmt_diagnose.evidence.observables import joined
-from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.gap import closed, noise_floor, rms
 from nmt_diagnose.inference.held_out import Split, splits
-from nmt_diagnose.inference.held_out_contest import HeldOut, determined
+from nmt_diagnose.inference.held_out_comparison import HeldOut, determined
+from nmt_diagnose.inference.model_comparison import FittedModel
+from nmt_diagnose.observations.observables import joined
 
 
 def test_splits_hold_out_every_second_level_the_top_two_and_whole_tests():
     levels = np.repeat(np.arange(6), 4)
-    run, repeat = evidence_of(np.zeros(24), 1.0, levels), evidence_of(np.zeros(8), 1.0, np.zeros(8), tests=("low",))
+    run, repeat = (
+        observations_of(np.zeros(24), 1.0, levels),
+        observations_of(np.zeros(8), 1.0, np.zeros(8), tests=("low",)),
+    )
     found = {split.name: split for split in splits(joined([run, repeat]))}
     assert set(found) == {"every second level", "the highest two levels", "the test run", "the test low"}
     odd = found["every second level"]
@@ -27,95 +30,99 @@ def test_splits_hold_out_every_second_level_the_top_two_and_whole_tests():
     for split in found.values():
         assert not np.any(split.fitted & split.held_out)
         assert np.all(split.fitted | split.held_out)
-    assert splits(evidence_of(np.zeros(6), 1.0, np.repeat(np.arange(3), 2))) == []
+    assert splits(observations_of(np.zeros(6), 1.0, np.repeat(np.arange(3), 2))) == []
 
 
 def test_closed_is_the_share_of_the_reachable_gap():
     generator = np.random.default_rng(5)
     levels = np.repeat(np.arange(20), 50)
-    evidence = evidence_of(np.zeros(1000), 1.0, levels)
+    observations = observations_of(np.zeros(1000), 1.0, levels)
     noise = generator.standard_normal(1000)
     everything = np.ones(1000, dtype=bool)
-    full = closed(evidence, [(noise + 4.0, noise, everything)])
+    full = closed(observations, [(noise + 4.0, noise, everything)])
     assert full.before == pytest.approx(np.sqrt(17.0), rel=0.05)
     assert full.value == pytest.approx(1.0, abs=0.03)
     assert full.low < full.value == full.high == 1.0
-    half = closed(evidence, [(noise + 4.0, noise + 2.0, everything)])
+    half = closed(observations, [(noise + 4.0, noise + 2.0, everything)])
     assert half.low < half.value < half.high
     assert half.value == pytest.approx((17.0**0.5 - 5.0**0.5) / (17.0**0.5 - 1.0), abs=0.03)
-    harm = closed(evidence, [(noise + 4.0, noise + 5.0, everything)])
+    harm = closed(observations, [(noise + 4.0, noise + 5.0, everything)])
     assert harm.value < 0.0
-    assert np.isnan(closed(evidence, [(noise, noise, everything)]).value)
+    assert np.isnan(closed(observations, [(noise, noise, everything)]).value)
     assert np.isnan(rms(np.full(3, np.nan)))
 
 
 def test_noise_floor_is_the_scatter_whatever_a_smooth_effect_adds():
     generator = np.random.default_rng(8)
-    evidence = evidence_of(np.zeros(3000), 1.0, np.arange(3000))
+    observations = observations_of(np.zeros(3000), 1.0, np.arange(3000))
     everything = np.ones(3000, dtype=bool)
     smooth = 5.0 * np.sin(np.arange(3000) / 100.0)
     for scatter in (0.5, 1.0, 2.0):
         residual = scatter * generator.standard_normal(3000)
-        assert noise_floor(evidence, residual, everything) == pytest.approx(scatter, rel=0.08)
-        assert noise_floor(evidence, residual + smooth, everything) == pytest.approx(scatter, rel=0.08)
-    assert noise_floor(evidence.take(np.arange(10)), np.zeros(10), np.ones(10, dtype=bool)) == 1.0
+        assert noise_floor(observations, residual, everything) == pytest.approx(scatter, rel=0.08)
+        assert noise_floor(observations, residual + smooth, everything) == pytest.approx(scatter, rel=0.08)
+    assert noise_floor(observations.take(np.arange(10)), np.zeros(10), np.ones(10, dtype=bool)) == 1.0
 
 
 def test_a_prediction_is_worse_only_beyond_its_own_scatter():
     generator = np.random.default_rng(6)
     levels = np.repeat(np.arange(20), 50)
-    evidence = evidence_of(np.zeros(1000), 1.0, levels)
+    observations = observations_of(np.zeros(1000), 1.0, levels)
     noise, everything = generator.standard_normal(1000), np.ones(1000, dtype=bool)
-    assert closed(evidence, [(noise + 1.0, noise, everything)]).gain > 10.0
-    assert closed(evidence, [(noise, noise + 1.0, everything)]).gain < -10.0
+    assert closed(observations, [(noise + 1.0, noise, everything)]).gain > 10.0
+    assert closed(observations, [(noise, noise + 1.0, everything)]).gain < -10.0
     # Noise added to a prediction of one level is one block among twenty: no sign of being worse.
     odd = noise + 0.05 * generator.standard_normal(1000)
-    assert abs(closed(evidence, [(noise, odd, everything)]).gain) < 3.0
-    assert closed(evidence, [(noise, noise, everything)]).gain == 0.0
+    assert abs(closed(observations, [(noise, odd, everything)]).gain) < 3.0
+    assert closed(observations, [(noise, noise, everything)]).gain == 0.0
 
 
 def test_the_onset_of_slip_is_no_noise():
     """A course that bends at one level has a few large second differences; the scatter shows in the others."""
     generator = np.random.default_rng(4)
     levels, series = 12, 40
-    evidence = replace_rows(evidence_of(np.zeros(levels * series), 1.0, np.tile(np.arange(levels), series)), series)
+    observations = replace_rows(
+        observations_of(np.zeros(levels * series), 1.0, np.tile(np.arange(levels), series)), series
+    )
     noise = generator.standard_normal(levels * series)
     bend = np.tile(np.maximum(np.arange(levels) - 7.0, 0.0), series) * 40.0
     everything = np.ones(levels * series, dtype=bool)
-    assert noise_floor(evidence, noise, everything) == pytest.approx(1.0, rel=0.1)
-    assert noise_floor(evidence, noise + bend, everything) == pytest.approx(1.0, rel=0.3)
+    assert noise_floor(observations, noise, everything) == pytest.approx(1.0, rel=0.1)
+    assert noise_floor(observations, noise + bend, everything) == pytest.approx(1.0, rel=0.3)
 
 
 def test_an_onset_in_few_levels_is_no_noise_either():
     """Of five levels a run has three second differences; contact between the third and the fourth bends two of them."""
     generator = np.random.default_rng(4)
     levels, series = 5, 60
-    evidence = replace_rows(evidence_of(np.zeros(levels * series), 1.0, np.tile(np.arange(levels), series)), series)
+    observations = replace_rows(
+        observations_of(np.zeros(levels * series), 1.0, np.tile(np.arange(levels), series)), series
+    )
     noise = generator.standard_normal(levels * series)
     bend = np.tile(np.maximum(np.arange(levels) - 2.3, 0.0), series) * 60.0
     everything = np.ones(levels * series, dtype=bool)
-    assert noise_floor(evidence, noise, everything) == pytest.approx(1.0, rel=0.15)
+    assert noise_floor(observations, noise, everything) == pytest.approx(1.0, rel=0.15)
     # The clean third of them, by its upper quarter.
-    assert noise_floor(evidence, noise + bend, everything) < 4.0 < 0.1 * rms(bend)
+    assert noise_floor(observations, noise + bend, everything) < 4.0 < 0.1 * rms(bend)
 
 
-def replace_rows(evidence, series):
+def replace_rows(observations, series):
     """The rows as those of so many harmonics, one after the other."""
-    size = len(evidence.rows) // series
-    return replace(evidence, rows=replace(evidence.rows, harmonic=np.repeat(np.arange(series) + 1, size)))
+    size = len(observations.rows) // series
+    return replace(observations, rows=replace(observations.rows, harmonic=np.repeat(np.arange(series) + 1, size)))
 
 
 def test_no_more_than_all_of_a_gap_is_closed_and_the_floor_is_at_most_what_is_left():
     generator = np.random.default_rng(7)
-    evidence = evidence_of(np.zeros(400), 1.0, np.repeat(np.arange(20), 20))
+    observations = observations_of(np.zeros(400), 1.0, np.repeat(np.arange(20), 20))
     noise, everything = generator.standard_normal(400), np.ones(400, dtype=bool)
     for floor in (0.5, 1.0, 3.0):
-        found = closed(evidence, [(noise + 6.0, noise, everything)], floor=floor)
+        found = closed(observations, [(noise + 6.0, noise, everything)], floor=floor)
         assert found.floor == pytest.approx(min(floor, found.after))
         assert found.value <= 1.0
         assert found.high <= 1.0
     # With something left, a floor below it takes nothing from the share that is open.
-    left = closed(evidence, [(noise + 6.0, noise + 3.0, everything)], floor=1.0)
+    left = closed(observations, [(noise + 6.0, noise + 3.0, everything)], floor=1.0)
     assert left.value == pytest.approx((left.before - left.after) / (left.before - 1.0))
     assert left.value < 0.7
 
@@ -133,10 +140,10 @@ def explained(theta, std, prior, name="two_sided_gap", opened=10.0, chi_square=1
         chi_square=chi_square,
         penalty=0.0,
     )
-    return Contender((gap,), fitted)
+    return FittedModel((gap,), fitted)
 
 
-WITHOUT = Contender((), SimpleNamespace(chi_square=200.0, penalty=0.0))
+WITHOUT = FittedModel((), SimpleNamespace(chi_square=200.0, penalty=0.0))
 LAST = np.arange(8) >= 6
 
 
@@ -170,47 +177,47 @@ def test_parameters_that_make_up_for_one_another_may_be_open_where_the_predictio
 
 def test_repeats_are_what_noise_leaves():
     generator = np.random.default_rng(9)
-    evidence = evidence_of(np.zeros(400), 1.0, np.arange(400))
+    observations = observations_of(np.zeros(400), 1.0, np.arange(400))
     # Scatter three times as large as what repeats showed is something else than noise.
     residual = 3.0 * generator.standard_normal(400)
     everything = np.ones(400, dtype=bool)
-    base = Contender((), SimpleNamespace(residual=residual, predictive_std=np.ones(400)))
+    base = FittedModel((), SimpleNamespace(residual=residual, predictive_std=np.ones(400)))
     refits = [(Split("all", ~everything, everything), base, {})]
-    assert HeldOut(evidence, refits, 0).floor == pytest.approx(3.0, rel=0.1)
-    assert HeldOut(evidence, refits, 0, repeated=True).floor == 1.0
+    assert HeldOut(observations, refits, 0).floor == pytest.approx(3.0, rel=0.1)
+    assert HeldOut(observations, refits, 0, repeated=True).floor == 1.0
 
 
 def test_only_splits_that_tell_the_explanation_count():
-    evidence = evidence_of(np.zeros(400), 1.0, np.repeat(np.arange(20), 20))
+    observations = observations_of(np.zeros(400), 1.0, np.repeat(np.arange(20), 20))
     generator = np.random.default_rng(10)
     noise, everything = generator.standard_normal(400), np.ones(400, dtype=bool)
     ones = np.ones(400)
-    base = Contender((), SimpleNamespace(residual=noise + 5.0, predictive_std=ones, chi_square=100.0, penalty=0.0))
+    base = FittedModel((), SimpleNamespace(residual=noise + 5.0, predictive_std=ones, chi_square=100.0, penalty=0.0))
 
-    def split(contender, left):
-        contender.fit.residual, contender.fit.predictive_std = noise + left, ones
-        return Split("some", ~everything, everything), base, {contender.explanation: contender}
+    def split(fitted_model, left):
+        fitted_model.fit.residual, fitted_model.fit.predictive_std = noise + left, ones
+        return Split("some", ~everything, everything), base, {fitted_model.explanation: fitted_model}
 
     told = explained([10.0, 0.1], [1.0, 0.1], [3.0, 1.0])
     blind = explained([10.0, 0.1], [1.0, 0.9], [3.0, 1.0])
-    whole = HeldOut(evidence, [split(told, 0.0)], 0).closed(told.explanation)
+    whole = HeldOut(observations, [split(told, 0.0)], 0).closed(told.explanation)
     assert whole.value > 0.97
-    both = HeldOut(evidence, [split(told, 0.0), split(blind, 5.0)], 0).closed(told.explanation)
+    both = HeldOut(observations, [split(told, 0.0), split(blind, 5.0)], 0).closed(told.explanation)
     assert both.value == pytest.approx(whole.value)
-    assert np.isnan(HeldOut(evidence, [split(blind, 5.0)], 0).closed(blind.explanation).value)
+    assert np.isnan(HeldOut(observations, [split(blind, 5.0)], 0).closed(blind.explanation).value)
 
 
 def test_explanations_are_compared_by_what_they_predict():
-    evidence = evidence_of(np.zeros(400), 1.0, np.repeat(np.arange(20), 20))
+    observations = observations_of(np.zeros(400), 1.0, np.repeat(np.arange(20), 20))
     noise, everything = np.random.default_rng(11).standard_normal(400), np.ones(400, dtype=bool)
     ones = np.ones(400)
-    base = Contender((), SimpleNamespace(residual=noise + 5.0, predictive_std=ones, chi_square=100.0, penalty=0.0))
+    base = FittedModel((), SimpleNamespace(residual=noise + 5.0, predictive_std=ones, chi_square=100.0, penalty=0.0))
     good = explained([10.0, 0.1], [1.0, 0.1], [3.0, 1.0])
     bad = explained([10.0, 0.1], [1.0, 0.1], [3.0, 1.0], "one_sided_stop")
     good.fit.residual, bad.fit.residual = noise, noise + 1.0
     good.fit.predictive_std = bad.fit.predictive_std = ones
     tops = {good.explanation: good, bad.explanation: bad}
-    held = HeldOut(evidence, [(Split("all", ~everything, everything), base, tops)], 0)
+    held = HeldOut(observations, [(Split("all", ~everything, everything), base, tops)], 0)
     shares = {explanation: held.closed(explanation) for explanation in tops}
     found = held.worse(shares, 0.03)
     assert found[good.explanation] == 0.0

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from nmt_bench.data_import import import_data
-from nmt_diagnose.evidence.observables import Part
-from nmt_diagnose.evidence.read_evidence import read_evidence
+from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import load_rig
 
@@ -38,14 +38,14 @@ def test_the_files_of_the_page_read_a_tap(tmp_path: Path) -> None:
     for name in ("clamped.yaml", "tap.yaml"):
         (tmp_path / name).write_text(written(name))
     import_data(tmp_path / "tap.yaml", tmp_path / "tap")
-    evidence = read_evidence([tmp_path / "tap"], load_rig(tmp_path / "clamped.yaml"))
-    hertz = np.exp(evidence.values[evidence.rows.part == Part.LOG_FREQUENCY]) / (2.0 * math.pi)
+    observations = read_observations([tmp_path / "tap"], load_rig(tmp_path / "clamped.yaml"))
+    hertz = np.exp(observations.values[observations.rows.part == Part.LOG_FREQUENCY]) / (2.0 * math.pi)
     assert hertz.size >= 10
     assert hertz[0] > 1.08 * HZ
     assert abs(hertz[-1] / HZ - 1.0) < 3e-4
-    damping = evidence.values[evidence.rows.part == Part.DAMPING]
+    damping = observations.values[observations.rows.part == Part.DAMPING]
     assert abs(damping[-3] / RATIO - 1.0) < 0.02
-    assert not any("left out" in note for note in evidence.notes)
+    assert not any("left out" in note for note in observations.notes)
 
 
 def test_the_files_of_the_one_mode_model_read_a_frequency_response(tmp_path: Path) -> None:
@@ -60,8 +60,8 @@ def test_the_files_of_the_one_mode_model_read_a_frequency_response(tmp_path: Pat
     (tmp_path / "one_mode.yaml").write_text(page[start : page.index("```", start)])
     import_data(tmp_path / "frf.yaml", tmp_path / "frf")
     model = load_rig(tmp_path / "one_mode.yaml")
-    evidence = read_evidence([tmp_path / "frf"], model)
-    forward = Forward(evidence.tests, evidence.rows)
-    left = forward.difference(evidence.values, forward.predict(model).values)
-    assert len(evidence.rows) == 120
+    observations = read_observations([tmp_path / "frf"], model)
+    forward = Forward(observations.tests, observations.rows)
+    left = forward.difference(observations.values, forward.predict(model).values)
+    assert len(observations.rows) == 120
     assert np.abs(left).max() < 1e-6

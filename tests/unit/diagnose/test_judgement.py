@@ -8,17 +8,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from unit.diagnose.linear_problem import FunctionModel, Plain, evidence_of
+from unit.diagnose.linear_problem import FunctionModel, Plain, observations_of
 
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.confidence import RANGES, Confidence, Reliability, bounded
 from nmt_diagnose.inference.confidence import confidence as frozen
-from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.judgement import Judgement, judge, with_held_out, with_share_left
+from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.scan import Direction, Score
@@ -46,20 +46,24 @@ PLAIN = replace(
 )
 
 
-def contender(measured: np.ndarray, *explained: tuple[Candidate, np.ndarray], spread: float = 3.0) -> Contender:
+def fitted_model(measured: np.ndarray, *explained: tuple[Candidate, np.ndarray], spread: float = 3.0) -> FittedModel:
     """The fit of an explanation with one column per effect."""
     matrix = np.column_stack([column for _, column in explained]) if explained else np.zeros((ROWS, 0))
     plain = Plain.of(len(explained), spread)
-    problem = Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: matrix @ t))
-    return Contender(tuple(c for c, _ in explained), fit(problem, plain, np.zeros(len(explained))))
+    problem = Problem(observations_of(measured, 1.0), FunctionModel(lambda t: matrix @ t))
+    return FittedModel(tuple(c for c, _ in explained), fit(problem, plain, np.zeros(len(explained))))
 
 
 def judged(measured: np.ndarray, sources: tuple[SourceScore, ...] = (), confidence: Confidence = PLAIN) -> Judgement:
     near = A + 0.02 * B
-    singles = [contender(measured, (CUBIC, A)), contender(measured, (QUINTIC, near)), contender(measured, (DRAG, B))]
+    singles = [
+        fitted_model(measured, (CUBIC, A)),
+        fitted_model(measured, (QUINTIC, near)),
+        fitted_model(measured, (DRAG, B)),
+    ]
     singles.sort(key=lambda item: -item.fit.log_evidence)
-    pairs = [contender(measured, (CUBIC, A), (QUINTIC, near))]
-    return judge(contender(measured), singles, pairs, sources, (), LIBRARY, confidence)
+    pairs = [fitted_model(measured, (CUBIC, A), (QUINTIC, near))]
+    return judge(fitted_model(measured), singles, pairs, sources, (), LIBRARY, confidence)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.3, 1.0, 3.0])
@@ -99,13 +103,13 @@ def test_drag_that_no_air_has_is_not_named() -> None:
     measured = 8.0 * B + NOISE
     for limit, named in ((0.5, "power_law_damping"), (100.0, "air_drag")):
         drag = replace(DRAG, site=replace(DRAG.site, limits={"c2": limit}))
-        fitted = contender(measured, (drag, B))
+        fitted = fitted_model(measured, (drag, B))
         own = SimpleNamespace(
             values=lambda theta, _: {"c2": float(theta[0])}, index_of=lambda _: slice(0, 1), prior_std=np.array([3.0])
         )
         fitted = replace(fitted, fit=replace(fitted.fit, parametrisation=own))
-        competing = [fitted, contender(measured, (law, 0.95 * B + 0.05 * A))]
-        found = judge(contender(measured), competing, (), (), (), (drag, law), PLAIN)
+        competing = [fitted, fitted_model(measured, (law, 0.95 * B + 0.05 * A))]
+        found = judge(fitted_model(measured), competing, (), (), (), (drag, law), PLAIN)
         assert found.classes[0].head.effects == (named,)
         assert beyond_limits(fitted.candidates, fitted.fit) == pytest.approx(
             max(0.0, (fitted.fit.theta[0] - limit) / np.hypot(0.5 * limit, fitted.fit.std[0]))
@@ -150,9 +154,9 @@ def test_reliabilities_move_probability_between_none_named_and_unnamed() -> None
 
 
 def test_two_effects_at_one_point_are_a_sign_of_their_own() -> None:
-    pair = contender(2.0 * A + 2.0 * B + NOISE, (CUBIC, A), (DRAG, B))
-    singles = [contender(2.0 * A + 2.0 * B + NOISE, (CUBIC, A))]
-    plain = contender(2.0 * A + 2.0 * B + NOISE)
+    pair = fitted_model(2.0 * A + 2.0 * B + NOISE, (CUBIC, A), (DRAG, B))
+    singles = [fitted_model(2.0 * A + 2.0 * B + NOISE, (CUBIC, A))]
+    plain = fitted_model(2.0 * A + 2.0 * B + NOISE)
     apart = judge(plain, singles, [pair], (), (), LIBRARY, PLAIN, pair)
     assert apart.features["second"] == 1.0
     assert apart.features["together"] == 0.0  # points 2 and 1
@@ -162,7 +166,7 @@ def test_two_effects_at_one_point_are_a_sign_of_their_own() -> None:
 
 
 def test_what_a_test_finds_and_chance_would_not_is_unnamed() -> None:
-    plain = contender(NOISE)
+    plain = fitted_model(NOISE)
     often = judge(plain, [], [], (), (), LIBRARY, PLAIN, None, 1e-3)
     never = judge(plain, [], [], (), (), LIBRARY, PLAIN, None, 1e-12)
     assert often.log_odds < 0.0
@@ -190,8 +194,8 @@ def test_the_prior_of_a_pair_is_that_of_two_draws_in_any_order() -> None:
     draws = list(product(kinds, repeat=2))
     share = sum(set(draw) == wanted for draw in draws) / len(draws)
     measured = 2.0 * A + 0.5 * B + NOISE
-    plain, single = contender(measured), contender(measured, (CUBIC, A))
-    pair = contender(measured, (CUBIC, A), (DRAG, B))
+    plain, single = fitted_model(measured), fitted_model(measured, (CUBIC, A))
+    pair = fitted_model(measured, (CUBIC, A), (DRAG, B))
     even = replace(PLAIN, inexactness=0.0)
     found = judge(plain, [single], [pair], (), (), LIBRARY, even)
     expected = even.prior_pair * share / (even.prior_effect / len(kinds))
@@ -207,12 +211,12 @@ def test_the_prior_of_a_pair_is_that_of_two_draws_in_any_order() -> None:
     assert behind[0] - behind[1] == pytest.approx(np.log(expected) + gain)
 
 
-def strong(first: float, second: float) -> tuple[Contender, list[Contender], Contender]:
+def strong(first: float, second: float) -> tuple[FittedModel, list[FittedModel], FittedModel]:
     """The plain model, single explanations and the pair, of two effects of such strengths in standard deviations."""
-    loose = lambda measured, *explained: contender(measured, *explained, spread=1e5)  # noqa: E731
+    loose = lambda measured, *explained: fitted_model(measured, *explained, spread=1e5)  # noqa: E731
     measured = (first / 8.0) * A + (second / 8.0) * B + NOISE
     singles = [loose(measured, (CUBIC, A)), loose(measured, (DRAG, B))]
-    return contender(measured), singles, loose(measured, (CUBIC, A), (DRAG, B))
+    return fitted_model(measured), singles, loose(measured, (CUBIC, A), (DRAG, B))
 
 
 @pytest.mark.parametrize("sigma", [64.0, 512.0, 4096.0])

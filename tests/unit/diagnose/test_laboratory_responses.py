@@ -13,11 +13,11 @@ import yaml
 from nmt_bench.data_import import import_data
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates
-from nmt_diagnose.evidence.read_evidence import read_evidence
-from nmt_diagnose.inference.contest import Contender, Contest
 from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.inference.model_comparison import FittedModel, ModelComparison
 from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import load_rig
@@ -73,14 +73,14 @@ def test_a_cantilever_that_softens_gets_its_damping_beside(data_folder: Path, tm
     keys: dict[str, object] = {"unit": "(m/s^2)/(m/s^2)", "level_unit": "g"}
     bag, model = imported(data_folder / "laboratory", tmp_path, "table", (0.02, 0.1, 0.3), ON_TABLE, keys)
     rig = load_rig(str(model))
-    evidence = read_evidence([bag], rig)
-    problem = Problem(evidence, Forward(evidence.tests, evidence.rows))
-    effects = candidates(rig, operating_range(rig, evidence.tests, evidence=evidence))
-    contest = Contest(problem, rig, calibration_parameters(rig), effects)
+    observations = read_observations([bag], rig)
+    problem = Problem(observations, Forward(observations.tests, observations.rows))
+    effects = candidates(rig, operating_range(rig, observations.tests, observations=observations))
+    comparison = ModelComparison(problem, rig, calibration_parameters(rig), effects)
     (cubic,) = [own for own in effects if own.effect.name == "cubic_stiffness"]
-    alone = contest._together((cubic,), (1.0,), np.zeros(1))
+    alone = comparison._together((cubic,), (1.0,), np.zeros(1))
     assert alone is not None
-    pairs = contest._with_partners([alone], ())
+    pairs = comparison._with_partners([alone], ())
     assert {own.effects[0] for own in pairs} == {"air_drag", "amplitude_damping", "cubic_stiffness"}
     best = max(pairs, key=lambda own: own.fit.log_evidence)
     assert best.effects == ("amplitude_damping", "cubic_stiffness")
@@ -89,7 +89,7 @@ def test_a_cantilever_that_softens_gets_its_damping_beside(data_folder: Path, tm
     assert said == pytest.approx([-0.10 * (2.0 * np.pi * 31.4) ** 2 / 0.008**2, 2.4e4], rel=0.05)
 
 
-def contest_value(pair: Contender, member: int) -> float:
+def contest_value(pair: FittedModel, member: int) -> float:
     """The strength of one of its effects, in its unit."""
     (value,) = pair.fit.parametrisation.values(pair.fit.theta, member).values()
     return value

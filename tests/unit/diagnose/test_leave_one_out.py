@@ -8,16 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from unit.diagnose.twin_evidence import chain, evidence_of_twin, real
+from unit.diagnose.twin_observations import chain, observations_of_twin, real
 
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
-from nmt_diagnose.evidence.observables import Evidence, joined
-from nmt_diagnose.evidence.origin import Origin
-from nmt_diagnose.inference.contest import Contest
 from nmt_diagnose.inference.diagnosis import LeftOut
 from nmt_diagnose.inference.leave_one_out import contradiction, left_out, recordings, rms_left
+from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.observations.observables import Observations, joined
+from nmt_diagnose.observations.origin import Origin
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig
@@ -26,25 +26,25 @@ MODEL = chain()
 CUBIC = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2.0e8}
 
 
-def recording(name: str, rig: Rig, seed: int) -> Evidence:
-    found = evidence_of_twin(rig, seed=seed, drives=(0.1, 0.8, 1.6))
+def recording(name: str, rig: Rig, seed: int) -> Observations:
+    found = observations_of_twin(rig, seed=seed, drives=(0.1, 0.8, 1.6))
     tests = tuple(replace(test, name=f"{name} {k}") for k, test in enumerate(found.tests))
     origin = Origin("unknown", tests=tuple(test.name for test in tests))
     return replace(found, tests=tests, inputs=((name, "0"),), origins=(origin,))
 
 
-def without_each(parts: Sequence[Evidence]) -> tuple[list[LeftOut], float]:
-    evidence = joined(parts)
+def without_each(parts: Sequence[Observations]) -> tuple[list[LeftOut], float]:
+    observations = joined(parts)
     withheld = tuple(effect.name for effect in library() if effect.name != "cubic_stiffness")
-    problem = Problem(evidence, Forward(evidence.tests, evidence.rows))
-    found = candidates(MODEL, operating_range(MODEL, evidence.tests), withheld)
-    contest = Contest(problem, MODEL, calibration_parameters(MODEL), found)
-    null = contest.null()
-    heads = contest.singles(null, contest.scan(null))[:2]
-    items = recordings(evidence)
+    problem = Problem(observations, Forward(observations.tests, observations.rows))
+    found = candidates(MODEL, operating_range(MODEL, observations.tests), withheld)
+    comparison = ModelComparison(problem, MODEL, calibration_parameters(MODEL), found)
+    null = comparison.null()
+    heads = comparison.singles(null, comparison.scan(null))[:2]
+    items = recordings(observations)
     assert [item.path for item in items] == [part.inputs[0][0] for part in parts]
-    assert np.array_equal(np.sum([item.rows for item in items], axis=0), np.ones(len(evidence.rows)))
-    each = [left_out(item, contest.all_refits([(own, ~item.rows) for own in (null, *heads)])) for item in items]
+    assert np.array_equal(np.sum([item.rows for item in items], axis=0), np.ones(len(observations.rows)))
+    each = [left_out(item, comparison.all_refits([(own, ~item.rows) for own in (null, *heads)])) for item in items]
     return [item for item in each if item is not None], min(rms_left(own) for own in (null, *heads))
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from unit.diagnose.linear_problem import FunctionModel, evidence_of
-from unit.diagnose.twin_evidence import chain, evidence_of_twin
+from unit.diagnose.linear_problem import FunctionModel, observations_of
+from unit.diagnose.twin_observations import chain, observations_of_twin
 
-from nmt_diagnose.evidence.observables import Part
 from nmt_diagnose.inference.lock_noise import lock_nuisances
 from nmt_diagnose.inference.problem import Nuisance, Problem
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.twin.forward import Forward
 
 LOOP = 4e-3
@@ -28,7 +28,7 @@ def test_whitening_is_the_dense_inverse_root() -> None:
         shared[rows] = size * direction * sigma[rows]
         covariance += np.outer(shared, shared)
         nuisances.append(Nuisance(rows, direction, size))
-    problem = Problem(evidence_of(np.zeros(7), sigma), FunctionModel(lambda t: t), tuple(nuisances))
+    problem = Problem(observations_of(np.zeros(7), sigma), FunctionModel(lambda t: t), tuple(nuisances))
     left = generator.standard_normal((7, 3))
     whitened = problem.whitened(left)
     # Any root will do: products are what counts.
@@ -42,14 +42,14 @@ def wandering() -> tuple[float, float, np.ndarray]:
     model = chain()
     plain, white = [], []
     for seed in range(4):
-        evidence = evidence_of_twin(model, seed=seed, random=False, lock_noise=LOOP)
-        forward = Forward(evidence.tests, evidence.rows)
+        observations = observations_of_twin(model, seed=seed, random=False, lock_noise=LOOP)
+        forward = Forward(observations.tests, observations.rows)
         prediction = forward.predict(model)
-        nuisances = lock_nuisances(evidence, model, prediction)
-        assert len(nuisances) == len(evidence.tests[0].levels)  # type: ignore[union-attr]
-        frequency = evidence.rows.part == Part.LOG_FREQUENCY
-        plain.append(Problem(evidence, forward).residual(prediction)[frequency])  # type: ignore[arg-type]
-        white.append(Problem(evidence, forward, nuisances).residual(prediction))  # type: ignore[arg-type]
+        nuisances = lock_nuisances(observations, model, prediction)
+        assert len(nuisances) == len(observations.tests[0].levels)  # type: ignore[union-attr]
+        frequency = observations.rows.part == Part.LOG_FREQUENCY
+        plain.append(Problem(observations, forward).residual(prediction)[frequency])  # type: ignore[arg-type]
+        white.append(Problem(observations, forward, nuisances).residual(prediction))  # type: ignore[arg-type]
     return float(np.std(plain)), float(np.max(np.abs(white))), np.concatenate(white)
 
 
@@ -64,5 +64,5 @@ def test_a_rig_that_is_its_own_model_whitens_to_one_though_its_loop_wanders(
 
 def test_a_quiet_loop_shares_nothing() -> None:
     model = chain()
-    evidence = evidence_of_twin(model, random=False, lock_noise=0.0)
-    assert lock_nuisances(evidence, model, Forward(evidence.tests, evidence.rows).predict(model)) == ()
+    observations = observations_of_twin(model, random=False, lock_noise=0.0)
+    assert lock_nuisances(observations, model, Forward(observations.tests, observations.rows).predict(model)) == ()

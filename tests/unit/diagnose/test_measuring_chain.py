@@ -9,24 +9,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete
-from unit.diagnose.linear_problem import FunctionModel, evidence_of
-from unit.diagnose.twin_evidence import chain, evidence_of_twin
+from unit.diagnose.linear_problem import FunctionModel, observations_of
+from unit.diagnose.twin_observations import chain, observations_of_twin
 
 from nmt_core.blocks import Quantity
-from nmt_diagnose.evidence.conditions import (
+from nmt_diagnose.inference.chain_errors import chain_errors, with_chain_errors
+from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.inference.shared_errors import SharedErrors
+from nmt_diagnose.observations.conditions import (
     MeasuredChannel,
     PhaseResonanceTest,
     RandomTest,
     RingDownTest,
     Test,
 )
-from nmt_diagnose.evidence.drive_hold import hold_factor, image_responses, zero_order_images
-from nmt_diagnose.evidence.measuring_chain import ChannelTolerance, MeasuringChain, measuring_chain
-from nmt_diagnose.evidence.model_view import ModelView
-from nmt_diagnose.evidence.observables import Evidence, Part, Rows
-from nmt_diagnose.inference.chain_errors import chain_errors, with_chain_errors
-from nmt_diagnose.inference.problem import Problem
-from nmt_diagnose.inference.shared_errors import SharedErrors
+from nmt_diagnose.observations.drive_hold import hold_factor, image_responses, zero_order_images
+from nmt_diagnose.observations.measuring_chain import ChannelTolerance, MeasuringChain, measuring_chain
+from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.twin.forward import Forward
 from nmt_record.import_sidecar import ChannelSection
 from nmt_record.run_device import SIMULATED_RIG
@@ -43,7 +43,7 @@ def test_whitening_is_the_dense_inverse_root() -> None:
     draw = np.random.default_rng(1)
     sigma = draw.uniform(0.5, 2.0, 9)
     columns = draw.standard_normal((9, 3)) * np.array([0.2, 3.0, 50.0])
-    plain = Problem(evidence_of(np.zeros(9), sigma), FunctionModel(lambda t: t))
+    plain = Problem(observations_of(np.zeros(9), sigma), FunctionModel(lambda t: t))
     problem = replace(plain, shared=SharedErrors.of(plain.whitened(columns)))
     left = draw.standard_normal((9, 4))
     whitened = problem.whitened(left)
@@ -119,12 +119,12 @@ def test_images_of_an_interpolated_drive_are_those_of_the_sampled_system() -> No
 def test_harmonics_of_the_drive_drive_the_model() -> None:
     """Of a linear rig the third harmonic of each channel is its response there times that of the drive."""
     model = chain(local_elements=[])
-    evidence = evidence_of_twin(model, random=False)
-    test = evidence.tests[0]
+    observations = observations_of_twin(model, random=False)
+    test = observations.tests[0]
     assert isinstance(test, PhaseResonanceTest)
     share = 2e-3 * np.exp(0.7j)
     moved = replace(test, levels=tuple(replace(level, drive_harmonics=(0j, complex(share))) for level in test.levels))
-    rows = evidence.rows
+    rows = observations.rows
     pure, driven = (Forward((own,), rows).predict(model).values for own in (test, moved))
     found = 0
     for channel, own in enumerate(test.channels):
@@ -145,12 +145,12 @@ def test_harmonics_of_the_drive_drive_the_model() -> None:
 def test_errors_within_the_tolerances_are_noise_and_beyond_them_are_not() -> None:
     """Gains of 1 % and 10 %, a common delay of 80 µs: exact predictions of a rig with these sensors."""
     model = chain()
-    evidence = evidence_of_twin(model)
-    tolerant = replace(evidence, chains=(MeasuringChain(),) * len(evidence.tests))
-    forward = Forward(evidence.tests, evidence.rows)
+    observations = observations_of_twin(model)
+    tolerant = replace(observations, chains=(MeasuringChain(),) * len(observations.tests))
+    forward = Forward(observations.tests, observations.rows)
     base = forward.predict(model)
     problem = with_chain_errors(Problem(tolerant, forward), model, base)
-    plain = Problem(evidence, forward)
+    plain = Problem(observations, forward)
 
     def size(kind: Problem, gain: float, delay: float) -> float:
         sensors = [
@@ -171,12 +171,12 @@ def test_errors_within_the_tolerances_are_noise_and_beyond_them_are_not() -> Non
 def test_images_in_a_fundamental_change_the_harmonics_over_it() -> None:
     """An acceleration with an image z of the held drive, at any angle: ln Y₁ moves by z, Y_n / |Y₁| by −Re z of it."""
     model = chain()
-    evidence = evidence_of_twin(model, random=False)
-    tolerant = replace(evidence, chains=(MeasuringChain(hold_hz=250.0),))
-    forward, rows = Forward(evidence.tests, evidence.rows), evidence.rows
+    observations = observations_of_twin(model, random=False)
+    tolerant = replace(observations, chains=(MeasuringChain(hold_hz=250.0),))
+    forward, rows = Forward(observations.tests, observations.rows), observations.rows
     base = forward.predict(model)
     columns = chain_errors(Problem(tolerant, forward), model, base)[1]
-    test = evidence.tests[0]
+    test = observations.tests[0]
     assert isinstance(test, PhaseResonanceTest)
     channel = next(c for c in test.channels if c.quantity is Quantity.ACCELERATION)
     mine = rows.channel == test.channels.index(channel)
@@ -197,13 +197,13 @@ def test_images_in_a_fundamental_change_the_harmonics_over_it() -> None:
 def test_a_high_pass_within_the_tolerance_is_noise_and_beyond_it_is_not() -> None:
     """The corner of a conditioner at which a channel leads by 0.2° at resonance, and by more below it."""
     model = chain()
-    evidence = evidence_of_twin(model)
-    tolerant = replace(evidence, chains=(MeasuringChain(),) * len(evidence.tests))
-    forward = Forward(evidence.tests, evidence.rows)
+    observations = observations_of_twin(model)
+    tolerant = replace(observations, chains=(MeasuringChain(),) * len(observations.tests))
+    forward = Forward(observations.tests, observations.rows)
     base = forward.predict(model)
     problem = with_chain_errors(Problem(tolerant, forward), model, base)
-    locked = next(number for number, test in enumerate(evidence.tests) if isinstance(test, PhaseResonanceTest))
-    resonance = float(np.median(evidence.rows.frequency_hz[evidence.rows.test == locked]))
+    locked = next(number for number, test in enumerate(observations.tests) if isinstance(test, PhaseResonanceTest))
+    resonance = float(np.median(observations.rows.frequency_hz[observations.rows.test == locked]))
 
     def size(kind: Problem, lead_deg: float) -> float:
         corner = resonance * math.tan(math.radians(lead_deg))
@@ -212,7 +212,7 @@ def test_a_high_pass_within_the_tolerance_is_noise_and_beyond_it_is_not() -> Non
         residual = kind.whitened(forward.difference(seen.values, base.values))
         return float(residual @ residual)
 
-    assert size(Problem(evidence, forward), 0.2) > 100.0
+    assert size(Problem(observations, forward), 0.2) > 100.0
     assert size(problem, 0.2) < 5.0
     assert size(problem, 4.0) > 50.0
 
@@ -220,18 +220,18 @@ def test_a_high_pass_within_the_tolerance_is_noise_and_beyond_it_is_not() -> Non
 def test_a_recorded_voltage_may_be_off_from_the_commanded_one() -> None:
     """Amplitudes over a commanded voltage and responses over a recorded one differ by the gain of its channel."""
     model = chain()
-    evidence = evidence_of_twin(model, noise=0.0)
-    forward, rows = Forward(evidence.tests, evidence.rows), evidence.rows
+    observations = observations_of_twin(model, noise=0.0)
+    forward, rows = Forward(observations.tests, observations.rows), observations.rows
     base = forward.predict(model)
-    random = np.array([isinstance(evidence.tests[number], RandomTest) for number in rows.test])
+    random = np.array([isinstance(observations.tests[number], RandomTest) for number in rows.test])
     louder = np.where(random & (rows.part == Part.LOG_MAGNITUDE), 0.01, 0.0)
     sizes = []
     for commanded in (False, True):
         tests = tuple(
             replace(test, commanded=commanded) if isinstance(test, PhaseResonanceTest) else test
-            for test in evidence.tests
+            for test in observations.tests
         )
-        tolerant = replace(evidence, tests=tests, chains=(MeasuringChain(),) * len(tests))
+        tolerant = replace(observations, tests=tests, chains=(MeasuringChain(),) * len(tests))
         problem = with_chain_errors(Problem(tolerant, forward), model, base)
         residual = problem.whitened(louder)
         sizes.append(float(residual @ residual))
@@ -241,12 +241,12 @@ def test_a_recorded_voltage_may_be_off_from_the_commanded_one() -> None:
 
 def test_amplitudes_that_had_not_settled_are_one_error_of_their_level() -> None:
     model = chain()
-    evidence = evidence_of_twin(model, noise=0.0, random=False)
-    (test,) = evidence.tests
+    observations = observations_of_twin(model, noise=0.0, random=False)
+    (test,) = observations.tests
     assert isinstance(test, PhaseResonanceTest)
     leans = tuple(-0.01 - 0.001 * k for k in range(len(test.channels)))
     levels = tuple(replace(own, amplitude_leans=leans if k == 2 else ()) for k, own in enumerate(test.levels))
-    unsettled = replace(evidence, tests=(replace(test, levels=levels),))
+    unsettled = replace(observations, tests=(replace(test, levels=levels),))
     forward, rows = Forward(unsettled.tests, unsettled.rows), unsettled.rows
     base = forward.predict(model)
     (column,) = chain_errors(Problem(unsettled, forward), model, base)[1].T
@@ -298,9 +298,9 @@ def _within(rig: Rig, test: Test, rows: Rows, change: Callable[[Forward, Rig], n
     forward = Forward((test,), rows)
     base = forward.predict(rig)
     scale = np.where(rows.part == Part.SAMPLE, np.std(base.values), 1.0)
-    evidence = Evidence((test,), rows, base.values, 1e-4 * scale, 0.0 * scale, chains=(MeasuringChain(),))
-    plain = Problem(replace(evidence, chains=(None,)), forward)
-    problem = with_chain_errors(Problem(evidence, forward), rig, base)
+    observations = Observations((test,), rows, base.values, 1e-4 * scale, 0.0 * scale, chains=(MeasuringChain(),))
+    plain = Problem(replace(observations, chains=(None,)), forward)
+    problem = with_chain_errors(Problem(observations, forward), rig, base)
     moved = change(forward, rig) - base.values
     return tuple(float(np.linalg.norm(kind.whitened(moved))) for kind in (plain, problem))  # type: ignore[return-value]
 
@@ -318,6 +318,6 @@ def test_a_gain_within_the_tolerance_is_noise_in_a_decay() -> None:
 
 def test_without_tolerances_the_problem_is_the_same() -> None:
     model = chain()
-    evidence = evidence_of_twin(model, random=False)
-    problem = Problem(evidence, Forward(evidence.tests, evidence.rows))
+    observations = observations_of_twin(model, random=False)
+    problem = Problem(observations, Forward(observations.tests, observations.rows))
     assert with_chain_errors(problem, model, problem.forward.predict(model)) is problem

@@ -6,13 +6,13 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from unit.diagnose.test_stepped_sine import DAMPER, OMEGA, evidence_of, oscillator, swept
+from unit.diagnose.test_stepped_sine import DAMPER, OMEGA, observations_of, oscillator, swept
 
 from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.evidence.conditions import MeasuredChannel
-from nmt_diagnose.evidence.measuring_chain import table_chain
 from nmt_diagnose.inference.chain_errors import chain_errors
 from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_diagnose.observations.measuring_chain import table_chain
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import ResidualSection, Rig
 
@@ -32,9 +32,9 @@ def receptance(other: bool) -> np.ndarray:
 def left_by_columns(rig: Rig) -> tuple[float, float]:
     """Largest difference that the other mode makes, ln and rad, and what is left of it after the shared errors."""
     test = swept(LINES, 1.0, receptance(True))
-    evidence = replace(evidence_of([test]), chains=(table_chain(),))
-    forward = Forward(evidence.tests, evidence.rows)
-    problem = Problem(evidence, forward)
+    observations = replace(observations_of([test]), chains=(table_chain(),))
+    forward = Forward(observations.tests, observations.rows)
+    problem = Problem(observations, forward)
     prediction = forward.predict(rig)
     _, columns = chain_errors(problem, rig, prediction)
     difference = problem.difference(prediction.values)
@@ -65,8 +65,8 @@ def test_a_force_channel_beside_the_responses_has_no_other_modes() -> None:
     rig = oscillator()
     found = []
     for own in (test, both):
-        evidence = replace(evidence_of([own]), chains=(table_chain(),))
-        forward = Forward(evidence.tests, evidence.rows)
-        found.append(chain_errors(Problem(evidence, forward), rig, forward.predict(rig))[1])
+        observations = replace(observations_of([own]), chains=(table_chain(),))
+        forward = Forward(observations.tests, observations.rows)
+        found.append(chain_errors(Problem(observations, forward), rig, forward.predict(rig))[1])
     alone, beside = (columns[:, np.any(columns != 0.0, axis=0)] for columns in found)
     np.testing.assert_allclose(beside, alone)

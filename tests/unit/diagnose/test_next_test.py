@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from unit.diagnose.linear_problem import FunctionModel, Plain, evidence_of
+from unit.diagnose.linear_problem import FunctionModel, Plain, observations_of
 from unit.diagnose.test_judgement import CUBIC, DRAG
 from unit.diagnose.twin_tests import chain
 
 from nmt_diagnose.inference import next_test
-from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.judgement import ExplanationClass
+from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.inference.next_test import Proposal, next_tests
 from nmt_diagnose.inference.problem import Problem
 
@@ -29,12 +29,12 @@ class Linear(Plain):
         return (self.names[0], np.asarray(theta, dtype=float))
 
 
-def fitted(candidate: Any, column: np.ndarray, measured: np.ndarray) -> Contender:
+def fitted(candidate: Any, column: np.ndarray, measured: np.ndarray) -> FittedModel:
     """An explanation y = column θ, fitted to what has been measured."""
     plain = Plain(np.array([3.0]), np.array([-np.inf]), (candidate.label,))
-    problem = Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: column * t[0]))
+    problem = Problem(observations_of(measured, 1.0), FunctionModel(lambda t: column * t[0]))
     result = fit(problem, plain, np.zeros(1))
-    return Contender((candidate,), replace(result, parametrisation=Linear(plain.prior_std, plain.lower, plain.names)))
+    return FittedModel((candidate,), replace(result, parametrisation=Linear(plain.prior_std, plain.lower, plain.names)))
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def future(monkeypatch: pytest.MonkeyPatch) -> dict[str, np.ndarray]:
     return columns
 
 
-def competing() -> list[Contender]:
+def competing() -> list[FittedModel]:
     generator = np.random.default_rng(4)
     column = generator.standard_normal(20)
     measured = 2.0 * column + generator.standard_normal(20)
@@ -66,10 +66,10 @@ def competing() -> list[Contender]:
 
 
 def proposal() -> Proposal:
-    return Proposal("a test", "./nmt run", evidence_of(np.zeros(6), SIGMA))
+    return Proposal("a test", "./nmt run", observations_of(np.zeros(6), SIGMA))
 
 
-def expected(future: dict[str, np.ndarray], a: Contender, b: Contender) -> float:
+def expected(future: dict[str, np.ndarray], a: FittedModel, b: FittedModel) -> float:
     """√(Δᵀ (σ² + J C Jᵀ)⁻¹ Δ) with a true and b adapting."""
     ja, jb = future[a.explanation.label], future[b.explanation.label]
     gap = ja * a.fit.theta[0] - jb * b.fit.theta[0]
@@ -83,13 +83,13 @@ def test_the_expected_distance_is_that_of_dense_algebra(
     a, b = competing()
     least = min(expected(future, a, b), expected(future, b, a))
     assert least > 3.0
-    monkeypatch.setattr(next_test, "proposals", lambda rig, evidence: [proposal()])
+    monkeypatch.setattr(next_test, "proposals", lambda rig, observations: [proposal()])
     classes = [ExplanationClass(a, (a,), 0.6), ExplanationClass(b, (b,), 0.3)]
-    (found,) = next_tests(RIG, evidence_of(np.zeros(20), 1.0), a, classes, None)  # type: ignore[arg-type]
+    (found,) = next_tests(RIG, observations_of(np.zeros(20), 1.0), a, classes, None)  # type: ignore[arg-type]
     assert found.expected_sigma == pytest.approx(least, rel=1e-6)
     assert found.separates == ("cubic_stiffness", "air_drag")
     # Members of one class are distinguished just so.
-    (same,) = next_tests(RIG, evidence_of(np.zeros(20), 1.0), a, [ExplanationClass(a, (a, b), 0.95)], None)  # type: ignore[arg-type]
+    (same,) = next_tests(RIG, observations_of(np.zeros(20), 1.0), a, [ExplanationClass(a, (a, b), 0.95)], None)  # type: ignore[arg-type]
     assert same == found
 
 
@@ -98,9 +98,9 @@ def test_a_test_that_cannot_tell_is_not_proposed(
 ) -> None:
     a, b = competing()
     future[DRAG.label] = future[CUBIC.label] * a.fit.theta[0] / b.fit.theta[0]
-    monkeypatch.setattr(next_test, "proposals", lambda rig, evidence: [proposal()])
+    monkeypatch.setattr(next_test, "proposals", lambda rig, observations: [proposal()])
     classes = [ExplanationClass(a, (a, b), 0.9)]
-    assert next_tests(RIG, evidence_of(np.zeros(20), 1.0), a, classes, None) == ()  # type: ignore[arg-type]
+    assert next_tests(RIG, observations_of(np.zeros(20), 1.0), a, classes, None) == ()  # type: ignore[arg-type]
 
 
 def test_one_sure_explanation_needs_no_further_test(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,5 +110,5 @@ def test_one_sure_explanation_needs_no_further_test(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(next_test, "proposals", never)
     a, b = competing()
     classes = [ExplanationClass(a, (a,), 0.97), ExplanationClass(b, (b,), 0.01)]
-    assert next_tests(RIG, evidence_of(np.zeros(20), 1.0), a, classes, None) == ()  # type: ignore[arg-type]
-    assert next_tests(RIG, evidence_of(np.zeros(20), 1.0), a, [], None) == ()  # type: ignore[arg-type]
+    assert next_tests(RIG, observations_of(np.zeros(20), 1.0), a, classes, None) == ()  # type: ignore[arg-type]
+    assert next_tests(RIG, observations_of(np.zeros(20), 1.0), a, [], None) == ()  # type: ignore[arg-type]

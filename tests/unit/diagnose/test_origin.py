@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from unit.diagnose.evidence_bags import record, rig_with_noise
+from unit.diagnose.observation_bags import record, rig_with_noise
 
 from nmt_core.errors import BenchError
-from nmt_diagnose.evidence.origin import Origin, origin_of, refuse_own_recordings, same_rig, strangers
-from nmt_diagnose.evidence.read_evidence import read_evidence
 from nmt_diagnose.inference.next_test import proposals
+from nmt_diagnose.observations.origin import Origin, origin_of, refuse_own_recordings, same_rig, strangers
+from nmt_diagnose.observations.read_observations import read_observations
 from nmt_record.bag_reader import Bag
 from nmt_record.bag_writer import BagWriter
 from nmt_rig.rig import load_rig
@@ -96,19 +96,21 @@ def levels(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_commands_run_the_recorded_rig_as_it_was_recorded(levels: Path) -> None:
     beam = load_rig("beam")
-    evidence = read_evidence([levels], beam, allow_own_model=False)
-    found = proposals(beam, evidence)
+    observations = read_observations([levels], beam, allow_own_model=False)
+    found = proposals(beam, observations)
     assert len(found) > 4
     for proposal in found:
         assert f"'{levels / 'rig.yaml'}'" in proposal.command
         assert proposal.command.startswith(("./nmt run ", "./nmt linear "))
         assert ("--periods 40" in proposal.command) == proposal.command.startswith("./nmt run ")
     with pytest.raises(BenchError, match="simulated from the model itself"):
-        refuse_own_recordings(REAL, [(str(levels), evidence.origins[0])])
+        refuse_own_recordings(REAL, [(str(levels), observations.origins[0])])
 
 
 def test_of_data_measured_elsewhere_there_is_no_command(tmp_path: Path) -> None:
     run = {"imported": {"files": [{"name": "data.npz", "sha256": "0"}], "sidecar": {}, "notes": []}}
-    found = read_evidence([record(tmp_path / "bag", REAL, levels=(0.3, 0.6), periods=20, run=run)], load_rig("beam"))
+    found = read_observations(
+        [record(tmp_path / "bag", REAL, levels=(0.3, 0.6), periods=20, run=run)], load_rig("beam")
+    )
     assert {proposal.command for proposal in proposals(load_rig("beam"), found)} == {""}
     assert all(proposal.text for proposal in proposals(load_rig("beam"), found))

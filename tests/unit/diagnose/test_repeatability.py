@@ -10,9 +10,9 @@ import pytest
 
 from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
-from nmt_diagnose.evidence.floors import with_stated_repeatability
-from nmt_diagnose.evidence.observables import Part
-from nmt_diagnose.evidence.read_evidence import read_evidence
+from nmt_diagnose.observations.floors import with_stated_repeatability
+from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.observations.read_observations import read_observations
 from nmt_rig.rig import load_rig
 
 RIG = """name: one_mode
@@ -27,18 +27,18 @@ TABLE = """frequency_hz,frequency_hz_std,amplitude,damping_ratio,damping_ratio_s
 SIDECAR = "rig: rig.yaml\nfile: table.csv\nsegments: [{kind: backbone, unit: mm, point: 1}]\n"
 
 
-def evidence(folder: Path, stated: str):
+def observations(folder: Path, stated: str):
     for name, text in (("rig.yaml", RIG), ("table.csv", TABLE), ("side.yaml", SIDECAR + stated)):
         (folder / name).write_text(text, encoding="utf-8")
     import_data(folder / "side.yaml", folder / "bag")
-    return read_evidence([folder / "bag"], load_rig(str(folder / "rig.yaml")))
+    return read_observations([folder / "bag"], load_rig(str(folder / "rig.yaml")))
 
 
 def test_it_adds_to_the_floors_of_its_kind(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    plain = evidence(tmp_path / "a", "")
-    stated = evidence(tmp_path / "b", "repeatability: {frequency: 0.006, damping: 0.1}\n")
+    plain = observations(tmp_path / "a", "")
+    stated = observations(tmp_path / "b", "repeatability: {frequency: 0.006, damping: 0.1}\n")
     frequency, damping = (plain.rows.part == part for part in (Part.LOG_FREQUENCY, Part.DAMPING))
     np.testing.assert_allclose(stated.floor[frequency], np.hypot(plain.floor[frequency], 0.006))
     np.testing.assert_allclose(stated.floor[damping], np.hypot(plain.floor[damping], [0.001, 0.002, 0.003]))
@@ -46,7 +46,7 @@ def test_it_adds_to_the_floors_of_its_kind(tmp_path: Path) -> None:
 
 
 def test_without_any_the_evidence_stays(tmp_path: Path) -> None:
-    plain = evidence(tmp_path, "")
+    plain = observations(tmp_path, "")
     for run in ({}, {"imported": {}}, {"imported": {"sidecar": {"repeatability": None}}}):
         assert with_stated_repeatability(plain, run) is plain
     turned = with_stated_repeatability(plain, {"imported": {"sidecar": {"repeatability": {"phase_deg": 2.0}}}})
@@ -57,4 +57,4 @@ def test_without_any_the_evidence_stays(tmp_path: Path) -> None:
 @pytest.mark.parametrize("wrong", ["{frequency: -0.1}", "{frequency: 1.5}", "{sway: 0.1}"])
 def test_what_cannot_be_is_refused(tmp_path: Path, wrong: str) -> None:
     with pytest.raises(BenchError, match="repeatability"):
-        evidence(tmp_path, f"repeatability: {wrong}\n")
+        observations(tmp_path, f"repeatability: {wrong}\n")

@@ -5,15 +5,15 @@ import pytest
 from scipy.stats import kstest
 
 from nmt_core.blocks import Quantity
-from nmt_diagnose.evidence.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
-from nmt_diagnose.evidence.observables import Evidence, Part, Rows
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import ResidualTest, holm, residual_tests
+from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.observations.observables import Observations, Part, Rows
 
 CHANNELS = (MeasuredChannel("f1", Quantity.FORCE, 1), MeasuredChannel("a1", Quantity.ACCELERATION, 1))
 
 
-def run_evidence(levels=10, harmonics=4, down=False):
+def run_observations(levels=10, harmonics=4, down=False):
     """A run with rows of every harmonic of two channels at every level."""
     table = []
     indices = range(2 * levels) if down else range(levels)
@@ -34,11 +34,11 @@ def run_evidence(levels=10, harmonics=4, down=False):
         for i in np.unique(level)
     )
     test = PhaseResonanceTest("run", 1, "a1", CHANNELS, harmonics, "voltage", plan)
-    return Evidence((test,), rows, np.zeros(m), np.full(m, 0.01), np.zeros(m))
+    return Observations((test,), rows, np.zeros(m), np.full(m, 0.01), np.zeros(m))
 
 
-def _tests(evidence, residual):
-    return residual_tests(evidence, residual, np.ones(len(evidence.rows), dtype=bool))
+def _tests(observations, residual):
+    return residual_tests(observations, residual, np.ones(len(observations.rows), dtype=bool))
 
 
 def _named(tests, name, where=None):
@@ -48,14 +48,14 @@ def _named(tests, name, where=None):
     raise AssertionError(name)
 
 
-def _p(evidence, residual, name, where=None):
-    return _named(_tests(evidence, residual), name, where)
+def _p(observations, residual, name, where=None):
+    return _named(_tests(observations, residual), name, where)
 
 
 def test_white_residuals_give_uniform_p_values():
-    evidence = run_evidence(down=True)
+    observations = run_observations(down=True)
     generator = np.random.default_rng(6)
-    drawn = [_tests(evidence, generator.standard_normal(len(evidence.rows))) for _ in range(300)]
+    drawn = [_tests(observations, generator.standard_normal(len(observations.rows))) for _ in range(300)]
     for name, where in (
         ("size of the residual", "run"),
         ("smooth course over the level", "a1"),
@@ -67,18 +67,18 @@ def test_white_residuals_give_uniform_p_values():
 
 
 def test_each_test_sees_its_own_structure_that_the_size_alone_does_not_show():
-    evidence = run_evidence(down=True)
-    rows = evidence.rows
+    observations = run_observations(down=True)
+    rows = observations.rows
     generator = np.random.default_rng(7)
     noise = generator.standard_normal(len(rows))
     trend = noise + 1.3 * np.where((rows.channel == 1) & (rows.harmonic == 3), (rows.amplitude - 5.5) / 3.0, 0.0)
-    assert _p(evidence, trend, "smooth course over the level", "a1").p < 1e-4
-    assert _p(evidence, trend, "size of the residual").p > 1e-3
+    assert _p(observations, trend, "smooth course over the level", "a1").p < 1e-4
+    assert _p(observations, trend, "size of the residual").p > 1e-3
     hysteresis = noise + np.where((rows.level >= 10) & (rows.harmonic == 1), 2.5, 0.0)
-    assert _p(evidence, hysteresis, "differences between rising and falling level").p < 0.02
+    assert _p(observations, hysteresis, "differences between rising and falling level").p < 0.02
     even = noise * np.where(rows.harmonic == 2, 2.0, 1.0)
-    assert _p(evidence, even, "even harmonics").p < 1e-4
-    assert _p(evidence, even, "odd harmonics above the first").p > 1e-3
+    assert _p(observations, even, "even harmonics").p < 1e-4
+    assert _p(observations, even, "odd harmonics above the first").p > 1e-3
 
 
 def test_holm_is_the_step_down_rule():
@@ -87,13 +87,13 @@ def test_holm_is_the_step_down_rule():
 
 
 def test_map_and_observables_carry_units():
-    evidence = run_evidence()
-    ones, twos = np.ones(len(evidence.rows)), np.full(len(evidence.rows), 2.0)
-    groups = residual_map(evidence, 3.0 * ones, twos, ones)
-    assert sum(group.rows for group in groups) == len(evidence.rows)
+    observations = run_observations()
+    ones, twos = np.ones(len(observations.rows)), np.full(len(observations.rows), 2.0)
+    groups = residual_map(observations, 3.0 * ones, twos, ones)
+    assert sum(group.rows for group in groups) == len(observations.rows)
     assert {group.channel for group in groups} == {"f1", "a1", "frequency and phase"}
     assert all((group.as_given, group.before, group.after) == (3.0, 2.0, 1.0) for group in groups)
-    table = per_observable(evidence, twos, ones, np.ones(len(evidence.rows), dtype=bool))
+    table = per_observable(observations, twos, ones, np.ones(len(observations.rows), dtype=bool))
     assert table["run: frequency"]["before_unit"] == pytest.approx(2.0)  # 2 σ of 1 %
     assert table["run: frequency"]["unit"] == "%"
     assert table["run: phase of f1"]["after_unit"] == pytest.approx(np.degrees(0.01))

@@ -10,13 +10,13 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
 from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.evidence.bag_samples import Stretch
-from nmt_diagnose.evidence.conditions import MeasuredChannel, RingDownTest
-from nmt_diagnose.evidence.decay_signal import demodulated, middles, window
-from nmt_diagnose.evidence.model_view import ModelView
-from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.evidence.ring_down_evidence import ring_down_evidence
-from nmt_diagnose.evidence.settings import EvidenceSettings
+from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
+from nmt_diagnose.observations.decay_signal import demodulated, middles, window
+from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.ring_down_observations import ring_down_observations
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
@@ -64,22 +64,24 @@ def linear(rate: float, seconds: float, hz: float = HZ, ratio: float = RATIO) ->
     return np.asarray(np.exp(-ratio * omega * t) * np.sin(omega * math.sqrt(1.0 - ratio**2) * t + 0.4))
 
 
-def evidence_of(samples: FloatArray, rate: float, model: Rig, **others: FloatArray) -> Evidence:
-    """Evidence of a laser's samples, and of further channels by name: quantity letter and point."""
+def observations_of(samples: FloatArray, rate: float, model: Rig, **others: FloatArray) -> Observations:
+    """Observations of a laser's samples, and of further channels by name: quantity letter and point."""
     channels = [LASER]
     channels += [MeasuredChannel(name, Quantity.ACCELERATION, int(name[1:])) for name in others]
     stretch = Stretch(0, rate, tuple(channels), np.stack([samples, *others.values()]), None, {}, math.nan)
     view = ModelView.of(model, 1)
-    return ring_down_evidence("decay", stretch, math.nan, view, {c.name: c for c in channels}, EvidenceSettings())
+    return ring_down_observations(
+        "decay", stretch, math.nan, view, {c.name: c for c in channels}, ObservationSettings()
+    )
 
 
-def values(evidence: Evidence, part: Part) -> FloatArray:
-    return evidence.values[evidence.rows.part == part]
+def values(observations: Observations, part: Part) -> FloatArray:
+    return observations.values[observations.rows.part == part]
 
 
-def z_scores(evidence: Evidence, model: Rig) -> FloatArray:
-    forward = Forward(evidence.tests, evidence.rows)
-    return np.asarray(forward.difference(evidence.values, forward.predict(model).values) / evidence.sigma)
+def z_scores(observations: Observations, model: Rig) -> FloatArray:
+    forward = Forward(observations.tests, observations.rows)
+    return np.asarray(forward.difference(observations.values, forward.predict(model).values) / observations.sigma)
 
 
 def exact_frequency(velocity: FloatArray, cubic: float) -> FloatArray:
@@ -101,26 +103,29 @@ def exact_frequency(velocity: FloatArray, cubic: float) -> FloatArray:
 def test_a_decay_that_starts_at_twice_its_frequency(rate: float) -> None:
     """The last has ten samples a period at the start; the model knows the frequency at rest only."""
     cubic = 4.5 * OMEGA**2 / TOP**2
-    evidence = evidence_of(decay(rate, 5.0, cubic), rate, rig())
-    test = evidence.tests[0]
+    observations = observations_of(decay(rate, 5.0, cubic), rate, rig())
+    test = observations.tests[0]
     assert isinstance(test, RingDownTest)
     assert test.amplitudes.size >= 10
-    log = values(evidence, Part.LOG_FREQUENCY)
+    log = values(observations, Part.LOG_FREQUENCY)
     assert math.exp(log[0]) > 1.6 * OMEGA
     assert math.exp(log[-1]) == pytest.approx(OMEGA, rel=2e-4)
     assert log == pytest.approx(np.log(exact_frequency(test.amplitudes, cubic)), abs=5e-4)
     assert test.frequency_hz == pytest.approx(HZ, rel=2e-4)
     # The twin agrees with the integrator in frequency and in damping, a third of it from the change of frequency.
-    assert np.abs(z_scores(evidence, rig(cubic))).max() < 4.0
-    assert np.abs(z_scores(evidence, rig())).max() > 100.0
+    assert np.abs(z_scores(observations, rig(cubic))).max() < 4.0
+    assert np.abs(z_scores(observations, rig())).max() > 100.0
 
 
 def test_uncertainties_are_those_of_the_noise() -> None:
     rate, found = 1000.0, []
     for seed in range(25):
         noise = 3e-3 * np.random.default_rng(seed).standard_normal(4000)
-        evidence = evidence_of(linear(rate, 4.0) + noise, rate, rig())
-        found.append((evidence.values - Forward(evidence.tests, evidence.rows).predict(rig()).values) / evidence.std)
+        observations = observations_of(linear(rate, 4.0) + noise, rate, rig())
+        found.append(
+            (observations.values - Forward(observations.tests, observations.rows).predict(rig()).values)
+            / observations.std
+        )
     scores = np.concatenate(found)
     assert scores.size > 300
     assert 0.75 < float(np.sqrt(np.mean(scores**2))) < 1.25
@@ -130,49 +135,51 @@ def test_uncertainties_are_those_of_the_noise() -> None:
 @pytest.mark.parametrize("per_period", [3.3, 5.0, 9.7])
 def test_few_samples_a_period(per_period: float) -> None:
     rate = per_period * HZ
-    evidence = evidence_of(linear(rate, 5.0), rate, rig())
-    assert values(evidence, Part.LOG_FREQUENCY) == pytest.approx(np.log(OMEGA * math.sqrt(1.0 - RATIO**2)), abs=1e-4)
-    assert values(evidence, Part.DAMPING) == pytest.approx(RATIO, rel=0.02)
+    observations = observations_of(linear(rate, 5.0), rate, rig())
+    assert values(observations, Part.LOG_FREQUENCY) == pytest.approx(
+        np.log(OMEGA * math.sqrt(1.0 - RATIO**2)), abs=1e-4
+    )
+    assert values(observations, Part.DAMPING) == pytest.approx(RATIO, rel=0.02)
 
 
 def test_fewer_than_three_samples_a_period_are_refused_with_the_numbers() -> None:
-    evidence = evidence_of(linear(2.5 * HZ, 5.0), 2.5 * HZ, rig())
-    assert not len(evidence.rows)
-    assert "2.5 samples a period" in evidence.notes[0]
+    observations = observations_of(linear(2.5 * HZ, 5.0), 2.5 * HZ, rig())
+    assert not len(observations.rows)
+    assert "2.5 samples a period" in observations.notes[0]
 
 
 def test_what_lies_before_the_impact_is_not_used() -> None:
     rate = 2000.0
     quiet = 1e-4 * np.random.default_rng(3).standard_normal(800)
-    evidence = evidence_of(np.concatenate((quiet, linear(rate, 4.0))), rate, rig())
-    assert evidence.rows.time_s.min() > 0.4
-    assert any("is used from 0.4" in note for note in evidence.notes)
-    assert np.abs(z_scores(evidence, rig())).max() < 4.0
+    observations = observations_of(np.concatenate((quiet, linear(rate, 4.0))), rate, rig())
+    assert observations.rows.time_s.min() > 0.4
+    assert any("is used from 0.4" in note for note in observations.notes)
+    assert np.abs(z_scores(observations, rig())).max() < 4.0
 
 
 def test_another_mode_and_the_hammer_are_filtered_out() -> None:
     rate, t = 4000.0, np.arange(16000) / 4000.0
     ringing = 2.0 * np.exp(-300.0 * t) * np.sin(2.0 * math.pi * 1200.0 * t)
     own = linear(rate, 4.0) + 0.5 * linear(rate, 4.0, 1.7 * HZ, 0.005) + ringing
-    evidence = evidence_of(own, rate, rig(modes=((HZ, RATIO), (1.7 * HZ, 0.005))))
-    frequency = values(evidence, Part.LOG_FREQUENCY)
+    observations = observations_of(own, rate, rig(modes=((HZ, RATIO), (1.7 * HZ, 0.005))))
+    frequency = values(observations, Part.LOG_FREQUENCY)
     assert frequency.size >= 6
     assert frequency[2:] == pytest.approx(np.log(OMEGA), abs=3e-4)
-    assert np.abs(z_scores(evidence, rig())).max() < 5.0
+    assert np.abs(z_scores(observations, rig())).max() < 5.0
 
 
 def test_a_knock_spoils_its_own_amplitudes_only() -> None:
     rate = 2000.0
     bad = linear(rate, 5.0)
     bad[4000:4200] += 0.3 * np.random.default_rng(1).standard_normal(200)
-    evidence = evidence_of(bad, rate, rig())
-    log = evidence.rows.part == Part.LOG_FREQUENCY
-    time, std = evidence.rows.time_s[log], evidence.std[log]
+    observations = observations_of(bad, rate, rig())
+    log = observations.rows.part == Part.LOG_FREQUENCY
+    time, std = observations.rows.time_s[log], observations.std[log]
     near = np.abs(time - 2.05) < 0.5
     assert near.any()
     assert std[near].max() > 1e-3
     assert std[~near].max() < 1e-6
-    assert np.abs(z_scores(evidence, rig())).max() < 5.0
+    assert np.abs(z_scores(observations, rig())).max() < 5.0
 
 
 def test_several_responses_have_the_shape_of_the_mode() -> None:
@@ -180,24 +187,24 @@ def test_several_responses_have_the_shape_of_the_mode() -> None:
     own = linear(rate, 4.0)
     later = linear(rate, 4.0 + 2.0 / rate)[1:-1]
     acceleration = 0.4 * (later - own)[: own.size] * rate
-    evidence = evidence_of(own, rate, rig(), a2=0.4 * np.gradient(own) * rate)
+    observations = observations_of(own, rate, rig(), a2=0.4 * np.gradient(own) * rate)
     assert acceleration.size == own.size
-    size = values(evidence, Part.LOG_MAGNITUDE)
-    amplitudes = evidence.rows.amplitude[evidence.rows.part == Part.LOG_MAGNITUDE]
+    size = values(observations, Part.LOG_MAGNITUDE)
+    amplitudes = observations.rows.amplitude[observations.rows.part == Part.LOG_MAGNITUDE]
     # Central differences are smaller by sin(x)/x.
     loss = np.sinc(HZ * 2.0 / rate)
     assert size == pytest.approx(np.log(0.4 * OMEGA * loss * amplitudes), abs=2e-4)
-    assert values(evidence, Part.PHASE) == pytest.approx(math.pi / 2.0 + RATIO, abs=1e-3)
-    predicted = Forward(evidence.tests, evidence.rows).predict(rig()).values
-    assert predicted[evidence.rows.part == Part.LOG_MAGNITUDE] == pytest.approx(size - np.log(loss), abs=2e-4)
-    assert predicted[evidence.rows.part == Part.PHASE] == pytest.approx(values(evidence, Part.PHASE), abs=1e-3)
+    assert values(observations, Part.PHASE) == pytest.approx(math.pi / 2.0 + RATIO, abs=1e-3)
+    predicted = Forward(observations.tests, observations.rows).predict(rig()).values
+    assert predicted[observations.rows.part == Part.LOG_MAGNITUDE] == pytest.approx(size - np.log(loss), abs=2e-4)
+    assert predicted[observations.rows.part == Part.PHASE] == pytest.approx(values(observations, Part.PHASE), abs=1e-3)
 
 
 def test_a_decay_of_no_mode_of_the_model_is_left_out_with_both_frequencies() -> None:
-    evidence = evidence_of(linear(2000.0, 4.0, 3.0 * HZ), 2000.0, rig())
-    assert not len(evidence.rows)
-    assert "150" in evidence.notes[0]
-    assert "50" in evidence.notes[0]
+    observations = observations_of(linear(2000.0, 4.0, 3.0 * HZ), 2000.0, rig())
+    assert not len(observations.rows)
+    assert "150" in observations.notes[0]
+    assert "50" in observations.notes[0]
 
 
 def test_the_window_passes_a_constant_and_no_harmonic() -> None:
@@ -214,8 +221,8 @@ def test_the_window_passes_a_constant_and_no_harmonic() -> None:
 
 def test_a_state_at_the_pole_of_the_linear_system_starts_one_with_a_spring() -> None:
     """The linear decay is the pole to the last bit, where transfer functions are infinite."""
-    evidence = evidence_of(linear(2000.0, 4.0), 2000.0, rig())
-    forward = Forward(evidence.tests, evidence.rows)
+    observations = observations_of(linear(2000.0, 4.0), 2000.0, rig())
+    forward = Forward(observations.tests, observations.rows)
     start = forward.predict(rig())
     again = forward.predict(rig(), start)
     spring = forward.predict(rig(1e6), again)

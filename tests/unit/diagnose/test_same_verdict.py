@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from unit.diagnose.evidence_bags import record, rig_with_noise
+from unit.diagnose.observation_bags import record, rig_with_noise
 
 from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.vocabulary import LoopState
 from nmt_core.wire import BlockReader, BlockWriter, LoopStatus, write_status
-from nmt_diagnose.evidence.conditions import PhaseResonanceTest
-from nmt_diagnose.evidence.observables import Evidence
-from nmt_diagnose.evidence.read_evidence import read_evidence
+from nmt_diagnose.observations.conditions import PhaseResonanceTest
+from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.observations.read_observations import read_observations
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.offline import extract_bag
 from nmt_record.bag_reader import Bag
@@ -139,10 +139,10 @@ def extracted(path: Path) -> dict[int, ModalPoint]:
     return {point.level_index: point for point in extract_bag(path).points if point.status is not Status.NOT_LOCKED}
 
 
-def left_out(evidence: Evidence) -> dict[int, str]:
+def left_out(observations: Observations) -> dict[int, str]:
     """Level -> reason, out of the notes."""
     found: dict[int, str] = {}
-    for note in evidence.notes:
+    for note in observations.notes:
         head, found_it, reason = note.partition(" (phase_resonance) is left out: ")
         if found_it:
             found[int(head.rpartition(" ")[2])] = reason
@@ -157,9 +157,9 @@ def test_all_readers_reject_the_same_windows_for_the_same_reason(bag: tuple[Path
     read = {segment.level_index: segment for segment in segments(Bag.open(path))}
     assert {level: f"{segment.fault}." for level, segment in read.items() if segment.fault} == reasons
     assert {level for level, segment in read.items() if segment.usable_samples} == TOUCHED
-    evidence = read_evidence([path], RIG)
-    assert left_out(evidence) == reasons
-    (test,) = evidence.tests
+    observations = read_observations([path], RIG)
+    assert left_out(observations) == reasons
+    (test,) = observations.tests
     assert isinstance(test, PhaseResonanceTest)
     assert {level.index for level in test.levels} == TOUCHED
 
@@ -169,8 +169,8 @@ def test_the_samples_of_a_window_are_those_that_were_extracted(bag: tuple[Path, 
     path, _ = bag
     opened = Bag.open(path)
     points: dict[int, Any] = extracted(path)
-    evidence = read_evidence([path], RIG)
-    (test,) = evidence.tests
+    observations = read_observations([path], RIG)
+    (test,) = observations.tests
     assert isinstance(test, PhaseResonanceTest)
     for level in test.levels:
         segment = segments(opened)[level.index]

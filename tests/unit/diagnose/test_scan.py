@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
-from unit.diagnose.linear_problem import FunctionModel, Plain, evidence_of
+from unit.diagnose.linear_problem import FunctionModel, Plain, observations_of
 
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.fit import fit
@@ -17,7 +17,7 @@ def _setting(seed=4):
     calibration = generator.standard_normal((60, 4))
     effect = generator.standard_normal(60) + 0.8 * calibration[:, 0]
     measured = calibration @ generator.standard_normal(4) + 0.9 * effect + generator.standard_normal(60)
-    problem = Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: calibration @ t[:4]))
+    problem = Problem(observations_of(measured, 1.0), FunctionModel(lambda t: calibration @ t[:4]))
     return calibration, effect, measured, fit(problem, Plain.of(4), np.zeros(4))
 
 
@@ -26,7 +26,9 @@ def test_score_equals_a_refit_with_the_effect():
     (score,) = scores(null, [Direction(0, np.zeros(1), effect, True)])
     both = np.column_stack([calibration, effect])
     plain = Plain(np.array([1.0, 1.0, 1.0, 1.0, 1e6]), np.full(5, -np.inf), ("a", "b", "c", "d", "e"))
-    full = fit(Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: both @ t)), plain, np.zeros(5), steps=200)
+    full = fit(
+        Problem(observations_of(measured, 1.0), FunctionModel(lambda t: both @ t)), plain, np.zeros(5), steps=200
+    )
     fall = null.chi_square + null.penalty - full.chi_square - full.penalty
     assert score.gain == pytest.approx(fall, rel=1e-3)
     assert score.strength == pytest.approx(full.theta[4], rel=1e-3)
@@ -52,7 +54,7 @@ def test_a_parameter_at_its_bound_stays_there():
     calibration, effect = generator.standard_normal((60, 2)), generator.standard_normal(60)
     measured = -3.0 * calibration[:, 0] + generator.standard_normal(60)
     plain = Plain(np.array([3.0, 3.0]), np.array([0.0, -np.inf]), ("strength", "b"))
-    bound = fit(Problem(evidence_of(measured, 1.0), FunctionModel(lambda t: calibration @ t)), plain, np.zeros(2))
+    bound = fit(Problem(observations_of(measured, 1.0), FunctionModel(lambda t: calibration @ t)), plain, np.zeros(2))
     assert bound.theta[0] == 0.0
     assert np.allclose(bound.settled_residual(), bound.residual, atol=0.05)
     (score,) = scores(bound, [Direction(0, np.zeros(1), effect, True)])
@@ -62,7 +64,9 @@ def test_a_parameter_at_its_bound_stays_there():
 def test_what_the_calibration_imitates_scores_nothing_and_wrong_signs_are_refused():
     calibration, effect, _, null = _setting()
     wide = Plain(np.full(4, 1e3), np.full(4, -np.inf), ("a", "b", "c", "d"))
-    loose = fit(Problem(evidence_of(null.residual, 1.0), FunctionModel(lambda t: calibration @ t)), wide, np.zeros(4))
+    loose = fit(
+        Problem(observations_of(null.residual, 1.0), FunctionModel(lambda t: calibration @ t)), wide, np.zeros(4)
+    )
     inside, _ = sorted(
         scores(loose, [Direction(0, np.zeros(1), calibration[:, 1], True), Direction(1, np.zeros(1), effect, True)]),
         key=lambda score: score.direction.candidate,

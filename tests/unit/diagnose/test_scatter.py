@@ -7,43 +7,43 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from unit.diagnose.test_amplitude_scales import backbone
-from unit.diagnose.twin_evidence import chain, evidence_of_twin
+from unit.diagnose.twin_observations import chain, observations_of_twin
 
-from nmt_diagnose.evidence.measuring_chain import MeasuringChain
-from nmt_diagnose.evidence.observables import Evidence, Part, Rows
 from nmt_diagnose.inference.scatter import scatter_floor
+from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.observables import Observations, Part, Rows
 
 
 @pytest.fixture(scope="module")
-def evidence() -> Evidence:
-    found = evidence_of_twin(chain(), random=False, drives=np.linspace(0.1, 1.6, 40))
+def observations() -> Observations:
+    found = observations_of_twin(chain(), random=False, drives=np.linspace(0.1, 1.6, 40))
     return replace(found, chains=(MeasuringChain(),))
 
 
-def noise(evidence: Evidence, seed: int) -> np.ndarray:
-    return np.asarray(evidence.sigma * np.random.default_rng(seed).standard_normal(len(evidence.rows)))
+def noise(observations: Observations, seed: int) -> np.ndarray:
+    return np.asarray(observations.sigma * np.random.default_rng(seed).standard_normal(len(observations.rows)))
 
 
-def test_noise_as_stated_is_no_scatter(evidence: Evidence) -> None:
+def test_noise_as_stated_is_no_scatter(observations: Observations) -> None:
     for seed in range(10):
-        assert not scatter_floor(evidence, noise(evidence, seed)).any()
+        assert not scatter_floor(observations, noise(observations, seed)).any()
 
 
-def test_scatter_is_found_in_its_kind_at_its_size(evidence: Evidence) -> None:
-    rows, draw = evidence.rows, np.random.default_rng(3)
+def test_scatter_is_found_in_its_kind_at_its_size(observations: Observations) -> None:
+    rows, draw = observations.rows, np.random.default_rng(3)
     magnitude = rows.part == Part.LOG_MAGNITUDE
     scatter = 1e-2 * draw.standard_normal(len(rows)) * magnitude
     # A gain and a slope over the level are no scatter.
-    difference = noise(evidence, 4) + scatter + magnitude * (0.05 + 0.1 * rows.amplitude)
-    found = scatter_floor(evidence, difference)
+    difference = noise(observations, 4) + scatter + magnitude * (0.05 + 0.1 * rows.amplitude)
+    found = scatter_floor(observations, difference)
     assert found[magnitude] == pytest.approx(1e-2, rel=0.3)
     assert not found[~magnitude].any()
 
 
-def test_scatter_that_is_not_ordinary_is_bounded(evidence: Evidence) -> None:
-    magnitude = evidence.rows.part == Part.LOG_MAGNITUDE
-    difference = 0.3 * np.random.default_rng(5).standard_normal(len(evidence.rows)) * magnitude
-    assert np.max(scatter_floor(evidence, difference)) == 0.02
+def test_scatter_that_is_not_ordinary_is_bounded(observations: Observations) -> None:
+    magnitude = observations.rows.part == Part.LOG_MAGNITUDE
+    difference = 0.3 * np.random.default_rng(5).standard_normal(len(observations.rows)) * magnitude
+    assert np.max(scatter_floor(observations, difference)) == 0.02
 
 
 def test_a_table_scatters_about_its_neighbours() -> None:
@@ -52,17 +52,17 @@ def test_a_table_scatters_about_its_neighbours() -> None:
     amplitudes = np.geomspace(1e-5, 1e-3, 24)
     rows = Rows(*(np.resize(getattr(plain.rows, name), 24) for name in Rows.__dataclass_fields__))
     rows = replace(rows, amplitude=amplitudes, level=np.arange(24))
-    evidence = Evidence(plain.tests, rows, np.zeros(24), np.full(24, 5e-4), np.zeros(24))
+    observations = Observations(plain.tests, rows, np.zeros(24), np.full(24, 5e-4), np.zeros(24))
     bend = 0.02 * (amplitudes / amplitudes.max()) ** 0.5
     sizes = []
     for seed in range(20):
         scatter = 5e-3 * np.random.default_rng(seed).standard_normal(24)
-        sizes.append(float(np.max(scatter_floor(evidence, bend + scatter))))
-        assert not scatter_floor(evidence, bend + 0.1 * scatter).any()
+        sizes.append(float(np.max(scatter_floor(observations, bend + scatter))))
+        assert not scatter_floor(observations, bend + 0.1 * scatter).any()
     assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(5e-3, rel=0.15)
 
 
-def test_the_own_simulator_has_none(evidence: Evidence) -> None:
-    difference = np.random.default_rng(6).standard_normal(len(evidence.rows))
-    assert not scatter_floor(replace(evidence, chains=()), difference).any()
-    assert not scatter_floor(replace(evidence, chains=(None,)), difference).any()
+def test_the_own_simulator_has_none(observations: Observations) -> None:
+    difference = np.random.default_rng(6).standard_normal(len(observations.rows))
+    assert not scatter_floor(replace(observations, chains=()), difference).any()
+    assert not scatter_floor(replace(observations, chains=(None,)), difference).any()

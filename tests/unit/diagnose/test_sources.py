@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from unit.diagnose.twin_evidence import chain, evidence_of_twin, real
+from unit.diagnose.twin_observations import chain, observations_of_twin, real
 
 from nmt_diagnose.effects.calibration import calibration_parameters
-from nmt_diagnose.inference.contest import Contest
 from nmt_diagnose.inference.generic_source import SourceScore
+from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.sources import generic_sources, places
 from nmt_diagnose.twin.forward import Forward
@@ -20,10 +20,10 @@ MODEL = chain()
 
 def found(truth: Rig) -> list[SourceScore]:
     """Sources on top of the re-fitted model, best first."""
-    evidence = evidence_of_twin(truth, seed=4, drives=(0.1, 0.4, 0.8, 1.6))
-    forward = Forward(evidence.tests, evidence.rows)
-    problem = Problem(evidence, forward)  # type: ignore[arg-type]
-    null = Contest(problem, MODEL, calibration_parameters(MODEL), ()).null()
+    observations = observations_of_twin(truth, seed=4, drives=(0.1, 0.4, 0.8, 1.6))
+    forward = Forward(observations.tests, observations.rows)
+    problem = Problem(observations, forward)  # type: ignore[arg-type]
+    null = ModelComparison(problem, MODEL, calibration_parameters(MODEL), ()).null()
     rig = null.fit.parametrisation.rig(null.fit.theta)
     own = places(forward, rig, null.fit.prediction, problem)  # type: ignore[arg-type]
     return sorted(generic_sources(null.fit, own), key=lambda score: -score.gain)

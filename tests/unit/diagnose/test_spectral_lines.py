@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from unit.diagnose.evidence_bags import record, rig_with_noise
+from unit.diagnose.observation_bags import record, rig_with_noise
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.effects.library import candidates
-from nmt_diagnose.evidence.observables import Part
-from nmt_diagnose.evidence.read_evidence import read_evidence
-from nmt_diagnose.evidence.spectral_lines import mains_line
+from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.observations.spectral_lines import mains_line
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.influence import Source
 from nmt_diagnose.twin.operating_range import operating_range
@@ -71,21 +71,21 @@ def test_a_humming_channel_of_a_bag_is_named_and_the_twin_knows_its_line(tmp_pat
     sensors = list(model.sensors)
     sensors[index] = sensors[index].model_copy(update={"hum_amplitude": 2e-7, "hum_hz": 60.0})
     rig = model.model_copy(update={"sensors": sensors})
-    evidence = read_evidence([record(tmp_path / "run", rig, levels=(0.1, 0.2, 0.4), periods=40)], model)
-    rows, names = evidence.rows, [channel.name for channel in evidence.tests[0].channels]  # type: ignore[union-attr]
+    observations = read_observations([record(tmp_path / "run", rig, levels=(0.1, 0.2, 0.4), periods=40)], model)
+    rows, names = observations.rows, [channel.name for channel in observations.tests[0].channels]  # type: ignore[union-attr]
     line, own = rows.part == Part.LINE, rows.channel == names.index("x4")
-    assert [note for note in evidence.notes if "60 Hz" in note]
+    assert [note for note in observations.notes if "60 Hz" in note]
     assert sorted({float(hz) for hz in rows.frequency_hz[line & own]}) == [50.0, 60.0]
     # The other mains is observed where it is, and only there.
     assert set(rows.frequency_hz[line & ~own]) == {50.0}
-    forward = Forward(evidence.tests, rows)
-    hum = {c.label: c for c in candidates(model, operating_range(model, evidence.tests)) if "hum" in c.label}
+    forward = Forward(observations.tests, rows)
+    hum = {c.label: c for c in candidates(model, operating_range(model, observations.tests)) if "hum" in c.label}
     own_hum = hum["mains_hum@x4 at 60 Hz"]
     changed = own_hum.effect.apply(model, own_hum.site, {"amplitude": 2e-7})
     seen = line & own & (rows.frequency_hz == 60.0)
     values = forward.predict(changed).values
-    assert np.all(np.abs(values - evidence.values)[line] < 4.0 * evidence.sigma[line])
-    assert np.all(evidence.values[seen] > 4.0 * evidence.sigma[seen])
+    assert np.all(np.abs(values - observations.values)[line] < 4.0 * observations.sigma[line])
+    assert np.all(observations.values[seen] > 4.0 * observations.sigma[seen])
     # A source at another place does not touch the line, and none makes rows undefined.
     prediction = forward.predict(model)
     touched = {

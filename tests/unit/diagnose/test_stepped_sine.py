@@ -1,4 +1,4 @@
-"""Frequency responses at held amplitudes: the twin against closed forms and time integration, tables as evidence."""
+"""Frequency responses at held amplitudes: the twin against closed forms and time integration; tables."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.evidence.conditions import MeasuredChannel, RandomTest, SteppedSineTest
-from nmt_diagnose.evidence.observables import Evidence, Part, Rows
-from nmt_diagnose.evidence.read_evidence import read_evidence
-from nmt_diagnose.evidence.stepped_table_evidence import jumps_of, scatter_of_lines
-from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_evidence
+from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_observations
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.held_out import splits
+from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
+from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.observations.stepped_table_observations import jumps_of, scatter_of_lines
 from nmt_diagnose.twin.forward import Forward, traced
 from nmt_diagnose.twin.frequency_sweep import frequency_sweep
 from nmt_diagnose.twin.operating_range import operating_range
@@ -100,7 +100,7 @@ def swept(
     )  # fmt: skip
 
 
-def evidence_of(tests: list[SteppedSineTest], std: float = 5e-3) -> Evidence:
+def observations_of(tests: list[SteppedSineTest], std: float = 5e-3) -> Observations:
     rows = []
     for number, test in enumerate(tests):
         for part in (Part.LOG_MAGNITUDE, Part.PHASE):
@@ -110,12 +110,12 @@ def evidence_of(tests: list[SteppedSineTest], std: float = 5e-3) -> Evidence:
     table = np.array(rows)
     whole = [table[:, k].astype(np.int64) for k in range(5)]
     identity = Rows(*whole, table[:, 5], table[:, 6], table[:, 7])
-    return Evidence(tuple(tests), identity, table[:, 8], np.full(len(rows), std), np.full(len(rows), 2e-4))
+    return Observations(tuple(tests), identity, table[:, 8], np.full(len(rows), std), np.full(len(rows), 2e-4))
 
 
 def predicted(rig: Rig, test: SteppedSineTest) -> np.ndarray:
     """Responses that the rows of a test say, its noise propagated about the rig itself."""
-    own = evidence_of([test])
+    own = observations_of([test])
     for _ in range(2):
         forward = Forward(own.tests, own.rows)
         prediction = forward.predict(rig)
@@ -185,7 +185,7 @@ def test_a_sweep_follows_its_branch_and_jumps_at_the_folds() -> None:
 
 def test_sensitivities_are_those_of_solutions() -> None:
     test = swept(np.array([50.5, 52.0, 54.0]), 5.0, np.array([first_order(f, 5.0)[-1] for f in (50.5, 52.0, 54.0)]))
-    own = evidence_of([test])
+    own = observations_of([test])
     rig = oscillator(CUBIC)
     own = replace(own, tests=traced(own.tests, Forward(own.tests, own.rows).predict(rig)))
     forward = Forward(own.tests, own.rows)
@@ -252,20 +252,20 @@ def test_a_column_of_levels_makes_a_test_for_each(tmp_path: Path) -> None:
     hz = np.linspace(46.0, 58.0, 61)
     text = f"{HEAD},level\n" + "".join(lines_of(hz, upper(hz, f), f",{1000 * f!r}") for f in (0.5, 2.0, 5.0))
     segment = "  - {kind: frf, unit: m/N, point: 1, drive_point: 1, level_unit: mN, direction: up, noise: 0.5}\n"
-    evidence = read_evidence([imported(tmp_path, {"a.csv": text}, segment)], rig_from(MODEL, tmp_path))
-    tests = [test for test in evidence.tests if isinstance(test, SteppedSineTest)]
+    observations = read_observations([imported(tmp_path, {"a.csv": text}, segment)], rig_from(MODEL, tmp_path))
+    tests = [test for test in observations.tests if isinstance(test, SteppedSineTest)]
     assert [float(np.median(test.levels)) for test in tests] == pytest.approx([0.5, 2.0, 5.0])
     assert {(test.held, test.reference, test.direction) for test in tests} == {("force", "force", 1)}
-    np.testing.assert_allclose(evidence.std, 5e-3)
+    np.testing.assert_allclose(observations.std, 5e-3)
     assert max(test.lines_hz.size for test in tests) <= 40
     # The jump down from the upper branch of the highest level is seen, and its lines are left out.
     high = folds(5.0)[1]
     assert np.min(np.abs(tests[2].lines_hz - high)) > 0.05
-    assert any("it jumps between" in note for note in evidence.notes)
-    names = [split.name for split in splits(evidence)]
+    assert any("it jumps between" in note for note in observations.notes)
+    names = [split.name for split in splits(observations)]
     assert names == ["every second level", "the highest levels"]
-    odd = splits(evidence)[0].held_out
-    assert set(evidence.rows.test[odd]) == {1}
+    odd = splits(observations)[0].held_out
+    assert set(observations.rows.test[odd]) == {1}
 
 
 def test_the_measured_force_of_each_line_counts(tmp_path: Path) -> None:
@@ -275,8 +275,8 @@ def test_the_measured_force_of_each_line_counts(tmp_path: Path) -> None:
     rows = "".join(lines_of(hz[k : k + 1], response[k : k + 1], f",{float(force[k])!r}") for k in range(13))
     segment = "  - {kind: frf, unit: m/N, point: 1, drive_point: 1, direction: up}\n"
     bag = imported(tmp_path, {"a.csv": f"{HEAD},force_n\n" + rows}, segment)
-    evidence = read_evidence([bag], rig_from(MODEL, tmp_path))
-    test = evidence.tests[0]
+    observations = read_observations([bag], rig_from(MODEL, tmp_path))
+    test = observations.tests[0]
     assert isinstance(test, SteppedSineTest)
     np.testing.assert_allclose(test.levels, force)
     np.testing.assert_allclose(test.amplitudes, np.abs(response) * force)
@@ -287,13 +287,13 @@ def test_levels_in_g_of_a_moving_base_and_of_a_response(tmp_path: Path) -> None:
     text = f"{HEAD}\n" + lines_of(hz, upper(hz, 0.5))
     rig = rig_from(ON_TABLE, tmp_path)
     base = "  - {kind: frf, unit: g/g, point: 1, drive_point: 1, level: 0.1, level_unit: g, direction: up}\n"
-    test = read_evidence([imported(tmp_path, {"a.csv": text}, base, ON_TABLE)], rig).tests[0]
+    test = read_observations([imported(tmp_path, {"a.csv": text}, base, ON_TABLE)], rig).tests[0]
     assert isinstance(test, SteppedSineTest)
     assert (test.reference, test.held) == ("base", "base")
     np.testing.assert_allclose(test.levels, 0.980665)
     (tmp_path / "other").mkdir()
     held = "  - {kind: frf, unit: m/s^2/N, point: 1, drive_point: 1, level: 0.2, level_unit: mm}\n"
-    test = read_evidence([imported(tmp_path / "other", {"a.csv": text}, held)], rig_from(MODEL, tmp_path)).tests[0]
+    test = read_observations([imported(tmp_path / "other", {"a.csv": text}, held)], rig_from(MODEL, tmp_path)).tests[0]
     assert isinstance(test, SteppedSineTest)
     assert test.held == "response"
     np.testing.assert_allclose(test.amplitudes, 2e-4 * (2.0 * np.pi * test.lines_hz) ** 2)
@@ -304,7 +304,7 @@ def test_what_is_assumed_is_said_and_what_cannot_be_is_refused(tmp_path: Path) -
     text = f"{HEAD}\n" + lines_of(hz, upper(hz, 0.5))
     rig = rig_from(MODEL, tmp_path)
     plain = "  - {kind: frf, unit: m/N, point: 1, drive_point: 1, level: 0.5}\n"
-    notes = " ".join(read_evidence([imported(tmp_path, {"a.csv": text}, plain)], rig).notes)
+    notes = " ".join(read_observations([imported(tmp_path, {"a.csv": text}, plain)], rig).notes)
     assert "taken as the amplitude of the force in N" in notes
     assert "does not say whether the frequency rose or fell" in notes
     for number, (segment, message) in enumerate(
@@ -317,15 +317,15 @@ def test_what_is_assumed_is_said_and_what_cannot_be_is_refused(tmp_path: Path) -
         folder.mkdir()
         bag = imported(folder, {"a.csv": text}, f"  - {{kind: frf, point: 1, drive_point: 1, {segment}}}\n")
         with pytest.raises(BenchError, match=message):
-            read_evidence([bag], rig)
+            read_observations([bag], rig)
 
 
 def test_a_coherence_is_that_of_noise(tmp_path: Path) -> None:
     hz = np.linspace(46.0, 49.0, 13)
     text = f"{HEAD},coherence\n" + lines_of(hz, upper(hz, 0.5), ",0.99")
     segment = "  - {kind: frf, unit: m/N, point: 1, drive_point: 1, level: 0.5, level_unit: N}\n"
-    evidence = read_evidence([imported(tmp_path, {"a.csv": text}, segment)], rig_from(MODEL, tmp_path))
-    assert isinstance(evidence.tests[0], RandomTest)
+    observations = read_observations([imported(tmp_path, {"a.csv": text}, segment)], rig_from(MODEL, tmp_path))
+    assert isinstance(observations.tests[0], RandomTest)
 
 
 def test_imported_windows_of_a_stepped_sine_are_a_frequency_response(tmp_path: Path) -> None:
@@ -351,8 +351,8 @@ def test_imported_windows_of_a_stepped_sine_are_a_frequency_response(tmp_path: P
         encoding="utf-8",
     )
     bag = write_import(read_import(tmp_path / "sidecar.yaml"), tmp_path / "bag", "one_mode", MODEL, {})
-    evidence = read_evidence([bag], rig_from(MODEL, tmp_path))
-    tests = [test for test in evidence.tests if isinstance(test, SteppedSineTest)]
+    observations = read_observations([bag], rig_from(MODEL, tmp_path))
+    tests = [test for test in observations.tests if isinstance(test, SteppedSineTest)]
     assert [test.direction for test in tests] == [1, -1]
     for test, mine in zip(tests, (hz[:9], hz[9:]), strict=True):
         assert (test.held, test.reference) == ("force", "force")
@@ -362,7 +362,7 @@ def test_imported_windows_of_a_stepped_sine_are_a_frequency_response(tmp_path: P
         assert np.max(np.abs(test.measured[:, 0] / want - 1.0) / test.noise) < 5.0
         assert set(np.round(test.lines_hz, 3)) <= set(np.round(mine, 3))
     # Up and down differ where there are two branches, and one jump each is left out.
-    assert sum("it jumps between" in note for note in evidence.notes) == 2
+    assert sum("it jumps between" in note for note in observations.notes) == 2
 
 
 def test_scatter_and_jumps_are_seen_in_the_lines() -> None:
@@ -400,7 +400,7 @@ def diagnosis_of(scale: float) -> Diagnosis:
                 keep[[jump, jump + 1]] = False
             tests.append(swept(hz[keep], scale * force, noisy[keep], direction))
     settings = DiagnosisSettings(withheld=withheld(KNOWN), look_ahead=False)
-    return diagnose_evidence(oscillator(), evidence_of(tests), settings).diagnosis
+    return diagnose_observations(oscillator(), observations_of(tests), settings).diagnosis
 
 
 def test_amplitudes_in_other_units_change_nothing() -> None:

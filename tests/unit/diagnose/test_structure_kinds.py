@@ -12,7 +12,7 @@ from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
-from nmt_diagnose.twin.settings import TwinSettings
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes

@@ -7,29 +7,29 @@ import pytest
 from unit.diagnose.test_stepped_sine import (
     CUBIC,
     KNOWN,
-    evidence_of,
     first_order,
+    observations_of,
     oscillator,
     predicted,
     swept,
     withheld,
 )
 
-from nmt_diagnose.evidence.conditions import SteppedSineTest
-from nmt_diagnose.evidence.measuring_chain import table_chain
-from nmt_diagnose.evidence.observables import Evidence
-from nmt_diagnose.evidence.stepped_table_evidence import jumps_of
 from nmt_diagnose.inference.chain_errors import sweep_directions
-from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_evidence
+from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_observations
 from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.sweep_drift import sweep_drift
+from nmt_diagnose.observations.conditions import SteppedSineTest
+from nmt_diagnose.observations.measuring_chain import table_chain
+from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.observations.stepped_table_observations import jumps_of
 from nmt_diagnose.twin.forward import Forward
 
 DRIFT = 4e-4
 
 
-def drifting(drift: float, seed: int = 3, directions: tuple[int, ...] = (1, -1)) -> Evidence:
+def drifting(drift: float, seed: int = 3, directions: tuple[int, ...] = (1, -1)) -> Observations:
     """Sweeps of a Duffing oscillator in closed form; the whole frequency axis of each is off by a part of its own."""
     random = np.random.default_rng(seed)
     hz = np.linspace(47.0, 57.0, 30)
@@ -44,32 +44,32 @@ def drifting(drift: float, seed: int = 3, directions: tuple[int, ...] = (1, -1))
             for jump in jumps_of(noisy):
                 keep[[jump, jump + 1]] = False
             tests.append(swept(hz[keep], force, noisy[keep], direction))
-    found = evidence_of(tests)
-    return Evidence(
+    found = observations_of(tests)
+    return Observations(
         found.tests, found.rows, found.values, found.std, found.floor, chains=(table_chain(),) * len(tests)
     )  # fmt: skip
 
 
-def found_drift(evidence: Evidence) -> float:
+def found_drift(observations: Observations) -> float:
     rig = oscillator(CUBIC)
-    forward = Forward(evidence.tests, evidence.rows)
+    forward = Forward(observations.tests, observations.rows)
     prediction = forward.predict(rig)
-    difference = Problem(evidence, forward).difference(prediction.values)
-    return sweep_drift(evidence, difference, sweep_directions(evidence, rig, prediction))
+    difference = Problem(observations, forward).difference(prediction.values)
+    return sweep_drift(observations, difference, sweep_directions(observations, rig, prediction))
 
 
 def test_direction_is_the_slope_of_the_response() -> None:
-    evidence = drifting(0.0)
-    forward = Forward(evidence.tests, evidence.rows)
+    observations = drifting(0.0)
+    forward = Forward(observations.tests, observations.rows)
     rig = oscillator(CUBIC)
-    columns = sweep_directions(evidence, rig, forward.predict(rig))
-    test = evidence.tests[0]
+    columns = sweep_directions(observations, rig, forward.predict(rig))
+    test = observations.tests[0]
     assert isinstance(test, SteppedSineTest)
     # By whole predictions of lines that lie a little higher, which is a resonance that lies a little lower.
     step = 1e-5
     moved = SteppedSineTest(**{**vars(test), "lines_hz": test.lines_hz * (1.0 - step)})
     slope = np.log(predicted(rig, moved) / predicted(rig, test)) / step
-    mine = evidence.rows.test == 0
+    mine = observations.rows.test == 0
     expected = np.concatenate([slope.real, slope.imag])
     assert columns[mine, 0] == pytest.approx(expected, rel=0.02, abs=0.02 * float(np.abs(expected).max()))
     assert not columns[~mine, 0].any()
@@ -90,7 +90,7 @@ def test_noise_is_no_drift(directions: tuple[int, ...]) -> None:
 @pytest.mark.slow
 def test_a_drifting_rig_is_still_a_cubic_one() -> None:
     settings = DiagnosisSettings(withheld=withheld(KNOWN), look_ahead=False)
-    found = diagnose_evidence(oscillator(), drifting(DRIFT), settings).diagnosis
+    found = diagnose_observations(oscillator(), drifting(DRIFT), settings).diagnosis
     assert found.verdict is Verdict.EFFECT
     assert found.ranking[0].effect == "cubic_stiffness"
     k = found.ranking[0].parameters["k"]

@@ -19,15 +19,15 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, effect_named, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.rig_edit import value_at, with_element, with_value
-from nmt_diagnose.evidence.conditions import BackboneTable, MeasuredChannel, RecordTest, RingDownTest
-from nmt_diagnose.evidence.observables import Part
+from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RecordTest, RingDownTest
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.twin import linear_model
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.influence import Source
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.rig_parts import rig_parts
-from nmt_diagnose.twin.settings import TwinSettings
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis

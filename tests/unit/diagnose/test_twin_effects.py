@@ -19,10 +19,10 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.evidence.observables import Part
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
-from nmt_diagnose.twin.settings import TwinSettings
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_model import build_elements, build_structure
 

@@ -8,22 +8,22 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from unit.diagnose.test_judgement import CUBIC, A, contender
+from unit.diagnose.test_judgement import CUBIC, A, fitted_model
 
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.placement import Placement
-from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
+from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.inference.warnings import warned
 
 GAP = Gap(20.0, 1.1, 1.0, 30.0, 0.99, 0.98, 1.0, {"run: frequency": {"after": 1.1}}, ("every second level",))
 MASS = Recalibrated("structure.masses_kg.0", 0.5, 0.52, 1e-3, "kg", 0.01, 4.0)
 
 
-def best(theta: float = 0.0, converged: bool = True) -> Contender:
+def best(theta: float = 0.0, converged: bool = True) -> FittedModel:
     """A fit of a model with one parameter of its own and a cubic spring."""
-    found = contender(A, (CUBIC, A))
+    found = fitted_model(A, (CUBIC, A))
     return replace(found, fit=replace(found.fit, theta=np.array([theta, 1.0]), converged=converged))
 
 
@@ -41,7 +41,7 @@ def test_a_parameter_that_nobody_would_believe(sign: float) -> None:
 def test_a_fit_that_stopped_early() -> None:
     (sentence,) = warned(Verdict.EFFECT, best(converged=False), (MASS,), GAP)
     assert sentence.startswith("The fit with cubic_stiffness@2 stopped before its optimum")
-    alone = Contender((), replace(best(converged=False).fit, theta=np.zeros(1)))
+    alone = FittedModel((), replace(best(converged=False).fit, theta=np.zeros(1)))
     assert warned(Verdict.CALIBRATION, alone, (MASS,), GAP)[0].startswith("The re-fit of the model stopped")
 
 
@@ -59,7 +59,7 @@ def test_an_explanation_that_is_not_the_whole() -> None:
 
 def test_drag_that_no_air_has_is_told_beside_what_looks_alike() -> None:
     drag = Candidate(effect_named("air_drag"), Site(Placement.at("structure", 1), {"c2": 1.0}, 1, limits={"c2": 0.02}))
-    found = contender(A, (drag, A))
+    found = fitted_model(A, (drag, A))
     own = SimpleNamespace(values=lambda theta, _: {"c2": float(theta[0])}, index_of=lambda _: slice(0, 1))
     fitted = replace(found, fit=replace(found.fit, parametrisation=own))
     (sentence,) = warned(Verdict.EFFECT, best(), (MASS,), GAP, (best(), fitted))

@@ -7,12 +7,12 @@ import os
 
 import numpy as np
 import pytest
-from unit.diagnose.twin_evidence import chain, evidence_of_twin, real
+from unit.diagnose.twin_observations import chain, observations_of_twin, real
 
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
-from nmt_diagnose.inference.contest import Contender, Contest
+from nmt_diagnose.inference.model_comparison import FittedModel, ModelComparison
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.twin.forward import Forward
@@ -87,18 +87,18 @@ def test_work_of_a_helper_that_dies_is_done_all_the_same() -> None:
 def test_contests_give_the_same_bits_for_any_number_of_processes() -> None:
     model = chain()
     cubic = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2.0e8}
-    evidence = evidence_of_twin(real(model, local_elements=[cubic]), seed=1, drives=(0.1, 0.8, 1.6))
+    observations = observations_of_twin(real(model, local_elements=[cubic]), seed=1, drives=(0.1, 0.8, 1.6))
     known = ("air_drag", "cubic_stiffness", "phase_offset", "clipping")
     withheld = tuple(effect.name for effect in library() if effect.name not in known)
-    found = candidates(model, operating_range(model, evidence.tests), withheld)
-    outcomes: list[list[Contender]] = []
+    found = candidates(model, operating_range(model, observations.tests), withheld)
+    outcomes: list[list[FittedModel]] = []
     for jobs in (1, 3):
         with Workers(jobs) as workers:
-            problem = Problem(evidence, Forward(evidence.tests, evidence.rows))
-            contest = Contest(problem, model, calibration_parameters(model), found, workers=workers)
-            null = contest.null()
-            singles = contest.singles(null, contest.scan(null))
-            outcomes.append([*singles, *contest.pairs(singles)])
+            problem = Problem(observations, Forward(observations.tests, observations.rows))
+            comparison = ModelComparison(problem, model, calibration_parameters(model), found, workers=workers)
+            null = comparison.null()
+            singles = comparison.singles(null, comparison.scan(null))
+            outcomes.append([*singles, *comparison.pairs(singles)])
     one, *others = outcomes
     assert len(one) > 2
     for other in others:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from nmt_core.blocks import Quantity
-from nmt_diagnose.evidence.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest
-from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 

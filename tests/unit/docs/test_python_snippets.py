@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.signal import bilinear, lfilter
 from unit.bench import synthetic_bag
-from unit.diagnose.evidence_bags import record, rig_with_noise
+from unit.diagnose.observation_bags import record, rig_with_noise
 from unit.record import foreign_data
 
 from nmt_bench import import_data

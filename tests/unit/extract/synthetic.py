@@ -10,9 +10,9 @@ import numpy as np
 from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.linear_description import LinearDescription
 from nmt_core.records import LockEvent
+from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.modal_point import ModalPoint
-from nmt_extract.settings import ExtractionSettings
 
 RATE = 10_000.0
 POINTS = (2, 4, 5, 6)

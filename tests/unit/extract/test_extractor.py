@@ -16,10 +16,10 @@ from unit.extract.synthetic import (
 
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import LoopState
+from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_extract.modal_point import Status
-from nmt_extract.settings import ExtractionSettings
 
 SAMPLES = round(5 * RATE / FREQUENCY)
 

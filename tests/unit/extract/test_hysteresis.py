@@ -10,8 +10,8 @@ from unit.extract.synthetic import Stream, extract, lock_event
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
-from nmt_extract.settings import ExtractionSettings
 
 OMEGA = 2.0 * math.pi * 370.0
 M1, M2, M3 = 3.0, 1.2, 2.1

@@ -20,9 +20,9 @@ from unit.extract.synthetic import (
 )
 
 from nmt_core.blocks import Quantity
+from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal import estimated_mass
 from nmt_extract.modal_point import Status
-from nmt_extract.settings import ExtractionSettings
 
 SAMPLES = round(12 * RATE / FREQUENCY)
 LOCK = lock_event(100, SAMPLES, 12)

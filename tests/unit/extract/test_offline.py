@@ -21,11 +21,11 @@ from nmt_core.errors import BenchError
 from nmt_core.records import LevelCommand, LoopStatus
 from nmt_core.vocabulary import LoopState
 from nmt_core.wire import LEVEL, LOCK_EVENT, BlockWriter, write_status
+from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import read_json, write_results
 from nmt_extract.offline import extract_bag
-from nmt_extract.settings import ExtractionSettings
 from nmt_record.bag_reader import Bag
 from nmt_record.bag_writer import BagWriter
 

@@ -9,10 +9,10 @@ from unit.extract.synthetic import OMEGA, RATE, linear_description, lock_event
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import Status
 from nmt_extract.power_balance import balance, part_count
-from nmt_extract.settings import ExtractionSettings
 from nmt_extract.window import Channel, Window
 
 ZETA, MASS = 0.03, 0.5

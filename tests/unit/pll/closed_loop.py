@@ -14,7 +14,7 @@ from nmt_core.records import LevelCommand
 from nmt_core.vocabulary import LoopState
 from nmt_pll.lock import Transition
 from nmt_pll.loop import LockWindow, LoopOutput, PhaseLockedLoop
-from nmt_pll.settings import LoopSettings
+from nmt_pll.loop_settings import LoopSettings
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 

@@ -11,7 +11,7 @@ from unit.pll.stepped_loop import SteppedLoop
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
-from nmt_pll.settings import LoopSettings
+from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
 from nmt_rig.rig import load_rig
 

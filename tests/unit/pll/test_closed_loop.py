@@ -11,7 +11,7 @@ from unit.pll.closed_loop import ClosedLoop
 
 from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.vocabulary import ControlKind, LoopState
-from nmt_pll.settings import LoopSettings
+from nmt_pll.loop_settings import LoopSettings
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 

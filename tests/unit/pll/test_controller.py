@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.gains import ControllerGains, LoopPlant, closed_form_gains
-from nmt_pll.settings import LoopSettings
+from nmt_pll.loop_settings import LoopSettings
 
 GAINS = ControllerGains(2.0, 10.0)
 STEP = 0.02

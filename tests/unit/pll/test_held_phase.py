@@ -12,8 +12,8 @@ from unit.pll_paper.plant_in_the_loop import LoopOnRig
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.paper_settings import PaperSettings, paper_settings_from
-from nmt_pll.settings import LoopSettings
 from nmt_rig.rig_model import build_system
 
 CASES = [(0.1, 0.0), (-0.08, 0.0), (0.0, 6e-4), (0.05, -4e-4)]

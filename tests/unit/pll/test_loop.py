@@ -14,7 +14,7 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState
 from nmt_pll.loop import PhaseLockedLoop
-from nmt_pll.settings import LoopSettings
+from nmt_pll.loop_settings import LoopSettings
 
 RATE = 1e4
 BLOCK = 200

@@ -12,7 +12,7 @@ from unit.pll.closed_loop import ClosedLoop
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import LoopState, TestKind
-from nmt_pll.settings import LoopSettings
+from nmt_pll.loop_settings import LoopSettings
 
 SETTINGS = LoopSettings(force_floor=1e-9)
 

@@ -300,8 +300,8 @@ def diagnosis_figures(_: float) -> list[Figure]:
     """A whole diagnosis beside its limit; its sensitivities beside new solutions for each parameter."""
     from nmt_diagnose.effects.calibration import calibration_parameters
     from nmt_diagnose.effects.parametrisation import Parametrisation
-    from nmt_diagnose.evidence.read_evidence import read_evidence
     from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
+    from nmt_diagnose.observations.read_observations import read_observations
     from nmt_diagnose.twin.forward import Forward
     from nmt_rig.rig import load_rig
 
@@ -320,8 +320,8 @@ def diagnosis_figures(_: float) -> list[Figure]:
         begin = time.perf_counter()
         diagnose_bags(model, bags, settings=DiagnosisSettings(jobs=jobs))
         whole = time.perf_counter() - begin
-        evidence = read_evidence(bags, model)
-    forward = Forward(evidence.tests, evidence.rows)
+        observations = read_observations(bags, model)
+    forward = Forward(observations.tests, observations.rows)
     parametrisation = Parametrisation(model, calibration_parameters(model))
     theta = parametrisation.zero
     start = forward.predict(model)

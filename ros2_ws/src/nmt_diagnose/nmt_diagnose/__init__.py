@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Any
 from nmt_core.public_names import loaded
 
 if TYPE_CHECKING:
-    from nmt_diagnose.inference.diagnose import DiagnosisSettings, Outcome, diagnose_bags
+    from nmt_diagnose.inference.diagnose import DiagnosisOutcome, DiagnosisSettings, diagnose_bags
     from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 
 _HOMES = {
     "Diagnosis": "nmt_diagnose.inference.diagnosis",
     "DiagnosisSettings": "nmt_diagnose.inference.diagnose",
-    "Outcome": "nmt_diagnose.inference.diagnose",
+    "DiagnosisOutcome": "nmt_diagnose.inference.diagnose",
     "Verdict": "nmt_diagnose.inference.diagnosis",
     "diagnose_bags": "nmt_diagnose.inference.diagnose",
 }
 __all__ = [
     "Diagnosis",
+    "DiagnosisOutcome",
     "DiagnosisSettings",
-    "Outcome",
     "Verdict",
     "diagnose_bags",
 ]

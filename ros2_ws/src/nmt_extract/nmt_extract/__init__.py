@@ -12,6 +12,7 @@ from nmt_core.public_names import loaded
 
 if TYPE_CHECKING:
     from nmt_core.records import LockEvent
+    from nmt_extract.extraction_settings import ExtractionSettings
     from nmt_extract.extractor import Extractor
     from nmt_extract.harmonics import harmonic_amplitudes
     from nmt_extract.linear_evaluation import LinearTestResult, evaluate_linear_test
@@ -20,13 +21,12 @@ if TYPE_CHECKING:
     from nmt_extract.modal_point import ModalPoint, Status
     from nmt_extract.modal_table import write_results
     from nmt_extract.offline import ExtractionResult, extract_bag
-    from nmt_extract.settings import ExtractionSettings
     from nmt_extract.synthesised_responses import SynthesisResult, synthesise
     from nmt_extract.window import SpoiledWindow, Window, WindowAssembler
 
 _HOMES = {
     "ExtractionResult": "nmt_extract.offline",
-    "ExtractionSettings": "nmt_extract.settings",
+    "ExtractionSettings": "nmt_extract.extraction_settings",
     "Extractor": "nmt_extract.extractor",
     "LinearTestResult": "nmt_extract.linear_evaluation",
     "LockEvent": "nmt_core.records",

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal_point import ModalPoint
-from nmt_extract.settings import ExtractionSettings
 from nmt_extract.uncertainty_budget import BudgetInputs, MethodError, PointBudget, uncertainty_budget
 from nmt_record.channel_tolerances import is_simulated, tolerances
 

@@ -9,9 +9,9 @@ from nmt_core.blocks import SampleBlock
 from nmt_core.linear_description import LinearDescription
 from nmt_core.records import LockEvent
 from nmt_core.vocabulary import LoopState
+from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns, rejected_point
-from nmt_extract.settings import ExtractionSettings
 from nmt_extract.window import SpoiledWindow, WindowAssembler
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.harmonics import (
     ComplexArray,
     Moments,
@@ -22,7 +23,6 @@ from nmt_extract.harmonics import (
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
 from nmt_extract.modal_point import EVALUATED, ModalPoint, Status, bench_time_ns, rejected_point
 from nmt_extract.power_balance import BalancedMode, balance, part_count
-from nmt_extract.settings import ExtractionSettings
 from nmt_extract.sine_fit import fit_frequency
 from nmt_extract.uncertainty import jackknife, slope_uncertainty, sub_window_count
 from nmt_extract.window import Window

@@ -9,10 +9,10 @@ from typing import Any
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.vocabulary import TestKind
+from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.message_feed import STATE_TOPICS, MessageFeed
 from nmt_extract.modal_point import ModalPoint
-from nmt_extract.settings import ExtractionSettings
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,11 +3,11 @@
 from nmt_pll.gains import ControllerGains, LoopPlant, closed_form_gains
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.loop import PhaseLockedLoop
+from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings
 from nmt_pll.phase_detector import AdaptiveFourierFilter
 from nmt_pll.random_drive import RandomDrive
-from nmt_pll.settings import LoopSettings
 
 __all__ = [
     "AdaptiveFourierFilter",

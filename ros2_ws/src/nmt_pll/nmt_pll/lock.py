@@ -148,7 +148,7 @@ class Dwell:
 
 @dataclass(frozen=True, slots=True)
 class LockCriteria:
-    """Tolerances; as in :class:`nmt_pll.settings.LoopSettings`."""
+    """Tolerances; as in :class:`nmt_pll.loop_settings.LoopSettings`."""
 
     phase_tolerance: float
     frequency_tolerance: float

@@ -16,8 +16,8 @@ from nmt_pll.controller import AmplitudeController, FrequencyController, GainSch
 from nmt_pll.gains import LoopPlant
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.lock import Dwell, LockCriteria
+from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.phase_detector import AdaptiveFourierFilter, phase_error
-from nmt_pll.settings import LoopSettings
 
 DEAD_BLOCKS = 1.5
 """Mean delay between measurement and its effect in blocks, besides the latency."""

@@ -17,10 +17,10 @@ from nmt_core.records import DriveCommand, LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import ControlKind, LoopState, Quantity, TestKind, Waveform
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.loop import PhaseLockedLoop
+from nmt_pll.loop_settings import LoopSettings, setting_parameters, settings_from
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import paper_parameters, paper_settings_from
 from nmt_pll.random_drive import RandomDrive
-from nmt_pll.settings import LoopSettings, setting_parameters, settings_from
 from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
 
 PARAMETERS = (

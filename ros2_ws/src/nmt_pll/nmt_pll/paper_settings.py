@@ -10,7 +10,7 @@ from typing import Any
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import Parameter
-from nmt_pll.settings import SIGNED_SETTINGS
+from nmt_pll.loop_settings import SIGNED_SETTINGS
 
 PAPER_PREFIX = "paper_"
 

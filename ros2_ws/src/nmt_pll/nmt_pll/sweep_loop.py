@@ -16,8 +16,8 @@ from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
 from nmt_pll.held_amplitude import ForceHolder, ResponseHolder, turn
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.lock import Dwell
+from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.phase_detector import AdaptiveFourierFilter
-from nmt_pll.settings import LoopSettings
 
 _CUTOFF = 0.15  # ω_LP as a share of the frequency
 _PROBE_VOLTAGE = 1.0e-4  # V, first voltage where nothing is known of the exciter

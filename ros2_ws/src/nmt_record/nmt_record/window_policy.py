@@ -1,7 +1,7 @@
 """What may be wrong with a window of samples, and what each fault does to it: the one rule for everybody who cuts one.
 
 The extraction, live and offline, the readers of whole windows and the diagnosis ask here, so that a window that is
-rejected for one of them is no evidence for another.
+rejected for one of them is no observation for another.
 """
 
 from __future__ import annotations

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.conditions import (
+from nmt_diagnose.inference.residual_map import channel_name, channels_of
+from nmt_diagnose.observations.conditions import (
     BackboneTable,
     MeasuredChannel,
     PhaseResonanceTest,
@@ -20,8 +21,7 @@ from nmt_diagnose.evidence.conditions import (
     SteppedSineTest,
     Test,
 )
-from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.inference.residual_map import channel_name, channels_of
+from nmt_diagnose.observations.observables import Observations, Part
 from nmt_report.quantity_format import engineering_exponent, power_of_ten
 
 _PARTS = {
@@ -113,11 +113,11 @@ def drive_label(test: Test) -> str:
     return f"{test.channel.quantity.name.lower()} amplitude / {test.channel.quantity.unit}"
 
 
-def courses(evidence: Evidence, models: Models, test: int, part: Part) -> list[Course]:
+def courses(observations: Observations, models: Models, test: int, part: Part) -> list[Course]:
     """Courses of one part of one test, one per channel that has it; harmonics aside."""
-    rows = evidence.rows
+    rows = observations.rows
     mine = (rows.test == test) & (rows.part == part)
-    kind = evidence.tests[test]
+    kind = observations.tests[test]
     found = []
     for channel in np.unique(rows.channel[mine]):
         which = np.flatnonzero(mine & (rows.channel == channel) & ((rows.harmonic == 1) | (rows.harmonic < 0)))
@@ -125,13 +125,13 @@ def courses(evidence: Evidence, models: Models, test: int, part: Part) -> list[C
             continue
         along = rows.time_s if isinstance(kind, RecordTest) else rows.level
         which = which[np.argsort(along[which], kind="stable")]
-        found.append(_course(evidence, models, test, which, part))
+        found.append(_course(observations, models, test, which, part))
     return found
 
 
-def _course(evidence: Evidence, models: Models, test: int, which: np.ndarray, part: Part) -> Course:
-    rows, kind = evidence.rows, evidence.tests[test]
-    measured, sigma = evidence.values[which], evidence.sigma[which]
+def _course(observations: Observations, models: Models, test: int, which: np.ndarray, part: Part) -> Course:
+    rows, kind = observations.rows, observations.tests[test]
+    measured, sigma = observations.values[which], observations.sigma[which]
     computed = [values[which] for values in (models.as_given, models.refitted, models.final)]
     channel = int(rows.channel[which[0]])
     own = channels_of(kind)[channel] if channel >= 0 else None
@@ -189,9 +189,9 @@ def _magnitude_unit(kind: Test, channel: MeasuredChannel | None) -> str:
     return unit
 
 
-def harmonic_courses(evidence: Evidence, models: Models, test: int) -> list[HarmonicCourse]:
+def harmonic_courses(observations: Observations, models: Models, test: int) -> list[HarmonicCourse]:
     """Harmonics of every channel of a test that has some."""
-    rows, kind = evidence.rows, evidence.tests[test]
+    rows, kind = observations.rows, observations.tests[test]
     higher = (rows.test == test) & ((rows.part == Part.REAL) | (rows.part == Part.IMAG))
     found = []
     for channel in np.unique(rows.channel[higher]):
@@ -207,24 +207,26 @@ def harmonic_courses(evidence: Evidence, models: Models, test: int) -> list[Harm
             x[column] = rows.amplitude[here][0]
             for row, order in enumerate(orders):
                 which = np.flatnonzero(here & (rows.harmonic == order))
-                for index, values in enumerate((evidence.values, None, models.as_given, models.refitted, models.final)):
+                for index, values in enumerate(
+                    (observations.values, None, models.as_given, models.refitted, models.final)
+                ):
                     if values is None:
-                        magnitudes[index, row, column] = float(np.sqrt(np.mean(evidence.sigma[which] ** 2)))
+                        magnitudes[index, row, column] = float(np.sqrt(np.mean(observations.sigma[which] ** 2)))
                     else:
                         magnitudes[index, row, column] = float(np.sqrt(np.sum(values[which] ** 2)))
-        name = channel_name(evidence, test, int(channel))
+        name = channel_name(observations, test, int(channel))
         found.append(HarmonicCourse(name, x, drive_label(kind), orders, *magnitudes))
     return found
 
 
-def has(evidence: Evidence, test: int, part: Part) -> bool:
+def has(observations: Observations, test: int, part: Part) -> bool:
     """Whether a test has observables of a part."""
-    return bool(np.any((evidence.rows.test == test) & (evidence.rows.part == part)))
+    return bool(np.any((observations.rows.test == test) & (observations.rows.part == part)))
 
 
-def observables_csv(evidence: Evidence, models: Models) -> str:
+def observables_csv(observations: Observations, models: Models) -> str:
     """Text of ``observables.csv``: every observable, measured and of the three models."""
-    rows, out = evidence.rows, io.StringIO()
+    rows, out = observations.rows, io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(
         ["test", "level", "amplitude", "frequency_hz", "time_s", "channel", "harmonic", "part", "measured", "std",
@@ -232,15 +234,15 @@ def observables_csv(evidence: Evidence, models: Models) -> str:
     )  # fmt: skip
     for k in range(len(rows)):
         channel = int(rows.channel[k])
-        name = channel_name(evidence, int(rows.test[k]), channel) if channel >= 0 else ""
+        name = channel_name(observations, int(rows.test[k]), channel) if channel >= 0 else ""
         harmonic = int(rows.harmonic[k])
         numbers = (
-            evidence.values[k], evidence.std[k], evidence.floor[k], models.as_given[k], models.refitted[k],
+            observations.values[k], observations.std[k], observations.floor[k], models.as_given[k], models.refitted[k],
             models.final[k],
         )  # fmt: skip
         writer.writerow(
             [
-                evidence.tests[int(rows.test[k])].name, int(rows.level[k]), repr(float(rows.amplitude[k])),
+                observations.tests[int(rows.test[k])].name, int(rows.level[k]), repr(float(rows.amplitude[k])),
                 repr(float(rows.frequency_hz[k])), repr(float(rows.time_s[k])), name,
                 harmonic if harmonic >= 0 else "", _PARTS[Part(int(rows.part[k]))],
                 *(repr(float(value)) for value in numbers),

@@ -11,7 +11,7 @@ from typing import Any
 from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
-from nmt_diagnose.inference.diagnose import Outcome
+from nmt_diagnose.inference.diagnose import DiagnosisOutcome
 from nmt_report.diagnosis_curves import Models, observables_csv
 from nmt_report.diagnosis_model import model_text
 from nmt_report.diagnosis_report import DiagnosisReport, diagnosis_page
@@ -19,7 +19,7 @@ from nmt_rig.rig import find_rig
 
 
 def write_diagnosis(
-    outcome: Outcome,
+    outcome: DiagnosisOutcome,
     folder: Path | str,
     model: Path | str,
     overrides: Sequence[str] = (),
@@ -52,8 +52,8 @@ def write_diagnosis(
         write_whole(folder / "model.yaml", text)
     except BenchError as error:
         remark = f"There is no model.yaml: the fitted values are no rig ({error})"
-    write_whole(folder / "observables.csv", observables_csv(outcome.evidence, models))
-    report = DiagnosisReport(diagnosis, outcome.evidence, models, outcome.given)
+    write_whole(folder / "observables.csv", observables_csv(outcome.observations, models))
+    report = DiagnosisReport(diagnosis, outcome.observations, models, outcome.given)
     write_whole(folder / "report.html", diagnosis_page(report))
     return remark
 

@@ -10,10 +10,10 @@ from typing import Any
 from markupsafe import Markup
 
 from nmt_core.number_words import percent, share_with_interval, value_text
-from nmt_diagnose.evidence.conditions import PhaseResonanceTest, RandomTest, RecordTest, SteppedSineTest
-from nmt_diagnose.evidence.observables import Evidence, Part
 from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Remainder, Verdict
 from nmt_diagnose.inference.hypotheses import NULL, UNKNOWN
+from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RecordTest, SteppedSineTest
+from nmt_diagnose.observations.observables import Observations, Part
 from nmt_report.diagnosis_curves import Models, courses, drive_label, harmonic_courses
 from nmt_report.diagnosis_figures import Shown, course_figure, harmonic_figure, residual_figure
 from nmt_report.diagnosis_words import (
@@ -49,13 +49,13 @@ class DiagnosisReport:
 
     Attributes:
         diagnosis: the result.
-        evidence: the real side.
+        observations: the real side.
         models: observables of the models.
         rig: the model as given.
     """
 
     diagnosis: Diagnosis
-    evidence: Evidence
+    observations: Observations
     models: Models
     rig: Rig
 
@@ -70,7 +70,7 @@ def diagnosis_page(report: DiagnosisReport) -> str:
     d = report.diagnosis
     with figure_style():
         maps = [
-            residual_figure(d.residual_map, name, number, report.with_effect, _level_label(report.evidence, name))
+            residual_figure(d.residual_map, name, number, report.with_effect, _level_label(report.observations, name))
             for number, name in enumerate(dict.fromkeys(group.test for group in d.residual_map))
         ]
         curves = _curves(report)
@@ -144,9 +144,9 @@ def probability_shares(d: Diagnosis) -> list[tuple[str, str, float, str]]:
     return shares
 
 
-def _level_label(evidence: Evidence, test: str) -> str:
+def _level_label(observations: Observations, test: str) -> str:
     """What the columns of a test's residual map are."""
-    kind = next((kind for kind in evidence.tests if kind.name == test), None)
+    kind = next((kind for kind in observations.tests if kind.name == test), None)
     if isinstance(kind, RandomTest | SteppedSineTest):
         return "middle of the band / Hz"
     return "segment" if kind is None or isinstance(kind, RecordTest) else drive_label(kind)
@@ -581,12 +581,12 @@ _BELOW = (
 def _curves(report: DiagnosisReport) -> list[ReportFigure]:
     result: list[ReportFigure] = []
     shown = Shown.of(report.with_effect)
-    several = len(report.evidence.tests) > 1
-    for number, test in enumerate(report.evidence.tests):
+    several = len(report.observations.tests) > 1
+    for number, test in enumerate(report.observations.tests):
         tail = f", {test.name}" if several else ""
 
         def add(key: str, title: str, *parts: Part, number: int = number, tail: str = tail) -> None:
-            found = [c for part in parts for c in courses(report.evidence, report.models, number, part)]
+            found = [c for part in parts for c in courses(report.observations, report.models, number, part)]
             found = [course for course in found if course.x.size > 2]
             if found:
                 result.append(course_figure(f"{key}-{number}", title + tail, _BELOW, found, shown))
@@ -604,7 +604,7 @@ def _curves(report: DiagnosisReport) -> list[ReportFigure]:
             add("record", "Record", Part.SAMPLE)
         else:
             add("decay", "Frequency and damping over the amplitude", Part.LOG_FREQUENCY, Part.DAMPING)
-        harmonics = harmonic_courses(report.evidence, report.models, number)
+        harmonics = harmonic_courses(report.observations, report.models, number)
         if harmonics:
             result.append(harmonic_figure(f"harmonics-{number}", f"Harmonics{tail}", harmonics, shown))
     return result

@@ -14,7 +14,7 @@ from nmt_core.linear_description import LinearDescription
 from nmt_pll.controller import AMPLITUDE_SHARE
 from nmt_pll.gains import LoopPlant
 from nmt_pll.loop import DEAD_BLOCKS
-from nmt_pll.settings import LoopSettings
+from nmt_pll.loop_settings import LoopSettings
 
 USUAL = 0.02  # s, the shortest that is chosen
 _STEP = 0.01  # s

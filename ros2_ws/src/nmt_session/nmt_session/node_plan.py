@@ -18,13 +18,13 @@ from nmt_core.excitation import Excitation
 from nmt_core.linear_description import LinearDescription
 from nmt_core.vocabulary import ControlKind, TestKind
 from nmt_core.yaml_text import yaml_text
+from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout
-from nmt_extract.settings import ExtractionSettings
 from nmt_plant.guarded_device import LEAST_LEAD
 from nmt_plant.hardware_rig import HARDWARE_LEAD
 from nmt_plant.oscillator import PEAK_FACTOR
+from nmt_pll.loop_settings import settings_from
 from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
-from nmt_pll.settings import settings_from
 from nmt_record.run_device import SIMULATED_RIG, converter_name
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS, SPECIMEN
 from nmt_rig.linear_description import linear_description

@@ -13,7 +13,7 @@ import yaml
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.vocabulary import TestKind
-from nmt_pll.settings import LoopSettings
+from nmt_pll.loop_settings import LoopSettings
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_snapshot import rig_text
 from nmt_sequencer.level_plan import parse_levels

@@ -212,7 +212,7 @@ def evaluate(case: StudyCase, bag: Path) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class MethodOutcome:
     """What one method gave under one noise with one seed; arrays over the amplitudes that count.
 
     Attributes:
@@ -257,7 +257,7 @@ def derived_results(results: Sequence[Result]) -> list[Result]:
     return made
 
 
-def outcomes(results: Sequence[Result]) -> list[Outcome]:
+def outcomes(results: Sequence[Result]) -> list[MethodOutcome]:
     """Errors of every method over the amplitudes that count, in the order of :data:`METHODS`."""
     curve = next((r["single_point"]["curve"] for r in results if r["single_point"]["curve"]), None)
     found = [_outcome(result, curve) for result in derived_results(results)]
@@ -265,7 +265,7 @@ def outcomes(results: Sequence[Result]) -> list[Outcome]:
     return sorted(found, key=lambda o: (order.index(o.method), o.noise, o.seed))
 
 
-def _outcome(result: Result, curve: Mapping[str, Any] | None) -> Outcome:
+def _outcome(result: Result, curve: Mapping[str, Any] | None) -> MethodOutcome:
     labels = result["case"]["labels"]
     rows = []
     for level in result["levels"]:
@@ -292,7 +292,7 @@ def _outcome(result: Result, curve: Mapping[str, Any] | None) -> Outcome:
         )  # fmt: skip
     columns = np.array(rows, dtype=np.float64).reshape(-1, 9).T
     time = float(result["run"]["bench_time_s"])
-    return Outcome(
+    return MethodOutcome(
         labels["method"], labels["noise"], labels["seed"], time, columns[0], columns[1], columns[2], columns[3],
         columns[4], columns[5], columns[6], columns[7:],
     )  # fmt: skip
@@ -358,20 +358,20 @@ def _largest(values: Sequence[FloatArray]) -> float:
     return float(np.abs(joined).max()) if joined.size else math.nan
 
 
-def _of(found: Sequence[Outcome], method: str, noise: int | None = None) -> list[Outcome]:
+def _of(found: Sequence[MethodOutcome], method: str, noise: int | None = None) -> list[MethodOutcome]:
     return [o for o in found if o.method == method and (noise is None or o.noise == noise)]
 
 
-def _present(found: Sequence[Outcome]) -> list[str]:
+def _present(found: Sequence[MethodOutcome]) -> list[str]:
     return [method for method in METHODS if _of(found, method)]
 
 
-def _bench_time(found: Sequence[Outcome], method: str) -> float:
+def _bench_time(found: Sequence[MethodOutcome], method: str) -> float:
     lowest = min(o.noise for o in found)
     return float(np.mean([o.bench_time for o in _of(found, method, lowest)]))
 
 
-def _comparison(found: Sequence[Outcome]) -> StudyTable:
+def _comparison(found: Sequence[MethodOutcome]) -> StudyTable:
     lowest = min(o.noise for o in found)
     rows = []
     for method in _present(found):
@@ -402,7 +402,7 @@ def _comparison(found: Sequence[Outcome]) -> StudyTable:
     return StudyTable("Time and accuracy", columns, rows, note)
 
 
-def _noise_tables(found: Sequence[Outcome]) -> list[StudyTable]:
+def _noise_tables(found: Sequence[MethodOutcome]) -> list[StudyTable]:
     noises = sorted({o.noise for o in found})
     common = max(float(o.acceleration.min()) for o in found if o.acceleration.size and o.method != "half_power")
     damping, others = [], []
@@ -447,12 +447,12 @@ def _style(method: str) -> dict[str, Any]:
     return {"color": colours[k % len(colours)], "marker": MARKERS[k % len(MARKERS)]}
 
 
-def _first(found: Sequence[Outcome], method: str, noise: int) -> Outcome | None:
+def _first(found: Sequence[MethodOutcome], method: str, noise: int) -> MethodOutcome | None:
     own = _of(found, method, noise)
     return own[0] if own and own[0].acceleration.size else None
 
 
-def _overlay(results: Sequence[Result], found: Sequence[Outcome]) -> ReportFigure:
+def _overlay(results: Sequence[Result], found: Sequence[MethodOutcome]) -> ReportFigure:
     figure = Figure(figsize=(9.6, 5.2))
     panels = figure.subplots(1, 2)
     figure.subplots_adjust(left=0.085, right=0.985, bottom=0.33, top=0.96, wspace=0.22)
@@ -490,7 +490,7 @@ def _overlay(results: Sequence[Result], found: Sequence[Outcome]) -> ReportFigur
     return ReportFigure("methods", "All methods", caption, svg_text(figure, "methods", caption), True)
 
 
-def _errors(found: Sequence[Outcome]) -> ReportFigure:
+def _errors(found: Sequence[MethodOutcome]) -> ReportFigure:
     noises = sorted({o.noise for o in found})
     figure = Figure(figsize=(9.6, 6.4))
     panels = figure.subplots(2, len(noises), squeeze=False, sharex=True)
@@ -530,7 +530,7 @@ def _errors(found: Sequence[Outcome]) -> ReportFigure:
     return ReportFigure("method-errors", "Errors and noise", caption, svg_text(figure, "method-errors", caption), True)
 
 
-def _noise_figure(found: Sequence[Outcome]) -> ReportFigure:
+def _noise_figure(found: Sequence[MethodOutcome]) -> ReportFigure:
     noises = sorted({o.noise for o in found})
     figure = Figure(figsize=(9.6, 4.8))
     panels = figure.subplots(1, 2)
@@ -554,7 +554,7 @@ def _noise_figure(found: Sequence[Outcome]) -> ReportFigure:
     )
 
 
-def _time_figure(found: Sequence[Outcome]) -> ReportFigure:
+def _time_figure(found: Sequence[MethodOutcome]) -> ReportFigure:
     methods = [method for method in _present(found) if method not in WRONG_BY_CONSTRUCTION][::-1]
     times = [_bench_time(found, method) for method in methods]
     figure = Figure(figsize=(6.3, 3.2))
@@ -580,7 +580,7 @@ def _acceleration_axis(axes: Any) -> None:
     axes.set_xlabel(r"modal acceleration $\tilde\omega^2 q$ / (m/s²)$\sqrt{\mathrm{kg}}$")
 
 
-def _findings(found: Sequence[Outcome]) -> list[Finding]:
+def _findings(found: Sequence[MethodOutcome]) -> list[Finding]:
     lowest, highest = min(o.noise for o in found), max(o.noise for o in found)
     texts: list[Finding] = []
     for method in _present(found):

@@ -12,8 +12,8 @@ from nmt_bench.commands.output_folder import OutputFolder, add_output_options, c
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
+    from nmt_extract.extraction_settings import ExtractionSettings
     from nmt_extract.modal_point import ModalPoint
-    from nmt_extract.settings import ExtractionSettings
     from nmt_extract.uncertainty_budget import MethodError
     from nmt_record.bag_reader import Bag
     from nmt_record.calibration_file import CalibrationSheet
@@ -169,7 +169,7 @@ def _comparison(points: Sequence[ModalPoint], recorded: Sequence[ModalPoint]) ->
 def _settings(run: dict[str, object] | None, harmonics: int | None) -> ExtractionSettings | None:
     if harmonics is None:
         return None
-    from nmt_extract.settings import ExtractionSettings
+    from nmt_extract.extraction_settings import ExtractionSettings
 
     recorded = (run or {}).get("extraction")
     values = dict(recorded) if isinstance(recorded, dict) else {}

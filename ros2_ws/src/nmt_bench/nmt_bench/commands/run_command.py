@@ -307,7 +307,7 @@ def _write_budget(
     from nmt_core.linear_description import LinearDescription
     from nmt_core.vocabulary import PointStatus
     from nmt_extract.bag_budget import bag_budget
-    from nmt_extract.settings import ExtractionSettings
+    from nmt_extract.extraction_settings import ExtractionSettings
     from nmt_extract.uncertainty_budget import write_budget
     from nmt_record.bag_reader import Bag
 

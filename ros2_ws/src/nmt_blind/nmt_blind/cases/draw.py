@@ -8,12 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from nmt_blind.cases.injected_effects import (
+    KNOWN,
+    NEAR_TWINS,
+    OPEN,
+    InjectedEffect,
+    Spot,
+    figures_of,
+    injected_effect_named,
+)
 from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.priors import draw_shifts
 from nmt_blind.cases.rig_edits import Edit, with_edits
 from nmt_blind.cases.strength_table import StrengthTable
 from nmt_blind.cases.tolerances import check_tolerances, draw_chain
-from nmt_blind.cases.truths import KNOWN, NEAR_TWINS, OPEN, Spot, Truth, figures_of, truth_named
 from nmt_core.errors import BenchError
 from nmt_rig.rig import Rig
 
@@ -202,11 +210,11 @@ class _Draws:
         self._first, self._second = deck(self.known, 5), deck(self.known, 6)
         self._together = deck(COMPOUND_STRENGTHS, 8)
 
-    def _reach(self, truth: Truth) -> bool:
+    def _reach(self, truth: InjectedEffect) -> bool:
         """Whether the truth gets to the weakest strength anywhere on this rig."""
         return bool(self._spots(truth, STRENGTHS[0]))
 
-    def _spots(self, truth: Truth, sigma: float) -> list[tuple[Spot, float]]:
+    def _spots(self, truth: InjectedEffect, sigma: float) -> list[tuple[Spot, float]]:
         found = []
         for spot in truth.spots(self.model, self.table.operating):
             value = self.table.value(truth, spot, sigma)
@@ -227,7 +235,7 @@ class _Draws:
         if kind == "withheld":
             return self._drawn((self._withheld.deal(), self._unnamed.deal()), withheld=True)
         if kind == "twin":
-            return self._drawn((truth_named(self._pair.deal()[0]), self._strong.deal()))
+            return self._drawn((injected_effect_named(self._pair.deal()[0]), self._strong.deal()))
         first, second = self._first.deal(), self._second.deal()
         while second.name == first.name or _near(first.name, second.name) or _overlap(first.name, second.name):
             second = self._second.deal()
@@ -235,7 +243,7 @@ class _Draws:
         return self._drawn((first, one), (second, other))
 
     def _drawn(
-        self, *wanted: tuple[Truth, float], withheld: bool = False
+        self, *wanted: tuple[InjectedEffect, float], withheld: bool = False
     ) -> tuple[tuple[TrueEffect, ...], tuple[Edit, ...], tuple[str, ...]]:
         effects: list[TrueEffect] = []
         edits: list[Edit] = []

@@ -54,7 +54,7 @@ class BenchSettings:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RecordingOutcome:
     """How a test went.
 
     Attributes:
@@ -133,7 +133,7 @@ def random_test(model: Rig, bench: BenchSettings, bag: Path | None = None) -> Pl
 
 def record_backbone(
     bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed: int, converters: Converters | None = None
-) -> Outcome:
+) -> RecordingOutcome:
     """Make the backbone test and write it into a bag.
 
     Args:
@@ -153,7 +153,7 @@ def record_backbone(
 
 def record_random(
     bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed: int, converters: Converters | None = None
-) -> Outcome:
+) -> RecordingOutcome:
     """Make the random test and write it into a bag; arguments as for `record_backbone`."""
     return _record(as_built(truth, bench, seed ^ _RANDOM_SEED), random_test(model, bench, bag), converters)
 
@@ -210,7 +210,7 @@ def _recorder(bag: Path | None) -> dict[str, dict[str, Any]]:
     return {} if bag is None else {"recorder": {"output": str(bag), **_CHUNKS}}
 
 
-def _record(built: Rig, test: PlannedTest, converters: Converters | None) -> Outcome:
+def _record(built: Rig, test: PlannedTest, converters: Converters | None) -> RecordingOutcome:
     plan = test.plan
     device = SimulatedRig(built) if converters is None else LaboratoryRig(built, converters)
     try:
@@ -223,9 +223,9 @@ def _record(built: Rig, test: PlannedTest, converters: Converters | None) -> Out
         with session:
             result = session.run()
     except BenchError as error:
-        return Outcome(0, len(plan.levels), 0.0, str(error))
+        return RecordingOutcome(0, len(plan.levels), 0.0, str(error))
     trouble = "" if result.code == ResultCode.SUCCEEDED else result.message
-    return Outcome(session.levels_locked, len(plan.levels), result.bench_time, trouble)
+    return RecordingOutcome(session.levels_locked, len(plan.levels), result.bench_time, trouble)
 
 
 _DESCRIBED = ("run_id", "rig", "seed", "plan", "exciter_point", "linear", "extraction")

@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from nmt_blind.cases.laboratory import BenchSettings, Outcome, as_built, sidecar_of
+from nmt_blind.cases.laboratory import BenchSettings, RecordingOutcome, as_built, sidecar_of
 from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.rig_edits import rig_yaml
 from nmt_core.blocks import FloatArray, OscillatorPhase
@@ -236,7 +236,7 @@ def stepped_lines(
 
 def record_tables(
     bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed: int, converters: Converters | None = None
-) -> Outcome:
+) -> RecordingOutcome:
     """Backbone and frequency responses as tables with their stated scatter; arguments as for `record_backbone`."""
     built = as_built(truth, bench, seed ^ _SEED)
     noise = np.random.default_rng([seed, _SEED])
@@ -255,7 +255,7 @@ def record_tables(
             for number, (level, lines) in enumerate(passages)
         ]
     except (IntegrationError, BenchError) as error:
-        return Outcome(0, 1, 0.0, str(error))
+        return RecordingOutcome(0, 1, 0.0, str(error))
     files: dict[str, list[tuple[str, FloatArray]]] = {
         "backbone.csv": [
             ("frequency_hz", frequency * (1.0 + FREQUENCY_SCATTER * noise.standard_normal(frequency.size))),
@@ -292,18 +292,18 @@ def record_tables(
             text += [",".join(f"{value:.9g}" for value in row) for row in zip(*(v for _, v in columns), strict=True)]
             (Path(folder) / name).write_text("\n".join(text) + "\n", encoding="utf-8")
         _import(Path(folder), sidecar, bag, model)
-    return Outcome(lines_made, lines_made, 0.0)
+    return RecordingOutcome(lines_made, lines_made, 0.0)
 
 
 def record_ring_down(
     bag: Path, truth: Rig, model: Rig, bench: BenchSettings, seed: int, converters: Converters | None = None
-) -> Outcome:
+) -> RecordingOutcome:
     """A free decay from the highest level as a recording; arguments as for `record_backbone`."""
     built = as_built(truth, bench, seed ^ _SEED)
     try:
         decay = free_decay(built, model, max(bench.levels), seed)
     except (IntegrationError, BenchError) as error:
-        return Outcome(0, 1, 0.0, str(error))
+        return RecordingOutcome(0, 1, 0.0, str(error))
     rate, off = model.sample_rate_hz, decay.before.shape[1]
     data = np.concatenate([decay.before, decay.data], axis=1)
     sidecar = sidecar_of(model)
@@ -316,7 +316,7 @@ def record_ring_down(
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder) / "decay.npz", **dict(zip(decay.names, data, strict=True)))
         _import(Path(folder), sidecar, bag, model)
-    return Outcome(1, 1, data.shape[1] / rate)
+    return RecordingOutcome(1, 1, data.shape[1] / rate)
 
 
 def _named(model: Rig, quantity: str, point: int) -> str:

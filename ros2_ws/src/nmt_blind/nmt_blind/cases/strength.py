@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from nmt_blind.cases.blind_rigs import BlindRig
+from nmt_blind.cases.injected_effects import InjectedEffect, Spot
 from nmt_blind.cases.laboratory import BenchSettings, TrialError
 from nmt_blind.cases.operating import Operating, noise_deviation, operating_point
 from nmt_blind.cases.priors import parameters, shifted
@@ -34,7 +35,6 @@ from nmt_blind.cases.tolerances import (
     check_tolerances,
     has_lead,
 )
-from nmt_blind.cases.truths import Spot, Truth
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_rig.linear_description import linear_description
@@ -271,7 +271,7 @@ class Sensitivity:
         whole = np.nan_to_num((observed.values - self.base.values)[good] * scale)
         return float(np.linalg.norm(whole)), math.sqrt(float(rest @ rest + total @ total)), total
 
-    def mark(self, truth: Truth, spot: Spot, value: float) -> FloatArray:
+    def mark(self, truth: InjectedEffect, spot: Spot, value: float) -> FloatArray:
         """What a truth changes over the noise, shape (m,); zero where a level did not lock."""
         try:
             observed = self.observe(with_edits(self.model, truth.edits(self.model, self.operating, spot, value)))
@@ -318,7 +318,7 @@ class Sensitivity:
         return (self.sigma_of(observed) if refine else linear), linear, self._marked(observed)
 
     def curve(
-        self, truth: Truth, spot: Spot, former: dict[str, Any] | None = None
+        self, truth: InjectedEffect, spot: Spot, former: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], FloatArray | None]:
         """Strengths of a truth at a spot with their standard deviations, ascending; up to 4,096 where it gets there.
 
@@ -403,7 +403,7 @@ def _approach(
         trial(value)
 
 
-def spot_key(truth: Truth, spot: Spot) -> str:
+def spot_key(truth: InjectedEffect, spot: Spot) -> str:
     """Key of a curve in a table."""
     return f"{truth.name}@{spot.label}" if spot.label else truth.name
 

@@ -14,6 +14,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from nmt_blind.cases.blind_rigs import BlindRig
+from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, InjectedEffect, Spot
 from nmt_blind.cases.operating import Operating
 from nmt_blind.cases.strength import (
     FREQUENCY,
@@ -37,7 +38,6 @@ from nmt_blind.cases.tolerances import (
     SHARED_DELAY_S,
     check_tolerances,
 )
-from nmt_blind.cases.truths import TRUTHS, Spot, Truth
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_json
@@ -64,24 +64,26 @@ class StrengthTable:
     operating: Operating
     curves: dict[str, dict[str, Any]]
 
-    def value(self, truth: Truth, spot: Spot, sigma: float) -> float | None:
+    def value(self, truth: InjectedEffect, spot: Spot, sigma: float) -> float | None:
         """Strength of so many standard deviations; None where the truth does not get there."""
         curve = self.curves.get(spot_key(truth, spot))
         return None if curve is None else value_at(curve, sigma)
 
     def missing(self, model: Rig) -> tuple[str, ...]:
         """Keys of what the table lacks: curves of truths at places of the rig, or what they have in common."""
-        keys = [spot_key(t, spot) for t in TRUTHS.values() for spot in t.spots(model, self.operating)]
+        keys = [spot_key(t, spot) for t in INJECTED_EFFECTS.values() for spot in t.spots(model, self.operating)]
         return tuple(key for key in keys if "rivals" not in self.curves.get(key, {}))
 
-    def twins(self, truth: Truth, spot: Spot) -> tuple[str, ...]:
+    def twins(self, truth: InjectedEffect, spot: Spot) -> tuple[str, ...]:
         """Known truths whose mark is hardly another: with one of them in the library nothing is unnamed."""
         competing = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
         return tuple(
-            name for name, cosine in competing.items() if cosine >= _TWIN and TRUTHS[name].known and name != truth.name
+            name
+            for name, cosine in competing.items()
+            if cosine >= _TWIN and INJECTED_EFFECTS[name].known and name != truth.name
         )
 
-    def alone(self, truth: Truth, spot: Spot, without: Collection[str] = ()) -> float:
+    def alone(self, truth: InjectedEffect, spot: Spot, without: Collection[str] = ()) -> float:
         """Share of a mark that no other known truth can imitate, beside the model's parameters.
 
         Args:
@@ -89,7 +91,9 @@ class StrengthTable:
             without: truths that do not compete.
         """
         competing = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
-        known = (name for name in competing if TRUTHS[name].known and name != truth.name and name not in without)
+        known = (
+            name for name in competing if INJECTED_EFFECTS[name].known and name != truth.name and name not in without
+        )
         closest = max((float(competing[name]) for name in known), default=0.0)
         return math.sqrt(max(0.0, 1.0 - closest**2))
 
@@ -160,8 +164,8 @@ def make_table(
         BenchError: a truth that does not exist.
     """
     for name in names:
-        if name not in TRUTHS:
-            raise BenchError(f"There is no truth '{name}'; choose from {', '.join(TRUTHS)}.")
+        if name not in INJECTED_EFFECTS:
+            raise BenchError(f"There is no truth '{name}'; choose from {', '.join(INJECTED_EFFECTS)}.")
     path = path or table_file(rig, tolerances)
     path.parent.mkdir(parents=True, exist_ok=True)
     mark = fingerprint(rig, tolerances)
@@ -176,7 +180,7 @@ def make_table(
         for _, truth, spot in sorted(
             (
                 (rank, truth, spot)
-                for truth in TRUTHS.values()
+                for truth in INJECTED_EFFECTS.values()
                 if not names or truth.name in names
                 for rank, spot in enumerate(truth.spots(sensitivity.model, sensitivity.operating))
             ),
@@ -222,7 +226,7 @@ def _add_rivals(
     """Cosines between the marks of all truths, the model's parameters projected out; ``marks`` has some already."""
     marked = [
         (spot_key(truth, spot), truth, spot, value)
-        for truth in TRUTHS.values()
+        for truth in INJECTED_EFFECTS.values()
         for spot in truth.spots(sensitivity.model, sensitivity.operating)
         if spot_key(truth, spot) in curves and (value := value_at(curves[spot_key(truth, spot)], MARKED)) is not None
     ]
@@ -246,13 +250,13 @@ def _add_rivals(
 
 
 def _mark(sensitivity: Sensitivity, key: str, name: str, spot: Spot, value: float) -> tuple[str, FloatArray]:
-    return key, sensitivity.mark(TRUTHS[name], spot, value)
+    return key, sensitivity.mark(INJECTED_EFFECTS[name], spot, value)
 
 
 def _curve(
     sensitivity: Sensitivity, name: str, spot: Spot, former: dict[str, Any] | None
 ) -> tuple[str, dict[str, Any], FloatArray | None]:
-    truth = TRUTHS[name]
+    truth = INJECTED_EFFECTS[name]
     return spot_key(truth, spot), *sensitivity.curve(truth, spot, former)
 
 

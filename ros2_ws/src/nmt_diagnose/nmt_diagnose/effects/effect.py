@@ -22,7 +22,7 @@ class EffectParameter:
         signed: a strength may be negative.
         grid: multiples of the scale to start a fit from. A strength has one where its first-order signature vanishes
             at 0 (clipping, for example); a shape where its likelihood has several maxima.
-        even: multiple of the scale to start a strength from where the evidence does not show its first order, such as
+        even: multiple of the scale to start a strength from where the observations do not show its first order, such as
             the frequency of an even force; 0 = always at zero.
     """
 

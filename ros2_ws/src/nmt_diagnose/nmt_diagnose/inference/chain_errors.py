@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.evidence.conditions import (
+from nmt_diagnose.inference.problem import BoolArray, Problem
+from nmt_diagnose.inference.shared_errors import SharedErrors
+from nmt_diagnose.observations.conditions import (
     MeasuredChannel,
     PhaseResonanceTest,
     RandomTest,
@@ -20,12 +22,10 @@ from nmt_diagnose.evidence.conditions import (
     SteppedSineTest,
     Test,
 )
-from nmt_diagnose.evidence.drive_hold import zero_order_images
-from nmt_diagnose.evidence.measuring_chain import MeasuringChain
-from nmt_diagnose.evidence.model_view import ORDER, ModelView
-from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.inference.problem import BoolArray, Problem
-from nmt_diagnose.inference.shared_errors import SharedErrors
+from nmt_diagnose.observations.drive_hold import zero_order_images
+from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.model_view import ORDER, ModelView
+from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.stepped_sine_twin import gain_error
 from nmt_rig.rig import ModalSection, Rig, SensorSection
@@ -64,9 +64,9 @@ def with_chain_errors(problem: Problem, rig: Rig, prediction: Prediction, scatte
     """The problem with the tolerances of its tests' measuring chains as part of the noise; itself without any.
 
     Args:
-        problem: evidence and model.
+        problem: observations and model.
         rig: the model as given.
-        prediction: its prediction of the evidence.
+        prediction: its prediction of the observations.
         scatter: of each row from test to test, shape (m,), see scatter.py; None = none.
     """
     changed, columns = chain_errors(problem, rig, prediction, scatter)
@@ -89,19 +89,19 @@ def chain_errors(
     Arguments as for :func:`with_chain_errors`; ``drift`` is the relative standard deviation of the resonance from sweep
     to sweep, see sweep_drift.py.
     """
-    evidence = problem.evidence
-    chains = _chains(evidence)
-    unsettled = _unsettled(evidence)
+    observations = problem.observations
+    chains = _chains(observations)
+    unsettled = _unsettled(observations)
     if not chains:
         if scatter is not None and scatter.any():
-            problem = replace(problem, evidence=replace(evidence, floor=np.hypot(evidence.floor, scatter)))
+            problem = replace(problem, observations=replace(observations, floor=np.hypot(observations.floor, scatter)))
         return problem, unsettled
-    builder = _Columns(evidence, rig, chains)
+    builder = _Columns(observations, rig, chains)
     # A level that has no solution tells nothing of its errors.
-    floor = np.hypot(evidence.floor, np.nan_to_num(builder.floor(prediction), posinf=0.0))
+    floor = np.hypot(observations.floor, np.nan_to_num(builder.floor(prediction), posinf=0.0))
     if scatter is not None:
         floor = np.hypot(floor, scatter)
-    problem = replace(problem, evidence=replace(evidence, floor=floor))
+    problem = replace(problem, observations=replace(observations, floor=floor))
     columns = np.nan_to_num(builder.columns(prediction), posinf=0.0, neginf=0.0)
     if scatter is not None:
         columns = np.hstack([columns, builder.between_tests(scatter)])
@@ -110,10 +110,10 @@ def chain_errors(
     return problem, np.hstack([columns, unsettled])
 
 
-def _unsettled(evidence: Evidence) -> FloatArray:
+def _unsettled(observations: Observations) -> FloatArray:
     """Amplitudes of locked windows that had not settled, one error for each level, shape (m, levels)."""
-    rows, found = evidence.rows, []
-    for number, test in enumerate(evidence.tests):
+    rows, found = observations.rows, []
+    for number, test in enumerate(observations.tests):
         if not isinstance(test, PhaseResonanceTest):
             continue
         for position, level in enumerate(test.levels):
@@ -126,43 +126,43 @@ def _unsettled(evidence: Evidence) -> FloatArray:
     return np.column_stack(found) if found else np.zeros((len(rows), 0))
 
 
-def sweep_directions(evidence: Evidence, rig: Rig, prediction: Prediction) -> FloatArray:
+def sweep_directions(observations: Observations, rig: Rig, prediction: Prediction) -> FloatArray:
     """What a relative shift of the resonance does to the rows of each sweep at a held amplitude, shape (m, tests).
 
     Args:
-        evidence: the real side.
+        observations: the real side.
         rig: an explanation of it.
         prediction: of that explanation.
     """
-    chains = _chains(evidence)
-    if not any(isinstance(evidence.tests[number], SteppedSineTest) for number in chains):
-        return np.zeros((len(evidence.rows), len(evidence.tests)))
-    return _Columns(evidence, rig, chains).sweeps(prediction)
+    chains = _chains(observations)
+    if not any(isinstance(observations.tests[number], SteppedSineTest) for number in chains):
+        return np.zeros((len(observations.rows), len(observations.tests)))
+    return _Columns(observations, rig, chains).sweeps(prediction)
 
 
-def _chains(evidence: Evidence) -> dict[int, MeasuringChain]:
+def _chains(observations: Observations) -> dict[int, MeasuringChain]:
     """Measuring chains of the tests that tell of them, by number of the test."""
     return {
         number: chain
-        for number, chain in enumerate(evidence.chains)
+        for number, chain in enumerate(observations.chains)
         if chain is not None
-        and isinstance(evidence.tests[number], PhaseResonanceTest | RandomTest | RingDownTest | SteppedSineTest)
+        and isinstance(observations.tests[number], PhaseResonanceTest | RandomTest | RingDownTest | SteppedSineTest)
     }
 
 
 class _Columns:
-    """Directions for the tests of one piece of evidence; a sensor is the same in all of its tests."""
+    """Directions for the tests of one set of observations; a sensor is the same in all of its tests."""
 
-    def __init__(self, evidence: Evidence, rig: Rig, chains: dict[int, MeasuringChain]) -> None:
-        self.evidence, self.rig, self.chains = evidence, rig, chains
-        rows = evidence.rows
+    def __init__(self, observations: Observations, rig: Rig, chains: dict[int, MeasuringChain]) -> None:
+        self.observations, self.rig, self.chains = observations, rig, chains
+        rows = observations.rows
         self.mine = np.isin(rows.test, list(chains))
         self.numbers = sorted(chains)
         renumbered = np.zeros(max(self.numbers) + 1, dtype=np.int64)
         renumbered[self.numbers] = np.arange(len(self.numbers))
         part = rows.take(self.mine)
         self.rows = replace(part, test=renumbered[part.test])
-        self.tests = tuple(evidence.tests[number] for number in self.numbers)
+        self.tests = tuple(observations.tests[number] for number in self.numbers)
         self.forward = Forward(self.tests, self.rows)
         self.own = tuple(chains[number] for number in self.numbers)
         self.channels = {
@@ -174,7 +174,7 @@ class _Columns:
         self.images = self._images()
 
     def _full(self, values: FloatArray) -> FloatArray:
-        result = np.zeros(len(self.evidence.rows))
+        result = np.zeros(len(self.observations.rows))
         result[self.mine] = values
         return result
 
@@ -231,13 +231,13 @@ class _Columns:
             for t in self.tests
         )
         change = np.nan_to_num(self._moved(moved, base) / _SHIFT_STEP, posinf=0.0, neginf=0.0)
-        result = np.zeros((len(self.evidence.rows), len(self.evidence.tests)))
+        result = np.zeros((len(self.observations.rows), len(self.observations.tests)))
         for number, own in enumerate(self.numbers):
             result[:, own] = self._full(change * (self.rows.test == number))
         return result
 
     def _start(self, prediction: Prediction) -> Prediction:
-        """The part of a prediction of all evidence that belongs to these tests."""
+        """The part of a prediction of all observations that belongs to these tests."""
         states = tuple(prediction.states[number] for number in self.numbers)
         return Prediction(prediction.values[self.mine], prediction.converged[self.mine], (), states)
 
@@ -549,7 +549,7 @@ class _Columns:
             lines = (self.rows.test == number) & (self.rows.part == Part.LINE)
             for channel in np.unique(self.rows.channel[lines]):
                 same = (self.rows.test == number) & (self.rows.channel == channel)
-                sizes = self.evidence.values[self.mine][same & (self.rows.part == Part.LOG_MAGNITUDE)]
+                sizes = self.observations.values[self.mine][same & (self.rows.part == Part.LOG_MAGNITUDE)]
                 if sizes.size:
                     result[lines & same] = chain.mains * float(np.exp(sizes.max()))
         return self._full(result)

@@ -16,13 +16,8 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.effects.placement import Explanation, joined
-from nmt_diagnose.evidence.conditions import BackboneTable, RecordTest, RingDownTest, SteppedSineTest
-from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.evidence.read_evidence import read_evidence
-from nmt_diagnose.evidence.settings import EvidenceSettings
 from nmt_diagnose.inference.chain_errors import chain_errors, sweep_directions, with_chain_errors, with_shared
 from nmt_diagnose.inference.confidence import Confidence, confidence, confidence_digest
-from nmt_diagnose.inference.contest import Contender, Contest, ContestSettings
 from nmt_diagnose.inference.diagnosis import (
     Diagnosis,
     Gap,
@@ -42,11 +37,12 @@ from nmt_diagnose.inference.gap import Closed, rms
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.held_images import may_hold_images, with_detected_images
 from nmt_diagnose.inference.held_out import splits
-from nmt_diagnose.inference.held_out_contest import HeldOut, Refits
+from nmt_diagnose.inference.held_out_comparison import HeldOut, Refits
 from nmt_diagnose.inference.hypotheses import NULL
 from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, with_held_out, with_share_left
 from nmt_diagnose.inference.leave_one_out import contradiction, left_out, recordings, rms_left
 from nmt_diagnose.inference.lock_noise import lock_nuisances
+from nmt_diagnose.inference.model_comparison import ComparisonSettings, FittedModel, ModelComparison
 from nmt_diagnose.inference.motion_scale import covariance_with_scale
 from nmt_diagnose.inference.next_test import next_tests
 from nmt_diagnose.inference.problem import Problem
@@ -61,6 +57,10 @@ from nmt_diagnose.inference.sources import generic_sources, places
 from nmt_diagnose.inference.sweep_drift import sweep_drift
 from nmt_diagnose.inference.warnings import warned
 from nmt_diagnose.inference.workers import Workers
+from nmt_diagnose.observations.conditions import BackboneTable, RecordTest, RingDownTest, SteppedSineTest
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.twin.forward import Forward, Prediction, traced
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_record.calibration_file import CalibrationSheet
@@ -91,7 +91,7 @@ class DiagnosisSettings:
 
     Attributes:
         withheld: effects that are left out of the library.
-        contest: how far the contest of explanations goes.
+        comparison: how far the comparison of explanations goes.
         seed: of the bootstrap.
         look_ahead: whether tests that would decide between what is left are sought.
         hold_out: names of tests (or of their bags) that no fit sees and the gap is judged by; empty = levels and whole
@@ -102,7 +102,7 @@ class DiagnosisSettings:
     """
 
     withheld: tuple[str, ...] = ()
-    contest: ContestSettings = field(default_factory=ContestSettings)
+    comparison: ComparisonSettings = field(default_factory=ComparisonSettings)
     seed: int = 0
     look_ahead: bool = True
     hold_out: tuple[str, ...] = ()
@@ -112,12 +112,12 @@ class DiagnosisSettings:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class DiagnosisOutcome:
     """A diagnosis and what a report draws.
 
     Attributes:
         diagnosis: the result.
-        evidence: the real side.
+        observations: the real side.
         given: the model as given.
         model: the model with its parameters re-fitted and the accepted effect added; the given one where there is no
             gap.
@@ -125,7 +125,7 @@ class Outcome:
     """
 
     diagnosis: Diagnosis
-    evidence: Evidence
+    observations: Observations
     given: Rig
     model: Rig
     as_given: FloatArray
@@ -139,7 +139,7 @@ def diagnose_bags(
     floor_bags: Sequence[Path | str] = (),
     settings: DiagnosisSettings | None = None,
     progress: Progress | None = None,
-) -> Outcome:
+) -> DiagnosisOutcome:
     """Diagnose the gap between a rig file and bags of the real side.
 
     Args:
@@ -156,79 +156,79 @@ def diagnose_bags(
     settings = settings or DiagnosisSettings()
     # The other processes start while the bags are read.
     with Workers(settings.jobs) as workers:
-        reading = EvidenceSettings(calibration=settings.calibration)
-        evidence = read_evidence(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
-        return _Diagnoser(rig, evidence, settings, progress or (lambda _: None), bool(floor_bags), workers).run()
+        reading = ObservationSettings(calibration=settings.calibration)
+        observations = read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
+        return _Diagnoser(rig, observations, settings, progress or (lambda _: None), bool(floor_bags), workers).run()
 
 
-def diagnose_evidence(
+def diagnose_observations(
     rig: Rig,
-    evidence: Evidence,
+    observations: Observations,
     settings: DiagnosisSettings | None = None,
     progress: Progress | None = None,
     repeated: bool = False,
-) -> Outcome:
-    """Diagnose evidence that has been read already; see :func:`diagnose_bags`.
+) -> DiagnosisOutcome:
+    """Diagnose observations that have been read already; see :func:`diagnose_bags`.
 
     ``repeated`` says that its uncertainties contain the differences of repeats.
 
     Raises:
-        BenchError: the model has no solution for any of the evidence.
+        BenchError: the model has no solution for any of the observations.
     """
     settings = settings or DiagnosisSettings()
     with Workers(settings.jobs) as workers:
-        return _Diagnoser(rig, evidence, settings, progress or (lambda _: None), repeated, workers).run()
+        return _Diagnoser(rig, observations, settings, progress or (lambda _: None), repeated, workers).run()
 
 
 class _Diagnoser:
     def __init__(
         self,
         rig: Rig,
-        evidence: Evidence,
+        observations: Observations,
         settings: DiagnosisSettings,
         progress: Progress,
         repeated: bool,
         workers: Workers,
     ) -> None:
-        self.rig, self.evidence, self.settings, self.progress = rig, evidence, settings, progress
+        self.rig, self.observations, self.settings, self.progress = rig, observations, settings, progress
         self.repeated, self.workers = repeated, workers
         # Refits of the model and of the best explanations, by the rows that they were fitted to.
-        self._known: dict[bytes, list[Contender | None]] = {}
+        self._known: dict[bytes, list[FittedModel | None]] = {}
         self.confidence: Confidence = confidence()
-        self.splits = splits(evidence, settings.hold_out)
-        self.forward = Forward(evidence.tests, evidence.rows)
+        self.splits = splits(observations, settings.hold_out)
+        self.forward = Forward(observations.tests, observations.rows)
         self.given = self.forward.predict(rig)
         self.plain = self._plain(self.given)
         self.problem = with_chain_errors(self.plain, rig, self.given)
         self.judged = self.problem
-        self.evidence = self.problem.evidence
+        self.observations = self.problem.observations
         self.candidates = library_candidates(
-            rig, operating_range(rig, evidence.tests, evidence=evidence), settings.withheld
+            rig, operating_range(rig, observations.tests, observations=observations), settings.withheld
         )
-        self.contest = self._contest()
+        self.comparison = self._comparison()
 
     def _plain(self, near: Prediction) -> Problem:
-        """Evidence and model, with the noise of measured amplitudes propagated about a solution."""
-        tests = traced(self.evidence.tests, near)
-        if any(new is not old for new, old in zip(tests, self.evidence.tests, strict=True)):
-            self.evidence = replace(self.evidence, tests=tests)
-            self.forward = Forward(tests, self.evidence.rows)
+        """Observations and model, with the noise of measured amplitudes propagated about a solution."""
+        tests = traced(self.observations.tests, near)
+        if any(new is not old for new, old in zip(tests, self.observations.tests, strict=True)):
+            self.observations = replace(self.observations, tests=tests)
+            self.forward = Forward(tests, self.observations.rows)
             self.given = self.forward.predict(self.rig, near if near is self.given else self.given)
-        return Problem(self.evidence, self.forward, lock_nuisances(self.evidence, self.rig, self.given))
+        return Problem(self.observations, self.forward, lock_nuisances(self.observations, self.rig, self.given))
 
-    def _contest(self) -> Contest:
-        return Contest(
+    def _comparison(self) -> ModelComparison:
+        return ModelComparison(
             self.problem,
             self.rig,
             calibration_parameters(self.rig),
             self.candidates,
-            _affordable(self.settings.contest, self.evidence),
+            _affordable(self.settings.comparison, self.observations),
             self.progress,
             self.splits[0].fitted if self.settings.hold_out else None,
             self.workers,
         )
 
-    def run(self) -> Outcome:
+    def run(self) -> DiagnosisOutcome:
         null, scan, singles, pairs = self._searched()
         given = self.given
         self.progress("weighing the explanations")
@@ -238,7 +238,7 @@ class _Diagnoser:
         top = self._most_promising(null, singles, pairs)
         leftovers = generic_sources(top.fit, found, null.fit.theta.size) if top is not None else []
         left = (top or null).fit
-        chance = min((test.p_holm for test in residual_tests(self.evidence, left.residual, left.used)), default=1.0)
+        chance = min((test.p_holm for test in residual_tests(self.observations, left.residual, left.used)), default=1.0)
         judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.confidence, top, chance)
         as_given = self.judged.residual(given)
         held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])
@@ -253,14 +253,14 @@ class _Diagnoser:
             judgement = with_share_left(judgement, min(max(1.0 - best_share.value, 0.0), 1.0))
         accepted = self._accepted(judgement, shares)
         verdict = self._verdict(judgement, accepted, self._recalibrated(null, as_given, held))
-        best = self.contest.polished(accepted.head) if accepted is not None and verdict is Verdict.EFFECT else null
+        best = self.comparison.polished(accepted.head) if accepted is not None and verdict is Verdict.EFFECT else null
         gap, rest = self._gap(verdict, null, best, as_given, held)
         ranking = self._ranking(judgement, shares)
         where = self._where(judgement, sources, verdict)
         self.progress("looking for the test that would decide")
         ahead = self._next(judgement, verdict, null)
         calibration = self._calibration(best)
-        tests = residual_tests(self.evidence, best.fit.residual, best.fit.used)
+        tests = residual_tests(self.observations, best.fit.residual, best.fit.used)
         final = null if verdict is not Verdict.EFFECT else best
         model = self.rig if verdict is Verdict.NONE else final.fit.parametrisation.rig(final.fit.theta)
         warnings = warned(verdict, best, calibration, gap, accepted.members if accepted is not None else ())
@@ -279,18 +279,18 @@ class _Diagnoser:
             next_test=ahead,
             calibration=calibration,
             inputs=self._inputs(),
-            notes=self.evidence.notes + tuple(given.reasons),
-            residual_map=residual_map(self.evidence, as_given, self._left(null.fit), self._left(best.fit)),
+            notes=self.observations.notes + tuple(given.reasons),
+            residual_map=residual_map(self.observations, as_given, self._left(null.fit), self._left(best.fit)),
             residual_tests=tuple(test.to_mapping() for test in tests),
-            candidates=tuple(self._candidate(contender, null) for contender in [null, *singles, *pairs]),
+            candidates=tuple(self._candidate(fitted_model, null) for fitted_model in [null, *singles, *pairs]),
             features=self._features(judgement, null, singles, pairs, scan, sources, leftovers, as_given, chance),
             warnings=warnings,
             remainder=rest,
             left_out=without,
         )
-        return Outcome(
+        return DiagnosisOutcome(
             diagnosis,
-            self.evidence,
+            self.observations,
             self.rig,
             model,
             given.values,
@@ -298,61 +298,61 @@ class _Diagnoser:
             final.fit.prediction.values,
         )
 
-    def _searched(self) -> tuple[Contender, list[Score], list[Contender], list[Contender]]:
+    def _searched(self) -> tuple[FittedModel, list[Score], list[FittedModel], list[FittedModel]]:
         """The model alone, the scan about it, and explanations by one and by two effects, best first.
 
         Whatever changes on the way, the model alone or the noise, explanations that were good go on from where they
         stand: a scan about a solution that is wrong by many times the noise need not lead to them again.
 
         Raises:
-            BenchError: the model has no solution for any of the evidence.
+            BenchError: the model has no solution for any of the observations.
         """
         self.progress("re-fitting the model's own parameters")
         try:
-            null = self.contest.polished(self.contest.null())
+            null = self.comparison.polished(self.comparison.null())
         except FitError as error:
-            raise BenchError(f"The model cannot be compared with the evidence: {error}.") from error
+            raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
         null = self._with_detected_images(null)
         self.progress(f"scanning {len(self.candidates)} candidates")
-        known = self.contest.from_below(null)
-        scan = self.contest.scan(null)
-        singles, pairs = self.contest.singles(null, scan, known), list[Contender]()
-        better = self.contest.restarted(null, singles[:2])
+        known = self.comparison.from_below(null)
+        scan = self.comparison.scan(null)
+        singles, pairs = self.comparison.singles(null, scan, known), list[FittedModel]()
+        better = self.comparison.restarted(null, singles[:2])
         if better is not null:
             self.progress("starting anew from a better fit of the model")
             null = better
-            scan = self.contest.scan(null)
-            singles = self.contest.singles(null, scan, singles)
+            scan = self.comparison.scan(null)
+            singles = self.comparison.singles(null, scan, singles)
         if self._amplitudes_measured:
             # The noise is traced about the best explanation: a wrong one would hide the right one behind its noise.
-            singles, pairs = self.contest.pruned(singles, self.contest.pairs(singles))
+            singles, pairs = self.comparison.pruned(singles, self.comparison.pairs(singles))
         if self._retraced(null, self._leaders(singles, pairs)):
-            null = self.contest.polished(self.contest.null())
-            scan = self.contest.scan(null)
-            singles = self.contest.singles(null, scan, singles)
-        singles, pairs = self.contest.pruned(singles, self.contest.pairs(singles, pairs))
+            null = self.comparison.polished(self.comparison.null())
+            scan = self.comparison.scan(null)
+            singles = self.comparison.singles(null, scan, singles)
+        singles, pairs = self.comparison.pruned(singles, self.comparison.pairs(singles, pairs))
         if self._amplitudes_measured and self._leads(pairs, singles) and self._retraced(null, pairs):
-            null = self.contest.polished(self.contest.null())
-            scan = self.contest.scan(null)
-            singles = self.contest.singles(null, scan, singles)
-            singles, pairs = self.contest.pruned(singles, self.contest.pairs(singles, pairs))
+            null = self.comparison.polished(self.comparison.null())
+            scan = self.comparison.scan(null)
+            singles = self.comparison.singles(null, scan, singles)
+            singles, pairs = self.comparison.pruned(singles, self.comparison.pairs(singles, pairs))
         return null, scan, singles, pairs
 
-    def _leaders(self, singles: Sequence[Contender], pairs: Sequence[Contender]) -> Sequence[Contender]:
+    def _leaders(self, singles: Sequence[FittedModel], pairs: Sequence[FittedModel]) -> Sequence[FittedModel]:
         """The explanations by two effects where they lead, else those by one."""
         return pairs if pairs and singles and self._leads(pairs, singles) else singles
 
-    def _retraced(self, null: Contender, singles: Sequence[Contender]) -> bool:
+    def _retraced(self, null: FittedModel, singles: Sequence[FittedModel]) -> bool:
         """Whether errors of measuring chain and model and scatter were traced anew, about the best explanation so far.
 
-        What the model of a strong effect is off by smoothly is noise to the contest, and part of the gap that is told.
+        What the model of a strong effect is off by smoothly is noise to the comparison, and part of the stated gap.
         """
-        if not any(measured_elsewhere(self.evidence, number) for number in range(len(self.evidence.tests))):
+        if not any(measured_elsewhere(self.observations, number) for number in range(len(self.observations.tests))):
             return False
         moves = bool(singles) and singles[0].fit.log_evidence > null.fit.log_evidence + _MOVES
         near = singles[0].fit if moves else null.fit
         difference = self.plain.difference(near.prediction.values)
-        scatter = scatter_floor(self.evidence, difference)
+        scatter = scatter_floor(self.observations, difference)
         drift = self._drift(near, difference)
         if not moves and not scatter.any() and drift == 0.0:
             return False
@@ -371,70 +371,72 @@ class _Diagnoser:
             drift = self._drift(near, self.plain.difference(near.prediction.values))
             noisy, columns = self._trace(near, scatter, drift)
         difference = self.plain.difference(near.prediction.values)
-        smooth = np.zeros((len(self.evidence.rows), 0))
+        smooth = np.zeros((len(self.observations.rows), 0))
         if moves:
-            smooth = smooth_errors(self.evidence, difference, self._done_by(near))
+            smooth = smooth_errors(self.observations, difference, self._done_by(near))
         if self.problem.shared is None and not scatter.any() and not smooth.any():
             return False
         self.judged = self.problem
         if smooth.any():
             self.problem = with_shared(noisy, np.hstack([columns, smooth]))
-        self.contest = self._contest()
+        self.comparison = self._comparison()
         return True
 
-    def _with_detected_images(self, null: Contender) -> Contender:
+    def _with_detected_images(self, null: FittedModel) -> FittedModel:
         """The model alone after random tests showed whether images of a held drive are in them."""
         for last in (False, True):
-            evidence = self.plain.evidence
-            if not any(may_hold_images(test, own) for test, own in zip(evidence.tests, evidence.chains, strict=False)):
+            observations = self.plain.observations
+            if not any(
+                may_hold_images(test, own) for test, own in zip(observations.tests, observations.chains, strict=False)
+            ):
                 break
-            options = with_detected_images(evidence, null.fit.parametrisation.rig(null.fit.theta))
+            options = with_detected_images(observations, null.fit.parametrisation.rig(null.fit.theta))
             if len(options) == 1:
                 null = self._under(options[0], null)
             elif options and last:
                 # Both nearly suit the responses line by line: the better fit of all tests decides, if it is good.
                 fits = [self._under(option, null) for option in options]
                 best = int(np.argmax([found.fit.log_evidence for found in fits]))
-                chosen = options[best] if rms_left(fits[best]) < _GOOD else evidence
+                chosen = options[best] if rms_left(fits[best]) < _GOOD else observations
                 null = self._under(chosen, null)
             elif not last:
                 # The nearer the model is, the clearer they show it.
-                null = self._under(evidence, null)
+                null = self._under(observations, null)
         return null
 
-    def _under(self, evidence: Evidence, null: Contender) -> Contender:
-        """The model alone, re-fitted to evidence of other chains, its errors traced about what it was."""
-        self.forward = Forward(evidence.tests, evidence.rows)
+    def _under(self, observations: Observations, null: FittedModel) -> FittedModel:
+        """The model alone, re-fitted to observations of other chains, its errors traced about what it was."""
+        self.forward = Forward(observations.tests, observations.rows)
         self.given = self.forward.predict(self.rig, self.given)
-        self.plain = Problem(evidence, self.forward, self.plain.nuisances)
-        self._trace(null.fit, np.zeros(len(evidence.rows)), 0.0)
-        self.judged, self.contest = self.problem, self._contest()
-        return self.contest.polished(self.contest.null())
+        self.plain = Problem(observations, self.forward, self.plain.nuisances)
+        self._trace(null.fit, np.zeros(len(observations.rows)), 0.0)
+        self.judged, self.comparison = self.problem, self._comparison()
+        return self.comparison.polished(self.comparison.null())
 
     @property
     def _amplitudes_measured(self) -> bool:
         """Whether noise is propagated by the solution: frequency responses at held amplitudes."""
-        return any(isinstance(test, SteppedSineTest) for test in self.evidence.tests)
+        return any(isinstance(test, SteppedSineTest) for test in self.observations.tests)
 
     @staticmethod
-    def _leads(pairs: Sequence[Contender], singles: Sequence[Contender]) -> bool:
+    def _leads(pairs: Sequence[FittedModel], singles: Sequence[FittedModel]) -> bool:
         """Whether two effects move the solution far from that of one."""
         return bool(pairs) and pairs[0].fit.log_evidence > singles[0].fit.log_evidence + _MOVES
 
     def _drift(self, near: Fit, difference: FloatArray) -> float:
         """Relative standard deviation of the resonance from sweep to sweep, about a fit."""
         rig = near.parametrisation.rig(near.theta)
-        evidence = self.plain.evidence
-        return sweep_drift(evidence, difference, sweep_directions(evidence, rig, near.prediction))
+        observations = self.plain.observations
+        return sweep_drift(observations, difference, sweep_directions(observations, rig, near.prediction))
 
     def _trace(self, near: Fit, scatter: FloatArray, drift: float) -> tuple[Problem, FloatArray]:
         """Noise of measured amplitudes and errors of the measuring chain as they act about a fit: see chain_errors."""
-        self.evidence = self.plain.evidence
+        self.observations = self.plain.observations
         self.plain = self._plain(near.prediction)
         moved = near.parametrisation.rig(near.theta)
         noisy, columns = chain_errors(self.plain, moved, near.prediction, scatter, drift)
         self.problem = with_shared(noisy, columns)
-        self.evidence = self.problem.evidence
+        self.observations = self.problem.observations
         return noisy, columns
 
     def _done_by(self, found: Fit) -> FloatArray:
@@ -446,8 +448,8 @@ class _Diagnoser:
         return np.asarray(self.forward.difference(found.prediction.values, without.values))
 
     def _most_promising(
-        self, null: Contender, singles: Sequence[Contender], pairs: Sequence[Contender]
-    ) -> Contender | None:
+        self, null: FittedModel, singles: Sequence[FittedModel], pairs: Sequence[FittedModel]
+    ) -> FittedModel | None:
         """The explanation to look behind; None where none beats the plain model: then there is nothing behind it."""
         if not singles or singles[0].fit.log_evidence <= null.fit.log_evidence + _HELPS:
             return None
@@ -456,16 +458,16 @@ class _Diagnoser:
 
     # -- judging -------------------------------------------------------------------------------------------------
 
-    def _held(self, null: Contender, heads: Sequence[Contender]) -> HeldOut:
+    def _held(self, null: FittedModel, heads: Sequence[FittedModel]) -> HeldOut:
         """Everything that competes to the end, re-fitted without what each split holds out."""
         judged = None if self.judged is self.problem else self.judged
         if self.settings.hold_out:  # no fit has seen it
             own = {head.explanation: head for head in heads}
             unseen: list[Refits] = [(split, null, own) for split in self.splits]
-            return HeldOut(self.evidence, unseen, self.settings.seed, self.repeated, judged)
+            return HeldOut(self.observations, unseen, self.settings.seed, self.repeated, judged)
         found: list[Refits] = []
         wanted = [(own, split.fitted) for split in self.splits for own in (null, *heads)]
-        refits = self.contest.all_refits(wanted)
+        refits = self.comparison.all_refits(wanted)
         self._known = {
             split.fitted.tobytes(): refits[number * (len(heads) + 1) :][: len(heads) + 1]
             for number, split in enumerate(self.splits)
@@ -474,16 +476,16 @@ class _Diagnoser:
             base, *tops = self._known[split.fitted.tobytes()]
             if base is not None:
                 found.append((split, base, {head.explanation: top for head, top in zip(heads, tops, strict=True)}))
-        return HeldOut(self.evidence, found, self.settings.seed, self.repeated, judged)
+        return HeldOut(self.observations, found, self.settings.seed, self.repeated, judged)
 
-    def _left_out(self, null: Contender, heads: Sequence[Contender]) -> tuple[LeftOut, ...]:
+    def _left_out(self, null: FittedModel, heads: Sequence[FittedModel]) -> tuple[LeftOut, ...]:
         """What the other recordings say without each; splits by whole tests have most of the fits already."""
-        found = recordings(self.evidence)
+        found = recordings(self.observations)
         if len(found) < 2 or self.settings.hold_out:
             return ()
         missing = [recording for recording in found if (~recording.rows).tobytes() not in self._known]
         wanted = [(own, ~recording.rows) for recording in missing for own in (null, *heads)]
-        refits = self.contest.all_refits(wanted)
+        refits = self.comparison.all_refits(wanted)
         for number, recording in enumerate(missing):
             self._known[(~recording.rows).tobytes()] = refits[number * (len(heads) + 1) :][: len(heads) + 1]
         each = [left_out(recording, self._known[(~recording.rows).tobytes()]) for recording in found]
@@ -513,7 +515,7 @@ class _Diagnoser:
             return Verdict.UNKNOWN
         return Verdict.UNKNOWN if given_gap > self.confidence.unknown else Verdict.EFFECT
 
-    def _recalibrated(self, null: Contender, as_given: FloatArray, held: HeldOut) -> bool:
+    def _recalibrated(self, null: FittedModel, as_given: FloatArray, held: HeldOut) -> bool:
         """Whether re-fitting the model's own parameters closed a gap that was there, also on data that no fit saw."""
         start = self.problem.residual(self.given)
         used = null.fit.used & np.isfinite(start)
@@ -522,7 +524,7 @@ class _Diagnoser:
         return fall > self.confidence.recalibration and not unseen < 0.0
 
     def _gap(
-        self, verdict: Verdict, null: Contender, best: Contender, as_given: FloatArray, held: HeldOut
+        self, verdict: Verdict, null: FittedModel, best: FittedModel, as_given: FloatArray, held: HeldOut
     ) -> tuple[Gap, Remainder | None]:
         """The gap, and what an accepted explanation leaves of it."""
         given = verdict is Verdict.CALIBRATION
@@ -538,10 +540,10 @@ class _Diagnoser:
             whole.value,
             whole.low,
             whole.high,
-            per_observable(self.evidence, start, after, rows),
+            per_observable(self.observations, start, after, rows),
             held.splits,
         )
-        return gap, remainder(self.evidence, gap, after, rows) if verdict is Verdict.EFFECT else None
+        return gap, remainder(self.observations, gap, after, rows) if verdict is Verdict.EFFECT else None
 
     def _tolerated(self, share: Closed | None) -> float:
         """Share of the gap that an explanation may leave and still be what the gap is made of.
@@ -552,7 +554,7 @@ class _Diagnoser:
         strict = 1.0 - self.confidence.explained
         if share is None or not share.before > _STRONG * max(share.floor, 1.0):
             return strict
-        own = not any(measured_elsewhere(self.evidence, number) for number in range(len(self.evidence.tests)))
+        own = not any(measured_elsewhere(self.observations, number) for number in range(len(self.observations.tests)))
         return strict if own else max(_REMAINDER, strict)
 
     def _left(self, found: Fit) -> FloatArray:
@@ -604,7 +606,7 @@ class _Diagnoser:
             if p > 0.005
         )
 
-    def _calibration(self, best: Contender) -> tuple[Recalibrated, ...]:
+    def _calibration(self, best: FittedModel) -> tuple[Recalibrated, ...]:
         parametrisation = best.fit.parametrisation
         whole = np.sqrt(np.diag(covariance_with_scale(self.problem, best.fit)))
         result = []
@@ -624,28 +626,28 @@ class _Diagnoser:
             )
         return tuple(result)
 
-    def _next(self, judgement: Judgement, verdict: Verdict, null: Contender) -> tuple[NextTest, ...]:
+    def _next(self, judgement: Judgement, verdict: Verdict, null: FittedModel) -> tuple[NextTest, ...]:
         if not self.settings.look_ahead or verdict in (Verdict.NONE, Verdict.CALIBRATION):
             return ()
-        return next_tests(self.rig, self.evidence, null, judgement.classes, self.workers, none=judgement.none)
+        return next_tests(self.rig, self.observations, null, judgement.classes, self.workers, none=judgement.none)
 
     def _inputs(self) -> dict[str, Any]:
         tests = []
-        for number, test in enumerate(self.evidence.tests):
-            mine = self.evidence.rows.test == number
+        for number, test in enumerate(self.observations.tests):
+            mine = self.observations.rows.test == number
             tests.append(
                 {
                     "name": test.name,
                     "kind": type(test).__name__,
                     "drive_point": test.drive_point,
-                    "levels": int(np.unique(self.evidence.rows.level[mine]).size),
+                    "levels": int(np.unique(self.observations.rows.level[mine]).size),
                     "observables": int(mine.sum()),
                 }
             )
         return {
             "bags": [
                 {"path": path, "sha256": digest, **({} if origin is None else {"origin": origin.to_mapping()})}
-                for (path, digest), origin in zip_longest(self.evidence.inputs, self.evidence.origins)
+                for (path, digest), origin in zip_longest(self.observations.inputs, self.observations.origins)
             ],
             "tests": tests,
             "held_out": [split.name for split in self.splits],
@@ -655,26 +657,26 @@ class _Diagnoser:
             "confidence_sha256": confidence_digest(),
         }
 
-    def _candidate(self, contender: Contender, null: Contender) -> dict[str, Any]:
+    def _candidate(self, fitted_model: FittedModel, null: FittedModel) -> dict[str, Any]:
         return {
-            "label": contender.explanation.label,
-            "effect": joined(contender.effects) or NULL,
-            "place": contender.explanation.kinds,
-            "chi_square": contender.fit.chi_square,
-            "penalty": contender.fit.penalty,
-            "rows": int(contender.fit.used.sum()),
-            "parameters": int(contender.fit.theta.size - null.fit.theta.size),
-            "log_evidence": contender.fit.log_evidence - null.fit.log_evidence,
-            "sigmas": contender.sigmas,
-            "converged": contender.fit.converged,
+            "label": fitted_model.explanation.label,
+            "effect": joined(fitted_model.effects) or NULL,
+            "place": fitted_model.explanation.kinds,
+            "chi_square": fitted_model.fit.chi_square,
+            "penalty": fitted_model.fit.penalty,
+            "rows": int(fitted_model.fit.used.sum()),
+            "parameters": int(fitted_model.fit.theta.size - null.fit.theta.size),
+            "log_evidence": fitted_model.fit.log_evidence - null.fit.log_evidence,
+            "sigmas": fitted_model.sigmas,
+            "converged": fitted_model.fit.converged,
         }
 
     def _features(
         self,
         judgement: Judgement,
-        null: Contender,
-        singles: Sequence[Contender],
-        pairs: Sequence[Contender],
+        null: FittedModel,
+        singles: Sequence[FittedModel],
+        pairs: Sequence[FittedModel],
         scan: Sequence[Any],
         sources: Sequence[SourceScore],
         leftovers: Sequence[SourceScore],
@@ -710,16 +712,16 @@ class _Diagnoser:
         return found
 
 
-def _affordable(settings: ContestSettings, evidence: Evidence) -> ContestSettings:
+def _affordable(settings: ComparisonSettings, observations: Observations) -> ComparisonSettings:
     """A record is stepped through sample by sample, a hundred times as dear as a locked level: fewer fits.
 
     Frequency responses at held amplitudes tell stiffness and damping apart, and rigs have both: more second effects.
     """
-    if any(isinstance(test, SteppedSineTest) for test in evidence.tests):
+    if any(isinstance(test, SteppedSineTest) for test in observations.tests):
         settings = replace(settings, second_of_pairs=max(settings.second_of_pairs, _SECONDS))
-    if any(_shows_damping(evidence, number) for number in range(len(evidence.tests))):
+    if any(_shows_damping(observations, number) for number in range(len(observations.tests))):
         settings = replace(settings, partners=max(settings.partners, _PARTNERS))
-    if not any(isinstance(test, RecordTest) for test in evidence.tests):
+    if not any(isinstance(test, RecordTest) for test in observations.tests):
         return settings
     return replace(
         settings,
@@ -732,13 +734,13 @@ def _affordable(settings: ContestSettings, evidence: Evidence) -> ContestSetting
     )
 
 
-def _shows_damping(evidence: Evidence, number: int) -> bool:
+def _shows_damping(observations: Observations, number: int) -> bool:
     """Whether a laboratory's test tells stiffness and damping over the amplitude, and little else."""
-    if not measured_elsewhere(evidence, number):
+    if not measured_elsewhere(observations, number):
         return False
-    if isinstance(evidence.tests[number], BackboneTable):
-        return bool(np.any((evidence.rows.test == number) & (evidence.rows.part == Part.DAMPING)))
-    return isinstance(evidence.tests[number], SteppedSineTest | RingDownTest)
+    if isinstance(observations.tests[number], BackboneTable):
+        return bool(np.any((observations.rows.test == number) & (observations.rows.part == Part.DAMPING)))
+    return isinstance(observations.tests[number], SteppedSineTest | RingDownTest)
 
 
 def _likeliest(details: dict[str, float]) -> str:
@@ -747,18 +749,18 @@ def _likeliest(details: dict[str, float]) -> str:
     return joined(sorted(what for what, p in details.items() if what and p > 0.6 * best))
 
 
-def _parameters(contender: Contender, whole: FloatArray) -> dict[str, Value]:
-    """Reported parameters of a contender with standard uncertainties, carried through to first order (GUM, 5.2).
+def _parameters(fitted_model: FittedModel, whole: FloatArray) -> dict[str, Value]:
+    """Reported parameters of a fitted model with standard uncertainties, carried through to first order (GUM, 5.2).
 
     Args:
-        contender: the explanation.
+        fitted_model: the explanation.
         whole: covariance of its fit, shape (n, n).
     """
-    parametrisation = contender.fit.parametrisation
-    theta, std = contender.fit.theta, contender.fit.std
+    parametrisation = fitted_model.fit.parametrisation
+    theta, std = fitted_model.fit.theta, fitted_model.fit.std
     result: dict[str, Value] = {}
-    several = len(contender.candidates) > 1
-    for index, candidate in enumerate(contender.candidates):
+    several = len(fitted_model.candidates) > 1
+    for index, candidate in enumerate(fitted_model.candidates):
         own = parametrisation.index_of(index)
         covariance = whole[own, own]
         for name, (value, unit) in parametrisation.reported(theta, index).items():
@@ -770,6 +772,6 @@ def _parameters(contender: Contender, whole: FloatArray) -> dict[str, Value]:
             # Parameters of one effect go together: a softer joint that slips earlier does nearly the same.
             variance = float(slopes @ covariance @ slopes) if np.all(np.isfinite(slopes)) else math.inf
             result[f"{candidate.label}.{name}" if several else name] = Value(
-                value, math.sqrt(max(variance, 0.0)) * contender.fit.scatter, unit
+                value, math.sqrt(max(variance, 0.0)) * fitted_model.fit.scatter, unit
             )
     return result

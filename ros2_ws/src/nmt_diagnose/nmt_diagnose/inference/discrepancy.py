@@ -15,8 +15,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.conditions import BackboneTable, RandomTest, RecordTest
-from nmt_diagnose.evidence.observables import Evidence, IntArray, Part
+from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, RecordTest
+from nmt_diagnose.observations.observables import IntArray, Observations, Part
 
 LARGEST_SHARE = 0.06
 """Share of what an effect does that a smooth error of its model may have, one standard deviation."""
@@ -29,39 +29,39 @@ _FEWEST_LEVELS = 4
 _HELPS = 3.0  # fall of −ln of the probability of what is left from which an error is seen
 
 
-def measured_elsewhere(evidence: Evidence, number: int) -> bool:
+def measured_elsewhere(observations: Observations, number: int) -> bool:
     """Whether a test was not made by the bench's own simulator: it was imported, or reduced by someone else."""
-    chained = number < len(evidence.chains) and evidence.chains[number] is not None
-    return chained or isinstance(evidence.tests[number], BackboneTable)
+    chained = number < len(observations.chains) and observations.chains[number] is not None
+    return chained or isinstance(observations.tests[number], BackboneTable)
 
 
-def smooth_errors(evidence: Evidence, difference: FloatArray, effect: FloatArray) -> FloatArray:
+def smooth_errors(observations: Observations, difference: FloatArray, effect: FloatArray) -> FloatArray:
     """What one standard deviation of each smooth error adds to the observables, shape (m, r); r = 0 without any.
 
     Args:
-        evidence: the real side, its scatter part of the floors.
+        observations: the real side, its scatter part of the floors.
         difference: measured minus predicted by the best explanation, not whitened, shape (m,).
         effect: what the explanation's effects do to the prediction, shape (m,).
     """
     found: list[FloatArray] = []
-    for number, test in enumerate(evidence.tests):
-        if isinstance(test, RandomTest | RecordTest) or not measured_elsewhere(evidence, number):
+    for number, test in enumerate(observations.tests):
+        if isinstance(test, RandomTest | RecordTest) or not measured_elsewhere(observations, number):
             continue
         by_part: dict[int, list[tuple[IntArray, FloatArray]]] = {}
-        for part, rows in _courses(evidence, number, difference, effect):
-            by_part.setdefault(part, []).append((rows, _columns(evidence, part, rows, effect)))
+        for part, rows in _courses(observations, number, difference, effect):
+            by_part.setdefault(part, []).append((rows, _columns(observations, part, rows, effect)))
         for blocks in by_part.values():
-            share = _share(evidence, difference, blocks)
+            share = _share(observations, difference, blocks)
             if share > 0.0:
-                found += [_placed(len(evidence.rows), rows, share * columns) for rows, columns in blocks]
-    return np.hstack(found) if found else np.zeros((len(evidence.rows), 0))
+                found += [_placed(len(observations.rows), rows, share * columns) for rows, columns in blocks]
+    return np.hstack(found) if found else np.zeros((len(observations.rows), 0))
 
 
 def _courses(
-    evidence: Evidence, number: int, difference: FloatArray, effect: FloatArray
+    observations: Observations, number: int, difference: FloatArray, effect: FloatArray
 ) -> Iterator[tuple[int, IntArray]]:
     """Part and rows of each observable of a test over its levels."""
-    rows = evidence.rows
+    rows = observations.rows
     mine = (rows.test == number) & np.isfinite(difference) & np.isfinite(effect) & (rows.amplitude > 0.0)
     groups = np.column_stack([rows.channel, rows.harmonic, rows.part])
     for group in np.unique(groups[mine], axis=0):
@@ -70,12 +70,12 @@ def _courses(
             yield int(group[2]), own
 
 
-def _columns(evidence: Evidence, part: int, rows: IntArray, effect: FloatArray) -> FloatArray:
+def _columns(observations: Observations, part: int, rows: IntArray, effect: FloatArray) -> FloatArray:
     """Principal functions of the process at its largest, shape (rows, s)."""
     size = LARGEST_SHARE * np.abs(effect[rows])
     if part == Part.LOG_FREQUENCY:
         size = np.hypot(size, min(_ORDINARY_FREQUENCY, float(np.max(size))))
-    x = np.log(evidence.rows.amplitude[rows])
+    x = np.log(observations.rows.amplitude[rows])
     kernel = np.exp(-0.5 * ((x[:, None] - x[None, :]) / _LENGTH) ** 2)
     values, vectors = np.linalg.eigh(kernel)
     keep = values > _KEPT * values[-1]
@@ -83,20 +83,20 @@ def _columns(evidence: Evidence, part: int, rows: IntArray, effect: FloatArray) 
     return result
 
 
-def _share(evidence: Evidence, difference: FloatArray, blocks: list[tuple[IntArray, FloatArray]]) -> float:
+def _share(observations: Observations, difference: FloatArray, blocks: list[tuple[IntArray, FloatArray]]) -> float:
     """Share of the largest size that makes what is left most probable; 0 where noise alone does nearly as well."""
     best, share = _HELPS, 0.0
-    plain = sum(_surprise(evidence, difference, rows, 0.0 * columns) for rows, columns in blocks)
+    plain = sum(_surprise(observations, difference, rows, 0.0 * columns) for rows, columns in blocks)
     for trial in _SHARES:
-        fall = plain - sum(_surprise(evidence, difference, rows, trial * columns) for rows, columns in blocks)
+        fall = plain - sum(_surprise(observations, difference, rows, trial * columns) for rows, columns in blocks)
         if fall > best:
             best, share = fall, trial
     return share
 
 
-def _surprise(evidence: Evidence, difference: FloatArray, rows: IntArray, columns: FloatArray) -> float:
+def _surprise(observations: Observations, difference: FloatArray, rows: IntArray, columns: FloatArray) -> float:
     """−ln of the probability of what is left in some rows, up to a constant."""
-    sigma = evidence.sigma[rows]
+    sigma = observations.sigma[rows]
     u = columns / sigma[:, None]
     covariance = np.eye(rows.size) + u @ u.T
     left = difference[rows] / sigma

@@ -21,7 +21,7 @@ _CONVERGED = 1.0  # what a whole step may still promise
 _SCATTERED = 2.0  # χ² per degree of freedom that is no chance
 _LET_GO = 1e3
 _RETURNS = 6  # steps that bring a step back into the valley of χ²
-_STEEP = 100.0  # how much more than the prior the evidence tells across the valley
+_STEEP = 100.0  # how much more than the prior the observations tell across the valley
 _RETURNING = 0.5  # fall of χ² by each of them at least
 _COOLING = 6.0  # fall of the inflated noise from step to step of a cold fit
 _COOLING_STEPS = 25
@@ -137,7 +137,7 @@ def fit(
     only where a step does not do what they promised.
 
     Args:
-        problem: evidence and model.
+        problem: observations and model.
         parametrisation: parameters with prior.
         theta: where to start, shape (n,).
         used: rows to fit; None = all.
@@ -188,7 +188,7 @@ def fit(
             if promised < small:
                 if not damped or damping == 0.0:
                     break
-                # Damping holds most what the evidence tells least; the whole step may promise more.
+                # Damping holds most what the observations tell least; the whole step may promise more.
                 damped, damping = False, 0.0
                 continue
             trial = _predicted(problem, parametrisation, moved, prediction)
@@ -257,7 +257,7 @@ def _back_into_valley(
     """
     std, lower = parametrisation.prior_std, parametrisation.lower
     before = _cost(residual, rows, theta, std)
-    # Along the valley the old sensitivities say nothing; across it the evidence tells far more than the prior.
+    # Along the valley the old sensitivities say nothing; across it the observations tell far more than the prior.
     values, vectors = np.linalg.eigh(normal * np.outer(std, std))
     steep = values > _STEEP
     across = std[:, None] * vectors[:, steep]
@@ -292,7 +292,7 @@ def _approached(
     """Parameters near the optimum, from a start that may be thousands of σ away.
 
     As long as the residual is large the linearisation is wrong by more than the noise. Taken at face value it throws
-    parameters that the evidence hardly separates many prior deviations away, into valleys of their own. So the noise
+    parameters that the observations hardly separate many prior deviations away, into valleys of their own. So the noise
     counts as large as what is left, and less from step to step: the prior holds those parameters meanwhile.
     """
     std, lower = parametrisation.prior_std, parametrisation.lower

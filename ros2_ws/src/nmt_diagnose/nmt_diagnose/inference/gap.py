@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.observables import Evidence, IntArray
 from nmt_diagnose.inference.problem import BoolArray
+from nmt_diagnose.observations.observables import IntArray, Observations
 
 _RESAMPLES = 1000
 _FEWEST = 30
@@ -48,7 +48,7 @@ def rms(residual: FloatArray) -> float:
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
-def noise_floor(evidence: Evidence, residual: FloatArray, rows: BoolArray) -> float:
+def noise_floor(observations: Observations, residual: FloatArray, rows: BoolArray) -> float:
     """Root mean square that noise alone leaves, from second differences over neighbouring levels or lines.
 
     What an effect adds changes slowly from level to level and drops out; noise is multiplied by √6. Stated
@@ -57,14 +57,14 @@ def noise_floor(evidence: Evidence, residual: FloatArray, rows: BoolArray) -> fl
     floor follows from their median then, or from their lower quartile.
 
     Args:
-        evidence: the real side.
+        observations: the real side.
         residual: whitened residual of any reasonable model, shape (m,).
         rows: rows to look at.
 
     Returns:
         The floor; 1 where there are too few rows to tell.
     """
-    table = evidence.rows
+    table = observations.rows
     good = rows & np.isfinite(residual)
     keys = np.column_stack([table.test, table.channel, table.harmonic, table.part])[good]
     order = np.lexsort((table.level[good], *keys.T[::-1]))
@@ -83,7 +83,7 @@ def noise_floor(evidence: Evidence, residual: FloatArray, rows: BoolArray) -> fl
 
 
 def closed(
-    evidence: Evidence,
+    observations: Observations,
     pairs: list[tuple[FloatArray, FloatArray, BoolArray]],
     seed: int = 0,
     floor: float = 1.0,
@@ -91,7 +91,7 @@ def closed(
     """Pool held-out residuals of several splits and resample them in blocks that belong together.
 
     Args:
-        evidence: the real side.
+        observations: the real side.
         pairs: residual before, residual after (m,) each, and the held-out rows, one per split.
         seed: of the bootstrap.
         floor: rms that no model can beat; what is left where that is less, as a prediction beats what is no floor.
@@ -100,7 +100,7 @@ def closed(
     for before, after, rows in pairs:
         both = rows & np.isfinite(before) & np.isfinite(after)
         # Rows of one level (one tenth of the lines of a random test) stand or fall together.
-        keys = evidence.rows.test * 100_000 + _block(evidence)
+        keys = observations.rows.test * 100_000 + _block(observations)
         for key in np.unique(keys[both]):
             block = both & (keys == key)
             before_squares.append(float(before[block] @ before[block]))
@@ -125,13 +125,13 @@ def closed(
     return Closed(before_rms, after_rms, floor, value, low, high, gain)
 
 
-def _block(evidence: Evidence) -> IntArray:
-    level = evidence.rows.level
-    lines = evidence.rows.harmonic < 0
-    many = np.bincount(evidence.rows.test) > 0
+def _block(observations: Observations) -> IntArray:
+    level = observations.rows.level
+    lines = observations.rows.harmonic < 0
+    many = np.bincount(observations.rows.test) > 0
     blocks = level.astype(np.int64).copy()
     for test in np.flatnonzero(many):
-        mine = (evidence.rows.test == test) & lines
+        mine = (observations.rows.test == test) & lines
         if np.unique(level[mine]).size > 60:
             blocks[mine] = level[mine] * 10 // (int(level[mine].max()) + 1)
     return blocks

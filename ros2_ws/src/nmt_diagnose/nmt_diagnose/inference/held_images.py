@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.conditions import RandomTest, Test
-from nmt_diagnose.evidence.drive_hold import zero_order_images
-from nmt_diagnose.evidence.measuring_chain import MeasuringChain
-from nmt_diagnose.evidence.model_view import ModelView
-from nmt_diagnose.evidence.observables import Evidence, Part
+from nmt_diagnose.observations.conditions import RandomTest, Test
+from nmt_diagnose.observations.drive_hold import zero_order_images
+from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.observables import Observations, Part
 from nmt_rig.rig import Rig
 
 ComplexArray = NDArray[np.complex128]
@@ -69,39 +69,42 @@ class DetectedImages(NamedTuple):
     sampled_at: float
 
 
-def with_detected_images(evidence: Evidence, rig: Rig) -> tuple[Evidence, ...]:
-    """The evidence with what its first random test shows of a held drive.
+def with_detected_images(observations: Observations, rig: Rig) -> tuple[Observations, ...]:
+    """The observations with what its first random test shows of a held drive.
 
     Without images none are looked for in any test of that rate. Images that are there become part of what the model
     predicts for that random test.
 
     Args:
-        evidence: the real side.
+        observations: the real side.
         rig: the model, near enough to the rig.
 
     Returns:
         One; two, with images and without, where that is not clear; none where images hardly matter.
     """
-    for number, test in enumerate(evidence.tests):
-        chain = evidence.chains[number] if number < len(evidence.chains) else None
+    for number, test in enumerate(observations.tests):
+        chain = observations.chains[number] if number < len(observations.chains) else None
         if chain is None or not isinstance(test, RandomTest) or not may_hold_images(test, chain):
             continue
         rate = chain.hold_hz
         apart = rate * max(chain.of(channel.name).delay_s for channel in test.channels)
         channels = range(len(test.channels))
-        found = detected_images([_response(evidence, number, test, k, rig, rate) for k in channels], rate, apart)
+        found = detected_images([_response(observations, number, test, k, rig, rate) for k in channels], rate, apart)
         if found is None:
             continue
         seen = replace(test, drive_hold_hz=rate, sampled_at=found.sampled_at)
         with_images = replace(
-            evidence,
-            tests=tuple(seen if k == number else own for k, own in enumerate(evidence.tests)),
-            chains=tuple(replace(chain, images=False) if k == number else own for k, own in enumerate(evidence.chains)),
+            observations,
+            tests=tuple(seen if k == number else own for k, own in enumerate(observations.tests)),
+            chains=tuple(
+                replace(chain, images=False) if k == number else own for k, own in enumerate(observations.chains)
+            ),
         )
         chains = tuple(
-            replace(own, images=False) if own is not None and own.hold_hz == rate else own for own in evidence.chains
+            replace(own, images=False) if own is not None and own.hold_hz == rate else own
+            for own in observations.chains
         )
-        without = replace(evidence, chains=chains)
+        without = replace(observations, chains=chains)
         return (with_images, without) if found.there is None else (with_images if found.there else without,)
     return ()
 
@@ -119,19 +122,19 @@ def may_hold_images(test: Test, chain: MeasuringChain | None) -> bool:
 
 
 def _response(
-    evidence: Evidence, number: int, test: RandomTest, channel: int, rig: Rig, rate: float
+    observations: Observations, number: int, test: RandomTest, channel: int, rig: Rig, rate: float
 ) -> MeasuredResponse:
     """One channel of a random test, line by line."""
-    rows = evidence.rows
+    rows = observations.rows
     mine = (rows.test == number) & (rows.channel == channel) & (rows.frequency_hz < _BELOW_FILTERS * rate)
-    mine &= evidence.std < _CLEAR_LINE
+    mine &= observations.std < _CLEAR_LINE
     size, turn = (np.flatnonzero(mine & (rows.part == part)) for part in (Part.LOG_MAGNITUDE, Part.PHASE))
     frequency, one, other = np.intersect1d(rows.frequency_hz[size], rows.frequency_hz[turn], return_indices=True)
     view, own = ModelView.of(rig, test.drive_point), (test.channels[channel],)
     images = [zero_order_images(view, own, frequency, rate, (order,))[0] for order in SEEN_ORDERS]
     return MeasuredResponse(
         frequency,
-        np.exp(evidence.values[size[one]] + 1j * evidence.values[turn[other]]),
+        np.exp(observations.values[size[one]] + 1j * observations.values[turn[other]]),
         zero_order_images(view, own, frequency, rate, (0,))[0],
         np.array(images),
     )

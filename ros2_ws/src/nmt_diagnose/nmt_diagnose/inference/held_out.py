@@ -10,15 +10,15 @@ from pathlib import PurePath
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_diagnose.evidence.conditions import (
+from nmt_diagnose.inference.problem import BoolArray
+from nmt_diagnose.observations.conditions import (
     BackboneTable,
     PhaseResonanceTest,
     RecordTest,
     RingDownTest,
     SteppedSineTest,
 )
-from nmt_diagnose.evidence.observables import Evidence
-from nmt_diagnose.inference.problem import BoolArray
+from nmt_diagnose.observations.observables import Observations
 
 _FEWEST_LEVELS = 4
 # Frequency responses at held amplitudes: levels from which they are held out by level, and the highest two of them.
@@ -40,21 +40,23 @@ class Split:
     held_out: BoolArray
 
 
-def named_tests(evidence: Evidence, names: Sequence[str]) -> BoolArray:
+def named_tests(observations: Observations, names: Sequence[str]) -> BoolArray:
     """Rows of the tests of some names; a bag's name stands for all tests of the bag, shape (m,).
 
     Raises:
         BenchError: there is no such test, or nothing else is left.
     """
-    found = np.zeros(len(evidence.rows), dtype=bool)
+    found = np.zeros(len(observations.rows), dtype=bool)
     for name in names:
         own = PurePath(name).name
         numbers = [
-            k for k, t in enumerate(evidence.tests) if t.name == own or re.fullmatch(rf"{re.escape(own)} \d+", t.name)
+            k
+            for k, t in enumerate(observations.tests)
+            if t.name == own or re.fullmatch(rf"{re.escape(own)} \d+", t.name)
         ]
-        mine = np.isin(evidence.rows.test, numbers)
+        mine = np.isin(observations.rows.test, numbers)
         if not mine.any():
-            known = ", ".join(test.name for test in evidence.tests)
+            known = ", ".join(test.name for test in observations.tests)
             raise BenchError(f"No test {name} with observables can be held out; the tests are {known}.")
         found |= mine
     if names and found.all():
@@ -62,25 +64,25 @@ def named_tests(evidence: Evidence, names: Sequence[str]) -> BoolArray:
     return found
 
 
-def splits(evidence: Evidence, hold_out: Sequence[str] = ()) -> list[Split]:
-    """The splits that a piece of evidence allows; empty if it is too small to hold anything out.
+def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Split]:
+    """The splits that a set of observations allows; empty if it is too small to hold anything out.
 
     Args:
-        evidence: the real side.
+        observations: the real side.
         hold_out: tests to hold out, and nothing else.
 
     Raises:
         BenchError: a test to hold out that is not there.
     """
     if hold_out:
-        mine = named_tests(evidence, hold_out)
+        mine = named_tests(observations, hold_out)
         return [Split(" and ".join(f"the test {PurePath(name).name}" for name in hold_out), ~mine, mine)]
-    rows = evidence.rows
+    rows = observations.rows
     result = []
     levelled = np.zeros(len(rows), dtype=bool)
     odd = np.zeros(len(rows), dtype=bool)
     top = np.zeros(len(rows), dtype=bool)
-    for number, test in enumerate(evidence.tests):
+    for number, test in enumerate(observations.tests):
         mine = rows.test == number
         if not isinstance(test, PhaseResonanceTest | RingDownTest | BackboneTable | RecordTest) or not mine.any():
             continue
@@ -93,7 +95,7 @@ def splits(evidence: Evidence, hold_out: Sequence[str] = ()) -> list[Split]:
             by_amplitude = {level: float(np.max(rows.amplitude[mine & (rows.level == level)])) for level in levels}
             highest = sorted(levels, key=lambda level: by_amplitude[level])[-2:]
             top |= mine & np.isin(rows.level, highest)
-    swept = _swept(evidence)
+    swept = _swept(observations)
     for group in swept:
         amplitudes = sorted({level for _, level in group})
         odd |= np.isin(rows.test, [number for number, level in group if level in amplitudes[1::2]])
@@ -104,23 +106,23 @@ def splits(evidence: Evidence, hold_out: Sequence[str] = ()) -> list[Split]:
     if top.any():
         result.append(Split("the highest levels" if swept else "the highest two levels", ~top, top))
     together = [[number for number, _ in group] for group in swept]
-    alone = [[number] for number in range(len(evidence.tests)) if not any(number in group for group in together)]
+    alone = [[number] for number in range(len(observations.tests)) if not any(number in group for group in together)]
     present = [numbers for numbers in (*alone, *together) if np.any(np.isin(rows.test, numbers))]
     if len(present) > 1:
         for numbers in present:
             mine = np.isin(rows.test, numbers)
-            names = evidence.tests[numbers[0]].name
+            names = observations.tests[numbers[0]].name
             if len(numbers) > 1:
                 names = f"{names} and {len(numbers) - 1} more levels of it"
             result.append(Split(f"the test {names}", ~mine, mine))
     return result
 
 
-def _swept(evidence: Evidence) -> list[list[tuple[int, float]]]:
+def _swept(observations: Observations) -> list[list[tuple[int, float]]]:
     """Tests that are one frequency response at several held amplitudes: number and level of each, group by group."""
     groups: dict[tuple[object, ...], list[tuple[int, float]]] = {}
-    for number, test in enumerate(evidence.tests):
-        if isinstance(test, SteppedSineTest) and np.any(evidence.rows.test == number):
+    for number, test in enumerate(observations.tests):
+        if isinstance(test, SteppedSineTest) and np.any(observations.rows.test == number):
             key = (test.drive_point, test.channels, test.reference, test.held)
             groups.setdefault(key, []).append((number, float(f"{np.median(test.levels):.3g}")))
     return [g for g in groups.values() if len({level for _, level in g}) >= _FEWEST_SWEPT]

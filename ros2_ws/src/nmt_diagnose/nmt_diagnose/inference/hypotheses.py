@@ -10,8 +10,8 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.effects.placement import Placement
-from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.fit import Fit
+from nmt_diagnose.inference.model_comparison import FittedModel
 
 NULL, UNKNOWN, OTHER = "none", "unknown", "other"
 """Keys of ``diagnosis.json`` beside the labels of explanations: none, something unnamed, named ones not competing."""
@@ -33,21 +33,21 @@ class Hypothesis:
         kind: nothing is missing, something with a name is, or something without one.
         log_evidence: ln Z, relative to the same rows for all.
         log_prior: ln of its prior probability.
-        contender: the fitted explanation; None for something unnamed.
+        fitted_model: the fitted explanation; None for something unnamed.
         placement: where something unnamed lies; None if that is not told.
     """
 
     kind: Kind
     log_evidence: float
     log_prior: float
-    contender: Contender | None = None
+    fitted_model: FittedModel | None = None
     placement: Placement | None = None
 
     @property
     def placements(self) -> tuple[Placement, ...]:
         """Where it lies; empty if that is not told, or nothing is missing."""
-        if self.contender is not None:
-            return self.contender.explanation.placements
+        if self.fitted_model is not None:
+            return self.fitted_model.explanation.placements
         return () if self.placement is None else (self.placement,)
 
 

@@ -12,9 +12,9 @@ from nmt_core.blocks import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.placement import Explanation, Placement
 from nmt_diagnose.inference.confidence import Confidence
-from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN, Hypothesis, Kind, equivalence_classes, probabilities
+from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.inference.physical_limits import beyond_limits
 
 _UNLIKELY = math.log(1e5)
@@ -36,8 +36,8 @@ class ExplanationClass:
         probability: of all together.
     """
 
-    head: Contender
-    members: tuple[Contender, ...]
+    head: FittedModel
+    members: tuple[FittedModel, ...]
     probability: float
 
     @property
@@ -88,14 +88,14 @@ class Judgement:
 
 
 def judge(
-    null: Contender,
-    singles: Sequence[Contender],
-    pairs: Sequence[Contender],
+    null: FittedModel,
+    singles: Sequence[FittedModel],
+    pairs: Sequence[FittedModel],
     sources: Sequence[SourceScore],
     leftovers: Sequence[SourceScore],
     candidates: Sequence[Candidate],
     confidence: Confidence,
-    best: Contender | None = None,
+    best: FittedModel | None = None,
     chance: float = 1.0,
 ) -> Judgement:
     """Weigh all explanations.
@@ -117,33 +117,33 @@ def judge(
     kinds = max(1, len(placements))
     base = null.fit.log_evidence
 
-    def chosen(contender: Contender) -> float:
-        choice = sum(math.log(placements[candidate.effect.name]) for candidate in contender.candidates)
-        return -choice - 0.5 * beyond_limits(contender.candidates, contender.fit) ** 2
+    def chosen(fitted_model: FittedModel) -> float:
+        choice = sum(math.log(placements[candidate.effect.name]) for candidate in fitted_model.candidates)
+        return -choice - 0.5 * beyond_limits(fitted_model.candidates, fitted_model.fit) ** 2
 
     single_gain = {c.explanation.causes[0]: max(0.0, c.fit.log_evidence - base) for c in singles}
 
-    def strongest(contender: Contender) -> float:
+    def strongest(fitted_model: FittedModel) -> float:
         """Gain of the strongest of its effects alone."""
-        return max((single_gain.get(cause, 0.0) for cause in contender.explanation.causes), default=0.0)
+        return max((single_gain.get(cause, 0.0) for cause in fitted_model.explanation.causes), default=0.0)
 
-    def feigned(contender: Contender) -> float:
+    def feigned(fitted_model: FittedModel) -> float:
         """Evidence for something unnamed that the inexact model of the strongest effect may feign."""
-        return confidence.inexactness * strongest(contender)
+        return confidence.inexactness * strongest(fitted_model)
 
-    def inexact(contender: Contender) -> float:
+    def inexact(fitted_model: FittedModel) -> float:
         """The same for a second effect, which has one or two parameters to imitate that inexactness with."""
-        own = strongest(contender)
+        own = strongest(fitted_model)
         return confidence.inexactness * min(own, _LEARNED) + _LEFT * max(0.0, own - _LEARNED)
 
     hypotheses = [Hypothesis(Kind.NONE, 0.0, math.log(confidence.prior_none), null)]
-    for contender in singles:
-        prior = math.log(confidence.prior_effect / kinds) + chosen(contender)
-        hypotheses.append(Hypothesis(Kind.NAMED, contender.fit.log_evidence - base, prior, contender))
-    for contender in pairs:
-        prior = math.log(2.0 * confidence.prior_pair / kinds**2) + chosen(contender)
-        gain = contender.fit.log_evidence - base - inexact(contender)
-        hypotheses.append(Hypothesis(Kind.NAMED, gain, prior, contender))
+    for fitted_model in singles:
+        prior = math.log(confidence.prior_effect / kinds) + chosen(fitted_model)
+        hypotheses.append(Hypothesis(Kind.NAMED, fitted_model.fit.log_evidence - base, prior, fitted_model))
+    for fitted_model in pairs:
+        prior = math.log(2.0 * confidence.prior_pair / kinds**2) + chosen(fitted_model)
+        gain = fitted_model.fit.log_evidence - base - inexact(fitted_model)
+        hypotheses.append(Hypothesis(Kind.NAMED, gain, prior, fitted_model))
     for source in sources:
         prior = math.log(confidence.prior_unknown / max(1, len(sources)))
         gain = source.gain - confidence.inexactness * max(single_gain.values(), default=0.0)
@@ -242,10 +242,10 @@ def _calibrated(
     return Judgement(1.0 - gap, gap * unnamed, tuple(scaled), places, by_explanation, other, features)
 
 
-def _contender(hypothesis: Hypothesis) -> Contender:
+def _contender(hypothesis: Hypothesis) -> FittedModel:
     """The fit of a named hypothesis."""
-    assert hypothesis.contender is not None
-    return hypothesis.contender
+    assert hypothesis.fitted_model is not None
+    return hypothesis.fitted_model
 
 
 def with_share_left(judgement: Judgement, left: float) -> Judgement:
@@ -299,18 +299,18 @@ def with_held_out(judgement: Judgement, worse: Mapping[Explanation, float]) -> J
 
 
 def _classes(weights: FloatArray, hypotheses: Sequence[Hypothesis], limit: float) -> tuple[ExplanationClass, ...]:
-    by_effects: dict[tuple[str, ...], list[tuple[float, Contender]]] = {}
+    by_effects: dict[tuple[str, ...], list[tuple[float, FittedModel]]] = {}
     for weight, hypothesis in zip(weights, hypotheses, strict=True):
         if hypothesis.kind is Kind.NAMED:
-            contender = _contender(hypothesis)
-            by_effects.setdefault(contender.effects, []).append((float(weight), contender))
+            fitted_model = _contender(hypothesis)
+            by_effects.setdefault(fitted_model.effects, []).append((float(weight), fitted_model))
     groups = [
         (sum(weight for weight, _ in members), max(members, key=lambda item: item[0])[1])
         for members in by_effects.values()
     ]
     groups.sort(key=lambda item: -item[0])
     result = []
-    for indices in equivalence_classes([contender.fit for _, contender in groups], limit):
+    for indices in equivalence_classes([fitted_model.fit for _, fitted_model in groups], limit):
         found = [groups[k][1] for k in indices]
         # With one effect more than another member an explanation says nothing new.
         members = tuple(m for m in found if not any(set(o.effects) < set(m.effects) for o in found))

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_diagnose.effects.placement import joined
-from nmt_diagnose.evidence.observables import Evidence
-from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.diagnosis import LeftOut
 from nmt_diagnose.inference.hypotheses import NULL
+from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.inference.problem import BoolArray
+from nmt_diagnose.observations.observables import Observations
 
 # Rms of what is left from which recordings do not fit together; by how much less is left without the one that is to
 # blame, and by how much more without any other.
@@ -37,18 +37,18 @@ class Recording:
     rows: BoolArray
 
 
-def recordings(evidence: Evidence) -> list[Recording]:
-    """The recordings that observables come from; empty where the evidence does not say."""
+def recordings(observations: Observations) -> list[Recording]:
+    """The recordings that observables come from; empty where the observations do not say."""
     found = []
-    for (path, _), origin in zip(evidence.inputs, evidence.origins, strict=False):
-        numbers = [k for k, test in enumerate(evidence.tests) if test.name in origin.tests]
-        rows = np.isin(evidence.rows.test, numbers)
+    for (path, _), origin in zip(observations.inputs, observations.origins, strict=False):
+        numbers = [k for k, test in enumerate(observations.tests) if test.name in origin.tests]
+        rows = np.isin(observations.rows.test, numbers)
         if rows.any():
             found.append(Recording(path, rows))
     return found
 
 
-def left_out(recording: Recording, refits: Sequence[Contender | None]) -> LeftOut | None:
+def left_out(recording: Recording, refits: Sequence[FittedModel | None]) -> LeftOut | None:
     """What the others say without one recording.
 
     Args:
@@ -78,9 +78,9 @@ def left_out(recording: Recording, refits: Sequence[Contender | None]) -> LeftOu
     )
 
 
-def rms_left(contender: Contender) -> float:
+def rms_left(fitted_model: FittedModel) -> float:
     """Rms of what a fit leaves of the rows that it used, in standard deviations."""
-    return math.sqrt(contender.fit.chi_square / max(1, int(contender.fit.used.sum())))
+    return math.sqrt(fitted_model.fit.chi_square / max(1, int(fitted_model.fit.used.sum())))
 
 
 def contradiction(found: Sequence[LeftOut], together: float) -> str:
@@ -107,9 +107,9 @@ def contradiction(found: Sequence[LeftOut], together: float) -> str:
     return ""
 
 
-def _rms(contender: Contender, rows: BoolArray) -> float:
-    own = rows & np.isfinite(contender.fit.residual)
+def _rms(fitted_model: FittedModel, rows: BoolArray) -> float:
+    own = rows & np.isfinite(fitted_model.fit.residual)
     if not own.any():
         return math.nan
-    values = contender.fit.residual[own] / contender.fit.predictive_std[own]
+    values = fitted_model.fit.residual[own] / fitted_model.fit.predictive_std[own]
     return float(np.sqrt(np.mean(values**2)))

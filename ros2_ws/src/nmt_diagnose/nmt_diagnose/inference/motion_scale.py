@@ -14,18 +14,18 @@ from dataclasses import replace
 import numpy as np
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.conditions import (
+from nmt_diagnose.inference.discrepancy import measured_elsewhere
+from nmt_diagnose.inference.fit import Fit
+from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.observations.conditions import (
     BackboneTable,
     MeasuredChannel,
     RingDownTest,
     SteppedSineTest,
     Test,
 )
-from nmt_diagnose.evidence.measuring_chain import table_chain
-from nmt_diagnose.evidence.observables import Evidence
-from nmt_diagnose.inference.discrepancy import measured_elsewhere
-from nmt_diagnose.inference.fit import Fit
-from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.observations.measuring_chain import table_chain
+from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.twin.forward import Forward, Prediction
 
 _STEP = 1e-3
@@ -35,7 +35,7 @@ def covariance_with_scale(problem: Problem, found: Fit) -> FloatArray:
     """Covariance of an estimate with the gains of the channels whose amplitudes are given, shape (n, n).
 
     Args:
-        problem: evidence and model.
+        problem: observations and model.
         found: the fit.
     """
     columns = scale_errors(problem, found)
@@ -50,37 +50,39 @@ def covariance_with_scale(problem: Problem, found: Fit) -> FloatArray:
 
 def scale_errors(problem: Problem, found: Fit) -> FloatArray:
     """What one standard deviation of each channel's gain adds to the prediction, by the amplitudes given, (m, r)."""
-    evidence = problem.evidence
-    gains = _gains(evidence)
+    observations = problem.observations
+    gains = _gains(observations)
     numbers = sorted({number for numbers, _ in gains.values() for number in numbers})
-    result = np.zeros((len(evidence.rows), len(gains)))
+    result = np.zeros((len(observations.rows), len(gains)))
     if not numbers:
         return result
-    mine = np.isin(evidence.rows.test, numbers)
-    part = evidence.rows.take(mine)
+    mine = np.isin(observations.rows.test, numbers)
+    part = observations.rows.take(mine)
     rows = replace(part, test=np.searchsorted(numbers, part.test))
     rig = found.parametrisation.rig(found.theta)
     start = Prediction(
         found.prediction.values[mine], found.prediction.converged[mine], (),
         tuple(found.prediction.states[number] for number in numbers),
     )  # fmt: skip
-    plain = Forward([evidence.tests[number] for number in numbers], rows)
+    plain = Forward([observations.tests[number] for number in numbers], rows)
     base = plain.predict(rig, start)
     for column, (own, gain) in enumerate(gains.values()):
-        tests = [_scaled(evidence.tests[number]) if number in own else evidence.tests[number] for number in numbers]
+        tests = [
+            _scaled(observations.tests[number]) if number in own else observations.tests[number] for number in numbers
+        ]
         moved = Forward(tests, rows).predict(rig, base)
         result[mine, column] = gain * plain.difference(moved.values, base.values) / _STEP
     return result
 
 
-def _gains(evidence: Evidence) -> dict[str, tuple[list[int], float]]:
+def _gains(observations: Observations) -> dict[str, tuple[list[int], float]]:
     """Tests that give amplitudes of each channel, and the relative standard deviation of its gain."""
     found: dict[str, tuple[list[int], float]] = {}
-    for number, test in enumerate(evidence.tests):
+    for number, test in enumerate(observations.tests):
         channel = _given(test)
-        if channel is None or not measured_elsewhere(evidence, number):
+        if channel is None or not measured_elsewhere(observations, number):
             continue
-        chain = evidence.chains[number] if number < len(evidence.chains) else None
+        chain = observations.chains[number] if number < len(observations.chains) else None
         gain = (chain or table_chain()).of(channel.name).gain
         numbers, largest = found.setdefault(channel.name, ([], 0.0))
         found[channel.name] = [*numbers, number], max(largest, gain)

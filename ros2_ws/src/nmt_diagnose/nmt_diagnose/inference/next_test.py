@@ -22,16 +22,16 @@ from scipy.linalg import eigh
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.placement import joined
-from nmt_diagnose.evidence.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
-from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.evidence.row_table import Place, RowTable
-from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.diagnosis import NextTest
 from nmt_diagnose.inference.hypotheses import NULL
 from nmt_diagnose.inference.judgement import ExplanationClass
+from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.scan import Projector
 from nmt_diagnose.inference.workers import Workers
+from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.row_table import Place, RowTable
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_elements, build_structure
@@ -60,18 +60,18 @@ class Proposal:
         text: what to do.
         command: the command that does it; empty where nothing here can: the rig is not simulated, or its rig file is
             not known.
-        evidence: its observables with expected uncertainties; values are not set.
+        observations: its observables with expected uncertainties; values are not set.
     """
 
     text: str
     command: str
-    evidence: Evidence
+    observations: Observations
 
 
 def next_tests(
     rig: Rig,
-    evidence: Evidence,
-    null: Contender,
+    observations: Observations,
+    null: FittedModel,
     classes: Sequence[ExplanationClass],
     workers: Workers | None = None,
     most: int = 3,
@@ -81,7 +81,7 @@ def next_tests(
 
     Args:
         rig: the model.
-        evidence: what has been measured.
+        observations: what has been measured.
         null: the model with its parameters re-fitted; what competes where there is only one explanation.
         classes: explanations, most probable first.
         workers: processes that share the work; None = this one alone.
@@ -92,7 +92,7 @@ def next_tests(
     if len(competing) < 2:
         return ()
     found: list[NextTest] = []
-    wanted = proposals(rig, evidence)
+    wanted = proposals(rig, observations)
     for proposal, sigma in zip(wanted, (workers or Workers()).map(_separates, competing, wanted), strict=True):
         if sigma >= _LEAST:
             names = tuple(joined(competitor.effects) or NULL for competitor in competing)
@@ -100,7 +100,7 @@ def next_tests(
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
 
 
-def _competing(classes: Sequence[ExplanationClass], null: Contender, none: float) -> list[Contender]:
+def _competing(classes: Sequence[ExplanationClass], null: FittedModel, none: float) -> list[FittedModel]:
     """The two explanations that most need distinguishing: of one class, or the heads of the first two."""
     if not classes:
         return []
@@ -112,13 +112,13 @@ def _competing(classes: Sequence[ExplanationClass], null: Contender, none: float
     return [classes[0].head, null] if none > _DOUBTFUL else []
 
 
-def _separates(competing: Sequence[Contender], proposal: Proposal) -> float:
+def _separates(competing: Sequence[FittedModel], proposal: Proposal) -> float:
     return _separation(proposal, competing)
 
 
-def _separation(proposal: Proposal, competing: Sequence[Contender]) -> float:
+def _separation(proposal: Proposal, competing: Sequence[FittedModel]) -> float:
     """Least expected distance over all ordered pairs of competing hypotheses, standard deviations."""
-    problem = Problem(proposal.evidence, Forward(proposal.evidence.tests, proposal.evidence.rows))
+    problem = Problem(proposal.observations, Forward(proposal.observations.tests, proposal.observations.rows))
     predictions, jacobians = [], []
     try:
         for competitor in competing:
@@ -126,12 +126,12 @@ def _separation(proposal: Proposal, competing: Sequence[Contender]) -> float:
             prediction = problem.forward.predict(parametrisation.rig(competitor.fit.theta))
             predictions.append(prediction)
             jacobian = problem.forward.jacobian(parametrisation, competitor.fit.theta, prediction)
-            jacobians.append(jacobian / proposal.evidence.sigma[:, None])
+            jacobians.append(jacobian / proposal.observations.sigma[:, None])
     except BenchError:
         return 0.0
     worst = math.inf
     for i, own in enumerate(predictions):
-        truth = Problem(replace(proposal.evidence, values=own.values), problem.forward)
+        truth = Problem(replace(proposal.observations, values=own.values), problem.forward)
         for j, other in enumerate(competing):
             if i == j:
                 continue
@@ -145,19 +145,19 @@ def _separation(proposal: Proposal, competing: Sequence[Contender]) -> float:
     return worst
 
 
-def proposals(rig: Rig, evidence: Evidence) -> list[Proposal]:
+def proposals(rig: Rig, observations: Observations) -> list[Proposal]:
     """Tests that the rig allows and that have not been made.
 
     Their commands run the rig that was recorded, as it was recorded; the model is not what is to be measured.
     """
     result = []
-    linear, run = _commands(evidence)
-    runs = [test for test in evidence.tests if isinstance(test, PhaseResonanceTest) and test.held == "voltage"]
+    linear, run = _commands(observations)
+    runs = [test for test in observations.tests if isinstance(test, PhaseResonanceTest) and test.held == "voltage"]
     made = {test.drive_point for test in runs}
     drives = sorted({level.drive for test in runs for level in test.levels if math.isfinite(level.drive)})
-    if not any(isinstance(test, RandomTest) for test in evidence.tests):
+    if not any(isinstance(test, RandomTest) for test in observations.tests):
         text = f"a random test at low level, driven at point {rig.drive_point}"
-        result.append(Proposal(text, linear("--out random"), _random(rig, evidence, drives)))
+        result.append(Proposal(text, linear("--out random"), _random(rig, observations, drives)))
     if not runs:
         return result
     frequencies = _frequencies(rig)
@@ -170,28 +170,28 @@ def proposals(rig: Rig, evidence: Evidence) -> list[Proposal]:
             continue
         text = f"the same levels with the exciter at point {point}"
         command = run(f"--exciter {point} --levels {plan} --out point{point}")
-        result.append(Proposal(text, command, _run(rig, evidence, point, drives, frequencies[mode - 1])))
+        result.append(Proposal(text, command, _run(rig, observations, point, drives, frequencies[mode - 1])))
     if len(frequencies) > mode:
         text = f"the same levels on mode {mode + 1}"
         command = run(f"--set test.mode={mode + 1} --levels {plan} --out mode{mode + 1}")
-        result.append(Proposal(text, command, _run(rig, evidence, first.drive_point, drives, frequencies[mode])))
+        result.append(Proposal(text, command, _run(rig, observations, first.drive_point, drives, frequencies[mode])))
     if all(level.direction >= 0 for test in runs for level in test.levels):
         text = "the same levels downwards, after going up"
         command = run(f"--direction both --levels {plan} --out both")
-        found = _run(rig, evidence, first.drive_point, drives[::-1], frequencies[mode - 1], _end(runs))
+        found = _run(rig, observations, first.drive_point, drives[::-1], frequencies[mode - 1], _end(runs))
         result.append(Proposal(text, command, found))
     limit = rig.limits.voltage_v
     if limit is None or 2.0 * high <= limit:
         text = f"higher levels, up to {2.0 * high:.3g} V (mind what the specimen bears)"
         command = run(f"--levels {high:.3g}:{2.0 * high:.3g}:6 --out high")
         more = list(np.geomspace(high, 2.0 * high, 6))
-        result.append(Proposal(text, command, _run(rig, evidence, first.drive_point, more, frequencies[mode - 1])))
+        result.append(Proposal(text, command, _run(rig, observations, first.drive_point, more, frequencies[mode - 1])))
     return result
 
 
-def _commands(evidence: Evidence) -> tuple[Callable[[str], str], Callable[[str], str]]:
+def _commands(observations: Observations) -> tuple[Callable[[str], str], Callable[[str], str]]:
     """What makes commands of ``./nmt linear`` and ``./nmt run`` for the recorded rig, from their options."""
-    origins = evidence.origins
+    origins = observations.origins
     files = [origin.rig_file for origin in origins]
     if not origins or not all(files):
         return (lambda _: ""), (lambda _: "")
@@ -232,19 +232,19 @@ def _channels(rig: Rig, point: int) -> tuple[MeasuredChannel, ...]:
 
 
 def _typical(
-    evidence: Evidence, kind: type[Test] | tuple[type, ...], part: Part, harmonic: int, fraction: float
+    observations: Observations, kind: type[Test] | tuple[type, ...], part: Part, harmonic: int, fraction: float
 ) -> float:
     """Median uncertainty of a kind of observable in the tests at hand, near a level given as a fraction of all."""
-    mine = np.zeros(len(evidence.rows), dtype=bool)
-    for number, test in enumerate(evidence.tests):
+    mine = np.zeros(len(observations.rows), dtype=bool)
+    for number, test in enumerate(observations.tests):
         if isinstance(test, kind):
-            mine |= evidence.rows.test == number
-    mine &= (evidence.rows.part == part) & (evidence.rows.harmonic == harmonic)
+            mine |= observations.rows.test == number
+    mine &= (observations.rows.part == part) & (observations.rows.harmonic == harmonic)
     if not mine.any():
         return _TYPICAL_RESPONSE if kind is RandomTest else _TYPICAL[part]
-    amplitude = evidence.rows.amplitude[mine]
+    amplitude = observations.rows.amplitude[mine]
     order = np.argsort(amplitude, kind="stable")
-    sigma = evidence.sigma[mine][order]
+    sigma = observations.sigma[mine][order]
     middle = round(fraction * (sigma.size - 1))
     reach = max(1, sigma.size // 6)
     return float(np.median(sigma[max(0, middle - reach) : middle + reach + 1]))
@@ -252,18 +252,18 @@ def _typical(
 
 def _run(
     rig: Rig,
-    evidence: Evidence,
+    observations: Observations,
     point: int,
     drives: Sequence[float],
     frequency_hz: float,
     after: LockedLevel | None = None,
-) -> Evidence:
+) -> Observations:
     """Observables of a run of locked levels that has not been made."""
     channels = _channels(rig, point)
     motions = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
     ideal = MeasuredChannel(f"x{point}", Quantity.DISPLACEMENT, point)
     response = next((c for c in channels if c.quantity in motions and c.point == point), ideal)
-    harmonics = max((t.harmonics for t in evidence.tests if isinstance(t, PhaseResonanceTest)), default=3)
+    harmonics = max((t.harmonics for t in observations.tests if isinstance(t, PhaseResonanceTest)), default=3)
     start = after.stop_s if after else 0.0
     cycles = after.cycles_before if after else 0.0
     length = 6.0
@@ -283,7 +283,7 @@ def _run(
         fraction = level.index / max(1, len(levels) - 1)
 
         def sigma(part: Part, harmonic: int = -1, fraction: float = fraction) -> float:
-            return _typical(evidence, PhaseResonanceTest, part, harmonic, fraction)
+            return _typical(observations, PhaseResonanceTest, part, harmonic, fraction)
 
         table.add(Part.LOG_FREQUENCY, 0.0, sigma(Part.LOG_FREQUENCY), 0.0, place)
         table.add(Part.PHASE_ERROR, 0.0, sigma(Part.PHASE_ERROR), 0.0, place)
@@ -294,10 +294,10 @@ def _run(
                 table.add(Part.REAL, 0.0, sigma(Part.REAL, harmonic), 0.0, place, number, harmonic)
                 table.add(Part.IMAG, 0.0, sigma(Part.IMAG, harmonic), 0.0, place, number, harmonic)
     test = PhaseResonanceTest("proposed", point, response.name, channels, harmonics, "voltage", levels)
-    return table.evidence(test)
+    return table.observations(test)
 
 
-def _random(rig: Rig, evidence: Evidence, drives: Sequence[float]) -> Evidence:
+def _random(rig: Rig, observations: Observations, drives: Sequence[float]) -> Observations:
     """Observables of a random test that has not been made."""
     channels = _channels(rig, rig.drive_point)
     frequencies = _frequencies(rig)
@@ -312,4 +312,4 @@ def _random(rig: Rig, evidence: Evidence, drives: Sequence[float]) -> Evidence:
             for part in (Part.LOG_MAGNITUDE, Part.PHASE):
                 table.add(part, 0.0, _TYPICAL_RESPONSE, 0.0, place, channel, 1)
     test = RandomTest("proposed", rig.drive_point, channels, "voltage", lines, 0.1, "none", rms, 0.0, 60.0)
-    return table.evidence(test)
+    return table.observations(test)

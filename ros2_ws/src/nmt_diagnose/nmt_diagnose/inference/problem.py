@@ -1,4 +1,4 @@
-"""What a fit works on: evidence, the model that predicts it, and whitened residuals."""
+"""What a fit works on: observations, the model that predicts it, and whitened residuals."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.observables import Evidence, IntArray, Part
 from nmt_diagnose.inference.shared_errors import SharedErrors
+from nmt_diagnose.observations.observables import IntArray, Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction
 
 BoolArray = NDArray[np.bool_]
@@ -39,16 +39,16 @@ class Nuisance:
 
 @dataclass(frozen=True)
 class Problem:
-    """Evidence and model.
+    """Observations and model.
 
     Attributes:
-        evidence: the real side.
+        observations: the real side.
         forward: predicts its observables.
         nuisances: errors that rows share, no row in two of them.
         shared: errors of the measuring chain; None = there are none.
     """
 
-    evidence: Evidence
+    observations: Observations
     forward: Forward
     nuisances: tuple[Nuisance, ...] = ()
     shared: SharedErrors | None = None
@@ -56,18 +56,18 @@ class Problem:
     @property
     def size(self) -> int:
         """Number of observables m."""
-        return len(self.evidence.rows)
+        return len(self.observations.rows)
 
     def difference(self, values: FloatArray) -> FloatArray:
         """Measured minus predicted, phases on the shortest way, shape (m,)."""
-        result: FloatArray = self.evidence.values - values
-        phases = np.isin(self.evidence.rows.part, (Part.PHASE, Part.PHASE_ERROR))
+        result: FloatArray = self.observations.values - values
+        phases = np.isin(self.observations.rows.part, (Part.PHASE, Part.PHASE_ERROR))
         result[phases] = (result[phases] + np.pi) % (2.0 * np.pi) - np.pi
         return result
 
     def whitened(self, values: FloatArray) -> FloatArray:
         """Values, shape (m,) or (m, n), over their uncertainty: Σ^(-½) values."""
-        sigma = self.evidence.sigma
+        sigma = self.observations.sigma
         result: FloatArray = values / (sigma if values.ndim == 1 else sigma[:, None])
         for nuisance in self.nuisances:
             nuisance.whiten(result)

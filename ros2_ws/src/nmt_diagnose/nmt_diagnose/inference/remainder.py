@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.conditions import RandomTest, RecordTest
-from nmt_diagnose.evidence.observables import Evidence, IntArray
 from nmt_diagnose.inference.diagnosis import Gap, Left, Remainder
 from nmt_diagnose.inference.gap import rms
 from nmt_diagnose.inference.problem import BoolArray
 from nmt_diagnose.inference.residual_map import KINDS, channel_name, unit_of_kind
+from nmt_diagnose.observations.conditions import RandomTest, RecordTest
+from nmt_diagnose.observations.observables import IntArray, Observations
 
 _LEAST = 0.01
 _NAMED = 3
@@ -22,11 +22,11 @@ _MOST = 0.5
 _FEWEST_LEVELS = 3
 
 
-def remainder(evidence: Evidence, gap: Gap, after: FloatArray, rows: BoolArray) -> Remainder | None:
+def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: BoolArray) -> Remainder | None:
     """What is left of a gap; None where that is less than 1 % of it, or not known.
 
     Args:
-        evidence: the real side.
+        observations: the real side.
         gap: before and after the explanation.
         after: residual of the held-out rows in standard deviations, shape (m,).
         rows: rows that were held out, shape (m,).
@@ -35,17 +35,17 @@ def remainder(evidence: Evidence, gap: Gap, after: FloatArray, rows: BoolArray) 
         return None
     found: list[tuple[float, Left]] = []
     good = rows & np.isfinite(after)
-    for number, test in enumerate(evidence.tests):
+    for number, test in enumerate(observations.tests):
         for name, unit, factor, parts in KINDS:
-            kind = good & (evidence.rows.test == number) & np.isin(evidence.rows.part, parts)
-            for channel in np.unique(evidence.rows.channel[kind]):
-                mine = np.flatnonzero(kind & (evidence.rows.channel == channel))
+            kind = good & (observations.rows.test == number) & np.isin(observations.rows.part, parts)
+            for channel in np.unique(observations.rows.channel[kind]):
+                mine = np.flatnonzero(kind & (observations.rows.channel == channel))
                 beyond = float(np.sum(after[mine] ** 2)) - mine.size * gap.floor**2
-                tail = f" {channel_name(evidence, number, int(channel))}" if channel >= 0 else ""
+                tail = f" {channel_name(observations, number, int(channel))}" if channel >= 0 else ""
                 left = Left(
-                    f"{test.name}: {name}{tail}", _levels(evidence, number, after, mine), 0.0, rms(after[mine]),
-                    rms(after[mine] * evidence.sigma[mine] * factor),
-                    unit or unit_of_kind(evidence, number, int(channel)),
+                    f"{test.name}: {name}{tail}", _levels(observations, number, after, mine), 0.0, rms(after[mine]),
+                    rms(after[mine] * observations.sigma[mine] * factor),
+                    unit or unit_of_kind(observations, number, int(channel)),
                 )  # fmt: skip
                 found.append((max(beyond, 0.0), left))
     total = sum(size for size, _ in found)
@@ -58,13 +58,13 @@ def remainder(evidence: Evidence, gap: Gap, after: FloatArray, rows: BoolArray) 
     return Remainder(1.0 - gap.closed, 1.0 - gap.high, 1.0 - gap.low, where)
 
 
-def _levels(evidence: Evidence, number: int, after: FloatArray, mine: IntArray) -> str:
+def _levels(observations: Observations, number: int, after: FloatArray, mine: IntArray) -> str:
     """The third of a test's levels (or lines) where most of what is left lies; empty where there is none."""
-    test = evidence.tests[number]
+    test = observations.tests[number]
     if isinstance(test, RecordTest):
         return ""
     lines = isinstance(test, RandomTest)
-    place = evidence.rows.frequency_hz[mine] if lines else evidence.rows.amplitude[mine]
+    place = observations.rows.frequency_hz[mine] if lines else observations.rows.amplitude[mine]
     steps = np.unique(place)
     if steps.size < _FEWEST_LEVELS:
         return ""

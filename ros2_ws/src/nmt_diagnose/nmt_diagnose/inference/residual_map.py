@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.conditions import (
+from nmt_diagnose.inference.diagnosis import ResidualGroup
+from nmt_diagnose.inference.gap import rms
+from nmt_diagnose.inference.problem import BoolArray
+from nmt_diagnose.observations.conditions import (
     BackboneTable,
     MeasuredChannel,
     RandomTest,
     SteppedSineTest,
     Test,
 )
-from nmt_diagnose.evidence.observables import Evidence, Part
-from nmt_diagnose.inference.diagnosis import ResidualGroup
-from nmt_diagnose.inference.gap import rms
-from nmt_diagnose.inference.problem import BoolArray
+from nmt_diagnose.observations.observables import Observations, Part
 
 _BANDS = 10
 
@@ -29,43 +29,43 @@ def channels_of(test: Test) -> tuple[MeasuredChannel, ...]:
     return test.channels
 
 
-def channel_name(evidence: Evidence, test: int, channel: int) -> str:
+def channel_name(observations: Observations, test: int, channel: int) -> str:
     """Name of a row's channel; ``frequency and phase`` where it belongs to none."""
-    return "frequency and phase" if channel < 0 else channels_of(evidence.tests[test])[channel].name
+    return "frequency and phase" if channel < 0 else channels_of(observations.tests[test])[channel].name
 
 
-def level_groups(evidence: Evidence) -> FloatArray:
+def level_groups(observations: Observations) -> FloatArray:
     """Level of every row; the lines of a frequency response in ten bands, shape (m,)."""
-    groups = evidence.rows.level.astype(np.float64)
-    for number, test in enumerate(evidence.tests):
-        mine = evidence.rows.test == number
+    groups = observations.rows.level.astype(np.float64)
+    for number, test in enumerate(observations.tests):
+        mine = observations.rows.test == number
         if isinstance(test, RandomTest | SteppedSineTest) and mine.any():
-            groups[mine] = np.floor(evidence.rows.level[mine] * _BANDS / (evidence.rows.level[mine].max() + 1))
+            groups[mine] = np.floor(observations.rows.level[mine] * _BANDS / (observations.rows.level[mine].max() + 1))
     return groups
 
 
 def residual_map(
-    evidence: Evidence, as_given: FloatArray, before: FloatArray, after: FloatArray
+    observations: Observations, as_given: FloatArray, before: FloatArray, after: FloatArray
 ) -> tuple[ResidualGroup, ...]:
     """Root-mean-square whitened residuals by test, level, channel and harmonic.
 
     Args:
-        evidence: the real side.
+        observations: the real side.
         as_given, before, after: whitened residuals of the model as given, re-fitted, and with the explanation, (m,).
     """
-    rows, levels = evidence.rows, level_groups(evidence)
+    rows, levels = observations.rows, level_groups(observations)
     keys = np.column_stack([rows.test, levels, rows.channel, rows.harmonic])
     result = []
     for key in np.unique(keys, axis=0):
         mine = np.all(keys == key, axis=1)
         test, level, channel, harmonic = (int(value) for value in key)
-        banded = (harmonic < 0 and channel >= 0) or isinstance(evidence.tests[test], SteppedSineTest)
+        banded = (harmonic < 0 and channel >= 0) or isinstance(observations.tests[test], SteppedSineTest)
         result.append(
             ResidualGroup(
-                evidence.tests[test].name,
+                observations.tests[test].name,
                 level,
                 float(np.mean(rows.frequency_hz[mine] if banded else rows.amplitude[mine])),
-                channel_name(evidence, test, channel),
+                channel_name(observations, test, channel),
                 harmonic,
                 rms(as_given[mine]),
                 rms(before[mine]),
@@ -91,38 +91,38 @@ KINDS: tuple[tuple[str, str, float, tuple[Part, ...]], ...] = (
 
 
 def per_observable(
-    evidence: Evidence, before: FloatArray, after: FloatArray, held_out: BoolArray
+    observations: Observations, before: FloatArray, after: FloatArray, held_out: BoolArray
 ) -> dict[str, dict[str, Any]]:
     """Gap by observable: in noise units, and in engineering units as root mean square.
 
     Args:
-        evidence: the real side.
+        observations: the real side.
         before, after: whitened residuals, (m,).
         held_out: rows to judge by.
     """
     result: dict[str, dict[str, Any]] = {}
-    rows = evidence.rows
-    for test in range(len(evidence.tests)):
+    rows = observations.rows
+    for test in range(len(observations.tests)):
         for name, unit, factor, parts in KINDS:
             kind = held_out & (rows.test == test) & np.isin(rows.part, parts)
             for channel in np.unique(rows.channel[kind]):
                 mine = kind & (rows.channel == channel) & np.isfinite(before) & np.isfinite(after)
                 if not mine.any():
                     continue
-                tail = f" {channel_name(evidence, test, int(channel))}" if channel >= 0 else ""
-                scale = evidence.sigma[mine] * factor
-                result[f"{evidence.tests[test].name}: {name}{tail}"] = {
+                tail = f" {channel_name(observations, test, int(channel))}" if channel >= 0 else ""
+                scale = observations.sigma[mine] * factor
+                result[f"{observations.tests[test].name}: {name}{tail}"] = {
                     "before": rms(before[mine]),
                     "after": rms(after[mine]),
                     "floor": 1.0,
                     "before_unit": rms(before[mine] * scale),
                     "after_unit": rms(after[mine] * scale),
-                    "unit": unit or unit_of_kind(evidence, test, int(channel)),
+                    "unit": unit or unit_of_kind(observations, test, int(channel)),
                     "rows": int(mine.sum()),
                 }
     return result
 
 
-def unit_of_kind(evidence: Evidence, test: int, channel: int) -> str:
+def unit_of_kind(observations: Observations, test: int, channel: int) -> str:
     """Unit of the rows of a channel that have that of the channel; empty for those that belong to none."""
-    return channels_of(evidence.tests[test])[channel].quantity.unit if channel >= 0 else ""
+    return channels_of(observations.tests[test])[channel].quantity.unit if channel >= 0 else ""

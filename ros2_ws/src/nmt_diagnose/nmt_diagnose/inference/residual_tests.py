@@ -13,10 +13,10 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.conditions import PhaseResonanceTest
-from nmt_diagnose.evidence.observables import Evidence
 from nmt_diagnose.inference.problem import BoolArray
 from nmt_diagnose.inference.residual_map import channel_name
+from nmt_diagnose.observations.conditions import PhaseResonanceTest
+from nmt_diagnose.observations.observables import Observations
 
 _LEAST_LEVELS = 5
 
@@ -46,28 +46,28 @@ class ResidualTest:
         return asdict(self)
 
 
-def residual_tests(evidence: Evidence, residual: FloatArray, used: BoolArray) -> tuple[ResidualTest, ...]:
-    """All tests that the evidence allows, most telling first.
+def residual_tests(observations: Observations, residual: FloatArray, used: BoolArray) -> tuple[ResidualTest, ...]:
+    """All tests that the observations allow, most telling first.
 
     Args:
-        evidence: the real side.
+        observations: the real side.
         residual: whitened residual of the best explanation, parameters fitted, shape (m,).
         used: rows that the fit used.
     """
     good = used & np.isfinite(residual)
     found: list[ResidualTest] = []
-    for number, test in enumerate(evidence.tests):
-        mine = good & (evidence.rows.test == number)
+    for number, test in enumerate(observations.tests):
+        mine = good & (observations.rows.test == number)
         if not mine.any():
             continue
         squares = float(residual[mine] @ residual[mine])
         found.append(_chi_square("size of the residual", test.name, squares, int(mine.sum())))
         if isinstance(test, PhaseResonanceTest):
-            found.extend(_over_level(evidence, residual, mine, number))
-            found.extend(_parity(evidence, residual, mine, test.name))
-            found.extend(_up_down(evidence, residual, mine, test))
+            found.extend(_over_level(observations, residual, mine, number))
+            found.extend(_parity(observations, residual, mine, test.name))
+            found.extend(_up_down(observations, residual, mine, test))
         else:
-            found.extend(_neighbours(evidence, residual, mine, number))
+            found.extend(_neighbours(observations, residual, mine, number))
     return holm(found)
 
 
@@ -85,9 +85,9 @@ def _chi_square(name: str, where: str, statistic: float, freedom: int) -> Residu
     return ResidualTest(name, where, statistic, freedom, float(chi2.sf(statistic, freedom)))
 
 
-def _over_level(evidence: Evidence, residual: FloatArray, mine: BoolArray, number: int) -> list[ResidualTest]:
+def _over_level(observations: Observations, residual: FloatArray, mine: BoolArray, number: int) -> list[ResidualTest]:
     """Smooth courses over the level: a quadratic through the levels of each channel, harmonic and part."""
-    rows, result = evidence.rows, []
+    rows, result = observations.rows, []
     for channel in np.unique(rows.channel[mine]):
         statistic, freedom = 0.0, 0
         for harmonic in np.unique(rows.harmonic[mine & (rows.channel == channel)]):
@@ -101,23 +101,25 @@ def _over_level(evidence: Evidence, residual: FloatArray, mine: BoolArray, numbe
                 statistic += float(along @ along)
                 freedom += 3
         if freedom:
-            name = channel_name(evidence, number, int(channel))
+            name = channel_name(observations, number, int(channel))
             result.append(_chi_square("smooth course over the level", name, statistic, freedom))
     return result
 
 
-def _parity(evidence: Evidence, residual: FloatArray, mine: BoolArray, name: str) -> list[ResidualTest]:
+def _parity(observations: Observations, residual: FloatArray, mine: BoolArray, name: str) -> list[ResidualTest]:
     result = []
     for label, remainder in (("even harmonics", 0), ("odd harmonics above the first", 1)):
-        group = mine & (evidence.rows.harmonic > 1) & (evidence.rows.harmonic % 2 == remainder)
+        group = mine & (observations.rows.harmonic > 1) & (observations.rows.harmonic % 2 == remainder)
         if group.any():
             result.append(_chi_square(label, name, float(residual[group] @ residual[group]), int(group.sum())))
     return result
 
 
-def _up_down(evidence: Evidence, residual: FloatArray, mine: BoolArray, test: PhaseResonanceTest) -> list[ResidualTest]:
+def _up_down(
+    observations: Observations, residual: FloatArray, mine: BoolArray, test: PhaseResonanceTest
+) -> list[ResidualTest]:
     """Differences between two passages of the same drive level."""
-    rows = evidence.rows
+    rows = observations.rows
     drives = {level.index: level.drive for level in test.levels}
     pairs = [(a, b) for a in drives for b in drives if a < b and np.isclose(drives[a], drives[b], rtol=1e-6)]
     statistic, freedom = 0.0, 0
@@ -133,9 +135,9 @@ def _up_down(evidence: Evidence, residual: FloatArray, mine: BoolArray, test: Ph
     )
 
 
-def _neighbours(evidence: Evidence, residual: FloatArray, mine: BoolArray, number: int) -> list[ResidualTest]:
+def _neighbours(observations: Observations, residual: FloatArray, mine: BoolArray, number: int) -> list[ResidualTest]:
     """Products of neighbouring lines or samples: noise has none on average."""
-    rows, result = evidence.rows, []
+    rows, result = observations.rows, []
     for channel in np.unique(rows.channel[mine]):
         total, count = 0.0, 0
         for part in np.unique(rows.part[mine & (rows.channel == channel)]):
@@ -145,6 +147,6 @@ def _neighbours(evidence: Evidence, residual: FloatArray, mine: BoolArray, numbe
             count += values.size - 1
         if count > 10:
             z = total / np.sqrt(count)
-            name = channel_name(evidence, number, int(channel))
+            name = channel_name(observations, number, int(channel))
             result.append(ResidualTest("likeness of neighbouring lines", name, z, 0, float(norm.sf(z))))
     return result

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.conditions import BackboneTable, PhaseResonanceTest
-from nmt_diagnose.evidence.observables import Evidence, IntArray, Part
+from nmt_diagnose.observations.conditions import BackboneTable, PhaseResonanceTest
+from nmt_diagnose.observations.observables import IntArray, Observations, Part
 
 _FEWEST_LEVELS = 4
 _FEWEST_FREE = 3
@@ -31,53 +31,59 @@ _LARGEST = {
 _LARGEST_OF_TABLES = {Part.LOG_FREQUENCY: 0.02, Part.DAMPING: 0.3}
 
 
-def scatter_floor(evidence: Evidence, difference: FloatArray) -> FloatArray:
+def scatter_floor(observations: Observations, difference: FloatArray) -> FloatArray:
     """Standard deviation of the scatter of each row's kind, shape (m,); 0 where it may be noise as stated.
 
     Rows of one kind share it: those of a test, part and quantity, fundamentals and other orders apart.
 
     Args:
-        evidence: the real side.
+        observations: the real side.
         difference: measured minus predicted, not whitened, shape (m,).
     """
-    result = np.zeros(len(evidence.rows))
-    for number, test in enumerate(evidence.tests):
+    result = np.zeros(len(observations.rows))
+    for number, test in enumerate(observations.tests):
         if isinstance(test, BackboneTable):
             for part, largest in _LARGEST_OF_TABLES.items():
-                which = np.flatnonzero((evidence.rows.test == number) & (evidence.rows.part == part))
+                which = np.flatnonzero((observations.rows.test == number) & (observations.rows.part == part))
                 if not which.size:
                     continue
-                size = 1.0 if part is Part.LOG_FREQUENCY else float(np.median(np.abs(evidence.values[which])))
-                result[which] = min(_about_neighbours(evidence, difference, which), largest * size)
-        if not (isinstance(test, PhaseResonanceTest) and number < len(evidence.chains) and evidence.chains[number]):
+                size = 1.0 if part is Part.LOG_FREQUENCY else float(np.median(np.abs(observations.values[which])))
+                result[which] = min(_about_neighbours(observations, difference, which), largest * size)
+        if not (
+            isinstance(test, PhaseResonanceTest) and number < len(observations.chains) and observations.chains[number]
+        ):
             continue
         quantities = np.array([int(channel.quantity) for channel in test.channels] + [-1])
-        mine = evidence.rows.test == number
+        mine = observations.rows.test == number
         kinds = np.column_stack(
-            [evidence.rows.part, quantities[evidence.rows.channel * mine], np.minimum(evidence.rows.harmonic, 2)]
+            [
+                observations.rows.part,
+                quantities[observations.rows.channel * mine],
+                np.minimum(observations.rows.harmonic, 2),
+            ]
         )
         for kind in np.unique(kinds[mine], axis=0):
             which = mine & np.all(kinds == kind, axis=1)
             ordinary = _LARGEST.get(Part(int(kind[0])))
             if ordinary is not None:
-                result[which] = min(_of_kind(evidence, difference, np.flatnonzero(which)), ordinary)
+                result[which] = min(_of_kind(observations, difference, np.flatnonzero(which)), ordinary)
     return result
 
 
-def _about_neighbours(evidence: Evidence, difference: FloatArray, which: IntArray) -> float:
+def _about_neighbours(observations: Observations, difference: FloatArray, which: IntArray) -> float:
     """Standard deviation beyond the stated one of a table's rows, each about the line through its two neighbours.
 
     A smooth course bends by less between neighbours than scatter does, so what an effect leaves counts little.
     """
     own = which[np.isfinite(difference[which])]
-    own = own[np.argsort(evidence.rows.amplitude[own], kind="stable")]
-    x = np.log(np.maximum(evidence.rows.amplitude[own], 1e-300))
+    own = own[np.argsort(observations.rows.amplitude[own], kind="stable")]
+    x = np.log(np.maximum(observations.rows.amplitude[own], 1e-300))
     apart = x[2:] - x[:-2]
     good = apart > 0.0
     if int(good.sum()) < _FEWEST_BETWEEN:
         return 0.0
     weight = np.divide(x[1:-1] - x[:-2], apart, out=np.full(apart.size, 0.5), where=good)
-    d, variance = difference[own], evidence.sigma[own] ** 2
+    d, variance = difference[own], observations.sigma[own] ** 2
     squares = (d[1:-1] - (1.0 - weight) * d[:-2] - weight * d[2:]) ** 2
     size = 1.0 + (1.0 - weight) ** 2 + weight**2
     stated = variance[1:-1] + (1.0 - weight) ** 2 * variance[:-2] + weight**2 * variance[2:]
@@ -89,9 +95,9 @@ def _about_neighbours(evidence: Evidence, difference: FloatArray, which: IntArra
     return float(np.sqrt(max(float(np.mean((squares - stated) / size)), 0.0)))
 
 
-def _of_kind(evidence: Evidence, difference: FloatArray, which: np.ndarray) -> float:
+def _of_kind(observations: Observations, difference: FloatArray, which: np.ndarray) -> float:
     """Standard deviation beyond the stated one about straight lines over the levels, one for each channel and order."""
-    rows = evidence.rows.take(which)
+    rows = observations.rows.take(which)
     left, stated, squares, free = 0.0, 0.0, 0.0, 0
     groups = np.column_stack([rows.channel, rows.harmonic])
     for group in np.unique(groups, axis=0):
@@ -99,8 +105,8 @@ def _of_kind(evidence: Evidence, difference: FloatArray, which: np.ndarray) -> f
         own = own[np.isfinite(difference[own])]
         if own.size < _FEWEST_LEVELS:
             continue
-        sigma = evidence.sigma[own]
-        level = evidence.rows.amplitude[own]
+        sigma = observations.sigma[own]
+        level = observations.rows.amplitude[own]
         basis = np.column_stack([np.ones(own.size), level - level.mean()])
         if np.linalg.matrix_rank(basis) < 2:
             basis = basis[:, :1]

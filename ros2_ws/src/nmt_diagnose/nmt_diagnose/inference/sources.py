@@ -15,13 +15,13 @@ import numpy as np
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.effects.boundary_effects import joint_placement
 from nmt_diagnose.effects.placement import Placement
-from nmt_diagnose.evidence.conditions import MeasuredChannel
-from nmt_diagnose.evidence.observables import Evidence
 from nmt_diagnose.inference.fit import Fit
 from nmt_diagnose.inference.generic_source import SourceScore, source_score
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.residual_map import channels_of
 from nmt_diagnose.inference.workers import Workers
+from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.influence import Source, SourceColumn
 from nmt_rig.rig import ElementSection, Rig
@@ -59,10 +59,10 @@ def places(
         forward: the model.
         rig: rig of ``prediction``.
         prediction: solution about which the sources are small.
-        problem: evidence and how it is whitened.
+        problem: observations and how it is whitened.
         workers: processes that share the work; None = this one alone.
     """
-    channels = {c.name: c for test in problem.evidence.tests for c in channels_of(test)}
+    channels = {c.name: c for test in problem.observations.tests for c in channels_of(test)}
     wanted: list[tuple[Placement, Source]] = [
         (Placement.at("structure", point), Source("structure", point)) for point in rig.structure.points
     ]
@@ -83,7 +83,7 @@ def _place(shared: tuple[Forward, Rig, Prediction, Problem], item: tuple[Placeme
     columns, names = forward.influence(rig, prediction, source)
     whitened = np.nan_to_num(problem.whitened(columns), posinf=0.0, neginf=0.0)
     drift = source.kind == "time"
-    families = (("drift", whitened),) if drift else _families(whitened, names, problem.evidence)
+    families = (("drift", whitened),) if drift else _families(whitened, names, problem.observations)
     families = tuple((name, block) for name, block in families if block.shape[1] and np.any(block))
     return SourcePlace(placement, families) if families else None
 
@@ -119,7 +119,7 @@ def _joints(rig: Rig) -> list[tuple[int, ElementSection]]:
 
 
 def _families(
-    columns: FloatArray, names: Sequence[SourceColumn], evidence: Evidence
+    columns: FloatArray, names: Sequence[SourceColumn], observations: Observations
 ) -> tuple[tuple[str, FloatArray], ...]:
     """Columns of single levels and lines, combined to smooth courses."""
     level_groups: dict[SourceColumn, list[tuple[int, int]]] = {}
@@ -127,14 +127,14 @@ def _families(
     for position, column in enumerate(names):
         groups = level_groups if column.per == "level" else line_groups
         groups.setdefault(replace(column, number=-1), []).append((column.number, position))
-    drive = {key: _logs(evidence, [n for n, _ in members], True) for key, members in level_groups.items()}
+    drive = {key: _logs(observations, [n for n, _ in members], True) for key, members in level_groups.items()}
     smooth = {
         key: _smooth(columns[:, [p for _, p in members]], drive[key], _LEVEL_LENGTH)
         for key, members in level_groups.items()
     }
     shared = {key: columns[:, [p for _, p in members]].sum(axis=1)[:, None] for key, members in level_groups.items()}
     lines = [
-        _smooth(columns[:, [p for _, p in members]], _logs(evidence, [n for n, _ in members], False), _LINE_LENGTH)
+        _smooth(columns[:, [p for _, p in members]], _logs(observations, [n for n, _ in members], False), _LINE_LENGTH)
         for members in line_groups.values()
     ]
     result = []
@@ -146,9 +146,9 @@ def _families(
     return tuple(result)
 
 
-def _logs(evidence: Evidence, numbers: Sequence[int], levels: bool) -> FloatArray:
+def _logs(observations: Observations, numbers: Sequence[int], levels: bool) -> FloatArray:
     """ln of the drive of each level, or of the frequency of each line."""
-    rows = evidence.rows
+    rows = observations.rows
     own = rows.harmonic >= 0
     values = rows.amplitude if levels else rows.frequency_hz
     result = np.empty(len(numbers))

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.conditions import SteppedSineTest
-from nmt_diagnose.evidence.observables import Evidence
+from nmt_diagnose.observations.conditions import SteppedSineTest
+from nmt_diagnose.observations.observables import Observations
 
 _FEWEST = 3
 _BY_CHANCE = 1e-4
@@ -22,31 +22,31 @@ _LARGEST = 1e-3
 _SAME_LEVEL = 0.02
 
 
-def sweep_drift(evidence: Evidence, difference: FloatArray, directions: FloatArray) -> float:
+def sweep_drift(observations: Observations, difference: FloatArray, directions: FloatArray) -> float:
     """Relative standard deviation of the resonance from sweep to sweep; 0 where the noise explains the differences.
 
     Args:
-        evidence: the real side.
+        observations: the real side.
         difference: measured minus predicted by the best explanation, not whitened, shape (m,).
         directions: what a relative shift of the resonance does to the rows of each sweep, shape (m, tests); columns of
             zeros for other tests.
     """
     shifts: dict[int, tuple[float, float]] = {}
-    for number, test in enumerate(evidence.tests):
-        mine = np.flatnonzero((evidence.rows.test == number) & np.isfinite(difference) & (evidence.sigma > 0.0))
-        column = directions[mine, number] / evidence.sigma[mine]
+    for number, test in enumerate(observations.tests):
+        mine = np.flatnonzero((observations.rows.test == number) & np.isfinite(difference) & (observations.sigma > 0.0))
+        column = directions[mine, number] / observations.sigma[mine]
         square = float(column @ column)
         if isinstance(test, SteppedSineTest) and square > 0.0:
-            along = float(column @ (difference[mine] / evidence.sigma[mine]))
+            along = float(column @ (difference[mine] / observations.sigma[mine]))
             shifts[number] = along / square, 1.0 / square
     squares, stated, size = [], [], []
-    for first, second in _pairs(evidence, list(shifts)):
+    for first, second in _pairs(observations, list(shifts)):
         (a, variance), (b, other) = shifts[first], shifts[second]
         squares.append((a - b) ** 2)
         stated.append(variance + other)
         size.append(2.0)
     if len(squares) < _FEWEST:
-        squares, stated, size = _about_neighbours(evidence, shifts)
+        squares, stated, size = _about_neighbours(observations, shifts)
     if len(squares) < _FEWEST:
         return 0.0
     own, noise = np.array(squares), np.array(stated)
@@ -55,21 +55,21 @@ def sweep_drift(evidence: Evidence, difference: FloatArray, directions: FloatArr
     return min(float(np.sqrt(max(float(np.mean((own - noise) / np.array(size))), 0.0))), _LARGEST)
 
 
-def _level(evidence: Evidence, number: int) -> float:
-    test = evidence.tests[number]
+def _level(observations: Observations, number: int) -> float:
+    test = observations.tests[number]
     assert isinstance(test, SteppedSineTest)
     return float(np.median(test.levels))
 
 
-def _pairs(evidence: Evidence, numbers: list[int]) -> list[tuple[int, int]]:
+def _pairs(observations: Observations, numbers: list[int]) -> list[tuple[int, int]]:
     """Sweeps of one level and quotient, each in one pair at most."""
     found, taken = [], set[int]()
     for k, first in enumerate(numbers):
         for second in numbers[k + 1 :]:
-            one, other = evidence.tests[first], evidence.tests[second]
+            one, other = observations.tests[first], observations.tests[second]
             assert isinstance(one, SteppedSineTest)
             assert isinstance(other, SteppedSineTest)
-            near = abs(np.log(_level(evidence, first) / _level(evidence, second))) < _SAME_LEVEL
+            near = abs(np.log(_level(observations, first) / _level(observations, second))) < _SAME_LEVEL
             alike = (one.held, one.reference, one.channels, one.drive_point) == (
                 other.held, other.reference, other.channels, other.drive_point,
             )  # fmt: skip
@@ -80,11 +80,11 @@ def _pairs(evidence: Evidence, numbers: list[int]) -> list[tuple[int, int]]:
 
 
 def _about_neighbours(
-    evidence: Evidence, shifts: dict[int, tuple[float, float]]
+    observations: Observations, shifts: dict[int, tuple[float, float]]
 ) -> tuple[list[float], list[float], list[float]]:
     """Squares of each sweep's shift about the line through those of the levels beside it, over ln of the level."""
-    order = sorted(shifts, key=lambda number: _level(evidence, number))
-    levels = np.log([_level(evidence, number) for number in order]) if order else np.zeros(0)
+    order = sorted(shifts, key=lambda number: _level(observations, number))
+    levels = np.log([_level(observations, number) for number in order]) if order else np.zeros(0)
     squares, stated, size = [], [], []
     for k in range(1, len(order) - 1):
         apart = levels[k + 1] - levels[k - 1]

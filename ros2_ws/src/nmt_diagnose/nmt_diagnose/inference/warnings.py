@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from nmt_diagnose.inference.contest import Contender
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
+from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.inference.physical_limits import beyond_limits
 
 # Standard deviations of its prior beyond which a parameter is not what a data sheet or a ruler leaves open.
@@ -17,10 +17,10 @@ _LEFT, _SMALL_SHARE = 2.0, 0.15
 
 def warned(
     verdict: Verdict,
-    best: Contender,
+    best: FittedModel,
     calibration: Sequence[Recalibrated],
     gap: Gap,
-    alike: Sequence[Contender] = (),
+    alike: Sequence[FittedModel] = (),
 ) -> tuple[str, ...]:
     """Sentences of warning; empty where there is nothing to mind.
 
@@ -55,13 +55,13 @@ def warned(
     return tuple(found)
 
 
-def _beyond_physics(contender: Contender) -> list[str]:
+def _beyond_physics(fitted_model: FittedModel) -> list[str]:
     """Sentences on parameters larger than physics allows."""
-    if beyond_limits(contender.candidates, contender.fit) < _CREDIBLE:
+    if beyond_limits(fitted_model.candidates, fitted_model.fit) < _CREDIBLE:
         return []
     found = []
-    for index, candidate in enumerate(contender.candidates):
-        values = contender.fit.parametrisation.values(contender.fit.theta, index)
+    for index, candidate in enumerate(fitted_model.candidates):
+        values = fitted_model.fit.parametrisation.values(fitted_model.fit.theta, index)
         for parameter in candidate.effect.parameters:
             limit = candidate.site.limits.get(parameter.name, math.inf)
             if abs(values[parameter.name]) > limit:

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.evidence.conditions import BackboneTable, LockedLevel, MeasuredChannel, PhaseResonanceTest
-from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_diagnose.observations.conditions import BackboneTable, LockedLevel, MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin, Tangent
-from nmt_diagnose.twin.settings import TwinSettings
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import Rig, ShakerSection
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.evidence.conditions import (
+from nmt_diagnose.observations.conditions import (
     BackboneTable,
     PhaseResonanceTest,
     RandomTest,
@@ -21,7 +21,7 @@ from nmt_diagnose.evidence.conditions import (
     SteppedSineTest,
     Test,
 )
-from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.backbone_twin import BackboneTwin
 from nmt_diagnose.twin.influence import Source, SourceColumn, random_influence, resonance_influence
 from nmt_diagnose.twin.parts_cache import PartsCache, joint_setup
@@ -29,11 +29,11 @@ from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
 from nmt_diagnose.twin.random_twin import RandomTwin
 from nmt_diagnose.twin.record_twin import RecordTwin
 from nmt_diagnose.twin.ring_down_twin import RingDownTwin
-from nmt_diagnose.twin.settings import TwinSettings
 from nmt_diagnose.twin.stepped_sine_twin import SteppedSineTwin, with_growth
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import Rig, SensorSection
 
-# Relative distance within which a line of the evidence is that of the mains.
+# Relative distance within which a line of the observations is that of the mains.
 LINE_WIDTH = 0.01
 _OF_THE_CHANNEL = (Part.LINE, Part.STEP)
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.evidence.conditions import SteppedSineTest
-from nmt_diagnose.evidence.observables import Rows
+from nmt_diagnose.observations.conditions import SteppedSineTest
+from nmt_diagnose.observations.observables import Rows
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache
-from nmt_diagnose.twin.settings import TwinSettings
 from nmt_diagnose.twin.stepped_sine_twin import SteppedSineTwin
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import Rig
 
 _AMPLITUDES = 240  # of the course R(s), over ``_DECADES`` below what resonance could reach

@@ -12,13 +12,13 @@ from typing import Any, Literal
 import numpy as np
 
 from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.evidence.observables import Part
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.twin.linear_model import ComplexArray, LinearModel, OutputRows, linear_model
 from nmt_diagnose.twin.parts_cache import PartsCache
 from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin
 from nmt_diagnose.twin.random_twin import RandomTwin
 from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
-from nmt_diagnose.twin.settings import TwinSettings
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import BeamSection, Rig
 
 # Share of the fundamental force (or of a channel's fundamental) that a unit source is.

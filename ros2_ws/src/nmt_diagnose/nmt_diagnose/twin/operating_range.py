@@ -11,7 +11,7 @@ from scipy.linalg import eigh
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.evidence.conditions import (
+from nmt_diagnose.observations.conditions import (
     BackboneTable,
     MeasuredChannel,
     PhaseResonanceTest,
@@ -21,11 +21,11 @@ from nmt_diagnose.evidence.conditions import (
     SteppedSineTest,
     Test,
 )
-from nmt_diagnose.evidence.observables import Evidence, Part, Rows
+from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
 from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
-from nmt_diagnose.twin.settings import TwinSettings
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import BeamSection, ChainSection, Rig
 from nmt_rig.rig_model import build_system
@@ -35,7 +35,7 @@ _FAR_OFF = 2.0
 
 
 def operating_range(
-    rig: Rig, tests: Sequence[Test], settings: TwinSettings | None = None, evidence: Evidence | None = None
+    rig: Rig, tests: Sequence[Test], settings: TwinSettings | None = None, observations: Observations | None = None
 ) -> OperatingRange:
     """Largest motion over the tests, by the model as it is.
 
@@ -49,7 +49,7 @@ def operating_range(
         rig: the model.
         tests: the tests.
         settings: of the twin; None = a coarse mesh.
-        evidence: what was measured in the tests; it tells the frequencies of a backbone, too. None = the model alone.
+        observations: what was measured; tells the frequencies of a backbone, too. None = the model alone.
 
     Raises:
         BenchError: the rig does not fit the tests.
@@ -70,8 +70,8 @@ def operating_range(
     for number, test in enumerate(tests):
         motions = _motions(rig, test, (*channels, *probes), settings)
         if isinstance(test, BackboneTable | RingDownTest) and test.amplitudes.size:
-            motions = _given(rig, test, (*channels, *probes), settings, _frequency(rig, test, number, evidence))
-        motions = _as_measured(motions, (*channels, *probes), test, number, evidence)
+            motions = _given(rig, test, (*channels, *probes), settings, _frequency(rig, test, number, observations))
+        motions = _as_measured(motions, (*channels, *probes), test, number, observations)
         for parts, frequency, drive, amplitudes, unknowns in motions:
             values = {c.name: abs(a) for c, a in zip((*channels, *probes), amplitudes, strict=True)}
             for channel, (gain, *_rest) in zip(channels, parts.channels, strict=False):
@@ -274,12 +274,12 @@ def _resting_response(parts: RigParts, omega: float) -> tuple[np.ndarray, np.nda
     return q, y * parts.channels[:, 0]
 
 
-def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, evidence: Evidence | None) -> float:
+def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, observations: Observations | None) -> float:
     """Frequency of a test's smallest amplitude, Hz."""
     if isinstance(test, RingDownTest):
         return test.frequency_hz
-    if evidence is not None:
-        rows = evidence.rows
+    if observations is not None:
+        rows = observations.rows
         mine = rows.frequency_hz[(rows.test == number) & (rows.level == int(np.argmin(test.amplitudes)))]
         if mine.size and mine[0] > 0.0:
             return float(mine[0])
@@ -291,17 +291,17 @@ def _as_measured(
     channels: tuple[MeasuredChannel, ...],
     test: Test,
     number: int,
-    evidence: Evidence | None,
+    observations: Observations | None,
 ) -> list[Found]:
     """Motions of a test, scaled to what its own motion channels show where the model is off by more than a factor."""
-    if evidence is None or not motions:
+    if observations is None or not motions:
         return motions
     names = [channel.name for channel in channels]
     result: list[Found] = []
     for parts, omega, drive, amplitudes, unknowns in motions:
         ratios = [
             size / abs(amplitudes[names.index(name)])
-            for name, size in _measured_sizes(evidence, test, number, drive).items()
+            for name, size in _measured_sizes(observations, test, number, drive).items()
             if name in names and abs(amplitudes[names.index(name)]) > 0.0
         ]
         ratio = float(np.median(ratios)) if ratios else 1.0
@@ -310,9 +310,9 @@ def _as_measured(
     return result
 
 
-def _measured_sizes(evidence: Evidence, test: Test, number: int, drive: float) -> dict[str, float]:
+def _measured_sizes(observations: Observations, test: Test, number: int, drive: float) -> dict[str, float]:
     """Amplitude, or rms, of each motion channel of a test: of a phase-resonant one at the level next to a drive."""
-    rows, values = evidence.rows, evidence.values
+    rows, values = observations.rows, observations.values
     if isinstance(test, BackboneTable | RingDownTest | RecordTest | SteppedSineTest):
         return {}
     sizes: dict[str, float] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from nmt_diagnose.evidence.conditions import MeasuredChannel
+from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.twin.rig_parts import (
     RigParts,
     channel_sections,
@@ -15,7 +15,7 @@ from nmt_diagnose.twin.rig_parts import (
     with_elements_of,
     with_exciter_at,
 )
-from nmt_diagnose.twin.settings import TwinSettings
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
 

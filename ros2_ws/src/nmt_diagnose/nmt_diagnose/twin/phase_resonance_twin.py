@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
-from nmt_diagnose.evidence.conditions import MeasuredChannel, PhaseResonanceTest
-from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.converter import recorded_harmonics
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
@@ -25,7 +25,7 @@ from nmt_diagnose.twin.periodic_kernel import (
     sensor_gain,
 )
 from nmt_diagnose.twin.rig_parts import IDLE, RigParts, resting_tangent
-from nmt_diagnose.twin.settings import TwinSettings
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
-from nmt_diagnose.evidence.conditions import MeasuredChannel, RandomTest
-from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.held_steps import HeldSteps
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import sensor_gain
 from nmt_diagnose.twin.rig_parts import RigParts
-from nmt_diagnose.twin.settings import TwinSettings
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 

@@ -16,13 +16,13 @@ from numba import njit
 from scipy.signal import resample_poly
 
 from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.evidence.conditions import RecordTest
-from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_diagnose.observations.conditions import RecordTest
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.converter import expected_quantised
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.rig_parts import RigParts
-from nmt_diagnose.twin.settings import TwinSettings
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements import element_response

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.evidence.conditions import RingDownTest
-from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_diagnose.observations.conditions import RingDownTest
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.decay_kernel import evaluate_decay
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import local_amounts, sensor_gain
 from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
-from nmt_diagnose.twin.settings import TwinSettings
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 

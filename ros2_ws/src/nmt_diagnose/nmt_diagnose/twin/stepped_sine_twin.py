@@ -30,13 +30,13 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
-from nmt_diagnose.evidence.conditions import MeasuredChannel, SteppedSineTest
-from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.rig_parts import RigParts
-from nmt_diagnose.twin.settings import TwinSettings
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
 

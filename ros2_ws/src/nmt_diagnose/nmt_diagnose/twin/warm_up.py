@@ -7,7 +7,7 @@ import numpy as np
 from nmt_core.blocks import Quantity
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.evidence.conditions import (
+from nmt_diagnose.observations.conditions import (
     LockedLevel,
     MeasuredChannel,
     PhaseResonanceTest,
@@ -17,7 +17,7 @@ from nmt_diagnose.evidence.conditions import (
     SteppedSineTest,
     Test,
 )
-from nmt_diagnose.evidence.observables import Part, Rows
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig
 

@@ -1,0 +1,847 @@
+"""The comparison of explanations: scan all candidates, fit the promising ones, add a second where one leaves more.
+
+Everything is judged on the same rows. The model without effect, its own parameters re-fitted, always competes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import count, product
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
+from nmt_diagnose.effects.calibration import CalibrationParameter
+from nmt_diagnose.effects.effect import Candidate, EffectParameter
+from nmt_diagnose.effects.parametrisation import SPREADS, Parametrisation
+from nmt_diagnose.effects.placement import Explanation
+from nmt_diagnose.inference.fit import Fit, FitError, fit
+from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
+from nmt_diagnose.inference.problem import BoolArray, Problem
+from nmt_diagnose.inference.progress import Told
+from nmt_diagnose.inference.scan import Direction, Score, scores
+from nmt_diagnose.inference.workers import Workers
+from nmt_diagnose.observations.conditions import PhaseResonanceTest
+from nmt_rig.rig import Rig
+
+_SHAPE_STARTS = (0.5, 1.0, 2.0)
+# Penalty of the prior for each parameter from which a fit of the model alone is doubted; shares of the levels that it
+# is led over then.
+_INCREDIBLE = 2.0
+# Sensitivities of a first fit of a candidate; those that come near the best are fitted to the end.
+_REFRESHES = 3
+# Strength in standard deviations below which a member of a pair does nothing.
+_NOTHING = 1.0
+# Prior standard deviations of a strength from which a wider part of its prior is tried.
+_WIDER = 2.5
+# Standard deviations beyond what physics allows from which an effect is not built upon.
+_BEYOND = 3.0
+# Rms of what a fit leaves, in standard deviations, from which it is tried from other shapes, and how many of the best.
+_LEAVES, _RESHAPED = 1.5, 2
+_AT_ONCE = 2  # other shapes
+_LOWEST = 0.25  # of the levels, which are nearly linear
+_CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
+# Known explanations that go on under other noise; share of what the best of them explains that a scan has to promise.
+_CARRIED, _ENOUGH = 3, 0.5
+# Standard deviations by which a strength of one scale has to show to first order.
+_SHOWN = 1.0
+# Candidates whose directions are found in one piece of work.
+_TOGETHER = 16
+
+
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """How far the comparison goes.
+
+    Attributes:
+        finalists: most effects that are fitted.
+        placements: most placements (and starting shapes) of one effect that are fitted.
+        least_gain: fall of χ² in the scan below which a candidate is not worth a fit.
+        behind: fall of χ² in the scan by which a candidate may lie behind the best and still be fitted.
+        share: share of the best fall from which a candidate is fitted all the same: the larger a gap, the less a linear
+            scan can rank.
+        first_of_pairs: best single explanations that get a second effect tried.
+        second_of_pairs: second effects fitted for each.
+        partners: best elastic or dissipative effects that are tried with all of the other kind; 0 = none.
+        pair_gain: fall of χ² in the second scan from which a pair is tried.
+        weak: strength in standard deviations up to which an effect leaves the directions of others as they are.
+        settled: most explanations that are fitted to the end.
+        close: logarithm of evidence by which one may lie behind the best to be fitted to the end.
+        rounds: most times that a fit goes on which has not reached its optimum.
+        restarts: whether one that has not reached it then starts again from the parameters as given.
+    """
+
+    finalists: int = 8
+    placements: int = 2
+    least_gain: float = 6.0
+    behind: float = 60.0
+    share: float = 0.05
+    first_of_pairs: int = 3
+    second_of_pairs: int = 3
+    partners: int = 0
+    pair_gain: float = 14.0
+    weak: float = 30.0
+    settled: int = 6
+    close: float = 60.0
+    rounds: int = 4
+    restarts: bool = True
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A fitted explanation.
+
+    Attributes:
+        candidates: its effects at their places; empty for the model with only its parameters re-fitted.
+        fit: the fit.
+        score: its score in the scan; None for the model without effect.
+    """
+
+    candidates: tuple[Candidate, ...]
+    fit: Fit
+    score: Score | None = None
+
+    @cached_property
+    def explanation(self) -> Explanation:
+        """Its effects at their places as values that compare."""
+        return Explanation(tuple(candidate.cause for candidate in self.candidates))
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of its effects, sorted."""
+        return self.explanation.effects
+
+    @property
+    def sigmas(self) -> float:
+        """Strength of its weakest effect over its standard uncertainty; 0 without effects."""
+        return min((self.strength(member) for member in range(len(self.candidates))), default=0.0)
+
+    def strength(self, member: int) -> float:
+        """Strength of one of its effects over its standard uncertainty."""
+        own = self.fit.parametrisation.index_of(member)
+        strengths = [
+            abs(float(self.fit.theta[own][k])) / float(self.fit.std[own][k])
+            for k, parameter in enumerate(self.candidates[member].effect.parameters)
+            if parameter.kind == "strength"
+        ]
+        return max(strengths, default=0.0)
+
+
+class ModelComparison:
+    """Fits explanations of one set of observations.
+
+    Args:
+        problem: observations and model.
+        rig: the model as given.
+        calibration: parameters of the model that are free.
+        candidates: effects at their places.
+        settings: how far to go.
+        progress: called with a sentence as the work goes on.
+        rows: rows that fits may use, shape (m,); None = all.
+        workers: processes that share the work; None = this one alone.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        rig: Rig,
+        calibration: tuple[CalibrationParameter, ...],
+        candidates: tuple[Candidate, ...],
+        settings: ComparisonSettings | None = None,
+        progress: Callable[[str], None] | None = None,
+        rows: BoolArray | None = None,
+        workers: Workers | None = None,
+    ) -> None:
+        self.problem = problem
+        self.rows = rows
+        self.rig = rig
+        self.calibration = calibration
+        self.candidates = candidates
+        self.settings = settings or ComparisonSettings()
+        self._progress = progress or _silent
+        self._found: dict[str, float] = {}
+        self._plain_directions: list[Direction] = []
+        self.workers = Workers() if workers is None else workers
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process needs to fit; it asks nobody for help and reports no progress."""
+        return {**self.__dict__, "_progress": _silent, "_plain_directions": [], "workers": None}
+
+    def null(self, used: BoolArray | None = None) -> FittedModel:
+        """The model with its own parameters re-fitted.
+
+        Raises:
+            FitError: the model as given has no solution for any observable.
+        """
+        parametrisation = Parametrisation(self.rig, self.calibration)
+        rows = self._used(used)
+        best = fit(self.problem, parametrisation, parametrisation.zero, rows)
+        if _incredible(best):
+            with suppress(FitError):
+                climbed = self._climbed(parametrisation, rows, parametrisation.zero)
+                best = max(best, climbed, key=lambda found: found.log_evidence)
+        return FittedModel((), best)
+
+    def from_below(self, null: FittedModel) -> list[FittedModel]:
+        """Explanations by one effect, added to the model as the lowest levels show it; none where that says nothing.
+
+        Where the real structure is far from any linear one, the model without effect that is fitted to all levels has
+        parameters that mean nothing, and so have directions about it. The lowest levels are nearly linear.
+        """
+        if not _incredible(null.fit):
+            return []
+        own, (levelled, rank), used = null.fit.parametrisation, self._ranks(), null.fit.used
+        lowest = used & (~levelled | (rank < _LOWEST))
+        if not np.any(lowest & levelled):
+            return []
+        try:
+            below = fit(self.problem, own, own.zero, lowest)
+            if _incredible(below):
+                return []
+            base = FittedModel((), fit(self.problem, own, below.theta, used, below.prediction, steps=0))
+        except FitError:
+            return []
+        return self.singles(base, self.scan(base))
+
+    def _ranks(self) -> tuple[BoolArray, FloatArray]:
+        """Rows of levels of locked tests, and which share of their test's levels is lower, (m,) each."""
+        observations = self.problem.observations
+        levelled = np.zeros(self.problem.size, dtype=bool)
+        rank = np.zeros(self.problem.size)
+        for number, test in enumerate(observations.tests):
+            if isinstance(test, PhaseResonanceTest):
+                mine = observations.rows.test == number
+                levelled |= mine
+                amplitudes = np.unique(observations.rows.amplitude[mine])
+                rank[mine] = np.searchsorted(amplitudes, observations.rows.amplitude[mine]) / max(1, amplitudes.size)
+        return levelled, rank
+
+    def _climbed(self, parametrisation: Parametrisation, used: BoolArray | None, theta: FloatArray) -> Fit:
+        """The model fitted to linear tests first, then to more and more levels from below.
+
+        Far from the real parameters a nonlinear level has valleys of its own; from the levels below it is near.
+        """
+        levelled, rank = self._ranks()
+        wanted = np.ones(self.problem.size, dtype=bool) if used is None else used
+        before = np.zeros_like(wanted)
+        for share in _CLIMB:
+            rows = wanted & (~levelled | (rank < share))
+            if np.any(rows != before):
+                before = rows
+                found = fit(self.problem, parametrisation, theta, rows)
+                theta = found.theta
+        return found
+
+    def _used(self, rows: BoolArray | None) -> BoolArray | None:
+        return self.rows if rows is None else rows
+
+    def restarted(self, null: FittedModel, others: Sequence[FittedModel]) -> FittedModel:
+        """The model without effect fitted again from where the best others stand, if that is better.
+
+        Far from the model as given the first fit may stop in a fold of its own; then anything else looks better.
+        """
+        best = null
+        for found in self.workers.map(_restarted_from, (self, null), others):
+            if found is not None and found.log_evidence > best.fit.log_evidence + 0.5:
+                best = FittedModel((), found)
+        return best
+
+    def _from(self, null: FittedModel, other: FittedModel) -> Fit | None:
+        start = other.fit.theta[: len(self.calibration)]
+        try:
+            return fit(self.problem, null.fit.parametrisation, start, None, other.fit.prediction)
+        except FitError:
+            return None
+
+    def scan(self, base: FittedModel) -> list[Score]:
+        """Score all candidates on top of a fitted model, best first.
+
+        A weak effect bends the directions of the others so little that those of the model without effect serve again.
+        """
+        if base.candidates and self._plain_directions and base.sigmas < self.settings.weak:
+            taken = set(base.explanation.causes)
+            kept = [d for d in self._plain_directions if self.candidates[d.candidate].cause not in taken]
+            return scores(base.fit, kept, len(self.calibration))
+        found = self.directions(base)
+        if not base.candidates:
+            self._plain_directions = found
+            self._found.clear()
+        return scores(base.fit, found, len(self.calibration))
+
+    def directions(self, base: FittedModel) -> list[Direction]:
+        """Directions of all candidates that the fitted model does not have yet."""
+        taken = set(base.explanation.causes)
+        numbers = [k for k, candidate in enumerate(self.candidates) if candidate.cause not in taken]
+        starts = {k: _starts(self.candidates[k]) for k in numbers}
+        pieces: list[tuple[list[int], list[FloatArray]]] = []
+        for turn in range(max((len(values) for values in starts.values()), default=0)):
+            chosen = [k for k in numbers if len(starts[k]) > turn]
+            for first in range(0, len(chosen), _TOGETHER):
+                own = chosen[first : first + _TOGETHER]
+                pieces.append((own, [starts[k][turn] for k in own]))
+        return [found for piece in self.workers.map(_directions_of, (self, base), pieces) for found in piece]
+
+    def _directions(self, base: FittedModel, chosen: list[int], wanted: list[FloatArray]) -> list[Direction]:
+        """Directions of candidates at one start each: derivatives at zero strength, differences where those vanish."""
+        starts = list(wanted)
+        added = tuple(self.candidates[k] for k in chosen)
+        parametrisation = Parametrisation(self.rig, self.calibration, base.candidates + added)
+        first = base.fit.theta.size
+        theta = np.concatenate(
+            [base.fit.theta, *[_at_zero(self.candidates[k], s) for k, s in zip(chosen, starts, strict=True)]]
+        )
+        offset, columns = first, []
+        for k in chosen:
+            columns.append(offset + _strength(self.candidates[k]))
+            offset += len(self.candidates[k].effect.parameters)
+        smooth = [i for i, start in enumerate(starts) if start[_strength(self.candidates[chosen[i]])] == 0.0]
+        result: list[Direction] = []
+        shown: set[int] = set()
+        if smooth:
+            which = [columns[i] for i in smooth]
+            jacobian = self.problem.whitened(
+                self.problem.forward.jacobian(parametrisation, theta, base.fit.prediction, which)
+            )
+            for position, i in enumerate(smooth):
+                parameter, column = _parameter(self.candidates[chosen[i]]), jacobian[:, position]
+                if parameter.even and not np.linalg.norm(np.nan_to_num(column)) > _SHOWN:
+                    starts[i] = _at(self.candidates[chosen[i]], starts[i], parameter.even)
+                else:
+                    shown.add(i)
+                    result.append(Direction(chosen[i], starts[i], column, parameter.signed))
+        for i in sorted(set(range(len(chosen))) - shown):
+            start = starts[i]
+            strength = float(start[_strength(self.candidates[chosen[i]])])
+            own = Parametrisation(self.rig, self.calibration, (*base.candidates, self.candidates[chosen[i]]))
+            try:
+                rig = own.rig(np.concatenate([base.fit.theta, start]))
+                moved = self.problem.forward.predict(rig, base.fit.prediction)
+            except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+                continue  # no rig there
+            change = base.fit.residual - self.problem.residual(moved)
+            parameter = _parameter(self.candidates[chosen[i]])
+            # What does not show to first order goes with the square: the same way for either sign.
+            signed = parameter.signed and not parameter.even
+            result.append(Direction(chosen[i], start, change / strength, signed))
+        return result
+
+    def add(self, base: FittedModel, score: Score, used: BoolArray | None = None) -> FittedModel | None:
+        """Fit a candidate on top of a fitted model; None where the model cannot be solved with it."""
+        candidate = self.candidates[score.direction.candidate]
+        spreads = tuple(base.fit.parametrisation.spread(index) for index in range(len(base.candidates)))
+        parametrisation = Parametrisation(self.rig, self.calibration, (*base.candidates, candidate), spreads)
+        start = np.array(score.direction.start, dtype=np.float64)
+        position = _strength(candidate)
+        if start[position] == 0.0:
+            # Half of what the scan says: a step too far may leave the range where the level has a solution.
+            limit = 2.0 * parametrisation.prior_std[base.fit.theta.size + position]
+            start[position] = np.clip(0.5 * score.strength, -limit, limit)
+        theta = np.concatenate([base.fit.theta, start])
+        own = range(base.fit.theta.size, theta.size)
+        try:
+            rig = parametrisation.rig(theta)
+            prediction = self.problem.forward.predict(rig, base.fit.prediction)
+            columns = self.problem.forward.jacobian(parametrisation, theta, prediction, own)
+            added = np.nan_to_num(self.problem.whitened(columns), posinf=0.0, neginf=0.0)
+            jacobian = np.column_stack([base.fit.jacobian, added])
+            rows = self._used(used)
+            result = fit(
+                self.problem, parametrisation, theta, rows, prediction, jacobian, exact=False, refreshes=_REFRESHES
+            )
+            result = self._widened(result, rows)
+        except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+            return None  # no rig, or no solution, at the start
+        if used is None and np.any(base.fit.used & ~result.used):
+            return None  # with rows left out that the others have to explain no evidence compares
+        return FittedModel((*base.candidates, candidate), result, score)
+
+    def _widened(self, found: Fit, rows: BoolArray | None) -> Fit:
+        """The fit with the part of its strengths' prior that makes it most probable.
+
+        Where the prior holds a strength back, the next wider part is tried, which is less probable beforehand.
+        """
+        while True:
+            own = found.parametrisation
+            spreads = tuple(
+                _wider(own.spread(index)) if _held_back(found, index) else own.spread(index)
+                for index in range(len(own.candidates))
+            )
+            if spreads == tuple(own.spread(index) for index in range(len(own.candidates))):
+                return found
+            wider = replace(own, spreads=spreads)
+            trial = fit(
+                self.problem, wider, found.theta, rows, found.prediction, found.jacobian,
+                exact=False, refreshes=_REFRESHES,
+            )  # fmt: skip
+            if trial.log_evidence <= found.log_evidence:
+                return found
+            found = trial
+
+    def polished(self, fitted_model: FittedModel) -> FittedModel:
+        """The same fit with sensitivities at its estimate, for uncertainties that are reported.
+
+        One that stops before its optimum goes on from where it stands, as long as that helps.
+        """
+        best = self._finished(fitted_model.fit)
+        try:
+            wider = self._widened(best, best.used)
+        except FitError:
+            wider = best
+        if wider is not best:
+            best = self._finished(wider)
+        if self.settings.restarts and fitted_model.candidates and (not best.converged or _incredible(best)):
+            best = self._restarted(best)
+        return FittedModel(fitted_model.candidates, best, fitted_model.score)
+
+    def _finished(self, best: Fit) -> Fit:
+        """The fit gone on with from where it stands, as long as it has not reached its optimum and that helps."""
+        for _ in range(self.settings.rounds):
+            try:
+                result = fit(
+                    self.problem, best.parametrisation, best.theta, best.used, best.prediction,
+                    known=self._sensitivities(best),
+                )  # fmt: skip
+            except FitError:
+                break
+            helped = result.log_evidence > best.log_evidence + 0.5
+            best = result
+            if result.converged or not helped:
+                break
+        return best
+
+    def _sensitivities(self, found: Fit) -> FloatArray | None:
+        """Sensitivities of a fit where they are those at its estimate, and whitened by the noise as it counts now."""
+        same = found.fresh and np.array_equal(self.problem.residual(found.prediction), found.residual, equal_nan=True)
+        return found.jacobian if same else None
+
+    def _restarted(self, best: Fit) -> Fit:
+        """The best of a fit and of fits of the same explanation from the model as it was given.
+
+        A strong effect bends the model's own parameters before it is named, often into a valley that no step leads out
+        of. From the parameters as given the effect is approached again, with all levels at once and level by level.
+        """
+        own, rows = best.parametrisation, best.used
+        start = np.where(np.arange(best.theta.size) < len(own.calibration), 0.0, best.theta)
+        for climbs in (False, True):
+            try:
+                near = self._climbed(own, rows, start) if climbs else fit(self.problem, own, start, rows)
+                found = self._finished(near)
+            except FitError:
+                continue
+            if np.any(rows & ~found.used):
+                continue  # with rows left out no evidence compares
+            if found.log_evidence > best.log_evidence:
+                best = found
+        return best
+
+    def refit(self, fitted_model: FittedModel, used: BoolArray) -> FittedModel | None:
+        """The same explanation fitted to other rows; None where that fails."""
+        start = fitted_model.fit
+        try:
+            result = fit(
+                self.problem, start.parametrisation, start.theta, used, start.prediction, start.jacobian,
+                exact=False, refreshes=_REFRESHES, known=self._sensitivities(start),
+            )  # fmt: skip
+        except FitError:
+            return None
+        return FittedModel(
+            fitted_model.candidates, result if result.converged else self._finished(result), fitted_model.score
+        )
+
+    def all_refits(self, wanted: Sequence[tuple[FittedModel, BoolArray]]) -> list[FittedModel | None]:
+        """``refit`` of several explanations to rows of their own."""
+        return self.workers.map(_refitted, self, wanted, weight=_labour)
+
+    def singles(
+        self, base: FittedModel, found: Sequence[Score], known: Sequence[FittedModel] = ()
+    ) -> list[FittedModel]:
+        """Fit the candidates that promise most, best evidence first.
+
+        Args:
+            base: what they are added to.
+            found: scores, best first.
+            known: fits of candidates to the same rows under other noise or from elsewhere; the best go on from there.
+        """
+        settings = self.settings
+        chosen: dict[str, list[Score]] = {}
+        best = found[0].gain if found else 0.0
+        going = self._going_on(known)
+        # What is known to explain the gap leaves no room for what explains a small part of it.
+        known_gain = 2.0 * max((own.fit.log_evidence - base.fit.log_evidence for own in going), default=0.0)
+        least = max(settings.least_gain, min(best - settings.behind, settings.share * best), _ENOUGH * known_gain)
+        for score in found:
+            if score.gain < least:
+                break
+            name = self.candidates[score.direction.candidate].effect.name
+            if name not in chosen and len(chosen) == settings.finalists:
+                continue
+            if len(chosen.setdefault(name, [])) < settings.placements:
+                chosen[name].append(score)
+        every = [score for mine in chosen.values() for score in mine]
+        added = [own for own in self._all_added([(base, score) for score in every]) if own is not None]
+        return self._with_other_shapes(self._settled(_united(added, going)))
+
+    def _going_on(self, known: Sequence[FittedModel]) -> list[FittedModel]:
+        """The best known explanations gone on from where they stand."""
+        continued = self.workers.map(_continued, self, known[:_CARRIED])
+        return [own for own in continued if own is not None]
+
+    def _gone_on(self, fitted_model: FittedModel) -> FittedModel | None:
+        """A known explanation fitted from where it stands; None where that fails."""
+        before = fitted_model.fit
+        try:
+            found = fit(
+                self.problem, before.parametrisation, before.theta, before.used, before.prediction,
+                known=self._sensitivities(before),
+            )  # fmt: skip
+        except FitError:
+            return None
+        return (
+            None
+            if np.any(before.used & ~found.used)
+            else FittedModel(fitted_model.candidates, found, fitted_model.score)
+        )
+
+    def _all_added(self, wanted: Sequence[tuple[FittedModel, Score]]) -> list[FittedModel | None]:
+        """Candidates fitted on top of fitted models; None where the model cannot be solved with one."""
+
+        begun = count()
+
+        def told(item: tuple[FittedModel, Score]) -> None:
+            base, score = item
+            name = self.candidates[score.direction.candidate].label
+            what = f"fitting {base.explanation.label} with {name}" if base.candidates else f"fitting {name}"
+            self._progress(Told(what, next(begun), len(wanted)))
+
+        return self.workers.map(_added, self, wanted, told)
+
+    def pruned(
+        self, singles: Sequence[FittedModel], pairs: Sequence[FittedModel]
+    ) -> tuple[list[FittedModel], list[FittedModel]]:
+        """Singles and pairs without members that do nothing, best evidence first.
+
+        A pair with a member at zero says nothing but that its other member can be fitted better: the single one goes
+        on from there.
+        """
+        kept: list[FittedModel] = []
+        better = list(singles)
+        for pair in pairs:
+            weakest = min(range(len(pair.candidates)), key=pair.strength)
+            if pair.strength(weakest) >= _NOTHING:
+                kept.append(pair)
+                continue
+            alone = self._without(pair, weakest)
+            if alone is None:
+                continue
+            competing = [own for own in better if own.explanation == alone.explanation]
+            if all(alone.fit.log_evidence > own.fit.log_evidence + 0.5 for own in competing):
+                better = [own for own in better if own.explanation != alone.explanation] + [alone]
+        return sorted(better, key=lambda own: -own.fit.log_evidence), kept
+
+    def _without(self, fitted_model: FittedModel, member: int) -> FittedModel | None:
+        """The explanation fitted without one of its effects, from where it stands; None where that fails."""
+        before = fitted_model.fit
+        rest = tuple(c for k, c in enumerate(fitted_model.candidates) if k != member)
+        spreads = tuple(before.parametrisation.spread(k) for k in range(len(fitted_model.candidates)) if k != member)
+        parametrisation = Parametrisation(self.rig, self.calibration, rest, spreads)
+        theta = np.delete(before.theta, np.r_[before.parametrisation.index_of(member)])
+        try:
+            found = fit(self.problem, parametrisation, theta, before.used, before.prediction)
+        except FitError:
+            return None
+        return FittedModel(rest, found, fitted_model.score)
+
+    def _with_partners(self, singles: Sequence[FittedModel], skipped: Collection[Explanation]) -> list[FittedModel]:
+        """Elastic effects with dissipative ones at the same point and the other way round, best evidence first.
+
+        A structure that stretches or yields mostly has both. Each alone is fitted in vain by what the other does, and a
+        scan about that fit need not show the other; both are fitted together, from the model as given.
+        """
+        wanted: dict[Explanation, tuple[tuple[Candidate, ...], tuple[float, ...], FloatArray]] = {}
+        for single in singles:
+            (own,) = single.candidates
+            spread = single.fit.parametrisation.spread(0)
+            for other in self.candidates:
+                if {own.effect.force, other.effect.force} != {"elastic", "dissipative"}:
+                    continue
+                if (own.site.point, own.site.other_point) != (other.site.point, other.site.other_point):
+                    continue
+                start = np.concatenate([_at_zero(own, _starts(own)[0]), _at_zero(other, _starts(other)[0])])
+                both = Explanation((own.cause, other.cause))
+                if both not in skipped:
+                    wanted.setdefault(both, ((own, other), (spread, 1.0), start))
+        if not wanted:
+            return []
+        self._progress(f"fitting {len(wanted)} pairs of stiffness and damping")
+        found = self.workers.map(_approached_together, self, list(wanted.values()))
+        return [own for own in found if own is not None]
+
+    def _together(
+        self, candidates: tuple[Candidate, ...], spreads: tuple[float, ...], start: FloatArray
+    ) -> FittedModel | None:
+        """Effects fitted together from the model as given; None where that fails or leaves rows out."""
+        parametrisation = Parametrisation(self.rig, self.calibration, candidates, spreads)
+        theta = np.concatenate([np.zeros(len(self.calibration)), start])
+        try:
+            found = fit(self.problem, parametrisation, theta, self.rows, exact=False, refreshes=2 * _REFRESHES)
+            found = self._widened(found, self.rows)
+        except FitError:
+            return None
+        wanted = self.problem.size if self.rows is None else int(self.rows.sum())
+        return FittedModel(candidates, found) if int(found.used.sum()) == wanted else None
+
+    def _settled(self, fitted_models: list[FittedModel]) -> list[FittedModel]:
+        """Those near the best fitted to the end with sensitivities of their own, best evidence first.
+
+        Sensitivities carried over from another fit lead to nearly the right estimate only.
+        """
+        ordered = sorted(fitted_models, key=lambda fitted_model: -fitted_model.fit.log_evidence)
+        if not ordered:
+            return []
+        limit = ordered[0].fit.log_evidence - self.settings.close
+        near = [own for own in ordered[: self.settings.settled] if own.fit.log_evidence >= limit]
+        self._progress(Told(f"fitting the best {len(near)} to the end", ranking=self._standing(ordered)))
+        result = self.workers.map(_polished, self, near) + ordered[len(near) :]
+        result = sorted(result, key=lambda fitted_model: -fitted_model.fit.log_evidence)
+        self._progress(Told(f"so far the best is {result[0].explanation.label}", ranking=self._standing(result)))
+        return result
+
+    def _with_other_shapes(self, found: list[FittedModel]) -> list[FittedModel]:
+        """The same explanations, the best of them tried from other shapes where they leave more than noise.
+
+        A shape that lies beyond what was measured (a slip displacement that no amplitude reaches) changes nothing: the
+        fit has no slope there that would lead it back.
+        """
+        better: dict[Explanation, FittedModel] = {}
+        for own in _best_by_effect(found)[:_RESHAPED]:
+            starts = _other_shapes(own) if _leaves(own.fit) > _LEAVES else []
+            if starts:
+                self._progress(Told(f"trying {own.explanation.label} from other shapes"))
+            best = own
+            # A few at a time, as many for any number of processes: a full explanation needs no more of them.
+            for first in range(0, len(starts), _AT_ONCE):
+                tried = self.workers.map(_reshaped, self, [(own, theta) for theta in starts[first : first + _AT_ONCE]])
+                for trial in tried:
+                    if trial is not None and trial.fit.log_evidence > best.fit.log_evidence + 0.5:
+                        best = trial
+                if _leaves(best.fit) <= _LEAVES:
+                    break
+            if best is not own:
+                better[own.explanation] = best
+        ended = {own.explanation: own for own in self.workers.map(_polished, self, list(better.values()))}
+        kept = [own for own in found if own.explanation not in ended]
+        return sorted((*ended.values(), *kept), key=lambda fitted_model: -fitted_model.fit.log_evidence)
+
+    def _from_shape(self, fitted_model: FittedModel, theta: FloatArray) -> FittedModel | None:
+        """An explanation fitted from other parameters; None where that fails or leaves rows out."""
+        before = fitted_model.fit
+        try:
+            found = fit(
+                self.problem, before.parametrisation, theta, before.used, before.prediction, exact=False,
+                refreshes=_REFRESHES,
+            )  # fmt: skip
+        except FitError:
+            return None
+        return (
+            None
+            if np.any(before.used & ~found.used)
+            else FittedModel(fitted_model.candidates, found, fitted_model.score)
+        )
+
+    def _standing(self, found: Sequence[FittedModel]) -> list[tuple[str, float]]:
+        """All explanations since the last scan of the model itself, and how far each lies behind the best."""
+        self._found.update((own.explanation.label, own.fit.log_evidence) for own in found)
+        best = max(self._found.values())
+        return sorted(((label, best - own) for label, own in self._found.items()), key=lambda item: item[1])
+
+    def pairs(self, singles: Sequence[FittedModel], known: Sequence[FittedModel] = ()) -> list[FittedModel]:
+        """Second effects on top of the best single ones, best evidence first.
+
+        Args:
+            singles: explanations by one effect, best first.
+            known: pairs fitted before, as for :meth:`singles`.
+        """
+        settings = self.settings
+        result: list[FittedModel] = []
+        best = singles[0].fit.log_evidence if singles else 0.0
+        heads: set[str] = set()
+        possible = [single for single in singles if beyond_limits(single.candidates, single.fit) <= _BEYOND]
+        going = self._going_on(known)
+        if settings.partners:
+            skipped = {own.explanation for own in known}
+            smooth = [single for single in _best_by_effect(possible) if single.candidates[0].effect.force]
+            result = self._with_partners(smooth[: settings.partners], skipped)
+        tried = {own.explanation for own in (*result, *going)}
+        best = max([best, *(own.fit.log_evidence for own in (*result, *going))])
+        for rank, single in enumerate(_best_by_effect(possible)[: settings.first_of_pairs]):
+            found = self.scan(single)
+            if rank == 0 and (not found or found[0].gain < settings.pair_gain):
+                break  # the best single explanation leaves nothing for a second one
+            wanted: list[Score] = []
+            for score in found:
+                if (
+                    score.gain < settings.pair_gain
+                    or len(wanted) == settings.second_of_pairs
+                    or _hopeless(single, score, best)
+                ):
+                    break
+                second = self.candidates[score.direction.candidate]
+                if second.effect.name in heads:
+                    continue  # tried already, the other way round
+                if incredible(second, score):
+                    continue
+                pair = Explanation((*single.explanation.causes, second.cause))
+                if pair not in tried:
+                    tried.add(pair)
+                    wanted.append(score)
+            # All at once; what is hopeless beside those before it does not count.
+            fitted = self._all_added([(single, score) for score in wanted])
+            for score, fitted_model in zip(wanted, fitted, strict=True):
+                if _hopeless(single, score, best):
+                    break
+                if fitted_model is not None:
+                    result.append(fitted_model)
+                    best = max(best, fitted_model.fit.log_evidence)
+            heads.update(single.effects)
+        return self._settled(_united(result, going))
+
+
+def _hopeless(single: FittedModel, score: Score, best: float) -> bool:
+    """Even what the scan promises would not make a pair better than the best explanation."""
+    return single.fit.log_evidence + 0.5 * score.gain < best
+
+
+def _restarted_from(shared: tuple[ModelComparison, FittedModel], other: FittedModel) -> Fit | None:
+    comparison, null = shared
+    return comparison._from(null, other)
+
+
+def _directions_of(
+    shared: tuple[ModelComparison, FittedModel], piece: tuple[list[int], list[FloatArray]]
+) -> list[Direction]:
+    comparison, base = shared
+    return comparison._directions(base, *piece)
+
+
+def _added(comparison: ModelComparison, item: tuple[FittedModel, Score]) -> FittedModel | None:
+    return comparison.add(*item)
+
+
+def _approached_together(
+    comparison: ModelComparison, item: tuple[tuple[Candidate, ...], tuple[float, ...], FloatArray]
+) -> FittedModel | None:
+    return comparison._together(*item)
+
+
+def _continued(comparison: ModelComparison, fitted_model: FittedModel) -> FittedModel | None:
+    return comparison._gone_on(fitted_model)
+
+
+def _polished(comparison: ModelComparison, fitted_model: FittedModel) -> FittedModel:
+    return comparison.polished(fitted_model)
+
+
+def _reshaped(comparison: ModelComparison, item: tuple[FittedModel, FloatArray]) -> FittedModel | None:
+    return comparison._from_shape(*item)
+
+
+def _refitted(comparison: ModelComparison, item: tuple[FittedModel, BoolArray]) -> FittedModel | None:
+    return comparison.refit(*item)
+
+
+def _labour(item: tuple[FittedModel, BoolArray]) -> float:
+    """How much work a refit is likely to be: those that have not reached an optimum go on longest."""
+    fitted_model, used = item
+    return fitted_model.fit.theta.size * float(used.sum()) * (1.0 if fitted_model.fit.converged else 10.0)
+
+
+def _silent(_: str) -> None:
+    """Report nothing."""
+
+
+def _united(added: list[FittedModel], known: Sequence[FittedModel]) -> list[FittedModel]:
+    """Fits, and known ones where they are better than the same explanation fitted anew."""
+    for own in known:
+        competing = [other for other in added if other.explanation == own.explanation]
+        if all(own.fit.log_evidence > other.fit.log_evidence + 0.5 for other in competing):
+            added = [other for other in added if other.explanation != own.explanation] + [own]
+    return added
+
+
+def _held_back(found: Fit, candidate: int) -> bool:
+    """Whether the prior holds a strength of a candidate back."""
+    own = found.parametrisation.index_of(candidate)
+    share = np.abs(found.theta[own]) / found.parametrisation.prior_std[own]
+    strengths = [p.kind == "strength" for p in found.parametrisation.candidates[candidate].effect.parameters]
+    return bool(np.any(share[strengths] > _WIDER))
+
+
+def _wider(spread: float) -> float:
+    return next((value for value in SPREADS if value > spread), spread)
+
+
+def _leaves(found: Fit) -> float:
+    """Rms of what a fit leaves, in standard deviations."""
+    return float(np.sqrt(found.chi_square / max(1, int(found.used.sum()))))
+
+
+def _other_shapes(fitted_model: FittedModel) -> list[FloatArray]:
+    """θ with the shapes of one effect after another at each combination of its grid."""
+    result = []
+    for number, candidate in enumerate(fitted_model.candidates):
+        shapes = [k for k, parameter in enumerate(candidate.effect.parameters) if parameter.kind == "shape"]
+        own = np.arange(fitted_model.fit.theta.size)[fitted_model.fit.parametrisation.index_of(number)][shapes]
+        for start in {tuple(start[shapes]) for start in _starts(candidate)} if shapes else ():
+            theta = fitted_model.fit.theta.copy()
+            theta[own] = start
+            result.append(theta)
+    return sorted(result, key=lambda theta: tuple(theta))
+
+
+def _incredible(found: Fit) -> bool:
+    return found.penalty > _INCREDIBLE * max(1, found.theta.size)
+
+
+def _best_by_effect(fitted_models: Sequence[FittedModel]) -> list[FittedModel]:
+    seen: set[tuple[str, ...]] = set()
+    result = []
+    for fitted_model in fitted_models:
+        if fitted_model.effects not in seen:
+            seen.add(fitted_model.effects)
+            result.append(fitted_model)
+    return result
+
+
+def _strength(candidate: Candidate) -> int:
+    """Position of the strength among the parameters of a candidate."""
+    return next(k for k, p in enumerate(candidate.effect.parameters) if p.kind == "strength")
+
+
+def _parameter(candidate: Candidate) -> EffectParameter:
+    return candidate.effect.parameters[_strength(candidate)]
+
+
+def _at(candidate: Candidate, start: FloatArray, strength: float) -> FloatArray:
+    result = start.copy()
+    result[_strength(candidate)] = strength
+    return result
+
+
+def _at_zero(candidate: Candidate, start: FloatArray) -> FloatArray:
+    return _at(candidate, start, 0.0)
+
+
+def _starts(candidate: Candidate) -> list[FloatArray]:
+    """Dimensionless parameters to look at: all combinations of the grids; a strength without grid at zero."""
+    grids: list[tuple[float, ...]] = []
+    for parameter in candidate.effect.parameters:
+        if parameter.kind == "shape":
+            grids.append(tuple(float(np.log(value)) for value in parameter.grid or _SHAPE_STARTS))
+        else:
+            grids.append(parameter.grid or (0.0,))
+    return [np.array(values) for values in product(*grids)]

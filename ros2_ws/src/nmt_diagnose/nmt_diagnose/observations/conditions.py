@@ -1,0 +1,248 @@
+"""Under which conditions a set of observations was recorded: all that a model needs to predict it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray, Quantity
+
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class MeasuredChannel:
+    """A recorded channel.
+
+    Attributes:
+        name: channel name, for example ``f2``, ``x4``, ``a2``, ``u``.
+        quantity: what it measures.
+        point: measurement point, 0 for voltage and current.
+    """
+
+    name: str
+    quantity: Quantity
+    point: int
+
+
+@dataclass(frozen=True)
+class LockedLevel:
+    """One locked window.
+
+    Attributes:
+        index: level number in its plan.
+        drive: commanded drive voltage, V peak; its phase is the zero of all phases. NaN where it is not known.
+        phase_error: measured arg F₁ − arg(iωψ_k,1) at the drive point, rad: where the loop stood; an input of the
+            model.
+        phase_error_std: its standard uncertainty, rad.
+        frequency_hz: measured excitation frequency, Hz (start of the solution).
+        start_s, stop_s: window on the clock of its bag, s.
+        cycles_before: excitation periods since the start of the bag until the middle of the window.
+        direction: +1 while the level rises, −1 while it falls.
+        force_n: measured |F₁|, N: the given amplitude where the force is held.
+        phase_lean: how far the loop may still have been off because it had not settled, rad.
+        drive_harmonics: orders 2, 3, … of the recorded drive, or of the force where that is held, over its fundamental,
+            whose phase is zero; empty = pure.
+        amplitude_leans: of each channel of the test, how far its amplitude was from where it would have settled,
+            relative; empty = nowhere.
+    """
+
+    index: int
+    drive: float
+    phase_error: float
+    phase_error_std: float
+    frequency_hz: float
+    start_s: float
+    stop_s: float
+    cycles_before: float
+    direction: int
+    force_n: float = math.nan
+    phase_lean: float = 0.0
+    drive_harmonics: tuple[complex, ...] = ()
+    amplitude_leans: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class PhaseResonanceTest:
+    """Locked windows of one run.
+
+    Attributes:
+        name: unique name of the test.
+        drive_point: measurement point of the exciter.
+        response_channel: channel whose phase the loop controlled.
+        channels: all recorded channels with harmonics.
+        harmonics: highest order among the observables.
+        held: ``voltage`` (drive known), or ``force`` (drive unknown, |F₁| taken as the given amplitude; the zero of all
+            phases is then that of the measured F₁).
+        levels: the windows, in time.
+        commanded: the drive is the commanded voltage; else the recorded one.
+    """
+
+    name: str
+    drive_point: int
+    response_channel: str
+    channels: tuple[MeasuredChannel, ...]
+    harmonics: int
+    held: str
+    levels: tuple[LockedLevel, ...]
+    commanded: bool = False
+
+
+@dataclass(frozen=True)
+class RandomTest:
+    """Frequency responses of a low-level random test, referred to the voltage (or, without one, to the force).
+
+    Attributes:
+        name: unique name.
+        drive_point: measurement point of the exciter.
+        channels: response channels, in the order of the observables.
+        reference: ``voltage`` or ``force``.
+        lines_hz: frequency lines that became observables, Hz, shape (lines,).
+        resolution_hz: spacing of the lines of the estimator, Hz.
+        window: ``none``: the expected estimate is the response at the line itself;
+            ``hann``: the expected estimate at a line is the response averaged over the neighbouring lines with the
+            weights of |W|² (1/6, 2/3, 1/6 in spacings of ``resolution_hz``).
+        drive_rms: rms of the reference, V or N.
+        start_s, stop_s: on the clock of its bag, s.
+        drive_hold_hz: rate at which the drive went straight from sample to sample, Hz; infinite where it did not. The
+            observables are responses to the samples of the drive then: smaller by sinc², and with images of the drive
+            around multiples of that rate.
+        sampled_at: for a drive that was held from sample to sample at that rate, and channels without anti-alias
+            filters: when they are sampled, in samples after the drive has moved on; None = otherwise.
+        rise: time that the drive takes to move on, in samples.
+    """
+
+    name: str
+    drive_point: int
+    channels: tuple[MeasuredChannel, ...]
+    reference: str
+    lines_hz: FloatArray
+    resolution_hz: float
+    window: str
+    drive_rms: float
+    start_s: float
+    stop_s: float
+    drive_hold_hz: float = math.inf
+    sampled_at: float | None = None
+    rise: float = 0.0
+
+
+@dataclass(frozen=True)
+class SteppedSineTest:
+    """Frequency responses at an amplitude that was held while the frequency was stepped.
+
+    Attributes:
+        name: unique name.
+        drive_point: measurement point of the exciter.
+        channels: response channels, in the order of the observables; the first is the one whose amplitude the model is
+            given.
+        reference: what the responses are divided by: ``force``, ``base`` (acceleration of a shaking table) or
+            ``voltage``.
+        held: what had the given amplitude: ``force``, ``base``, ``voltage``, or ``response`` (the first channel).
+        lines_hz: frequencies that became observables, Hz, ascending, shape (lines,).
+        levels: amplitude of what was held at each line, in its SI unit, shape (lines,).
+        measured: measured responses, shape (lines, channels): they say how large the motion was and on which branch.
+        noise: relative standard uncertainty of each line's magnitude and phase (rad), shape (lines,).
+        direction: +1 while the frequency rose, −1 while it fell, 0 where it is not known.
+        growth: ∂ ln R / ∂ ln s of the reference R over the first channel's amplitude s, by which an error of s counts,
+            shape (lines,); None = 1, that of a linear rig.
+        scale: true over recorded amplitude of the first channel.
+    """
+
+    name: str
+    drive_point: int
+    channels: tuple[MeasuredChannel, ...]
+    reference: str
+    held: str
+    lines_hz: FloatArray
+    levels: FloatArray
+    measured: ComplexArray
+    noise: FloatArray
+    direction: int = 0
+    growth: ComplexArray | None = None
+    scale: float = 1.0
+
+    @property
+    def amplitudes(self) -> FloatArray:
+        """Amplitude of the first channel at each line, in its unit; NaN where only the voltage is known, (lines,)."""
+        if self.held == "response":
+            return self.levels
+        if self.held == self.reference:
+            return np.asarray(np.abs(self.measured[:, 0]) * self.levels, dtype=np.float64)
+        return np.full(self.levels.shape, math.nan)
+
+
+@dataclass(frozen=True)
+class RingDownTest:
+    """Free decay after switch-off or impact: frequency and decay rate of a response over its amplitude.
+
+    Attributes:
+        name: unique name.
+        drive_point: measurement point of the exciter (it stays attached, at zero volts).
+        channel: response channel that the amplitudes are of.
+        amplitudes: fundamental amplitude in the channel's unit at which the observables stand, shape (k,), falling.
+        frequency_hz: at the smallest amplitude, Hz; it tells the mode.
+        others: further response channels; magnitude and phase of their fundamentals stand relative to the first one's.
+    """
+
+    name: str
+    drive_point: int
+    channel: MeasuredChannel
+    amplitudes: FloatArray
+    frequency_hz: float
+    others: tuple[MeasuredChannel, ...] = ()
+
+    @property
+    def channels(self) -> tuple[MeasuredChannel, ...]:
+        """All channels, in the order of the observables."""
+        return (self.channel, *self.others)
+
+
+@dataclass(frozen=True)
+class RecordTest:
+    """Any excitation: the model is driven by the measured input.
+
+    Attributes:
+        name: unique name.
+        drive_point: measurement point of the exciter.
+        sample_rate: of the input, Hz: that of the recording or a whole multiple of it, so fine that the input may be
+            taken as straight from sample to sample.
+        input_channel: measured input (voltage, or force).
+        input: samples, shape (n,), V or N, without mean; the responses' means are taken off, too.
+        channels: response channels, in the order of the observables.
+        segment_bounds: first input sample of each scored segment and the end of the last, shape (segments + 1,).
+        start_s: time of the first sample on the clock of its bag, s: an observable of time t is sample
+            (t − start_s) · sample_rate of the input.
+    """
+
+    name: str
+    drive_point: int
+    sample_rate: float
+    input_channel: MeasuredChannel
+    input: FloatArray
+    channels: tuple[MeasuredChannel, ...]
+    segment_bounds: FloatArray
+    start_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class BackboneTable:
+    """A backbone reduced by someone else: frequency (and damping ratio) over response amplitude at the drive point.
+
+    Attributes:
+        name: unique name.
+        drive_point: measurement point of the exciter.
+        channel: response channel of the amplitudes.
+        amplitudes: shape (k,).
+    """
+
+    name: str
+    drive_point: int
+    channel: MeasuredChannel
+    amplitudes: FloatArray
+
+
+Test = PhaseResonanceTest | RandomTest | SteppedSineTest | RingDownTest | RecordTest | BackboneTable

@@ -1,0 +1,122 @@
+"""What the reading of observations asks of the model: its channels, and its linear response for plausibility."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_rig.linear_description import linear_description
+from nmt_rig.model.assembly import ElectromechanicalSystem
+from nmt_rig.rig import Rig
+from nmt_rig.rig_model import build_system, input_per_volt
+
+ComplexArray = NDArray[np.complex128]
+
+ORDER = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
+
+
+@dataclass(frozen=True)
+class ModelView:
+    """Channels and linear behaviour of a rig with the exciter at one point.
+
+    Attributes:
+        rig: the model, its exciter at the drive point of the test.
+        system: its equations.
+        shape: target mode at the drive point, 1/√kg.
+        frequencies_hz: linear frequencies of structure alone and with exciter.
+    """
+
+    rig: Rig
+    system: ElectromechanicalSystem
+    shape: float
+    frequencies_hz: tuple[float, ...]
+
+    @classmethod
+    def of(cls, rig: Rig, drive_point: int) -> ModelView:
+        """View of a rig driven at a point of its own, or at another one."""
+        if drive_point != rig.drive_point:
+            rig = rig.model_copy(update={"exciter": rig.exciter.model_copy(update={"point": drive_point})})
+        linear = linear_description(rig)
+        hertz = [value / (2.0 * math.pi) for value in (*linear.frequencies_rad_s, linear.plant_frequency_rad_s)]
+        return cls(rig, build_system(rig), linear.drive_point_shape, tuple(sorted(hertz)))
+
+    @property
+    def channels(self) -> tuple[MeasuredChannel, ...]:
+        """Channels that the model predicts."""
+        rig = self.rig
+        return tuple(
+            MeasuredChannel(rig.sensor_channel(sensor), Quantity[sensor.quantity.upper()], rig.sensor_point(sensor))
+            for sensor in rig.sensors
+        )
+
+    def responses(self, channels: Sequence[MeasuredChannel], frequency_hz: FloatArray) -> ComplexArray:
+        """Linear responses to 1 V of drive, sensors ideal, shape (channels, frequencies); NaN where there is none."""
+        system = self.system
+        s = 2j * math.pi * np.asarray(frequency_hz, dtype=np.float64)[:, np.newaxis, np.newaxis]
+        stiffness, damping = system.sticking_stiffness(), system.resting_damping()
+        impedance = stiffness + s * damping + s * s * system.mass
+        unit = np.broadcast_to(system.input_vector.astype(complex)[:, np.newaxis], (*impedance.shape[:2], 1))
+        motion = np.linalg.solve(impedance, unit)[:, :, 0].T
+        s = s[:, 0, 0]
+        row = system.force
+        force = (s * s * (row.acceleration @ motion) + s * (row.velocity @ motion) + row.displacement @ motion) + (
+            row.feedthrough
+        )
+        values = np.full((len(channels), s.size), complex(math.nan))
+        scale = input_per_volt(self.rig)
+        for index, channel in enumerate(channels):
+            if channel.quantity is Quantity.VOLTAGE:
+                values[index] = 1.0
+            elif channel.quantity is Quantity.FORCE:
+                values[index] = scale * force
+            elif channel.quantity is Quantity.CURRENT and system.current is not None:
+                values[index] = scale * motion[system.current]
+            elif channel.quantity in ORDER and channel.point in system.point_numbers:
+                values[index] = scale * system.motion(channel.point, motion) * s ** ORDER[channel.quantity]
+        return values
+
+
+def matched(
+    channels: tuple[MeasuredChannel, ...], view: ModelView
+) -> tuple[dict[str, MeasuredChannel], tuple[str, ...]]:
+    """The model's channel for each recorded one, by quantity and point.
+
+    Returns:
+        The model's channel by recorded name, and sentences on what has no counterpart.
+    """
+    by_place = {(channel.quantity, channel.point): channel for channel in reversed(view.channels)}
+    by_name = {channel.name: channel for channel in view.channels}
+    result: dict[str, MeasuredChannel] = {}
+    notes = []
+    for channel in channels:
+        own = by_name.get(channel.name)
+        if own is None or (own.quantity, own.point) != (channel.quantity, channel.point):
+            own = by_place.get((channel.quantity, channel.point))
+        if channel.quantity is Quantity.FORCE and own is None:
+            own = next((c for c in view.channels if c.quantity is Quantity.FORCE), None)
+        if own is not None and own.name not in {c.name for c in result.values()}:
+            result[channel.name] = own
+        else:
+            place = f" at point {channel.point}" if channel.point else ""
+            notes.append(
+                f"Channel {channel.name} ({channel.quantity.name.lower()}{place}) has no counterpart among the model's "
+                "sensors and is left out; add the sensor to the rig file to use it."
+            )
+    taken = {channel.name for channel in result.values()}
+    missing = [channel.name for channel in view.channels if channel.name not in taken]
+    if missing:
+        verb = "was" if len(missing) == 1 else "were"
+        notes.append(f"Of the model's channels, {', '.join(missing)} {verb} not recorded.")
+    return result, tuple(notes)
+
+
+def nearest_ratio(frequency_hz: float, frequencies_hz: tuple[float, ...]) -> float:
+    """Frequency over the nearest of several, on a logarithmic scale."""
+    logs = np.log(frequency_hz / np.asarray(frequencies_hz))
+    return float(np.exp(logs[np.argmin(np.abs(logs))]))

@@ -1,0 +1,127 @@
+"""One schema of observables for the real side and for the model, with covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.observations.conditions import Test
+from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.origin import Origin
+
+IntArray = NDArray[np.int64]
+
+
+class Part(IntEnum):
+    """What a row is a part of."""
+
+    LOG_FREQUENCY = 0  # ln of the locked (or ring-down, or backbone) angular frequency in rad/s
+    PHASE_ERROR = 1  # arg F₁ − arg(iωψ₁) at lock, rad; predicted by what the controller aims at (0 for an ideal one)
+    LOG_MAGNITUDE = 2  # ln |Y₁| (or ln |H| of a frequency response)
+    PHASE = 3  # arg Y₁ in the frame of the drive voltage, rad (of a frequency response: arg H)
+    REAL = 4  # Re Y_n / |Y₁ measured|, n ≠ 1, in the frame of the drive voltage (n = 0: the mean over |Y₁|)
+    IMAG = 5  # Im of the same
+    DAMPING = 6  # damping ratio δ
+    SAMPLE = 7  # a sample of a record, in units of the channel
+    LINE = 8  # amplitude of a spectral line at the row's frequency that follows no excitation, in units of the channel
+    STEP = 9  # step of the converter that recorded the channel, in its units; 0 where the samples show none
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Identity of every observable, column by column, all of shape (m,).
+
+    Attributes:
+        test: index into the tests of the observations.
+        level: level index in its test (line of a frequency response, amplitude of a decay, segment of a record).
+        channel: index into the channels of its test; −1 where it belongs to none (frequency, phase error).
+        harmonic: order n; −1 where it has none.
+        part: see :class:`Part`.
+        time_s: middle of its window on the clock of its bag, s.
+        frequency_hz: excitation frequency or line, Hz.
+        amplitude: drive voltage (V) or other level of excitation.
+    """
+
+    test: IntArray
+    level: IntArray
+    channel: IntArray
+    harmonic: IntArray
+    part: IntArray
+    time_s: FloatArray
+    frequency_hz: FloatArray
+    amplitude: FloatArray
+
+    def __len__(self) -> int:
+        return int(self.test.shape[0])
+
+    def take(self, which: NDArray[np.bool_] | IntArray) -> Rows:
+        """The rows of a mask or of indices."""
+        return Rows(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class Observations:
+    """All observables of a real side.
+
+    Attributes:
+        tests: the tests, in the order of ``rows.test``.
+        rows: identity of the observables.
+        values: measured values, shape (m,).
+        std: standard uncertainty of each (noise; no model floor), shape (m,).
+        floor: standard deviation of what repeats of the same test or the finite exactness of estimator, lock and
+            model add, shape (m,).
+        notes: sentences on what was found, left out and why (shown to the user).
+        inputs: bags with their SHA-256.
+        chains: tolerances of the measuring chain of each test, None = it measures as the rig file says; may be empty.
+        origins: what made each of ``inputs``; may be empty.
+    """
+
+    tests: tuple[Test, ...]
+    rows: Rows
+    values: FloatArray
+    std: FloatArray
+    floor: FloatArray
+    notes: tuple[str, ...] = ()
+    inputs: tuple[tuple[str, str], ...] = ()
+    chains: tuple[MeasuringChain | None, ...] = ()
+    origins: tuple[Origin, ...] = ()
+
+    @property
+    def sigma(self) -> FloatArray:
+        """What residuals are divided by, √(std² + floor²), shape (m,)."""
+        return np.hypot(self.std, self.floor)
+
+    def take(self, which: NDArray[np.bool_] | IntArray) -> Observations:
+        """Part of the observations; the tests stay as they are."""
+        return Observations(
+            self.tests, self.rows.take(which), self.values[which], self.std[which], self.floor[which], self.notes,
+            self.inputs, self.chains, self.origins,
+        )  # fmt: skip
+
+
+def joined(parts: Sequence[Observations]) -> Observations:
+    """Several sets of observations as one; tests are renumbered."""
+    tests: list[Test] = []
+    rows: list[Rows] = []
+    for part in parts:
+        shifted = {name: getattr(part.rows, name) for name in Rows.__dataclass_fields__}
+        shifted["test"] = part.rows.test + len(tests)
+        rows.append(Rows(**shifted))
+        tests.extend(part.tests)
+    columns = [np.concatenate([getattr(row, name) for row in rows]) for name in Rows.__dataclass_fields__]
+    return Observations(
+        tuple(tests),
+        Rows(*columns),
+        np.concatenate([part.values for part in parts]),
+        np.concatenate([part.std for part in parts]),
+        np.concatenate([part.floor for part in parts]),
+        tuple(note for part in parts for note in part.notes),
+        tuple(item for part in parts for item in part.inputs),
+        tuple(chain for part in parts for chain in (part.chains or (None,) * len(part.tests))),
+        tuple(origin for part in parts for origin in part.origins),
+    )

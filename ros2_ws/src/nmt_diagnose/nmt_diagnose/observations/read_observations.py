@@ -1,0 +1,337 @@
+"""From bags to observations: every kind of test that a real side may contain."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
+from nmt_core.vocabulary import TestKind
+from nmt_diagnose.observations.bag_samples import Stretch, read_windows
+from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
+from nmt_diagnose.observations.floors import repeatability, with_stated_repeatability
+from nmt_diagnose.observations.measuring_chain import measuring_chain, table_chain
+from nmt_diagnose.observations.model_view import ORDER, ModelView, matched
+from nmt_diagnose.observations.observables import Observations, joined
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, strangers
+from nmt_diagnose.observations.phase_resonance_observations import phase_resonance_observations
+from nmt_diagnose.observations.plausibility import check_frequency, clipping_notes, out_of_scale
+from nmt_diagnose.observations.random_observations import random_observations
+from nmt_diagnose.observations.record_observations import record_observations
+from nmt_diagnose.observations.ring_down_observations import ring_down_observations
+from nmt_diagnose.observations.row_table import empty
+from nmt_diagnose.observations.stepped_sine_observations import is_response, stepped_sine_observations
+from nmt_diagnose.observations.table_observations import table_observations
+from nmt_record.bag_reader import Bag
+from nmt_record.observables import observable_tables
+from nmt_record.segments import Segment, segments
+from nmt_rig.rig import Rig
+
+_LOCKED = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE)
+_FEW_LEVELS = 3
+_FEWEST_SAMPLES = 16
+
+
+def read_observations(
+    bags: Sequence[Path | str],
+    model: Rig,
+    floor_bags: Sequence[Path | str] = (),
+    settings: ObservationSettings | None = None,
+    progress: Callable[[str], None] | None = None,
+    allow_own_model: bool = True,
+) -> Observations:
+    """All observables of a real side.
+
+    Locked windows, random tests, ring-downs, records and reduced tables become tests; imported stepped sines become
+    frequency responses at their measured force, those of the bench's own runs near resonance count as locked windows
+    whose phase nobody controlled; sweeps are passed over with a note, because no steady state
+    of the model says what they must look like. What cannot be used is left out, with a sentence in ``notes``.
+
+    Args:
+        bags: bags of one rig: recorded runs or imports.
+        model: the rig file that is to be compared with them.
+        floor_bags: repeats of tests among ``bags``; the differences are what no model can beat.
+        settings: None = defaults.
+        progress: called with a sentence as the work goes on.
+        allow_own_model: take recordings that ``model`` itself made, too.
+
+    Raises:
+        BenchError: there is no such bag, a bag is damaged or of another rig, the model itself made it, or nothing in
+            them can be used.
+    """
+    settings = settings or ObservationSettings()
+    if not bags:
+        raise BenchError("The diagnosis needs at least one bag of the real side; give --real.")
+    observations = _read_all(bags, model, settings, progress)
+    made = [(path, origin) for (path, _), origin in zip(observations.inputs, observations.origins, strict=True)]
+    if not allow_own_model:
+        refuse_own_recordings(model, made)
+    if not len(observations.rows):
+        reasons = " ".join(observations.notes) or "No level was locked and no other test was made."
+        raise BenchError(f"Nothing in {', '.join(map(str, bags))} can be used as observations. {reasons}")
+    notes = [*observations.notes, *strangers(made)]
+    if floor_bags:
+        repeats = _read_all(floor_bags, model, settings, progress)
+        floor, more = repeatability(observations, repeats)
+        notes += [*(f"Floor bag: {note}" for note in repeats.notes), *more]
+        observations = replace(
+            observations,
+            floor=floor,
+            inputs=(*observations.inputs, *repeats.inputs),
+            origins=(*observations.origins, *repeats.origins),
+        )
+    return replace(observations, notes=tuple(dict.fromkeys(notes)))
+
+
+def _read_all(
+    bags: Sequence[Path | str], model: Rig, settings: ObservationSettings, progress: Callable[[str], None] | None
+) -> Observations:
+    parts: list[Observations] = []
+    seen: dict[str, str] = {}
+    names: set[str] = set()
+    for path in map(Path, bags):
+        if progress is not None:
+            progress(f"reading {path}")
+        bag = Bag.open(path)
+        digest = bag_digest(path)
+        if digest in seen:
+            parts.append(empty((f"The bag {path} is the same as {seen[digest]} and is used once.",)))
+            continue
+        seen[digest] = str(path)
+        name = _unique(_name(path), names)
+        part = read_bag(bag, name, model, settings)
+        origin = origin_of(bag, path, [test.name for test in part.tests])
+        parts.append(replace(part, inputs=((str(path), digest),), origins=(origin,)))
+    return joined(parts)
+
+
+def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> Observations:
+    """All observables of one bag.
+
+    Args:
+        bag: an opened bag.
+        name: for its tests and sentences.
+        model: the rig file that is to be compared with it.
+        settings: settings.
+
+    Raises:
+        BenchError: the bag is damaged or of another rig.
+    """
+    notes: list[str] = [bag.loss] if bag.loss else []
+    run = bag.run_start or {}
+    rig = run.get("rig")
+    if isinstance(rig, str) and rig and rig != model.name:
+        notes.append(f"{name} was recorded on rig '{rig}', the model is '{model.name}'.")
+    parts: list[Observations] = []
+    found = segments(bag)
+    usable = [segment for segment in found if segment.usable_samples and segment.kind is not TestKind.SWEEP]
+    for segment in found:
+        level = f"{name}: level {segment.level_index} ({segment.kind.label})"
+        if segment in usable and segment.fault:
+            share = f"{segment.usable_samples} of {segment.samples} samples"
+            notes.append(f"{level} is used in part, {share} from {segment.usable_first_sample} on: {segment.fault}.")
+        elif segment.fault:
+            notes.append(f"{level} is left out: {segment.fault}.")
+    sweeps = sum(segment.kind is TestKind.SWEEP for segment in found)
+    if sweeps:
+        notes.append(
+            f"{name}: {sweeps} sweep{'s are' if sweeps > 1 else ' is'} passed over; a swept response is no steady "
+            "state that the model could be compared with: use phase resonance or stepped sines near resonance."
+        )
+    if usable:
+        parts += _signals(bag, name, usable, run, model, settings, notes)
+    tables = observable_tables(bag) if "observables" in bag.topics else []
+    for number, table in enumerate(tables):
+        own = name if len(tables) == 1 and not usable else f"{name}/{table.name or f'table {number + 1}'}"
+        reduced = table_observations(own, table, model, settings)
+        chains = tuple(
+            table_chain(test.channels, settings.calibration) if isinstance(test, SteppedSineTest) else None
+            for test in reduced.tests
+        )
+        parts.append(replace(reduced, chains=chains))
+    if not found and not tables:
+        notes.append(f"{name}: no level was locked and no window was marked, so there is nothing to compare.")
+    return with_stated_repeatability(joined([empty(notes), *parts]), run)
+
+
+@dataclass(frozen=True)
+class _Window:
+    segment: Segment
+    stretch: Stretch
+
+
+def _signals(
+    bag: Bag,
+    name: str,
+    usable: list[Segment],
+    run: dict[str, Any],
+    model: Rig,
+    settings: ObservationSettings,
+    notes: list[str],
+) -> list[Observations]:
+    """Observations of the windows of one bag."""
+    stretches = read_windows(bag, usable)
+    windows = []
+    for segment, stretch in zip(usable, stretches, strict=True):
+        if stretch is None or stretch.samples < _FEWEST_SAMPLES:
+            where = f"{name}: level {segment.level_index}"
+            notes.append(f"{where} is left out: the bag has no samples of its window, or hardly any.")
+        else:
+            windows.append(_Window(segment, stretch))
+    if not windows:
+        return []
+    recorded = tuple({c.name: c for window in windows for c in window.stretch.channels}.values())
+    drive_point = _drive_point(run, recorded, model)
+    if drive_point not in model.structure.points:
+        raise BenchError(
+            f"{name} was driven at point {drive_point}, but the model {model.name} has points 1 to "
+            f"{model.structure.points[-1]}; name the rig file of the rig that was tested."
+        )
+    view = ModelView.of(model, drive_point)
+    channels, more = matched(recorded, view)
+    # A decay needs no sensor in the rig file: where it lacks one, an ideal one is meant.
+    of_decays = {c.name: c for c in recorded if c.quantity in ORDER and c.point in model.structure.points} | channels
+    decays = [window.segment.kind is TestKind.RING_DOWN for window in windows]
+    if all(decays):
+        channels, more = of_decays, ()
+    notes += [f"{name}: {note}" for note in more]
+    if not any(channel.quantity in ORDER for channel in (of_decays if any(decays) else channels).values()):
+        raise BenchError(
+            f"{name} has no response channel that the model {model.name} has too; name the rig file of the rig that "
+            "was tested, or add its sensors."
+        )
+    rate = _hold_rate(run, windows[0].stretch.sample_rate)
+    response = _response_quantity(run)
+    parts = []
+    locked = [window for window in windows if window.segment.kind in _LOCKED]
+    if locked:
+        channels = _plausible(name, locked, view, channels, notes)
+        several = len({window.segment.kind for window in windows}) > 1
+        for kind in _LOCKED:
+            mine = [(window.segment, window.stretch) for window in locked if window.segment.kind is kind]
+            if mine:
+                own = f"{name}/{kind.label}" if several else name
+                if kind is TestKind.STEPPED_SINE and "imported" in run and is_response(mine):
+                    parts.append(stepped_sine_observations(own, mine, view, channels, settings))
+                    continue
+                parts.append(
+                    phase_resonance_observations(own, mine, view, channels, settings, response, rate, "imported" in run)
+                )
+                levels = len(getattr(parts[-1].tests[0], "levels", ())) if parts[-1].tests else 0
+                if 0 < levels < _FEW_LEVELS:
+                    notes.append(
+                        f"{own}: {levels} level{'s' if levels > 1 else ''} cannot tell effects apart by how they grow "
+                        "with amplitude; measure five or more."
+                    )
+    for kind in (TestKind.RANDOM, TestKind.RING_DOWN):
+        mine_windows = [window for window in windows if window.segment.kind is kind]
+        for window in mine_windows:
+            own = f"{name}/{kind.label}" if len(windows) > len(mine_windows) else name
+            own = f"{own} {window.segment.level_index}" if len(mine_windows) > 1 else own
+            notes += clipping_notes(own, [(window.segment.level_index, window.stretch)])
+            if kind is TestKind.RANDOM:
+                parts.append(random_observations(own, window.stretch, view, channels, settings, rate))
+            else:
+                guess = window.segment.frequency_hz
+                parts.append(ring_down_observations(own, window.stretch, guess, view, of_decays, settings, response))
+    records = [window for window in windows if window.segment.kind is TestKind.RECORD]
+    if records:
+        own = f"{name}/record" if len(records) < len(windows) else name
+        taken = [window.stretch for window in records]
+        parts.append(record_observations(own, taken, view, channels, settings, math.isfinite(rate)))
+    sampling = windows[0].stretch.sample_rate
+    chain = measuring_chain(run, channels, sampling, bag.rig_yaml, settings.calibration)
+    return [replace(part, chains=(chain,) * len(part.tests)) for part in parts]
+
+
+def _plausible(
+    name: str,
+    locked: list[_Window],
+    view: ModelView,
+    channels: dict[str, MeasuredChannel],
+    notes: list[str],
+) -> dict[str, MeasuredChannel]:
+    """Channels that can be trusted."""
+    frequencies = [_frequency(window) for window in locked]
+    check_frequency(name, [value for value in frequencies if math.isfinite(value)], view)
+    size = [window.segment.level if math.isfinite(window.segment.level) else math.inf for window in locked]
+    lowest = np.argsort(size, kind="stable")[:3]
+    off, more = out_of_scale(name, [(locked[i].stretch, frequencies[i]) for i in lowest], view, channels)
+    notes += more
+    notes += clipping_notes(name, [(window.segment.level_index, window.stretch) for window in locked])
+    return {key: channel for key, channel in channels.items() if key not in off}
+
+
+def _frequency(window: _Window) -> float:
+    cycles = window.stretch.cycles
+    if cycles is not None and cycles.size > 1:
+        return float(cycles[-1] - cycles[0]) / (cycles.size - 1) * window.stretch.sample_rate
+    return window.segment.frequency_hz if window.segment.frequency_hz > 0.0 else math.nan
+
+
+def _drive_point(run: dict[str, Any], recorded: tuple[MeasuredChannel, ...], model: Rig) -> int:
+    force = next((c.point for c in recorded if c.quantity is Quantity.FORCE and c.point > 0), None)
+    if force is not None:
+        return force
+    linear = run.get("linear")
+    for value in (run.get("exciter_point"), linear.get("drive_point") if isinstance(linear, dict) else None):
+        if isinstance(value, int) and not isinstance(value, bool) and value > 0:
+            return value
+    return model.drive_point
+
+
+def _response_quantity(run: dict[str, Any]) -> Quantity | None:
+    extraction = run.get("extraction")
+    topics = extraction.get("topics") if isinstance(extraction, dict) else None
+    for topic in topics if isinstance(topics, list | tuple) else ():
+        if topic in ("displacement", "velocity", "acceleration"):
+            return Quantity[topic.upper()]
+    return None
+
+
+def _hold_rate(run: dict[str, Any], sample_rate: float) -> float:
+    """Rate at which the drive was interpolated linearly: ``drive_hold_hz`` of the run, else that of simulated rigs."""
+    value = run.get("drive_hold_hz")
+    if isinstance(value, int | float) and not isinstance(value, bool) and value > 0.0:
+        return float(value)
+    return math.inf if "imported" in run or not run else sample_rate
+
+
+def bag_digest(path: Path) -> str:
+    """SHA-256 over the data files of a bag, in the order of their names.
+
+    Raises:
+        BenchError: a file cannot be read.
+    """
+    found = sorted(item for item in path.rglob("*") if item.suffix in (".mcap", ".db3"))
+    files = [path] if path.is_file() else found
+    digest = hashlib.sha256()
+    try:
+        for file in files:
+            with open(file, "rb") as handle:
+                while chunk := handle.read(1 << 20):
+                    digest.update(chunk)
+    except OSError as error:
+        raise BenchError(f"The bag {path} cannot be read: {error.strerror or error}.") from error
+    return digest.hexdigest()
+
+
+def _name(path: Path) -> str:
+    own = path.stem if path.is_file() else path.name
+    return path.resolve().parent.name or own if own in ("bag", "") else own
+
+
+def _unique(name: str, taken: set[str]) -> str:
+    result, number = name, 2
+    while result in taken:
+        result, number = f"{name} ({number})", number + 1
+    taken.add(result)
+    return result

@@ -1,0 +1,214 @@
+"""Observables of ring-downs: instantaneous frequency and damping ratio over amplitude, and the shape of the response.
+
+Frequency, start and end of the decay are found in the data; the model only says which of several decaying modes it has.
+What cannot be used of a decay is left out, with the reason, and the rest stays.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.errors import BenchError
+from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
+from nmt_diagnose.observations.decay_hum import Hum, without_hum
+from nmt_diagnose.observations.decay_nodes import Node, nodes, ratio_at
+from nmt_diagnose.observations.decay_signal import Ridge, SlowAmplitude, demodulated, ridges, slow_amplitude
+from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.row_table import Place, RowTable, empty
+
+_SWITCH_OFF = 1  # periods within which the drive goes to zero
+_WRONG_FREQUENCY = 1.6
+_WIDTHS = (1, 2, 4)
+_NARROWER_PAYS = 0.5
+_LARGEST_STD = 0.03  # of ln ω
+_LARGEST_RATIO_STD = 0.1
+_WORST_DAMPING = 0.3  # relative uncertainty beyond which ln of amplitudes is no longer Gaussian
+_ORDER = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
+
+
+@dataclass(frozen=True)
+class _Decay:
+    """What was found in one channel."""
+
+    slow: SlowAmplitude
+    nodes: list[Node]
+    good: list[Node]
+    ridge: Ridge
+    hum: tuple[Hum, ...]
+
+
+def ring_down_observations(
+    name: str,
+    stretch: Stretch,
+    frequency_hz: float,
+    view: ModelView,
+    channels: dict[str, MeasuredChannel],
+    settings: ObservationSettings,
+    response_quantity: Quantity | None = None,
+) -> Observations:
+    """Observables of one free decay.
+
+    Args:
+        name: name of the test.
+        stretch: samples from the switch-off or from some time before an impact on.
+        frequency_hz: at the switch-off, Hz; NaN or 0 = not known.
+        view: the model, driven at the test's drive point.
+        channels: the model's channel for each recorded one.
+        settings: settings.
+        response_quantity: preferred quantity of the response.
+    """
+    notes: list[str] = []
+    usable = [
+        c for c in stretch.channels if c.name in channels and c.name not in stretch.faults and c.quantity in ORDER
+    ]
+    if not usable:
+        return empty((f"{name}: the ring-down is left out: there is no usable response.",))
+    order: Sequence[Quantity] = ((response_quantity,) if response_quantity is not None else ()) + _ORDER
+    usable.sort(key=lambda c: (channels[c.name].point != view.rig.drive_point, order.index(c.quantity)))
+    reason, decay, own = "", None, usable[0]
+    for own in usable:
+        try:
+            decay = _decay(stretch, own, frequency_hz, view, settings)
+            break
+        except BenchError as error:
+            reason = reason or str(error)
+    if decay is None:
+        return empty((f"{name}: the ring-down is left out: {reason}.",))
+    others = [c for c in usable if c is not own]
+    table = RowTable()
+    amplitudes: list[float] = []
+    floors = settings.floors
+    for node, bend in zip(decay.good, _bends(decay.good), strict=True):
+        place = Place(len(amplitudes), stretch.start_s + node.time_s, node.omega / (2.0 * math.pi), node.amplitude)
+        std = math.hypot(node.omega_std / node.omega, bend * node.log_std)
+        table.add(Part.LOG_FREQUENCY, math.log(node.omega), std, floors.decay_log_frequency, place, 0, 1)
+        std = node.rate_std / node.omega
+        if std < max(_WORST_DAMPING * abs(node.damping), 1e-5):
+            table.add(Part.DAMPING, node.damping, std, floors.decay_damping * abs(node.damping), place, 0, 1)
+        amplitudes.append(node.amplitude)
+    for index, other in enumerate(others, start=1):
+        samples = stretch.row(other.name)
+        samples, _ = without_hum(samples - samples.mean(), stretch.sample_rate, decay.ridge, _SWITCH_OFF)
+        values = demodulated(samples, decay.slow.cycles, decay.slow.width)[:: decay.slow.stride]
+        for level, node in enumerate(decay.good):
+            ratio, std = ratio_at(node, decay.slow, values)
+            if not std < _LARGEST_RATIO_STD:
+                continue
+            place = Place(level, stretch.start_s + node.time_s, node.omega / (2.0 * math.pi), node.amplitude)
+            size = math.log(abs(ratio) * node.amplitude)
+            table.add(Part.LOG_MAGNITUDE, size, std, floors.decay_shape, place, index, 1)
+            table.add(Part.PHASE, cmath.phase(ratio), std, floors.decay_shape, place, index, 1)
+    notes += _notes(name, decay)
+    test = RingDownTest(
+        name,
+        view.rig.drive_point,
+        channels[own.name],
+        np.array(amplitudes),
+        decay.good[-1].omega / (2.0 * math.pi),
+        tuple(channels[other.name] for other in others),
+    )
+    return table.observations(test, notes)
+
+
+def _decay(
+    stretch: Stretch, channel: MeasuredChannel, frequency_hz: float, view: ModelView, settings: ObservationSettings
+) -> _Decay:
+    """Amplitudes, frequencies and damping ratios of one channel's decay.
+
+    Raises:
+        BenchError: nothing of it can be used.
+    """
+    samples = stretch.row(channel.name)
+    samples = samples - samples.mean()
+    ridge = _chosen(ridges(samples, stretch.sample_rate, channel.quantity), frequency_hz, view)
+    samples, hum = without_hum(samples, stretch.sample_rate, ridge, _SWITCH_OFF)
+    best: _Decay | None = None
+    reason = ""
+    for width in _WIDTHS:
+        try:
+            slow = slow_amplitude(samples, stretch.sample_rate, ridge, width)
+        except BenchError as error:
+            reason = reason or str(error)
+            continue
+        found = nodes(slow, settings.decay_points, _SWITCH_OFF)
+        good = [node for node in found if node.omega > 0.0 and node.omega_std < _LARGEST_STD * node.omega]
+        if not good:
+            reason = reason or "the decay does not stand out of the noise, or something else rings on"
+            continue
+        decay = _Decay(slow, found, good, ridge, hum)
+        # A narrower band lets less of other modes through, but makes less of a fast decay.
+        if best is None or _uncertainty(decay) < _NARROWER_PAYS * _uncertainty(best):
+            best = decay
+    if best is None:
+        raise BenchError(reason)
+    return best
+
+
+def _bends(good: list[Node]) -> FloatArray:
+    """Slope of ln ω over ln A at each node, shape (nodes,): it carries over what the amplitudes are uncertain by."""
+    if len(good) < 2:
+        return np.zeros(len(good))
+    log = np.log([node.amplitude for node in good])
+    order = np.argsort(log)
+    slopes = np.zeros(len(good))
+    apart = np.unique(log).size == log.size
+    slopes[order] = np.gradient(np.log([good[i].omega for i in order]), log[order]) if apart else 0.0
+    return slopes
+
+
+def _uncertainty(decay: _Decay) -> float:
+    """Typical relative uncertainty of the frequencies; that of a node that is left out is the largest allowed."""
+    values = [min(node.omega_std / node.omega, _LARGEST_STD) for node in decay.nodes if node.omega > 0.0]
+    return float(np.median(values))
+
+
+def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView) -> Ridge:
+    """The ridge of the mode that was excited; else the strongest that the model has a mode for.
+
+    Raises:
+        BenchError: none oscillates at a mode of the model.
+    """
+    if not found:
+        raise BenchError("nothing in it oscillates")
+    if frequency_hz > 0.0:
+        return min(found, key=lambda ridge: abs(math.log(ridge.frequency_hz[0] / frequency_hz)))
+    for ridge in found:
+        ratio = nearest_ratio(ridge.late_hz, view.frequencies_hz)
+        if 1.0 / _WRONG_FREQUENCY < ratio < _WRONG_FREQUENCY:
+            return ridge
+    seen = ", ".join(f"{ridge.late_hz:.4g}" for ridge in found)
+    modes = ", ".join(f"{value:.4g}" for value in view.frequencies_hz[:4])
+    raise BenchError(f"it decays at {seen} Hz, where the model {view.rig.name} has no mode (it has {modes} Hz)")
+
+
+def _notes(name: str, decay: _Decay) -> list[str]:
+    """What of a decay is not used, and why."""
+    result = []
+    left = [node for node in decay.nodes if node not in decay.good]
+    if left:
+        worst = max((node.omega_std / abs(node.omega) for node in left), default=math.inf)
+        result.append(
+            f"{name}: {len(left)} of {len(decay.nodes)} amplitudes of the decay are left out, because something else "
+            f"or noise covers the mode there (frequency known to {100.0 * worst:.2g} % only)."
+        )
+    result += [
+        f"{name}: a line of the mains beside the decaying mode is taken out: {hum.frequency_hz:.5g} Hz, amplitude "
+        f"{hum.amplitude:.3g} in the channel's unit."
+        for hum in decay.hum
+    ]
+    first = decay.nodes[0].first
+    if first > _SWITCH_OFF:
+        start = float(decay.slow.time_s[first])
+        result.append(
+            f"{name}: the decay is used from {start:.3g} s on; before, it still grows or something else rings with it."
+        )
+    return result

@@ -1,0 +1,178 @@
+"""Observables of tables that someone else has reduced: backbones and frequency responses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RandomTest
+from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_diagnose.observations.stepped_table_observations import has_levels, stepped_table_observations
+from nmt_record.observables import ObservableTable
+from nmt_rig.rig import Rig
+
+_WRONG_FREQUENCY = 1.6
+_WITHOUT_STD = 0.02
+_FEWEST_FOR_SCATTER = 7
+
+
+def table_observations(name: str, table: ObservableTable, model: Rig, settings: ObservationSettings) -> Observations:
+    """Observables of one table; a sentence where it cannot be used."""
+    drive_point = table.drive_point or model.drive_point
+    points = model.structure.points
+    for point, what in ((drive_point, "drive point"), (table.point or drive_point, "point")):
+        if point not in points:
+            return empty((f"{name}: left out: its {what} {point} is not among the model's points 1 to {points[-1]}.",))
+    view = ModelView.of(model, drive_point)
+    point = table.point or drive_point
+    if table.quantity not in ORDER:
+        return empty(
+            (
+                f"{name}: left out: its amplitude is modal ({table.units.get('amplitude', 'no unit')}); the model "
+                "predicts amplitudes of a point in m, m/s or m/s^2.",
+            )
+        )
+    letter = {Quantity.DISPLACEMENT: "x", Quantity.VELOCITY: "v", Quantity.ACCELERATION: "a"}[table.quantity]
+    channel = next(
+        (c for c in view.channels if (c.quantity, c.point) == (table.quantity, point)),
+        MeasuredChannel(f"{letter}{point}", table.quantity, point),
+    )
+    if table.kind == "backbone":
+        return _backbone(name, table, view, channel, settings)
+    if has_levels(table):
+        return stepped_table_observations(name, table, view, channel, settings)
+    return _responses(name, table, view, channel, settings)
+
+
+def _column(table: ObservableTable, name: str) -> FloatArray:
+    return table.columns.get(name, np.full(table.rows, math.nan))
+
+
+def _backbone(
+    name: str, table: ObservableTable, view: ModelView, channel: MeasuredChannel, settings: ObservationSettings
+) -> Observations:
+    frequency, amplitude = table.columns["frequency_hz"], table.columns["amplitude"]
+    good = np.isfinite(frequency) & (frequency > 0.0) & np.isfinite(amplitude) & (amplitude > 0.0)
+    if not good.any():
+        return empty((f"{name}: left out: it has no row with frequency and amplitude.",))
+    ratios = [nearest_ratio(float(value), view.frequencies_hz) for value in frequency[good]]
+    if all(max(ratio, 1.0 / ratio) > _WRONG_FREQUENCY for ratio in ratios):
+        return empty((f"{name}: left out: its frequencies lie at no mode of the model {view.rig.name}.",))
+    damping, damping_std = _column(table, "damping_ratio"), _column(table, "damping_ratio_std")
+    frequency_std = _column(table, "frequency_hz_std")
+    floors = settings.floors
+    rows = RowTable()
+    where = np.flatnonzero(good)
+    unstated = max(floors.table_log_frequency, scatter_about_a_course(amplitude[good], np.log(frequency[good])))
+    notes = [] if good.all() else [f"{name}: {int((~good).sum())} of {good.size} rows have no value and are left out."]
+    for level, index in enumerate(where):
+        place = Place(level, 0.0, float(frequency[index]), float(amplitude[index]))
+        stated = frequency_std[index] / frequency[index]
+        known = math.isfinite(stated) and stated > 0.0
+        rows.add(
+            Part.LOG_FREQUENCY, math.log(2.0 * math.pi * frequency[index]), stated if known else 0.0,
+            floors.log_frequency if known else unstated, place, 0, 1,
+        )  # fmt: skip
+        if math.isfinite(damping[index]):
+            known = math.isfinite(damping_std[index]) and damping_std[index] > 0.0
+            share = floors.decay_damping if known else floors.table_damping
+            rows.add(
+                Part.DAMPING, float(damping[index]), float(damping_std[index]) if known else 0.0,
+                share * abs(float(damping[index])), place, 0, 1,
+            )  # fmt: skip
+    if not np.any(np.isfinite(frequency_std[where])):
+        notes.append(f"{name}: no uncertainties are given; {100 * unstated:.2g} % is taken for every frequency.")
+    test = BackboneTable(name, view.rig.drive_point, channel, amplitude[where].copy())
+    return rows.observations(test, notes)
+
+
+def scatter_about_a_course(x: FloatArray, y: FloatArray) -> float:
+    """Standard deviation of y about a smooth course over x: each point against the cubic through its four neighbours.
+
+    Args:
+        x: places, any order, shape (n,).
+        y: values, shape (n,).
+
+    Returns:
+        The standard deviation; 0 for fewer than seven different places.
+    """
+    x, first = np.unique(x, return_index=True)
+    y = y[first]
+    if x.size < _FEWEST_FOR_SCATTER:
+        return 0.0
+    squares = []
+    for middle in range(2, x.size - 2):
+        near = np.array([middle - 2, middle - 1, middle + 1, middle + 2])
+        weights = np.array(
+            [np.prod([(x[middle] - x[j]) / (x[i] - x[j]) for j in near if j != i]) for i in near]
+        )  # Lagrange
+        squares.append((y[middle] - weights @ y[near]) ** 2 / (1.0 + weights @ weights))
+    return math.sqrt(float(np.mean(squares)))
+
+
+def _responses(
+    name: str, table: ObservableTable, view: ModelView, channel: MeasuredChannel, settings: ObservationSettings
+) -> Observations:
+    frequency = table.columns["frequency_hz"]
+    response = table.columns["real"] + 1j * table.columns["imag"]
+    size = np.abs(response)
+    good = np.isfinite(size) & (size > 0.0) & (frequency > 0.0)
+    if not good.any():
+        return empty((f"{name}: left out: it has no usable line.",))
+    scatter = np.sqrt(0.5 * (_column(table, "real_std") ** 2 + _column(table, "imag_std") ** 2))
+    std = scatter / np.where(size > 0.0, size, 1.0)
+    if table.noise > 0.0:
+        std = np.where(np.isfinite(std), std, table.noise)
+    stated = np.isfinite(std)
+    std = np.where(stated, std, _WITHOUT_STD)
+    # Without uncertainties a coherence says something, but not how much was averaged: the line counts for less below 1.
+    coherence = np.clip(_column(table, "coherence"), 1e-6, 1.0)
+    weak = ~stated & np.isfinite(coherence)
+    std[weak] = np.maximum(std[weak], np.sqrt(0.5 * (1.0 - coherence[weak]) / coherence[weak]))
+    good &= std <= settings.largest_std
+    candidates = np.flatnonzero(good)
+    if candidates.size == 0:
+        return empty((f"{name}: left out: no line is known to better than {100 * settings.largest_std:g} %.",))
+    order = candidates[np.argsort(frequency[candidates], kind="stable")]
+    chosen = order[_spread(frequency[order], response[order], settings.lines)]
+    notes = []
+    if not stated.any():
+        notes.append(f"{name}: no uncertainties are given; {100 * _WITHOUT_STD:g} % is taken for every line.")
+    rows = RowTable()
+    level = table.level if math.isfinite(table.level) else 0.0
+    for number, index in enumerate(chosen):
+        place = Place(number, 0.0, float(frequency[index]), level)
+        value = float(std[index])
+        floors = settings.floors
+        rows.add(Part.LOG_MAGNITUDE, math.log(float(size[index])), value, floors.frf, place, 0)
+        rows.add(Part.PHASE, float(np.angle(response[index])), value, floors.frf, place, 0)
+    steps = np.diff(np.sort(frequency))
+    test = RandomTest(
+        name=name,
+        drive_point=view.rig.drive_point,
+        channels=(channel,),
+        reference="force",
+        lines_hz=frequency[chosen].copy(),
+        resolution_hz=float(np.min(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0,
+        window="none",
+        drive_rms=level,
+        start_s=0.0,
+        stop_s=0.0,
+    )
+    return rows.observations(test, notes)
+
+
+def _spread(frequency: FloatArray, response: NDArray[np.complex128], wanted: int) -> NDArray[np.int64]:
+    """Indices evenly spread over decades and turns of the phase."""
+    if frequency.size <= wanted:
+        return np.arange(frequency.size, dtype=np.int64)
+    turns = np.concatenate(([0.0], np.cumsum(np.abs(np.angle(response[1:] * np.conj(response[:-1]))))))
+    way = np.log(frequency / frequency[0]) + turns * math.log(4.0) / math.pi
+    picked = np.searchsorted(way, np.linspace(way[0], way[-1], wanted)).clip(0, way.size - 1)
+    return np.unique(picked.astype(np.int64))

@@ -1,0 +1,239 @@
+"""Records and reduced tables as observations, through the import of other people's data."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, lfilter
+
+from nmt_core.blocks import FloatArray
+from nmt_core.errors import BenchError
+from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, RecordTest
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.observations.record_observations import interpolated, spread_samples, white_noise
+from nmt_record.imported_run import read_import, write_import
+from nmt_rig.rig import Rig, load_rig
+
+RATE = 1e7 / 2**14
+NATURAL_HZ, RATIO = 68.6, 0.047
+OMEGA = 2.0 * math.pi * NATURAL_HZ
+
+RIG = f"""
+name: oscillator
+sample_rate_hz: {RATE!r}
+structure:
+  kind: chain
+  masses_kg: [1.0]
+  ground_springs_n_m: [{OMEGA**2!r}]
+  ground_dampers_ns_m: [{2.0 * RATIO * OMEGA!r}]
+exciter: {{kind: force, point: 1, newton_per_volt: {OMEGA**2!r}}}
+sensors:
+  - {{quantity: force, point: drive}}
+  - {{quantity: displacement, point: 1}}
+  - {{quantity: voltage}}
+extraction: {{quantity: displacement, linear_modes: 1}}
+"""
+
+
+def rig_in(folder: Path) -> Rig:
+    path = folder / "rig.yaml"
+    path.write_text(RIG, encoding="utf-8")
+    return load_rig(path)
+
+
+def imported(folder: Path, u: FloatArray, y: FloatArray, spans: list[tuple[int, int]]) -> Path:
+    """Bag of voltage and displacement with ``record`` segments of sample ranges."""
+    np.savez(folder / "data.npz", u=u, y=y)
+    segments = "".join(f"  - {{kind: record, start: {a / RATE!r}, stop: {b / RATE!r}}}\n" for a, b in spans)
+    (folder / "sidecar.yaml").write_text(
+        f"rig: oscillator\nsample_rate: {RATE!r}\nfile: data.npz\nchannels:\n"
+        "  - {column: u, quantity: voltage, unit: V}\n"
+        "  - {column: y, quantity: displacement, unit: m, point: 1}\n"
+        f"segments:\n{segments}",
+        encoding="utf-8",
+    )
+    return write_import(read_import(folder / "sidecar.yaml"), folder / "bag", "oscillator", RIG, {})
+
+
+def simulated(test: RecordTest, stiffness: float, damping: float, gain: float) -> FloatArray:
+    """Response of one degree of freedom to a record's input, straight between its samples."""
+    return oscillator(test.input, test.sample_rate, stiffness, damping, gain)
+
+
+def oscillator(samples: FloatArray, rate: float, stiffness: float, damping: float, gain: float) -> FloatArray:
+    top, bottom, _ = cont2discrete(([gain], [1.0, damping, stiffness]), 1.0 / rate, "foh")
+    return np.asarray(lfilter(top[0], bottom, samples))
+
+
+def predicted(observations: Observations, number: int, response: FloatArray) -> FloatArray:
+    test = observations.tests[number]
+    assert isinstance(test, RecordTest)
+    mine = observations.rows.test == number
+    index = np.round((observations.rows.time_s[mine] - test.start_s) * test.sample_rate).astype(int)
+    return response[index]
+
+
+def band_noise(samples: int, seed: int, level: float) -> FloatArray:
+    spectrum = np.zeros(samples // 2 + 1, dtype=complex)
+    frequency = np.arange(spectrum.size) * RATE / samples
+    band = (frequency > 1.0) & (frequency < 150.0)
+    spectrum[band] = np.exp(2j * np.pi * np.random.default_rng(seed).uniform(size=int(band.sum())))
+    signal = np.fft.irfft(spectrum, samples)
+    return level * signal / signal.std()
+
+
+def test_a_linear_record_leaves_the_noise(tmp_path: Path) -> None:
+    rig = rig_in(tmp_path)
+    u = band_noise(20_000, 1, 0.02)
+    # Sixteen times finer in time, so that the truth does not depend on how samples are joined.
+    fine = np.fft.irfft(np.fft.rfft(u), 16 * u.size) * 16.0
+    response = oscillator(fine, 16.0 * RATE, OMEGA**2, 2.0 * RATIO * OMEGA, OMEGA**2)
+    noise = 2e-3
+    y = response[::16] + noise * np.random.default_rng(2).standard_normal(u.size)
+    observations = read_observations([imported(tmp_path, u, y, [(0, 20_000)])], rig)
+    test = observations.tests[0]
+    assert isinstance(test, RecordTest)
+    assert (observations.rows.part == Part.SAMPLE).all()
+    assert observations.std[0] == pytest.approx(noise, rel=0.1)
+    assert observations.floor[0] == pytest.approx(0.01 * y.std(), rel=0.02)
+    assert 300 < len(observations.rows) < 2000
+    difference = observations.values - predicted(
+        observations, 0, simulated(test, OMEGA**2, 2.0 * RATIO * OMEGA, OMEGA**2)
+    )
+    assert np.sqrt(np.mean((difference / observations.std) ** 2)) == pytest.approx(1.0, abs=0.1)
+    levels = observations.rows.level
+    assert (np.diff(levels) >= 0).all()
+    bounds = test.segment_bounds / test.sample_rate + test.start_s
+    assert ((observations.rows.time_s >= bounds[levels]) & (observations.rows.time_s < bounds[levels + 1])).all()
+
+
+def test_a_constant_input_is_no_record(tmp_path: Path) -> None:
+    rig = rig_in(tmp_path)
+    y = np.random.default_rng(1).standard_normal(4000)
+    y[100] = np.nan
+    with pytest.raises(BenchError, match=r"NaN"):
+        read_observations([imported(tmp_path, band_noise(4000, 1, 0.1), y, [(0, 4000)])], rig)
+
+
+def test_interpolation_is_exact_in_its_band() -> None:
+    time = np.arange(2000) / 500.0
+    fine = np.arange(8000) / 2000.0
+
+    def signal(t: FloatArray) -> FloatArray:
+        return np.asarray(np.sin(2 * np.pi * 60.0 * t + 0.3) + 0.5 * np.cos(2 * np.pi * 110.0 * t) + 0.2)
+
+    result = interpolated(signal(time), 4)
+    np.testing.assert_allclose(result[::4], signal(time), atol=1e-9)
+    assert np.abs(result - signal(fine))[800:-800].max() < 2e-3
+    assert interpolated(signal(time), 1) is not result
+
+
+def test_samples_are_spread_and_different() -> None:
+    indices = spread_samples(100, 10_000, 500)
+    assert indices.size == 500
+    assert (np.diff(indices) > 0).all()
+    assert indices[0] >= 100
+    assert indices[-1] < 10_000
+    # In step with no period: every phase of it is met.
+    for period in (7, 16, 20, 64):
+        counts = np.bincount(indices % period, minlength=period)
+        assert counts.min() > 0.4 * counts.mean()
+    np.testing.assert_array_equal(spread_samples(3, 6, 10), [3, 4, 5])
+
+
+def test_noise_is_found_under_a_signal() -> None:
+    generator = np.random.default_rng(5)
+    signal = np.sin(2 * np.pi * 0.05 * np.arange(40_000)) * (1.0 + 0.3 * np.sin(0.001 * np.arange(40_000)))
+    assert white_noise(signal + 0.01 * generator.standard_normal(40_000), 1.0) == pytest.approx(0.01, rel=0.15)
+
+
+def table(folder: Path, kind: str, text: str, extra: str = "") -> Path:
+    (folder / "table.csv").write_text(text, encoding="utf-8")
+    unit = "mm" if kind == "backbone" else "m/N"
+    (folder / "sidecar.yaml").write_text(
+        "rig: oscillator\nfile: table.csv\nsegments:\n"
+        f"  - {{kind: {kind}, unit: {unit}, point: 1, drive_point: 1{extra}}}\n",
+        encoding="utf-8",
+    )
+    return write_import(read_import(folder / "sidecar.yaml"), folder / "bag", "oscillator", RIG, {})
+
+
+def test_backbone_table(tmp_path: Path) -> None:
+    bag = table(
+        tmp_path,
+        "backbone",
+        "frequency_hz,amplitude,damping_ratio,damping_ratio_std\n68.6,1,0.047,0.001\n68.9,2,0.048,\n70.1,4,,\n",
+    )
+    observations = read_observations([bag], rig_in(tmp_path))
+    test = observations.tests[0]
+    assert isinstance(test, BackboneTable)
+    assert test.amplitudes == pytest.approx([1e-3, 2e-3, 4e-3])
+    frequency = observations.rows.part == Part.LOG_FREQUENCY
+    assert np.exp(observations.values[frequency]) / (2 * np.pi) == pytest.approx([68.6, 68.9, 70.1])
+    assert observations.values[~frequency] == pytest.approx([0.047, 0.048])
+    assert observations.std[~frequency] == pytest.approx([0.001, 0.0])
+    assert observations.floor[~frequency][1] == pytest.approx(0.05 * 0.048)
+
+
+def test_frequency_response_table(tmp_path: Path) -> None:
+    frequency = np.linspace(20.0, 120.0, 400)
+    response = 1.0 / (OMEGA**2 - (2 * np.pi * frequency) ** 2 + 2j * RATIO * OMEGA * 2 * np.pi * frequency)
+    lines = "".join(f"{f},{h.real},{h.imag}\n" for f, h in zip(frequency, response, strict=True))
+    bag = table(tmp_path, "frf", "frequency_hz,real,imag\n" + lines)
+    observations = read_observations([bag], rig_in(tmp_path))
+    test = observations.tests[0]
+    assert isinstance(test, RandomTest)
+    assert (test.reference, test.window, test.drive_rms) == ("force", "none", 0.0)
+    assert test.lines_hz.size <= 160
+    picked = np.interp(test.lines_hz, frequency, np.log(np.abs(response)))
+    assert observations.values[observations.rows.part == Part.LOG_MAGNITUDE] == pytest.approx(picked)
+    near = np.sum(np.abs(test.lines_hz - NATURAL_HZ) < 3.0) / 6.0
+    assert near > 2.0 * np.sum(test.lines_hz > 100.0) / 20.0
+    assert any("no uncertainties" in note for note in observations.notes)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 3e-3, 1.2e-2])
+def test_a_table_without_uncertainties_scatters_about_its_course(tmp_path: Path, scatter: float) -> None:
+    amplitude = np.linspace(0.1, 3.0, 40)
+    generator = np.random.default_rng(2)
+    frequency = 68.6 * np.sqrt(1.0 + 0.5 * amplitude**2) * np.exp(scatter * generator.standard_normal(40))
+    rows = "".join(f"{f!r},{a!r}\n" for f, a in zip(frequency.tolist(), amplitude.tolist(), strict=True))
+    bag = table(tmp_path, "backbone", "frequency_hz,amplitude\n" + rows)
+    observations = read_observations([bag], rig_in(tmp_path))
+    # Of a smooth course nothing is left but what tables of others are trusted to.
+    assert observations.sigma == pytest.approx(np.full(40, max(scatter, 1e-3)), rel=0.25)
+    assert any("no uncertainties are given" in note for note in observations.notes)
+
+
+def test_table_of_another_rig(tmp_path: Path) -> None:
+    bag = table(tmp_path, "backbone", "frequency_hz,amplitude\n370.0,1\n369.0,2\n")
+    with pytest.raises(BenchError, match="no mode of the model"):
+        read_observations([bag], rig_in(tmp_path))
+
+
+def test_silverbox(data_folder: Path, tmp_path: Path) -> None:
+    """A linear model leaves 14 mV on the held-out arrow, a cubic spring 0.42 mV (README of the data)."""
+    path = data_folder / "silverbox" / "SNLS80mV.csv"
+    if not path.is_file():
+        pytest.skip(f"the Silverbox data ({path}) is not on this machine")
+    raw = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(0, 1))
+    raw = raw[np.isfinite(raw).all(axis=1)]
+    assert raw.shape == (131_072, 2)
+    spans = [(0, 40_000), (40_580, 56_964), (57_500, 73_884)]
+    observations = read_observations([imported(tmp_path, raw[:, 0], raw[:, 1], spans)], rig_in(tmp_path))
+    arrow = observations.tests[0]
+    assert isinstance(arrow, RecordTest)
+    assert [test.name[-1] for test in observations.tests] == ["1", "2", "3"]
+    # Values near those of the literature; no fit here.
+    response = simulated(arrow, 1.908e5, 43.3, 1.886e5)
+    mine = observations.rows.test == 0
+    left = observations.values[mine] - predicted(observations, 0, response)
+    assert 1e3 * np.sqrt(np.mean(left**2)) == pytest.approx(14.0, abs=2.0)
+    # The start of the arrow is small, so nearly linear.
+    early = left[: left.size // 8]
+    assert np.sqrt(np.mean(early**2)) < 0.25 * np.sqrt(np.mean(left**2))
+    assert 0.3e-3 < observations.sigma[mine][0] < 0.8e-3

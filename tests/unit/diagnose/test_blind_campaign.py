@@ -49,7 +49,7 @@ def diagnosis(verdict: str, effect: str = "", p: float = 0.9, **more: Any) -> di
             {"label": "air_drag@4", "effect": "air_drag", "chi_square": 998.0, "parameters": 1, "rows": 1000},
             {"label": "microslip@3", "effect": "microslip", "chi_square": 996.0, "parameters": 3, "rows": 1000},
         ],
-        "features": {"sign:log_odds": 10.0 if verdict in ("effect", "unknown") else -3.0, "scan:air_drag": 2.0},
+        "features": {"feature:log_odds": 10.0 if verdict in ("effect", "unknown") else -3.0, "scan:air_drag": 2.0},
         **more,
     }
 

@@ -224,7 +224,10 @@ def test_the_two_tests_of_a_case_have_noise_of_their_own(tmp_path: Path) -> None
 def test_what_hardly_differs_is_withheld_together_and_leaves_nothing_alone() -> None:
     plain = made_up_table(RIG)
     gain = next(key for key in plain.curves if key.startswith("response_gain"))
-    curve = {**plain.curves[gain], "rivals": {"transverse_sensitivity": 0.99, "clock_error": 0.6, "ground_loop": 0.98}}
+    curve = {
+        **plain.curves[gain],
+        "competing": {"transverse_sensitivity": 0.99, "clock_error": 0.6, "ground_loop": 0.98},
+    }
     table = replace(plain, curves={**plain.curves, gain: curve})
     truth = injected_effect_named("response_gain")
     spot = next(s for s in truth.spots(MODEL, table.operating) if spot_key(truth, s) == gain)

@@ -96,7 +96,7 @@ def test_a_former_curve_is_where_the_search_starts(monkeypatch: pytest.MonkeyPat
     assert mark == pytest.approx([16.0])
     other = own.curve(replace(flat, proportional=False), None, {"points": [[16.0, 64.0]]})[1]  # type: ignore[arg-type]
     assert other == pytest.approx([2.0])
-    monkeypatch.setattr(strength, "MARKED", 1.0)
+    monkeypatch.setattr(strength, "COMPARED", 1.0)
     assert own.curve(replace(flat, proportional=False), None, {"points": [[16.0, 64.0]]})[1] is None  # type: ignore[arg-type]
 
 

@@ -23,7 +23,7 @@ def case(kind: str, features: dict[str, Any], truth: str = "", said: str = "", v
     diagnosis = {
         "verdict": verdict,
         "ranking": [{"effect": said, "place": "structure", "probability": 0.5}] if said else [],
-        "features": {f"sign:{name}": value for name, value in features.items()},
+        "features": {f"feature:{name}": value for name, value in features.items()},
     }
     return scored_case(entry, {"diagnosis": diagnosis})
 

@@ -83,7 +83,7 @@ def _first(case: ScoredCase) -> bool | None:
 QUESTIONS = (
     Question("gap", _gap, {"log_odds": 1}),
     Question("unnamed", _unnamed, {"unknown_odds": 1, "leftover": 1, "second": 0, "together": 1, "sigmas": 0}),
-    Question("first", _first, {"margin": 1, "leftover": -1, "second": 0, "together": -1, "rivals": 0}),
+    Question("first", _first, {"margin": 1, "leftover": -1, "second": 0, "together": -1, "equivalents": 0}),
 )
 
 
@@ -141,7 +141,7 @@ def learn(question: Question, cases: Sequence[ScoredCase]) -> Learned:
 def _row(case: ScoredCase, question: Question) -> list[float]:
     features = case.details["features"]
     # A feature that is not finite has no number in the file: it is the lowest of its range.
-    values = {name: features.get(f"sign:{name}") for name in question.features}
+    values = {name: features.get(f"feature:{name}") for name in question.features}
     return [bounded(name, -np.inf if value is None else float(value)) for name, value in values.items()]
 
 

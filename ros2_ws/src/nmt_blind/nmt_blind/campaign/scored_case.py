@@ -168,7 +168,7 @@ def scored_case(truth: dict[str, Any], result: dict[str, Any]) -> ScoredCase:
     unknown = probabilities.get("unknown", 0.0)
     features = diagnosis.get("features", {})
     # Odds before they are rounded to a probability of 1 order the cases better.
-    gap_score = _number(features.get("sign:log_odds"), _log_odds(1.0 - none) if diagnosis else -math.inf)
+    gap_score = _number(features.get("feature:log_odds"), _log_odds(1.0 - none) if diagnosis else -math.inf)
     unknown_score = _log_odds(unknown / max(1.0 - none, 1e-12)) if diagnosis else -math.inf
     first = float(diagnosis["ranking"][0]["probability"] or 0.0) if diagnosis.get("ranking") else 0.0
     settled = max((("none", none), ("unknown", unknown), ("effect", first)), key=lambda item: item[1])

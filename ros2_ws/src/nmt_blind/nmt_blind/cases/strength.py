@@ -72,10 +72,10 @@ LABORATORY_PHASE_LEAN = math.radians(0.5)
 _CHAIN_STEPS = {"gain": 1e-3, "delay_s": 1e-5, "clock_error": 1e-5}
 
 MIDDLE, STRONGEST, WEAK = 64.0, 4096.0, 8.0
-"""Strengths that are searched for; the last where the mark does not grow in proportion."""
-MARKED = 16.0
-"""Strength at which marks are compared, standard deviations."""
-# ln of how far from it a mark may have been taken that does not grow in proportion.
+"""Strengths that are searched for; the last where the signature does not grow in proportion."""
+COMPARED = 16.0
+"""Strength at which signatures are compared, standard deviations."""
+# ln of how far from it a signature may have been taken that does not grow in proportion.
 _ALIKE = math.log(3.0)
 # Between these multiples of a target a strength is near enough: the others follow by interpolation.
 _CLOSE = {MIDDLE: (0.15, 6.0), STRONGEST: (0.7, 4.0), WEAK: (0.4, 2.5)}
@@ -271,24 +271,24 @@ class Sensitivity:
         whole = np.nan_to_num((observed.values - self.base.values)[good] * scale)
         return float(np.linalg.norm(whole)), math.sqrt(float(rest @ rest + total @ total)), total
 
-    def mark(self, truth: InjectedEffect, spot: Spot, value: float) -> FloatArray:
+    def signature(self, truth: InjectedEffect, spot: Spot, value: float) -> FloatArray:
         """What a truth changes over the noise, shape (m,); zero where a level did not lock."""
         try:
             observed = self.observe(with_edits(self.model, truth.edits(self.model, self.operating, spot, value)))
         except (BenchError, TrialError):
             return np.zeros(self.base.values.size)
-        return self._marked(observed)
+        return self._reduced(observed)
 
-    def _marked(self, observed: Observed) -> FloatArray:
+    def _reduced(self, observed: Observed) -> FloatArray:
         """Change of observables over the noise, shape (m,)."""
         result: FloatArray = np.nan_to_num((observed.values - self.base.values) / self.base.noise)
         return result
 
-    def products(self, marks: FloatArray) -> FloatArray:
-        """Products of marks, shape (m, k), after the model's parameters took their part, shape (k, k)."""
+    def products(self, signatures: FloatArray) -> FloatArray:
+        """Products of signatures, shape (m, k), after the model's parameters took their part, shape (k, k)."""
         c = np.nan_to_num(self._nuisance / self.base.noise[:, np.newaxis])
-        along = c.T @ marks
-        result: FloatArray = marks.T @ marks - along.T @ np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, along)
+        along = c.T @ signatures
+        result: FloatArray = signatures.T @ signatures - along.T @ np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, along)
         return result
 
     def sigma(self, edits: Sequence[Edit]) -> float:
@@ -300,7 +300,7 @@ class Sensitivity:
         return self.sigmas(edits, True)[0]
 
     def sigmas(self, edits: Sequence[Edit], refine: bool) -> tuple[float, float, FloatArray]:
-        """Standard deviations of changes, as `sigma_of` finds them, by the linear estimate alone, and their mark.
+        """Standard deviations of changes, as `sigma_of` finds them, by the linear estimate alone, and their signature.
 
         Args:
             edits: changes of the rig file.
@@ -315,7 +315,7 @@ class Sensitivity:
             raise TrialError(str(error)) from error
         observed = self.observe(truth)
         linear = self._fitted(observed, self.base.values, np.zeros(self._nuisance.shape[1]))[1]
-        return (self.sigma_of(observed) if refine else linear), linear, self._marked(observed)
+        return (self.sigma_of(observed) if refine else linear), linear, self._reduced(observed)
 
     def curve(
         self, truth: InjectedEffect, spot: Spot, former: dict[str, Any] | None = None
@@ -329,9 +329,9 @@ class Sensitivity:
 
         Returns:
             ``points``: strength and standard deviations; ``trouble``: why it does not get stronger, empty if it does.
-            And the mark of the truth, for what it has in common with others; None where none was near `MARKED`.
+            And its signature, for what it has in common with others; None where none was near `COMPARED`.
         """
-        marks: dict[float, FloatArray] = {}
+        signatures: dict[float, FloatArray] = {}
         tried: list[tuple[float, float]] = []
         shares: dict[float, float] = {}
         trouble = ""
@@ -339,10 +339,10 @@ class Sensitivity:
         def trial(value: float, refine: bool) -> None:
             nonlocal trouble
             try:
-                found, linear, mark = self.sigmas(truth.edits(self.model, self.operating, spot, value), refine)
+                found, linear, signature = self.sigmas(truth.edits(self.model, self.operating, spot, value), refine)
                 if refine:
                     shares[found] = found / linear
-                    marks[found] = mark
+                    signatures[found] = signature
                 else:
                     # The model's parameters take the same share of the strongest as of what was measured in full.
                     found = linear * min(shares.items(), default=(0.0, 1.0), key=lambda item: abs(item[0] - MIDDLE))[1]
@@ -363,11 +363,11 @@ class Sensitivity:
         rounded = [[float(f"{v:.6g}"), float(f"{s:.5g}")] for v, s in points]
         reached = max((s for _, s in points), default=0.0)
         limit = "" if reached >= _CLOSE[STRONGEST][0] * STRONGEST else trouble or "as strong as it can be"
-        # What grows in proportion keeps the direction of its mark.
+        # What grows in proportion keeps the direction of its signature.
         farthest = math.inf if truth.proportional else _ALIKE
-        near = min((abs(math.log(max(s, 1e-300) / MARKED)), s) for s in marks) if marks else (math.inf, 0.0)
-        mark = marks[near[1]] if near[0] < farthest else None
-        return {"points": rounded, "proportional": truth.proportional, "trouble": limit}, mark
+        near = min((abs(math.log(max(s, 1e-300) / COMPARED)), s) for s in signatures) if signatures else (math.inf, 0.0)
+        signature = signatures[near[1]] if near[0] < farthest else None
+        return {"points": rounded, "proportional": truth.proportional, "trouble": limit}, signature
 
 
 def _approach(

@@ -17,12 +17,12 @@ from nmt_blind.cases.blind_rigs import BlindRig
 from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, InjectedEffect, Spot
 from nmt_blind.cases.operating import Operating
 from nmt_blind.cases.strength import (
+    COMPARED,
     FREQUENCY,
     FUNDAMENTAL,
     HARMONIC,
     LABORATORY_PHASE_AT_LOCK,
     LABORATORY_PHASE_LEAN,
-    MARKED,
     PHASE_AT_LOCK,
     PHASE_LEAN,
     Sensitivity,
@@ -46,7 +46,7 @@ from nmt_rig.rig import Rig
 
 FORMAT = "nmt blind strengths 1"
 _TWIN = 0.95
-"""Cosine from which two marks are hardly different."""
+"""Cosine from which two signatures are hardly different."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class StrengthTable:
     Attributes:
         rig: name of the rig.
         operating: motion of the rig that sizes refer to.
-        curves: by `spot_key`: points (strength, standard deviations), what stopped the search, and rivals: by truth the
-            largest cosine between this mark and one of that truth, as far as it is above a half.
+        curves: by `spot_key`: points (strength, standard deviations), what stopped the search, and competing: by effect
+            the largest cosine between this signature and one of that effect, as far as it is above a half.
     """
 
     rig: str
@@ -72,11 +72,11 @@ class StrengthTable:
     def missing(self, model: Rig) -> tuple[str, ...]:
         """Keys of what the table lacks: curves of truths at places of the rig, or what they have in common."""
         keys = [spot_key(t, spot) for t in INJECTED_EFFECTS.values() for spot in t.spots(model, self.operating)]
-        return tuple(key for key in keys if "rivals" not in self.curves.get(key, {}))
+        return tuple(key for key in keys if "competing" not in self.curves.get(key, {}))
 
     def twins(self, truth: InjectedEffect, spot: Spot) -> tuple[str, ...]:
-        """Known truths whose mark is hardly another: with one of them in the library nothing is unnamed."""
-        competing = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
+        """Known truths whose signature is hardly another: with one of them in the library nothing is unnamed."""
+        competing = self.curves.get(spot_key(truth, spot), {}).get("competing", {})
         return tuple(
             name
             for name, cosine in competing.items()
@@ -84,13 +84,13 @@ class StrengthTable:
         )
 
     def alone(self, truth: InjectedEffect, spot: Spot, without: Collection[str] = ()) -> float:
-        """Share of a mark that no other known truth can imitate, beside the model's parameters.
+        """Share of a signature that no other known truth can imitate, beside the model's parameters.
 
         Args:
             truth, spot: the truth.
             without: truths that do not compete.
         """
-        competing = self.curves.get(spot_key(truth, spot), {}).get("rivals", {})
+        competing = self.curves.get(spot_key(truth, spot), {}).get("competing", {})
         known = (
             name for name in competing if INJECTED_EFFECTS[name].known and name != truth.name and name not in without
         )
@@ -168,11 +168,11 @@ def make_table(
             raise BenchError(f"There is no truth '{name}'; choose from {', '.join(INJECTED_EFFECTS)}.")
     path = path or table_file(rig, tolerances)
     path.parent.mkdir(parents=True, exist_ok=True)
-    mark = fingerprint(rig, tolerances)
+    expected = fingerprint(rig, tolerances)
     found = _read(path)
     plain = _read(table_file(rig)) or {"curves": {}}
     former: dict[str, dict[str, Any]] = {**plain["curves"], **(found["curves"] if found else {})}
-    curves = found["curves"] if found and found.get("fingerprint") == mark else {}
+    curves = found["curves"] if found and found.get("fingerprint") == expected else {}
     sensitivity = Sensitivity(rig, tolerances)
     # The first place of every truth, then the second of every one: a table that is not complete has something of each.
     todo = [
@@ -193,7 +193,7 @@ def make_table(
         "rig": rig.name,
         "command": _command(rig, tolerances),
         "tolerances": tolerances,
-        "fingerprint": mark,
+        "fingerprint": expected,
         "operating": sensitivity.operating.to_mapping(),
     }
 
@@ -203,54 +203,54 @@ def make_table(
 
     parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
     work = (delayed(_curve)(sensitivity, truth.name, spot, former.get(spot_key(truth, spot))) for truth, spot in todo)
-    marks: dict[str, FloatArray] = {}
-    for done, (key, curve, mark) in enumerate(parallel(work), start=1):
+    signatures: dict[str, FloatArray] = {}
+    for done, (key, curve, signature) in enumerate(parallel(work), start=1):
         curves[key] = curve
-        if mark is not None:
-            marks[key] = mark
+        if signature is not None:
+            signatures[key] = signature
         keep()
         progress(done, len(todo), key)
-    if todo or any("rivals" not in curve for curve in curves.values()):
-        _add_rivals(sensitivity, curves, marks, parallel, progress)
+    if todo or any("competing" not in curve for curve in curves.values()):
+        _add_competing(sensitivity, curves, signatures, parallel, progress)
     keep()
     return StrengthTable(rig.name, sensitivity.operating, curves)
 
 
-def _add_rivals(
+def _add_competing(
     sensitivity: Sensitivity,
     curves: dict[str, dict[str, Any]],
-    marks: dict[str, FloatArray],
+    signatures: dict[str, FloatArray],
     parallel: Any,
     progress: Callable[[int, int, str], None],
 ) -> None:
-    """Cosines between the marks of all truths, the model's parameters projected out; ``marks`` has some already."""
-    marked = [
+    """Cosines between all signatures, the model's parameters projected out; ``signatures`` has some already."""
+    reached = [
         (spot_key(truth, spot), truth, spot, value)
         for truth in INJECTED_EFFECTS.values()
         for spot in truth.spots(sensitivity.model, sensitivity.operating)
-        if spot_key(truth, spot) in curves and (value := value_at(curves[spot_key(truth, spot)], MARKED)) is not None
+        if spot_key(truth, spot) in curves and (value := value_at(curves[spot_key(truth, spot)], COMPARED)) is not None
     ]
-    missing = [item for item in marked if item[0] not in marks]
-    work = (delayed(_mark)(sensitivity, key, truth.name, spot, value) for key, truth, spot, value in missing)
-    for done, (key, mark) in enumerate(parallel(work), start=1):
-        marks[key] = mark
-        progress(done, len(missing), f"rivals of {key}")
-    keys = [key for key, *_ in marked]
-    gram = sensitivity.products(np.stack([marks[key] for key in keys], axis=1))
+    missing = [item for item in reached if item[0] not in signatures]
+    work = (delayed(_signature)(sensitivity, key, truth.name, spot, value) for key, truth, spot, value in missing)
+    for done, (key, signature) in enumerate(parallel(work), start=1):
+        signatures[key] = signature
+        progress(done, len(missing), f"effects that compete with {key}")
+    keys = [key for key, *_ in reached]
+    gram = sensitivity.products(np.stack([signatures[key] for key in keys], axis=1))
     sizes = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     cosines = np.abs(gram) / sizes[:, np.newaxis] / sizes
     for row, key in enumerate(keys):
         found: dict[str, float] = {}
-        for column, (_, truth, _, _) in enumerate(marked):
+        for column, (_, truth, _, _) in enumerate(reached):
             if column != row and cosines[row, column] > 0.5:
                 found[truth.name] = max(found.get(truth.name, 0.0), round(min(1.0, float(cosines[row, column])), 4))
-        curves[key]["rivals"] = dict(sorted(found.items(), key=lambda item: -item[1]))
+        curves[key]["competing"] = dict(sorted(found.items(), key=lambda item: -item[1]))
     for key in set(curves) - set(keys):
-        curves[key]["rivals"] = {}
+        curves[key]["competing"] = {}
 
 
-def _mark(sensitivity: Sensitivity, key: str, name: str, spot: Spot, value: float) -> tuple[str, FloatArray]:
-    return key, sensitivity.mark(INJECTED_EFFECTS[name], spot, value)
+def _signature(sensitivity: Sensitivity, key: str, name: str, spot: Spot, value: float) -> tuple[str, FloatArray]:
+    return key, sensitivity.signature(INJECTED_EFFECTS[name], spot, value)
 
 
 def _curve(

@@ -50,14 +50,14 @@ RANGES: dict[str, tuple[float, float]] = {
     "together": (0.0, 1.0),
     "margin": (-2.0, 8.0),
     "sigmas": (0.0, 4.0),
-    "rivals": (0.0, 4.0),
+    "equivalents": (0.0, 4.0),
 }
 """Features, and the range in which each counts.
 
 log_odds: ln of all explanations over none; unknown_odds: ln of something unnamed over the named; leftover: ln of the
 evidence for a generic source on top of the best explanation; second: 1 if that has two effects; together: 1 if these
 act at one point or channel; margin: ln of the best class over the other named ones; sigmas: ln(1 + strength in
-standard deviations); rivals: members of the best class beyond the first.
+standard deviations); equivalents: members of the best class beyond the first.
 """
 
 

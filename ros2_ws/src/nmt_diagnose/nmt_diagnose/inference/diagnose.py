@@ -701,7 +701,7 @@ class _Diagnoser:
             "none": judgement.none,
             "unknown": judgement.unknown,
             "chance": chance,
-            **{f"sign:{name}": value for name, value in judgement.features.items()},
+            **{f"feature:{name}": value for name, value in judgement.features.items()},
         }
         for name in dict.fromkeys(self.candidates[score.direction.candidate].effect.name for score in scan):
             gains = [s.gain for s in scan if self.candidates[s.direction.candidate].effect.name == name]

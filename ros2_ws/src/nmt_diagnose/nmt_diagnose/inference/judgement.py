@@ -188,7 +188,7 @@ def _features(
         "together": float(first is not None and first.head.explanation.together),
         "margin": math.log(max(first.probability, 1e-300) / max(others, 1e-300)) if first else -math.inf,
         "sigmas": math.log1p(first.head.sigmas) if first else 0.0,
-        "rivals": float(len(first.members) - 1) if first else 0.0,
+        "equivalents": float(len(first.members) - 1) if first else 0.0,
     }
 
 

@@ -155,10 +155,10 @@ def report(verdict: Verdict, observations: Observations | None = None) -> Diagno
         notes=("backbone: level 7 is left out.",),
         residual_map=residual_map(observations, given, refitted, last),
         residual_tests=(
-            {"name": "even harmonics", "where": "backbone", "statistic": 99.0, "freedom": 10, "p": 1e-9,
-             "p_holm": 1e-8},
-            {"name": "odd harmonics above the first", "where": "x5", "statistic": 9.0, "freedom": 10, "p": 0.5,
-             "p_holm": 1.0},
+            {"name": "even harmonics", "where": "backbone", "statistic": 99.0, "degrees_of_freedom": 10,
+             "p": 1e-9, "p_holm": 1e-8},
+            {"name": "odd harmonics above the first", "where": "x5", "statistic": 9.0, "degrees_of_freedom": 10,
+             "p": 0.5, "p_holm": 1.0},
         ),
         candidates=({"label": "none", "log_evidence": 0.0, "chi_square": 900.0, "rows": 100, "converged": True},),
     )  # fmt: skip

@@ -232,14 +232,14 @@ def test_local_polynomials_have_no_leakage() -> None:
         y[k] = state.real
         state = pole * state + u[k]
     lines = np.array([700, 1100, 1290, 1311, 1330, 2000, 5000])
-    estimate, noise, factor, freedom = local_responses(u, y[np.newaxis], lines)
+    estimate, noise, factor, degrees_of_freedom = local_responses(u, y[np.newaxis], lines)
     z = np.exp(2j * np.pi * lines / size)
     exact = 0.5 * (1.0 / (z - pole) + 1.0 / (z - np.conj(pole)))
     far = np.array([True, True, False, False, False, True, True])
     assert np.abs(estimate[0] / exact - 1.0)[far].max() < 1e-6
     # The reach of ten lines is the whole half-power band here: the worst that may happen.
     assert np.abs(estimate[0] / exact - 1.0).max() < 0.1
-    assert freedom == 2 * (2 * REACH + 1 - 10)
+    assert degrees_of_freedom == 2 * (2 * REACH + 1 - 10)
     assert (noise[0][far] * factor[far] < 1e-10 * np.abs(exact[far]) ** 2).all()
 
 

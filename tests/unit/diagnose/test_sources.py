@@ -47,7 +47,7 @@ def test_a_source_is_found_where_it_is(change: dict[str, Any], place: str, detai
     first, second, *_ = found(truth)
     assert (first.placement.kind, first.placement.detail) == (place, detail)
     assert first.gain > max(10.0, second.gain + 3.0)
-    assert first.explained > first.freedom
+    assert first.explained > first.degrees_of_freedom
 
 
 def test_noise_has_no_source() -> None:

@@ -23,8 +23,19 @@ GLOSSARY = {
     r"moduli": "magnitudes",
     r"rival methods": "other methods",
     r"first passage": "first crossing",
+    r"contests?": "comparison",
 }
 """A private word, and the one to write."""
+
+NAMES = {
+    "contest": "model comparison",
+    "contender": "fitted model",
+    "rival": "equivalent or competing",
+    "freedom": "degrees of freedom",
+    "moduli": "magnitudes",
+    "mend": "repair",
+}
+"""The same in names of code, where a word is a part between capitals or underscores."""
 
 FIRST = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "docs" / "tutorial.md"]
 """What a newcomer reads: here colons and semicolons do not end a sentence."""
@@ -54,6 +65,51 @@ def test_messages_and_docstrings_use_the_words_of_the_field() -> None:
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 found += [f"{path.relative_to(ROOT)}:{node.lineno}: {what}" for what in private_words(node.value)]
     assert found == []
+
+
+def names(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """What a module defines, with its line: classes, functions, parameters, variables and attributes."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node.lineno, node.name
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.Name):
+            yield node.lineno, node.id
+
+
+def private_names(tree: ast.AST) -> list[str]:
+    found = []
+    for line, name in names(tree):
+        spelled = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower().replace("degrees_of_freedom", "")
+        found += [f"{line}: {name}: write '{NAMES[own]}'" for part in spelled.split("_") for own in NAMES
+                  if part in (own, f"{own}s")]  # fmt: skip
+    return found
+
+
+def test_names_of_code_use_the_words_of_the_field() -> None:
+    found = []
+    for path in SOURCES:
+        if "build" not in path.parts and "install" not in path.parts:
+            own = private_names(ast.parse(path.read_text(encoding="utf-8")))
+            found += [f"{path.relative_to(ROOT)}:{what}" for what in own]
+    assert found == []
+
+
+def test_a_private_name_is_seen() -> None:
+    tree = ast.parse("class HeldOutContest:\n    def of(self, rivals):\n        freedom = degrees_of_freedom = 1")
+    assert [what.partition(":")[0] for what in private_names(tree)] == ["1", "2", "3"]
+
+
+def test_classes_of_a_kind_are_distinguished_by_their_names() -> None:
+    """No two packages define one name for an outcome, settings or a result."""
+    defined: dict[str, list[str]] = {}
+    for path in SOURCES:
+        if "build" not in path.parts and "install" not in path.parts:
+            for node in ast.parse(path.read_text(encoding="utf-8")).body:
+                if isinstance(node, ast.ClassDef) and re.search(r"(Outcome|Settings|Result)$", node.name):
+                    defined.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    assert {name: where for name, where in defined.items() if len(where) > 1 or name in ("Outcome", "Settings")} == {}
 
 
 def blocks(text: str) -> Iterator[str]:

@@ -211,8 +211,8 @@ def _local(
     filters = inverse @ (design * weight[:, None]).T
     solution = filters @ values
     residual = values - design @ solution
-    freedom = max(1, values.size - design.shape[1])
-    variance = float(np.sum(weight * residual**2) / np.sum(weight)) * values.size / freedom
+    degrees_of_freedom = max(1, values.size - design.shape[1])
+    variance = float(np.sum(weight * residual**2) / np.sum(weight)) * values.size / degrees_of_freedom
     propagated = float(filters[0] ** 2 @ stds**2)
     scatter = float(np.sum(filters[0] ** 2)) * variance
     return float(solution[0]), math.sqrt(max(propagated, scatter))

@@ -159,8 +159,8 @@ def fit_phasors(data: FloatArray, sample_rate: float, exponent: complex, harmoni
     filters = inverse @ weighted.T
     solution = filters @ data.T
     residual = data.T - design @ solution
-    freedom = float(weight.sum() - np.sum(filters.T * weighted))
-    noise = np.sqrt(np.maximum(weight @ residual**2, 0.0) / freedom)
+    degrees_of_freedom = float(weight.sum() - np.sum(filters.T * weighted))
+    noise = np.sqrt(np.maximum(weight @ residual**2, 0.0) / degrees_of_freedom)
     powers = np.repeat(scale ** -np.arange(3.0), 2)
     covariance = (filters @ filters.T)[:6, :6] * np.outer(powers, powers)
     parts = solution[:6].T * powers

@@ -248,9 +248,9 @@ def _ranking(d: Diagnosis) -> Table:
     )
     note = (
         "All explanations are fitted to the same data with the model’s own parameters free; the probability weighs how "
-        "well each fits against how much freedom it has. Gap closed: share of the residual beyond the noise that goes, "
-        "on data kept out of the fit, with the interval of 90 %; below zero the explanation predicts worse than the "
-        "model without it. Only the most probable ones are tried on held-out data."
+        "well each fits against how many degrees of freedom it has. Gap closed: share of the residual beyond the noise "
+        "that goes, on data kept out of the fit, with the interval of 90 %; below zero the explanation predicts worse "
+        "than the model without it. Only the most probable ones are tried on held-out data."
     )
     return Table(head, [row for _, row in rows], note)
 
@@ -432,7 +432,7 @@ def _residual_tests(d: Diagnosis) -> Table | None:
             str(item.get("name", "")),
             channel_text(str(item.get("where", ""))),
             significant(_number(item, "statistic"), 4),
-            item.get("freedom") or "—",
+            item.get("degrees_of_freedom") or "—",
             significant(own, 2),
             significant(p, 2),
             "something is left" if left else "noise",
@@ -442,7 +442,7 @@ def _residual_tests(d: Diagnosis) -> Table | None:
         Column("Test of the residual", kind="text"),
         Column("Of", kind="text"),
         Column("Statistic"),
-        Column("Freedom"),
+        Column("Degrees of freedom"),
         Column("p", "alone"),
         Column("p", "all tests together"),
         Column("Reading", kind="text"),

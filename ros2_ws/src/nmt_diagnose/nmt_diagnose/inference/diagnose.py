@@ -595,7 +595,7 @@ class _Diagnoser:
             own[placement.detail] = own.get(placement.detail, 0.0) + p
         explained: dict[str, float] = {}
         for source in sources:
-            size = max(0.0, source.explained - source.freedom)
+            size = max(0.0, source.explained - source.degrees_of_freedom)
             kind = source.placement.kind
             explained[kind] = max(explained.get(kind, 0.0), size)
         weights = {place: explained.get(place, 0.0) * p for place, p in by_place.items()}

@@ -32,13 +32,13 @@ class SourceScore:
         placement: where the source sits.
         gain: ln Z of the source over ln Z without it, mean over the sizes τ.
         explained: fall of χ² at the best size.
-        freedom: effective number of columns used at the best size.
+        degrees_of_freedom: effective number of columns used at the best size.
     """
 
     placement: Placement
     gain: float
     explained: float
-    freedom: float
+    degrees_of_freedom: float
 
 
 def source_score(fit: Fit, columns: FloatArray, placement: Placement, calibrated: int | None = None) -> SourceScore:

@@ -222,7 +222,7 @@ def _calibrated(
         effects = {
             item
             for item, hypothesis in enumerate(hypotheses)
-            if hypothesis.kind is Kind.NAMED and _contender(hypothesis).effects in before.effects
+            if hypothesis.kind is Kind.NAMED and _fitted_model_of(hypothesis).effects in before.effects
         }
         total = sum(float(weights[k]) for k in effects)
         for k in effects:
@@ -235,14 +235,14 @@ def _calibrated(
     by_explanation: dict[Explanation, float] = {}
     for factor, hypothesis in zip(factors, hypotheses, strict=True):
         if hypothesis.kind is Kind.NAMED:
-            explanation = _contender(hypothesis).explanation
+            explanation = _fitted_model_of(hypothesis).explanation
             by_explanation[explanation] = by_explanation.get(explanation, 0.0) + float(factor)
     other = max(0.0, 1.0 - sum((1.0 - gap, gap * unnamed, *by_explanation.values())))
     places = _places(factors[1:], hypotheses[1:])
     return Judgement(1.0 - gap, gap * unnamed, tuple(scaled), places, by_explanation, other, features)
 
 
-def _contender(hypothesis: Hypothesis) -> FittedModel:
+def _fitted_model_of(hypothesis: Hypothesis) -> FittedModel:
     """The fit of a named hypothesis."""
     assert hypothesis.fitted_model is not None
     return hypothesis.fitted_model
@@ -302,7 +302,7 @@ def _classes(weights: FloatArray, hypotheses: Sequence[Hypothesis], limit: float
     by_effects: dict[tuple[str, ...], list[tuple[float, FittedModel]]] = {}
     for weight, hypothesis in zip(weights, hypotheses, strict=True):
         if hypothesis.kind is Kind.NAMED:
-            fitted_model = _contender(hypothesis)
+            fitted_model = _fitted_model_of(hypothesis)
             by_effects.setdefault(fitted_model.effects, []).append((float(weight), fitted_model))
     groups = [
         (sum(weight for weight, _ in members), max(members, key=lambda item: item[0])[1])

@@ -29,7 +29,7 @@ class ResidualTest:
         name: what it looks for.
         where: channel, or test.
         statistic: χ² or z.
-        freedom: degrees of freedom (0 = standard normal).
+        degrees_of_freedom: degrees of freedom (0 = standard normal).
         p: probability of as much by chance.
         p_holm: the same, corrected for the number of tests.
     """
@@ -37,7 +37,7 @@ class ResidualTest:
     name: str
     where: str
     statistic: float
-    freedom: int
+    degrees_of_freedom: int
     p: float
     p_holm: float = float("nan")
 
@@ -77,19 +77,19 @@ def holm(tests: list[ResidualTest]) -> tuple[ResidualTest, ...]:
     result, running = [], 0.0
     for rank, test in enumerate(ordered):
         running = max(running, min(1.0, test.p * (len(ordered) - rank)))
-        result.append(ResidualTest(test.name, test.where, test.statistic, test.freedom, test.p, running))
+        result.append(ResidualTest(test.name, test.where, test.statistic, test.degrees_of_freedom, test.p, running))
     return tuple(result)
 
 
-def _chi_square(name: str, where: str, statistic: float, freedom: int) -> ResidualTest:
-    return ResidualTest(name, where, statistic, freedom, float(chi2.sf(statistic, freedom)))
+def _chi_square(name: str, where: str, statistic: float, degrees_of_freedom: int) -> ResidualTest:
+    return ResidualTest(name, where, statistic, degrees_of_freedom, float(chi2.sf(statistic, degrees_of_freedom)))
 
 
 def _over_level(observations: Observations, residual: FloatArray, mine: BoolArray, number: int) -> list[ResidualTest]:
     """Smooth courses over the level: a quadratic through the levels of each channel, harmonic and part."""
     rows, result = observations.rows, []
     for channel in np.unique(rows.channel[mine]):
-        statistic, freedom = 0.0, 0
+        statistic, degrees_of_freedom = 0.0, 0
         for harmonic in np.unique(rows.harmonic[mine & (rows.channel == channel)]):
             for part in np.unique(rows.part[mine & (rows.channel == channel) & (rows.harmonic == harmonic)]):
                 group = mine & (rows.channel == channel) & (rows.harmonic == harmonic) & (rows.part == part)
@@ -99,10 +99,10 @@ def _over_level(observations: Observations, residual: FloatArray, mine: BoolArra
                 basis, _ = np.linalg.qr(np.vander(x - x.mean(), 3))
                 along = basis.T @ residual[group]
                 statistic += float(along @ along)
-                freedom += 3
-        if freedom:
+                degrees_of_freedom += 3
+        if degrees_of_freedom:
             name = channel_name(observations, number, int(channel))
-            result.append(_chi_square("smooth course over the level", name, statistic, freedom))
+            result.append(_chi_square("smooth course over the level", name, statistic, degrees_of_freedom))
     return result
 
 
@@ -122,16 +122,18 @@ def _up_down(
     rows = observations.rows
     drives = {level.index: level.drive for level in test.levels}
     pairs = [(a, b) for a in drives for b in drives if a < b and np.isclose(drives[a], drives[b], rtol=1e-6)]
-    statistic, freedom = 0.0, 0
+    statistic, degrees_of_freedom = 0.0, 0
     for first, second in pairs:
         left, right = mine & (rows.level == first), mine & (rows.level == second)
         if int(left.sum()) != int(right.sum()):
             continue
         difference = (residual[left] - residual[right]) / np.sqrt(2.0)
         statistic += float(difference @ difference)
-        freedom += int(left.sum())
+        degrees_of_freedom += int(left.sum())
     return (
-        [_chi_square("differences between rising and falling level", test.name, statistic, freedom)] if freedom else []
+        [_chi_square("differences between rising and falling level", test.name, statistic, degrees_of_freedom)]
+        if degrees_of_freedom
+        else []
     )
 
 

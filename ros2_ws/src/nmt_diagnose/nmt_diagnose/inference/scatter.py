@@ -113,10 +113,10 @@ def _of_kind(observations: Observations, difference: FloatArray, which: np.ndarr
         orthonormal, _ = np.linalg.qr(basis)
         rest = difference[own] - orthonormal @ (orthonormal.T @ difference[own])
         left += float(rest @ rest)
-        freedom = own.size - basis.shape[1]
-        squares += freedom * float(np.mean(sigma**2))
-        stated += float(np.max(sigma) ** 2) * freedom
-        free += freedom
+        degrees_of_freedom = own.size - basis.shape[1]
+        squares += degrees_of_freedom * float(np.mean(sigma**2))
+        stated += float(np.max(sigma) ** 2) * degrees_of_freedom
+        free += degrees_of_freedom
     if free < _FEWEST_FREE or chi2.sf(left / (stated / free), free) > _BY_CHANCE:
         return 0.0
     # A variance from few values is uncertain itself; residuals over it have the variance d / (d − 2).

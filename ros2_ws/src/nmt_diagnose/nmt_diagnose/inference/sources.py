@@ -108,7 +108,7 @@ def generic_sources(fit: Fit, found: Sequence[SourcePlace], calibrated: int | No
         gains = np.array([score.gain for score in scored])
         mean = float(np.logaddexp.reduce(gains) - np.log(gains.size))
         best = scored[int(np.argmax(gains))]
-        result.append(SourceScore(item.placement, mean, best.explained, best.freedom))
+        result.append(SourceScore(item.placement, mean, best.explained, best.degrees_of_freedom))
     return result
 
 

@@ -36,13 +36,13 @@ class Segment:
     Attributes:
         first, stop: periods.
         noise: standard deviation of one part of the complex amplitude, from the residuals of this segment alone.
-        freedom: of these residuals, in units of independent values.
+        degrees_of_freedom: of these residuals, in units of independent values.
     """
 
     first: int
     stop: int
     noise: float
-    freedom: float
+    degrees_of_freedom: float
 
 
 @dataclass(frozen=True)
@@ -194,14 +194,19 @@ def _segment(slow: SlowAmplitude, first: int, stop: int) -> Segment:
     degree = _degrees(stop - first, slow.width)[-1]
     own = design[:, : degree + 1]
     noise = correlation(stop - first, slow.width / slow.stride) / np.outer(size, size)
-    squares, freedom = 0.0, 0.0
+    squares, degrees_of_freedom = 0.0, 0.0
     for values in (slow.log[first:stop], slow.phase[first:stop]):
         solution, pseudo = _fit(own, size, values)
         left = size * (values - own @ solution)
         maker = (np.eye(size.size) - own @ pseudo) * size[:, np.newaxis]
         squares += float(left @ left)
-        freedom += float(np.sum((maker @ noise) * maker))
-    return Segment(first, stop, math.sqrt(squares / freedom) if freedom > 1e-6 else math.inf, freedom)
+        degrees_of_freedom += float(np.sum((maker @ noise) * maker))
+    return Segment(
+        first,
+        stop,
+        math.sqrt(squares / degrees_of_freedom) if degrees_of_freedom > 1e-6 else math.inf,
+        degrees_of_freedom,
+    )
 
 
 def _node(slow: SlowAmplitude, segment: Segment, typical: float) -> Node:
@@ -271,7 +276,7 @@ def ratio_at(node: Node, slow: SlowAmplitude, other: ComplexArray) -> tuple[comp
     at = pseudo[0]
     value = complex(at @ ratio)
     left = np.abs((ratio - own @ (pseudo @ ratio)) * weights)
-    freedom = max(1.0, (stop - first) / slow.width - 4.0)
-    variance = 0.5 * float(left @ left) / freedom
+    degrees_of_freedom = max(1.0, (stop - first) / slow.width - 4.0)
+    variance = 0.5 * float(left @ left) / degrees_of_freedom
     covariance = correlation(stop - first, slow.width / slow.stride) / np.outer(weights, weights) * variance
     return value, math.sqrt(float(at @ covariance @ at)) / max(abs(value), 1e-300)

@@ -274,7 +274,7 @@ class _Cell:
     scale: float
     variance: float
     drift: float
-    freedom: int
+    degrees_of_freedom: int
 
 
 def phase_resonance_observations(
@@ -581,7 +581,7 @@ def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int,
     """Observables of one channel at one level."""
     whole, without, single = window.amplitudes[row], window.without[:, row], window.single[:, row]
     size = float(abs(whole[1]))
-    freedom = without.shape[0] - 1
+    degrees_of_freedom = without.shape[0] - 1
     if not size > 0.0:
         return []
     cells = []
@@ -589,7 +589,7 @@ def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int,
     def add(harmonic: int, part: Part, value: float, varied: FloatArray, parts: FloatArray) -> None:
         # In the unit of the channel, so that noise of the same kind compares.
         variance, drift = float(_jackknife(varied)) * size**2, float(_drift(parts)) * size
-        cells.append(_Cell(level, channel.name, harmonic, part, value, size, variance, drift, freedom))
+        cells.append(_Cell(level, channel.name, harmonic, part, value, size, variance, drift, degrees_of_freedom))
 
     if not given:
         turned = whole[1] / size
@@ -612,9 +612,9 @@ def _moderate(cells: list[_Cell]) -> None:
     groups: dict[tuple[str, object, int], list[_Cell]] = {}
     for cell in cells:
         kind: object = cell.part if cell.harmonic == 1 else min(cell.harmonic, 2)
-        groups.setdefault((cell.name, kind, cell.freedom), []).append(cell)
-    for (_, _, freedom), group in groups.items():
-        variances, degrees = moderated(np.array([cell.variance for cell in group]), float(freedom))
+        groups.setdefault((cell.name, kind, cell.degrees_of_freedom), []).append(cell)
+    for (_, _, degrees_of_freedom), group in groups.items():
+        variances, degrees = moderated(np.array([cell.variance for cell in group]), float(degrees_of_freedom))
         # Residuals over a deviation from d values have the variance d / (d − 2).
         for cell, variance in zip(group, variances * degrees / (degrees - 2.0), strict=True):
             cell.variance = float(variance)

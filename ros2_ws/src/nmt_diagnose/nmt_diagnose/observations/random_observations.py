@@ -59,7 +59,7 @@ def local_responses(
     estimate = np.empty((responses.shape[0], bins.size), dtype=np.complex128)
     noise = np.empty((responses.shape[0], bins.size))
     factor = np.empty(bins.size)
-    freedom = offsets.size - 2 * (ORDER + 1)
+    degrees_of_freedom = offsets.size - 2 * (ORDER + 1)
     for number, line in enumerate(bins):
         near = line + offsets
         design = np.concatenate((u[near, np.newaxis] * powers, powers), axis=1)
@@ -70,9 +70,9 @@ def local_responses(
         inverse = np.linalg.inv(r)
         estimate[:, number] = (inverse[0] @ projected) / scale[0]
         residual = right - q @ projected
-        noise[:, number] = (np.abs(residual) ** 2).sum(axis=0) / freedom
+        noise[:, number] = (np.abs(residual) ** 2).sum(axis=0) / degrees_of_freedom
         factor[number] = float((np.abs(inverse[0]) ** 2).sum()) / scale[0] ** 2
-    return estimate, noise, factor, 2 * freedom
+    return estimate, noise, factor, 2 * degrees_of_freedom
 
 
 def choose_bins(reference: FloatArray, response: FloatArray, sample_rate: float, wanted: int) -> IndexArray:
@@ -184,10 +184,10 @@ def random_observations(
     if bins.size == 0:
         return empty((*notes, f"{name}: the random test is left out: it has no driven band."))
     lines = bins * stretch.sample_rate / input_samples.size
-    estimate, noise, factor, freedom = local_responses(input_samples - input_samples.mean(), outputs, bins)
+    estimate, noise, factor, degrees_of_freedom = local_responses(input_samples - input_samples.mean(), outputs, bins)
     variance = np.empty_like(noise)
     for row in range(noise.shape[0]):
-        drawn, degrees = moderated(noise[row], float(freedom))
+        drawn, degrees = moderated(noise[row], float(degrees_of_freedom))
         variance[row] = drawn * factor * degrees / (degrees - 2.0)
     table = RowTable()
     drive_rms = float(np.std(input_samples))

@@ -57,6 +57,13 @@ def test_the_notebook_table_has_a_row_each(results: nmt.Results) -> None:
     assert all(f">{name}<" in page for name in results.rows()[0])
 
 
+def test_a_prompt_shows_one_short_line(results: nmt.Results) -> None:
+    shown = repr(results)
+    assert shown.startswith(f"{type(results).__name__}('{results.folder}': ")
+    assert "\n" not in shown
+    assert len(shown) < 100 + len(str(results.folder))
+
+
 def test_the_plot_is_drawn_on_the_axes_given(results: nmt.Results) -> None:
     axes = matplotlib.figure.Figure().subplots()
     assert results.plot(axes=axes) is axes

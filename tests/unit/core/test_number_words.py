@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from nmt_core.number_words import share_with_interval, value_text
+from nmt_core.number_words import share_with_interval, significant, value_text
 
 
 @pytest.mark.parametrize(
@@ -24,3 +24,18 @@ def test_the_ends_of_an_interval_never_read_alike(share, low, high, texts):
 
 def test_a_value_has_one_notation():
     assert value_text(2.1116e5, 1.0e4, "N/m") == "(211 ± 10)·10³ N/m"
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [
+        (10.2, 1, "10"),
+        (-96.0, 1, "−100"),
+        (2345.0, 2, "2300"),
+        (23456.0, 2, "2.3·10⁴"),
+        (9.1e-5, 2, "9.1·10⁻⁵"),
+        (0.04, 1, "0.04"),
+    ],
+)
+def test_small_whole_numbers_stand_in_full(value, digits, text):
+    assert significant(value, digits) == text

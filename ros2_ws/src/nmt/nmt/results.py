@@ -38,7 +38,7 @@ _TAU = 2.0 * math.pi
 _WITH_STD = tuple(name + suffix for name in MEASURED for suffix in ("", "_std"))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Results:
     """What every results folder has.
 
@@ -126,6 +126,14 @@ class Results:
 
         return list(write_figures(self.folder, folder, **options))
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self.folder)!r}: {self._summary})"
+
+    @property
+    def _summary(self) -> str:
+        """What is there, in a few words."""
+        return _counted(len(self.rows()), "row")
+
     def _repr_html_(self) -> str:
         """What a notebook shows: the main table."""
         rows = self.rows()
@@ -133,6 +141,10 @@ class Results:
         head = [Column(name, kind="" if rows and isinstance(rows[0][name], int | float) else "text") for name in names]
         body = [Row([_cell(row[name]) for name in names]) for row in rows]
         return str(part("table", Table(head, body, heading=f"{type(self).__name__}: {self.folder}")))
+
+
+def _counted(number: int, name: str) -> str:
+    return f"{number} {name}{'' if number == 1 else 's'}"
 
 
 def _cell(value: Any) -> str:
@@ -178,7 +190,7 @@ _LABELS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RunResults(Results):
     """A run or an extraction: one modal point a level.
 
@@ -201,6 +213,10 @@ class RunResults(Results):
 
         points, inputs = modal_table.read_json(folder / "modal.json")
         return cls(folder, tuple(points), inputs)
+
+    @property
+    def _summary(self) -> str:
+        return f"{len(self.good_points)} of {_counted(len(self.points), 'level')} with values"
 
     @property
     def good_points(self) -> tuple[ModalPoint, ...]:
@@ -292,7 +308,7 @@ class RunResults(Results):
         return drawn
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LinearResult(Results):
     """A linear modal test.
 
@@ -320,6 +336,11 @@ class LinearResult(Results):
         table = folder / "frf.csv"
         responses = read_frf_table(table, description.drive_point) if table.is_file() else []
         return cls(folder, description, document, tuple(responses))
+
+    @property
+    def _summary(self) -> str:
+        modes = _counted(len(self.description.frequencies_rad_s), "mode")
+        return f"{modes}, {_counted(len(self.responses), 'frequency response')}"
 
     def rows(self) -> list[dict[str, Any]]:
         """One row a mode."""
@@ -370,7 +391,7 @@ class LinearResult(Results):
         return _plot_responses(self.folder, self.responses, _axes(axes), style)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FrequencyResponses(Results):
     """A sweep or stepped sine.
 
@@ -390,6 +411,10 @@ class FrequencyResponses(Results):
         from nmt_extract.response_table import read_response_csv
 
         return cls(folder, tuple(read_response_csv(folder / "frf.csv")))
+
+    @property
+    def _summary(self) -> str:
+        return _counted(len(self.levels), "level")
 
     def rows(self) -> list[dict[str, Any]]:
         """One row a level, frequency and channel."""
@@ -477,7 +502,7 @@ class FrequencyResponses(Results):
         return drawn
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ReferenceResult(Results):
     """A computed backbone.
 
@@ -548,7 +573,7 @@ class ReferenceResult(Results):
         return drawn
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DiagnosisResult(Results):
     """A diagnosis of the gap between model and rig.
 
@@ -586,6 +611,10 @@ class DiagnosisResult(Results):
         """Share of the gap on held-out data that the explanation closes; NaN where none was accepted."""
         value = self.document["gap"].get("closed")
         return math.nan if value is None else float(value)
+
+    @property
+    def _summary(self) -> str:
+        return f"verdict {self.verdict}, {_counted(len(self.document['ranking']), 'explanation')}"
 
     def rows(self) -> list[dict[str, Any]]:
         """One row an explanation, the most probable first."""

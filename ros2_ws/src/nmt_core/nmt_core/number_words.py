@@ -19,10 +19,16 @@ def plain(value: float, decimals: int) -> str:
 
 
 def significant(value: float, digits: int = 4) -> str:
-    """Text with a number of significant digits, as ``9.1·10⁻⁵``; an em dash for a value that is not finite."""
+    """Text with a number of significant digits, as ``9.1·10⁻⁵``; an em dash for a value that is not finite.
+
+    Whole numbers below ten thousand stand in full, whatever the number of digits: ``10``, not ``1·10¹``.
+    """
     if not math.isfinite(value):
         return "—"
-    mantissa, _, exponent = f"{value:.{digits}g}".replace("-", "−").partition("e")
+    text = f"{value:.{digits}g}"
+    if "e+" in text and abs(float(text)) < 1e4:
+        return plain(float(text), 0)
+    mantissa, _, exponent = text.replace("-", "−").partition("e")
     return f"{mantissa}·{power_of_ten(int(exponent.replace('−', '-')))}" if exponent else mantissa
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,12 +15,16 @@ from unit.diagnose.observation_bags import altered, record, rig_with_noise, with
 
 from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RingDownTest
+from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest, RandomTest, RingDownTest
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.moderated_variance import moderated
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.phase_resonance_observations import analyse_window
 from nmt_diagnose.observations.random_observations import REACH, choose_bins, local_responses
 from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.observations.settling import settling
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.model.linear_modes import damped_modes
 from nmt_rig.rig import Rig, load_rig
@@ -372,14 +378,52 @@ def test_a_loop_that_still_settles_leans_and_a_steady_offset_does_not() -> None:
     assert _lean(1e-3 + noise) < 1e-4
 
 
-def test_an_amplitude_that_still_settles_is_told_by_its_thirds() -> None:
-    from nmt_diagnose.observations.phase_resonance_observations import _amplitude_lean
-
+@pytest.mark.parametrize(("size", "rate"), [(-0.02, 2.0), (0.01, 1.2), (-0.03, 3.0)])
+def test_a_transient_is_told_from_all_responses_together(size: float, rate: float) -> None:
+    """Two good channels and one that is noisier than its transient; the force has none."""
     time = (np.arange(10) + 0.5) / 10.0
-    noise = 1e-4 * np.random.default_rng(5).standard_normal(10)
-    for size, rate in ((-0.02, 2.0), (0.01, 1.2), (-0.03, 3.0)):
-        settling = size * np.exp(-rate * time)
-        assert _amplitude_lean(settling + noise) == pytest.approx(settling.mean(), rel=0.15)
-    # The scatter of ten values lets a small drift through now and then, never the level itself.
-    assert abs(_amplitude_lean(0.5 + noise)) < 2e-3
-    assert _amplitude_lean(np.zeros(3)) == 0.0
+    transient = size * np.exp(-rate * time)
+    noise = np.random.default_rng(5).standard_normal((10, 4)) * np.array([3e-3, 1e-4, 1e-4, 2e-2])
+    logs = np.outer(transient, [0, 1, 1, 1]) + noise + [2.0, 0.5, -3.0, 0.1]
+    found = settling(logs, np.array([False, True, True, True]))
+    assert found.leans[0] == 0.0
+    np.testing.assert_allclose(found.leans[1:], transient.mean(), rtol=0.15)
+
+
+def test_a_response_that_contradicts_the_others_has_a_transient_of_its_own() -> None:
+    time = (np.arange(10) + 0.5) / 10.0
+    sizes, noise = np.array([-0.02, -0.02, 0.01]), 1e-4 * np.random.default_rng(1).standard_normal((10, 3))
+    found = settling(np.outer(np.exp(-2.0 * time), sizes) + noise, np.ones(3, dtype=bool))
+    np.testing.assert_allclose(found.leans, sizes * np.exp(-2.0 * time).mean(), rtol=0.05)
+
+
+def test_noise_seldom_passes_for_a_transient_and_an_exact_amplitude_never() -> None:
+    generator, shown = np.random.default_rng(7), 0
+    for _ in range(400):
+        shown += bool(np.any(settling(1e-3 * generator.standard_normal((10, 5)), np.arange(5) > 0).leans))
+    assert shown <= 12
+    assert not settling(np.full((10, 2), 0.3), np.array([False, True])).leans.any()
+    assert not settling(np.zeros((3, 2)), np.array([False, True])).leans.any()
+
+
+def test_a_window_without_its_transient_is_that_of_the_settled_rig() -> None:
+    """40 periods of a rig that still settles by half a percent, against the closed form of the settled one."""
+    rate, frequency, samples = 4000.0, 50.0, 3200
+    time = np.arange(samples) / rate
+    cycles = frequency * time + 0.13
+    sizes = np.array([0.0, -0.006, -0.006])
+    harmonics = np.array([[1.0, 1e-4], [2.0, 3e-5 + 1e-5j], [5.0, 0.0]])
+    settling_amplitudes = np.exp(np.outer(sizes, np.exp(-2.0 * time * rate / samples)))
+    data = settling_amplitudes * (harmonics[:, :1] * np.exp(2j * np.pi * cycles)).real
+    data = data + (harmonics[:, 1:] * np.exp(4j * np.pi * cycles)).real
+    quantities = (Quantity.FORCE, Quantity.DISPLACEMENT, Quantity.ACCELERATION)
+    channels = tuple(MeasuredChannel(f"c{k}", quantity, 1) for k, quantity in enumerate(quantities))
+    stretch = Stretch(0, rate, channels, data, cycles, {}, math.nan)
+    segment = SimpleNamespace(level_index=0, level_unit="V", level=1.0, frequency_hz=frequency)
+    found = [analyse_window(segment, stretch, ObservationSettings(), settled) for settled in (True, False)]
+    errors = [np.abs(window.amplitudes[:, 1:3] / harmonics[:, :1] - harmonics / harmonics[:, :1]) for window in found]
+    assert errors[0][1, 0] > 2e-3
+    assert errors[0][2, 1] > 1e-5
+    assert errors[1][:, 0].max() < 1e-5
+    assert errors[1][:, 1].max() < 1e-6
+    np.testing.assert_allclose(found[1].leans, sizes * (1.0 - np.exp(-2.0)) / 2.0, rtol=1e-2)

@@ -22,6 +22,7 @@ from nmt_diagnose.observations.moderated_variance import moderated
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_diagnose.observations.settling import Settling, settling
 from nmt_diagnose.observations.spectral_lines import MAINS_HZ, Line, mains_line
 from nmt_extract.harmonics import (
     resolvable_harmonics,
@@ -42,8 +43,6 @@ _SIGNIFICANT_DRIFT = 4.0
 _FURTHEST_PHASE = math.radians(60.0)
 # Mean over the window of a transient over its change from begin to end: measured 1.8 on the joint resonator.
 _LEAN = 2.0
-# Sub-windows from which a transient is told, and how fast it may fall, over the window.
-_FEWEST_TO_SETTLE, _SETTLING = 6, tuple(np.geomspace(0.5, 8.0, 25))
 # The line of the mains that is observed in any case; the other one only where it stands out by so many deviations.
 _COMMON_MAINS = MAINS_HZ[0]
 _STANDS_OUT = 6.0
@@ -75,6 +74,7 @@ class LockedWindow:
         referenced: whether phases refer to the drive; else to the force.
         mains: lines of the mains by frequency, Hz, their channels as in ``rows``; those that the window can tell.
         commanded: whether ``drive`` is what was commanded; else it is the recorded voltage.
+        leans: what the ln of each fundamental was off by before a transient was taken out, in the mean.
     """
 
     segment: Segment
@@ -88,14 +88,27 @@ class LockedWindow:
     referenced: bool
     mains: Mapping[float, Line]
     commanded: bool
+    leans: tuple[float, ...]
 
     def row(self, name: str) -> int:
         """Index of a channel."""
         return self.rows.index(name)
 
+    def lean(self, name: str) -> float:
+        """What the ln of a channel's fundamental was off by; 0 where there is no such channel."""
+        return self.leans[self.row(name)] if name in self.rows else 0.0
 
-def analyse_window(segment: Segment, stretch: Stretch, settings: ObservationSettings) -> LockedWindow:
+
+def analyse_window(
+    segment: Segment, stretch: Stretch, settings: ObservationSettings, settled: bool = True
+) -> LockedWindow:
     """Harmonics of a locked window with those of its sub-windows.
+
+    Args:
+        segment: what names the window.
+        stretch: its samples.
+        settings: of the reading.
+        settled: whether amplitudes are taken as they are; else a transient of theirs is taken out.
 
     Raises:
         BenchError: why the window cannot be used, one sentence.
@@ -126,7 +139,16 @@ def analyse_window(segment: Segment, stretch: Stretch, settings: ObservationSett
         raise BenchError(f"{where}: {used / periods:.3g} samples a period resolve no harmonic; the window is left out.")
     # Higher orders than those observed are fitted too, so that they do not leak into the observed ones.
     fitted = resolvable_harmonics(2 * settings.harmonics + 1, used / periods)
-    moments = segment_moments(cycles, data, fitted, whole_period_bounds(cycles, periods, count))
+    bounds = whole_period_bounds(cycles, periods, count)
+    moments = segment_moments(cycles, data, fitted, bounds)
+    transient = Settling(np.zeros(len(usable)))
+    if not settled:
+        transient = _settling(solve_moments(moments)[..., 1], usable)
+        if transient.sizes.any():
+            # It would leak into the harmonics, too.
+            amplitudes = solve_moments(moments.total())[0, :, 1] * np.exp(-transient.leans)
+            data = data - (np.outer(amplitudes, np.exp(2j * np.pi * cycles)) * transient.excess(used)).real
+            moments = segment_moments(cycles, data, fitted, bounds)
     whole = solve_moments(moments.total())[0, :, : harmonics + 1]
     without = solve_moments(moments.leave_one_out())[..., : harmonics + 1]
     single = solve_moments(moments)[..., : harmonics + 1]
@@ -158,8 +180,22 @@ def analyse_window(segment: Segment, stretch: Stretch, settings: ObservationSett
     lines = {hz: mains_line(cycles, data, stretch.sample_rate, fitted, hz) for hz in MAINS_HZ}
     mains = {hz: line for hz, line in lines.items() if line is not None}
     return LockedWindow(
-        segment, stretch, rows, whole, without, single, frequency, drive, referenced, mains, commanded
+        segment, stretch, rows, whole, without, single, frequency, drive, referenced, mains, commanded,
+        tuple(transient.leans.tolist()),
     )  # fmt: skip
+
+
+def _settling(fundamentals: ComplexArray, channels: Sequence[MeasuredChannel]) -> Settling:
+    """The transient of a window's fundamentals, (K, channels), in the responses and in the force."""
+    result = np.zeros(len(channels))
+    kept = [
+        k for k, own in enumerate(channels)
+        if own.quantity in (Quantity.FORCE, *_RESPONSES) and np.all(fundamentals[:, k] != 0.0)
+    ]  # fmt: skip
+    responses = np.array([channels[k].quantity in _RESPONSES for k in kept], dtype=bool)
+    found = settling(np.log(np.abs(fundamentals[:, kept])), responses)
+    result[kept] = found.sizes
+    return Settling(result, found.rate)
 
 
 def _cycles(segment: Segment, stretch: Stretch, force: str) -> FloatArray:
@@ -240,28 +276,6 @@ def _lean(single: FloatArray) -> float:
     return _LEAN * math.sqrt(max(0.0, drift * drift - scatter))
 
 
-def _amplitude_lean(single: FloatArray) -> float:
-    """How far ln of an amplitude is from where it will settle, in the mean over its window; 0 where no drift shows.
-
-    What is left falls exponentially, at the rate that leaves least of the sub-windows.
-
-    Args:
-        single: ln of the amplitude in each sub-window, shape (K,).
-    """
-    if single.size < _FEWEST_TO_SETTLE or _lean(single) == 0.0:
-        return 0.0
-    time = (np.arange(single.size) + 0.5) / single.size
-    best, lean = math.inf, 0.0
-    for rate in _SETTLING:
-        falling = np.exp(-rate * time)
-        centred = falling - falling.mean()
-        size = float(centred @ single) / float(centred @ centred)
-        rest = single - single.mean() - size * centred
-        if float(rest @ rest) < best:
-            best, lean = float(rest @ rest), size * float(falling.mean())
-    return lean
-
-
 @dataclass
 class _Cell:
     """One observable of one channel on its way: values in the unit of the channel over its fundamental."""
@@ -307,7 +321,7 @@ def phase_resonance_observations(
     analysed: list[LockedWindow] = []
     for segment, stretch in windows:
         try:
-            window = analyse_window(segment, stretch, settings)
+            window = analyse_window(segment, stretch, settings, settled=False)
             analysed.append(_without_hold(window, view, channels, hold_rate_hz))
         except BenchError as error:
             notes.append(f"{name}: {error}")
@@ -340,7 +354,7 @@ def phase_resonance_observations(
     recorded = {own.name: theirs for theirs, own in channels.items()}
     response = _response(kept[0].stretch, drive_point, response_quantity)
     levels = [
-        replace(level, amplitude_leans=tuple(_leans(window, [recorded[channel.name] for channel in present])))
+        replace(level, amplitude_leans=tuple(window.lean(recorded[channel.name]) for channel in present))
         for level, window in zip(levels, kept, strict=True)
     ]
     test = PhaseResonanceTest(
@@ -535,15 +549,6 @@ def _level(window: LockedWindow, drive_point: int, wanted: Quantity | None, leve
         direction=1,
         force_n=float(abs(window.amplitudes[rows[0], 1])),
     )
-
-
-def _leans(window: LockedWindow, names: Sequence[str]) -> list[float]:
-    """How far the amplitudes of channels are from where they will settle, relative."""
-    result = []
-    for name in names:
-        sizes = np.abs(window.single[:, window.row(name), 1]) if name in window.rows else np.zeros(0)
-        result.append(_amplitude_lean(np.log(sizes)) if sizes.size and np.all(sizes > 0.0) else 0.0)
-    return result
 
 
 def _with_direction(levels: list[LockedLevel], held: str) -> list[LockedLevel]:

@@ -1,0 +1,76 @@
+"""Amplitudes of a locked window that had not settled: one transient, seen by all channels at one rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray
+
+# Sub-windows from which a transient is told, and how fast it may fall, over the window.
+_FEWEST, _RATES = 6, np.geomspace(0.5, 8.0, 25)
+# Standard deviations from which a channel shows a transient, or one of its own: noise makes as much in one of 200.
+_SHOWN = 4.0
+_LEAST = 1e-12  # ln of an amplitude that is exact
+
+
+@dataclass(frozen=True)
+class Settling:
+    """A transient of a window's amplitudes: ln of each is off by its size · exp(-rate · t), t from 0 to 1.
+
+    Attributes:
+        sizes: of each channel, shape (C,); 0 where none shows.
+        rate: how fast it falls over the window.
+    """
+
+    sizes: FloatArray
+    rate: float = 1.0
+
+    @property
+    def leans(self) -> FloatArray:
+        """Mean over the window, shape (C,)."""
+        result: FloatArray = self.sizes * (-np.expm1(-self.rate) / self.rate)
+        return result
+
+    def excess(self, samples: int) -> FloatArray:
+        """Of each amplitude over the settled one at each sample, relative, shape (C, samples)."""
+        time = (np.arange(samples) + 0.5) / samples
+        result: FloatArray = np.expm1(np.outer(self.sizes, np.exp(-self.rate * time)))
+        return result
+
+
+def settling(logs: FloatArray, responses: NDArray[np.bool_]) -> Settling:
+    """What falls exponentially in all channels at the rate that leaves least of their sub-windows.
+
+    At phase resonance one mode carries the responses, so they share a size; a channel that is noisier than its
+    transient takes that of the others. A channel that contradicts them has its own. The force has its own, too: it
+    hardly follows the mode.
+
+    Args:
+        logs: ln of the amplitude in each sub-window, shape (K, C).
+        responses: which channels are responses, shape (C,).
+    """
+    count, channels = logs.shape
+    if count < _FEWEST:
+        return Settling(np.zeros(channels))
+    time = (np.arange(count) + 0.5) / count
+    values = logs - logs.mean(axis=0)
+    best = np.inf
+    for rate in _RATES:
+        falling = np.exp(-rate * time)
+        falling -= falling.mean()
+        power = float(falling @ falling)
+        tried = falling @ values / power
+        squares = ((values - np.outer(falling, tried)) ** 2).sum(axis=0) + _LEAST**2
+        if (lost := float(np.log(squares).sum())) < best:
+            best, sizes, variances, chosen = lost, tried, squares / (count - 2) / power, float(rate)
+    common, shared = 0.0, np.zeros(channels, dtype=bool)
+    if responses.any():
+        weights = 1.0 / variances[responses]
+        common = float(weights @ sizes[responses] / weights.sum())
+        if common**2 * weights.sum() > _SHOWN**2:
+            shared = responses & ((sizes - common) ** 2 <= _SHOWN**2 * variances)
+    shown = sizes**2 > _SHOWN**2 * variances
+    return Settling(np.where(shared, common, np.where(shown, sizes, 0.0)), chosen)

@@ -459,6 +459,7 @@ class _Columns:
                     direct[mine] = np.log(np.maximum(np.sinc(share), 1e-3)) - 1j * np.pi * share
             found.append(self._parts(direct) + self._late(base.values, tests))
         found.append(self._other_steps(base, rise=_RISE))
+        found += self._known_images(base)
         harmonics = self._over_fundamental()
         for channel in self.channels:
             own = self._rows_of(channel)
@@ -486,6 +487,37 @@ class _Columns:
             for test in self.tests
         )
         return np.nan_to_num(self._moved(moved, base))
+
+    def _known_images(self, base: Prediction) -> list[FloatArray]:
+        """What images that are part of the model may be off by, in each channel of each test the same share of them."""
+        change = self._without_images(base)
+        if not change.any():
+            return []
+        other = change[self._other_part()]
+        turned = self.rows.part == Part.PHASE
+        images = np.where(turned, other, change) + 1j * np.where(turned, change, other)
+        return [
+            _KNOWN_IMAGES * self._parts(part) * self._rows_of(channel) * (self.rows.test == number)
+            for channel in self.channels
+            for number, test in enumerate(self.tests)
+            if isinstance(test, RandomTest) and test.sampled_at is not None
+            for part in (images, 1j * images)
+        ]
+
+    def _without_images(self, base: Prediction) -> FloatArray:
+        """Change of the rows if images that are part of the model were not there."""
+        return self._other_steps(base, sampled_at=None, drive_hold_hz=math.inf)
+
+    def _other_part(self) -> IntArray:
+        """Of each row that is a magnitude or phase, the row of the other of the two; of others the row itself."""
+        rows, result = self.rows, np.arange(len(self.rows))
+        pairs: dict[tuple[int, int, int, int, float], list[int]] = {}
+        for row in np.flatnonzero(np.isin(rows.part, _FUNDAMENTAL)):
+            key = (rows.test[row], rows.level[row], rows.channel[row], rows.harmonic[row], rows.frequency_hz[row])
+            pairs.setdefault(key, []).append(int(row))
+        for pair in pairs.values():
+            result[pair] = pair[::-1]
+        return result
 
     def _turned(self, channel: str, images: ComplexArray) -> FloatArray:
         """By how much the phase between force and response truly was off at each locked row, if images were in it."""
@@ -537,9 +569,7 @@ class _Columns:
         for number, test in enumerate(self.tests):
             if isinstance(test, RandomTest) and test.sampled_at is not None:
                 result[(self.rows.test == number) & self._linear_rows(number)] += _JUMP_FLOOR * _near_step(test)
-        result += _KNOWN_IMAGES * np.abs(
-            self._other_steps(self._start(prediction), sampled_at=None, drive_hold_hz=math.inf)
-        )
+        result += _KNOWN_IMAGES * np.abs(self._without_images(self._start(prediction)))
         # Near zeros of a response images are as large as the response: there ln(1 + z) is far from z.
         result += 0.5 * size**2
         values = prediction.values[self.mine]

@@ -15,7 +15,9 @@ from unit.diagnose.twin_tests import noise_test, rows_of
 
 from nmt_blind.cases.blind_rigs import blind_rig
 from nmt_core.blocks import Quantity
+from nmt_diagnose.inference.chain_errors import with_chain_errors
 from nmt_diagnose.inference.held_images import with_detected_images
+from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part, Rows
@@ -164,3 +166,25 @@ def test_where_images_hardly_matter_nothing_is_decided() -> None:
     noisy = _observations(_sampled(MODEL, test, 0.25), test, rows, 3, noise=2e-2)
     assert with_detected_images(noisy, MODEL) == ()
     assert with_detected_images(replace(noisy, chains=(None,)), MODEL) == ()
+
+
+@pytest.mark.parametrize("turn", [1.0, 1j])
+def test_a_share_of_the_images_that_a_channel_is_off_by_is_one_error(turn: complex) -> None:
+    """Two percent of the images, the same at all lines of a channel, beside the same with a sign of each line's own."""
+    test, rows = _random()
+    (seen,) = with_detected_images(_observations(_sampled(MODEL, test, 0.25), test, rows, 1), MODEL)
+    forward = Forward(seen.tests, seen.rows)
+    base = forward.predict(MODEL)
+    smooth = Forward((replace(seen.tests[0], sampled_at=None, drive_hold_hz=np.inf),), seen.rows).predict(MODEL)
+    change = forward.difference(smooth.values, base.values)
+    images = np.zeros((test.lines_hz.size, len(test.channels)), dtype=complex)
+    for part, factor in ((Part.LOG_MAGNITUDE, 1.0), (Part.PHASE, 1j)):
+        mine = rows.part == part
+        images[rows.level[mine], rows.channel[mine]] += factor * change[mine]
+    own = 0.02 * turn * images[rows.level, rows.channel] * (rows.channel == 2)
+    error = np.where(rows.part == Part.PHASE, own.imag, own.real)
+    problem = with_chain_errors(Problem(seen, forward), MODEL, base)
+    alternating = np.where(rows.level % 2, error, -error)
+    sizes = [float(problem.whitened(each) @ problem.whitened(each)) for each in (error, alternating)]
+    assert sizes[0] < 5.0
+    assert sizes[1] > 5.0 * sizes[0]

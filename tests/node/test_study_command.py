@@ -51,6 +51,11 @@ def test_options_are_checked(tmp_path: Path, capfd) -> None:
 
 def test_other_methods_are_compared_on_the_joint_resonator(tmp_path: Path, capfd) -> None:
     assert cli.main(["study", "method_comparison", "--quick", "--jobs", "1", "--out", str(tmp_path / "out")]) == 0
+    said, page = capfd.readouterr().out, (tmp_path / "out" / "report.html").read_text()
+    assert "not judged: phase resonance" in said
+    assert "holds:" not in said
+    assert "not for conclusions" in page
+    assert ">holds<" not in page
     rows = list(csv.DictReader((tmp_path / "out" / "study.csv").read_text().splitlines()))
     methods = {row["labels"].split(";")[0].removeprefix("method=") for row in rows}
     assert methods == {

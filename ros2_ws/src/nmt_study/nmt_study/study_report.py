@@ -98,7 +98,7 @@ def _own_table(table: StudyTable) -> Table:
 def _finding_table(findings: Sequence[Finding]) -> Table | None:
     if not findings:
         return None
-    words = {True: "holds", False: "does not hold", None: "open"}
+    words = {True: "holds", False: "does not hold", None: "not judged"}
     rows = [
         Row((finding.claim, finding.found, words[finding.holds]), failed=finding.holds is False) for finding in findings
     ]

@@ -19,6 +19,7 @@ from nmt_diagnose.inference.diagnosis import Left, Ranked, Remainder, Share, Val
 from nmt_diagnose.observations.observables import Part
 from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv
 from nmt_report.diagnosis_report import diagnosis_page, probability_shares
+from nmt_report.diagnosis_tables import ranking_table
 from nmt_report.diagnosis_words import (
     class_text,
     effect_text,
@@ -315,3 +316,15 @@ def test_the_drawing_marks_the_place(place: str, detail: str, points: list[int |
         assert numbers is not None
         series = unpacked(numbers[1])["panels"][0]["series"]
         assert sum(len(item["x"]) for item in series if item["colour"] == f"{RED}ff") == count
+
+
+def test_the_probabilities_of_the_console_table_add_up() -> None:
+    diagnosis = fixture.report(Verdict.EFFECT).diagnosis
+    rest = {"other": 0.2, **{name: 0.8 * p for name, p in diagnosis.probabilities.items() if name != "other"}}
+    ranking = tuple(replace(item, probability=0.8 * item.probability) for item in diagnosis.ranking)
+    table = ranking_table(replace(diagnosis, probabilities=rest, ranking=ranking))
+    assert table is not None
+    shown = [str(cell).strip(" %<>") for cell in table.columns[1].cells]
+    names = [str(cell) for cell in table.columns[2].cells]
+    assert names[-1] == "all other explanations"
+    assert sum(map(float, shown)) == pytest.approx(100.0, abs=2.0)

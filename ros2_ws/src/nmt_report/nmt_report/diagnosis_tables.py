@@ -55,7 +55,11 @@ def ranking_table(diagnosis: Diagnosis) -> Table | None:
     rows.append((p, (text, "", "", "")))
     rows.sort(key=lambda row: -row[0])
     shown = [row for number, row in enumerate(rows) if number < 2 or row[0] >= _LEAST]
-    for p, cells in shown[:_RANKED]:
+    shown = shown[:_RANKED]
+    left = 1.0 - sum(p for p, _ in shown)
+    if left > _LEAST:
+        shown.append((left, ("all other explanations", "", "", "")))
+    for p, cells in shown:
         table.add_row(Text(bar(p), style="blue"), probability_text(p), *map(Text, cells))
     return table
 

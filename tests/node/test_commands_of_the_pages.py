@@ -7,9 +7,11 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 from unit.docs.test_command_blocks import ROOT, block_lines, words_of
 
 from nmt_bench.cli import main
+from nmt_rig.rig import find_rig
 
 pytest.importorskip("rclpy")
 pytestmark = pytest.mark.node
@@ -91,3 +93,38 @@ def test_the_linear_test_of_the_tutorial(
     words = changed(command(TUTORIAL, "linear joint_resonator"), duration="20")
     assert main([*words, "--no-half-level"]) == 0
     assert "Linear modes: value ± standard uncertainty" in capfd.readouterr().out
+
+
+def test_the_diagnosis_of_the_guide_prints_what_the_page_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The rig file as the page changes it, the three commands in full, and the sample beside what is printed."""
+    monkeypatch.chdir(tmp_path)
+    guide = (ROOT / "docs" / "how-to" / "diagnose.md").read_text(encoding="utf-8")
+    asked = re.search(r"```yaml\n(local_elements:.*?)```", guide, re.S)
+    sample = re.search(r"```\n(Verdict: .*?)```", guide, re.S)
+    assert asked is not None
+    assert sample is not None
+    changes = yaml.safe_load(asked[1])
+    content = yaml.safe_load(find_rig("beam").read_text(encoding="utf-8"))
+    content["local_elements"] += changes["local_elements"]
+    noise = {own["quantity"]: own for own in changes["sensors"]}
+    for sensor in content["sensors"]:
+        own = noise.get(sensor["quantity"], {})
+        sensor.update({name: value for name, value in own.items() if name.startswith("noise_")})
+    (tmp_path / "real.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    for words in (command(guide, "run real.yaml"), command(guide, "linear real.yaml")):
+        assert main([*words, "--one-process", "--quiet", *(["--no-report"] if words[0] == "run" else [])]) == 0
+    monkeypatch.setenv("COLUMNS", "160")
+    capfd.readouterr()
+    words = [words_of(line) for line in block_lines(guide) if "--real random --out diagnosis" in line]
+    assert main(words[-1]) == 0
+    printed = capfd.readouterr().out
+    (verdict,) = re.findall(r"^Verdict: (.*)", sample[1], re.M)
+    assert re.findall(r"^Verdict: (.*)", printed, re.M) == [verdict]
+    shown, found = (re.findall(r"[█▏▎▍▌▋▊▉]+ +(\d+) % +(\S+(?: \S+)*)", text) for text in (sample[1], printed))
+    assert [name for _, name in found[: len(shown)]] == [name for _, name in shown]
+    for (ours, _), (theirs, _) in zip(found, shown, strict=False):
+        assert abs(int(ours) - int(theirs)) <= 2
+    stiffness = [re.findall(r"k = \((\S+) ± (\S+)\)", text)[0] for text in (sample[1], printed)]
+    assert abs(float(stiffness[0][0]) - float(stiffness[1][0])) < 2.0 * float(stiffness[0][1])

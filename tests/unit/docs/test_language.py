@@ -17,7 +17,7 @@ TEMPLATES = sorted((ROOT / "ros2_ws" / "src").rglob("templates/*"))
 GLOSSARY = {
     r"mend(s|ed|ing)?": "fix",
     r"(told|tell|tells|telling)( them| it)? apart": "distinguish",
-    r"begin anew": "start over",
+    r"beg[iu]ns? anew": "start over",
     r"foreign lines?": "other spectral lines",
     r"sealed truth": "sealed file",
     r"moduli": "magnitudes",

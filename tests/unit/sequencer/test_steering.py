@@ -74,7 +74,7 @@ def test_a_level_that_is_repeated_while_present_begins_anew(pacing: object) -> N
     assert amplitudes(bench) == [1.0, 2.0, 2.0, 3.0, 0.0]
     assert [order.index for order in bench.orders] == [0, 1, 2, 3, 3]
     assert [complete for _, complete, _ in outcome(bench)] == [True, False, True, True]
-    assert bench.machine.records[1].reason == "begun anew by a program"
+    assert bench.machine.records[1].reason == "started over by a program"
 
 
 @PACINGS

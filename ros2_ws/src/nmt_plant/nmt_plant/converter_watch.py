@@ -41,7 +41,7 @@ class ClockWatch:
         self._bucket = -1
 
     def add(self, time: float, samples: int, lost: bool = False) -> None:
-        """Take a report: at a time on the steady clock, s, so many samples had passed; begins anew after a loss."""
+        """Take a report: at a time on the steady clock, s, so many samples had passed; starts over after a loss."""
         if lost or self._start is None:
             self._restart()
             self._start = (time, samples)

@@ -249,7 +249,7 @@ class NiDaqmxConverter(Converter):
             raise self._daq.errors.DaqWriteError("Samples were not taken.", _NOT_FED, written)
 
     def exchange(self, values: FloatArray) -> Taken:
-        """Write a block, read a block; begins anew where the driver says that samples were lost."""
+        """Write a block, read a block; starts over where the driver says that samples were lost."""
         try:
             if not self._running:
                 self._start()
@@ -258,7 +258,7 @@ class NiDaqmxConverter(Converter):
         except self._daq.errors.DaqError as error:
             if error.error_code not in _LOST_CODES:
                 raise RuntimeError(f"NI-DAQmx: {_first_line(error)}") from error
-            self._begin_anew(error)
+            self._start_over(error)
             return Taken(np.zeros((self.inputs, values.shape[1])), True)
         lost = self._echo > 0
         self._echo = max(self._echo - 1, 0)
@@ -272,7 +272,7 @@ class NiDaqmxConverter(Converter):
         """Whether the stop line asked for zero in most of the samples of the last block."""
         return self._stop_asked
 
-    def _begin_anew(self, error: Exception) -> None:
+    def _start_over(self, error: Exception) -> None:
         now = time.monotonic()
         self._restarts = [*(at for at in self._restarts if now - at < _RESTARTS_WITHIN), now]
         if len(self._restarts) > _MOST_RESTARTS:

@@ -122,7 +122,7 @@ class SampleTable:
         history_samples: samples kept of every topic while no window is awaited.
         patience_samples: how far other topics may run ahead before a window that lacks samples is given up.
         maximum_samples: longer windows are rejected, so that the memory stays bounded; None = no limit.
-        one_acquisition: what comes after a source has begun anew cannot be used, as in recordings that are read again
+        one_acquisition: what comes after a source has started over cannot be used, as in recordings that are read again
             by sample index; else it is a new acquisition.
 
     Attributes:

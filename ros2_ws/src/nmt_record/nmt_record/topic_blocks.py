@@ -31,7 +31,7 @@ class TopicBlocks:
 
     Args:
         topic: its name.
-        one_acquisition: a source that begins anew is a clock that was set back; else what came before is forgotten.
+        one_acquisition: a source that starts over is a clock that was set back; else what came before is forgotten.
 
     Attributes:
         topic: its name.
@@ -61,7 +61,7 @@ class TopicBlocks:
         return len(self._records) - self._start
 
     def add(self, first: int, end: int, payload: Any) -> bool:
-        """Take the next block; returns whether it shows that the acquisition has begun anew."""
+        """Take the next block; returns whether it shows that the acquisition has started over."""
         record = BlockRecord(first, end, payload)
         anew = False
         self.blocks += 1

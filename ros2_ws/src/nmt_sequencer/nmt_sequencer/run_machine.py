@@ -375,7 +375,7 @@ class RunMachine:
                 record.complete = True
             else:
                 again = request.act is SteeringAct.REPEAT_LEVEL
-                record.reason = f"{'begun anew' if again else 'skipped'} by {request.source}"
+                record.reason = f"{'started over' if again else 'skipped'} by {request.source}"
             self._next_level(effective)
             return True
         return False

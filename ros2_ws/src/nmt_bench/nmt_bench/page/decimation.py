@@ -101,7 +101,7 @@ class Recent:
         self.end_sample = 0
 
     def add(self, first_sample: int, data: FloatArray) -> None:
-        """Take samples, shape ``(channels, samples)``; a gap begins anew."""
+        """Take samples, shape ``(channels, samples)``; a gap starts over."""
         if first_sample != self.end_sample:
             self._filled = 0
         self.end_sample = first_sample + data.shape[1]

@@ -267,7 +267,7 @@ class LiveView:
             self.version += 1
 
     def seek(self) -> None:
-        """Forget the signals and what came after a moment: a replay begins anew at another place."""
+        """Forget the signals and what came after a moment: a replay starts over at another place."""
         with self._lock:
             run, rig, reference = self._run, self._rig, self._reference
             self._forget()

@@ -24,7 +24,14 @@ class Stranger(Node):  # type: ignore[misc]
 
     def __init__(self, bench: Bench) -> None:
         super().__init__("stranger", context=bench.context, enable_rosout=False, start_parameter_services=False)
+        self.server: ActionServer | None = None
         bench._add("stranger", self)
+
+    def destroy_node(self) -> None:
+        """A node does not destroy its action servers: this one would stay in the domain, whoever has it next."""
+        if self.server is not None:
+            self.server.destroy()
+        super().destroy_node()
 
     def serve(self) -> None:
         self.server = ActionServer(
@@ -96,7 +103,6 @@ def test_no_run_begins_under_two(kind: str) -> None:
             bench._spin_until(goal.done, 20.0, "the answer")
             assert not goal.result().accepted
             assert sentence in bench.nodes["sequencer"].second_publisher()
-            stranger.server.destroy()
             return
         result = bench.run()
     assert result.code == ResultCode.NODE_LOST

@@ -123,8 +123,19 @@ def test_sweep_refusals(arguments: list[str], word: str, tmp_path: Path, capfd: 
     assert not (tmp_path / "out").exists()
 
 
-def test_synthesis_refusals(run: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_synthesis_refusals(swept: Path, run: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = ["--out", str(tmp_path / "out")]
+    elsewhere = tmp_path / "frf.csv"
+    with (swept / "frf.csv").open(encoding="utf-8") as file:
+        table = list(csv.DictReader(file))
+    with elsewhere.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(table[0]))
+        writer.writeheader()
+        writer.writerows({**row, "frequency_hz": float(row["frequency_hz"]) - 20.0} for row in table)
+    assert main(["synthesis", "--backbone", str(run), "--sweep", str(elsewhere), *out]) == 2
+    refusal = capfd.readouterr().err
+    assert "from 344.1 to 350.9 Hz, where the backbone gives no response" in refusal
+    assert "its own goes from 36" in refusal
     assert main(["synthesis", "--backbone", str(run), *out]) == 2
     assert "--sweep" in capfd.readouterr().err
     assert main(["synthesis", "--backbone", str(run), "--levels", "5", *out]) == 2

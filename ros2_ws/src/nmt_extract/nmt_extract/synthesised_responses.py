@@ -211,6 +211,12 @@ def _compare(
         values = s.response(omega, "sweep")
         low, high = float(table.frequency_hz.min()), float(table.frequency_hz.max())
         curves = _curves(s, channels, low, high)
+        if not curves:
+            reach = [float(f) / (2.0 * math.pi) for curve in s.curves for f in curve.omega_rad_s]
+            raise BenchError(
+                f"The sweep at {table.level:g} N goes from {low:.4g} to {high:.4g} Hz, where the backbone gives no "
+                f"response: its own goes from {min(reach):.4g} to {max(reach):.4g} Hz; sweep through that, or add levels."
+            )
         for row, channel in enumerate(channels):
             if channel not in table.channels:
                 continue

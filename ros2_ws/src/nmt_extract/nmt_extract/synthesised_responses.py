@@ -215,7 +215,7 @@ def _compare(
             reach = [float(f) / (2.0 * math.pi) for curve in s.curves for f in curve.omega_rad_s]
             raise BenchError(
                 f"The sweep at {table.level:g} N goes from {low:.4g} to {high:.4g} Hz, where the backbone gives no "
-                f"response: its own goes from {min(reach):.4g} to {max(reach):.4g} Hz; sweep through that, or add levels."
+                f"response: its own goes from {min(reach):.4g} to {max(reach):.4g} Hz; sweep through that."
             )
         for row, channel in enumerate(channels):
             if channel not in table.channels:

@@ -1,6 +1,6 @@
-"""How strong a truth is: standard deviations that are left after the model's own parameters took what they can.
+"""How strong an effect is: standard deviations that are left after the model's own parameters took what they can.
 
-Two tests without noise are compared, with the truth and without: harmonics of the locked windows and lines of the
+Two tests without noise are compared, with the effect and without: harmonics of the locked windows and lines of the
 random test. What the difference d amounts to is σ² = dᵀ (N + C Cᵀ)⁻¹ d, with N the noise of the sensors and the
 repeatability of a test, and C the changes that shifts of the model's parameters by one prior standard deviation make,
 together with the scatter of the phase at lock, of each level and of all levels alike. Where a laboratory's tolerances
@@ -271,10 +271,10 @@ class Sensitivity:
         whole = np.nan_to_num((observed.values - self.base.values)[good] * scale)
         return float(np.linalg.norm(whole)), math.sqrt(float(rest @ rest + total @ total)), total
 
-    def signature(self, truth: InjectedEffect, spot: Spot, value: float) -> FloatArray:
-        """What a truth changes over the noise, shape (m,); zero where a level did not lock."""
+    def signature(self, effect: InjectedEffect, spot: Spot, value: float) -> FloatArray:
+        """What an effect changes over the noise, shape (m,); zero where a level did not lock."""
         try:
-            observed = self.observe(with_edits(self.model, truth.edits(self.model, self.operating, spot, value)))
+            observed = self.observe(with_edits(self.model, effect.edits(self.model, self.operating, spot, value)))
         except (BenchError, TrialError):
             return np.zeros(self.base.values.size)
         return self._reduced(observed)
@@ -318,12 +318,12 @@ class Sensitivity:
         return (self.sigma_of(observed) if refine else linear), linear, self._reduced(observed)
 
     def curve(
-        self, truth: InjectedEffect, spot: Spot, former: dict[str, Any] | None = None
+        self, effect: InjectedEffect, spot: Spot, former: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], FloatArray | None]:
-        """Strengths of a truth at a spot with their standard deviations, ascending; up to 4,096 where it gets there.
+        """Strengths of an effect at a spot with their standard deviations, ascending; up to 4,096 where it gets there.
 
         Args:
-            truth: the truth.
+            effect: the injected effect.
             spot: where.
             former: an older curve; the search starts from its strength of 64 standard deviations.
 
@@ -339,7 +339,7 @@ class Sensitivity:
         def trial(value: float, refine: bool) -> None:
             nonlocal trouble
             try:
-                found, linear, signature = self.sigmas(truth.edits(self.model, self.operating, spot, value), refine)
+                found, linear, signature = self.sigmas(effect.edits(self.model, self.operating, spot, value), refine)
                 if refine:
                     shares[found] = found / linear
                     signatures[found] = signature
@@ -353,9 +353,9 @@ class Sensitivity:
 
         guess = value_at(former, MIDDLE) if former else None
         if guess is None:
-            guess = self.rig.caution * truth.guess(self.model, self.operating, spot)
-        largest = truth.limit(self.model, self.operating, spot)
-        for target in (MIDDLE, STRONGEST) if truth.proportional else (MIDDLE, STRONGEST, WEAK):
+            guess = self.rig.caution * effect.guess(self.model, self.operating, spot)
+        largest = effect.limit(self.model, self.operating, spot)
+        for target in (MIDDLE, STRONGEST) if effect.proportional else (MIDDLE, STRONGEST, WEAK):
             # What is imitated at the middle strength is so at the strongest: there in full, too.
             refine = target < STRONGEST or min(shares.values(), default=1.0) < _MOSTLY
             _approach(partial(trial, refine=refine), tried, target, min(guess, largest), largest)
@@ -364,10 +364,10 @@ class Sensitivity:
         reached = max((s for _, s in points), default=0.0)
         limit = "" if reached >= _CLOSE[STRONGEST][0] * STRONGEST else trouble or "as strong as it can be"
         # What grows in proportion keeps the direction of its signature.
-        farthest = math.inf if truth.proportional else _ALIKE
+        farthest = math.inf if effect.proportional else _ALIKE
         near = min((abs(math.log(max(s, 1e-300) / COMPARED)), s) for s in signatures) if signatures else (math.inf, 0.0)
         signature = signatures[near[1]] if near[0] < farthest else None
-        return {"points": rounded, "proportional": truth.proportional, "trouble": limit}, signature
+        return {"points": rounded, "proportional": effect.proportional, "trouble": limit}, signature
 
 
 def _approach(
@@ -403,9 +403,9 @@ def _approach(
         trial(value)
 
 
-def spot_key(truth: InjectedEffect, spot: Spot) -> str:
+def spot_key(effect: InjectedEffect, spot: Spot) -> str:
     """Key of a curve in a table."""
-    return f"{truth.name}@{spot.label}" if spot.label else truth.name
+    return f"{effect.name}@{spot.label}" if spot.label else effect.name
 
 
 def value_at(curve: dict[str, Any], target: float) -> float | None:
@@ -421,7 +421,7 @@ def value_at(curve: dict[str, Any], target: float) -> float | None:
     if not rising:
         return None
     if target > 1.1 * rising[-1][1]:
-        # A truth that grows in proportion may have been left somewhat below the target.
+        # An effect that grows in proportion may have been left somewhat below the target.
         near = curve.get("proportional") and target < 3.0 * rising[-1][1]
         return rising[-1][0] * target / rising[-1][1] if near else None
     if target <= rising[0][1]:

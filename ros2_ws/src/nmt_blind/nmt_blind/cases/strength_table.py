@@ -64,9 +64,9 @@ class StrengthTable:
     operating: Operating
     curves: dict[str, dict[str, Any]]
 
-    def value(self, truth: InjectedEffect, spot: Spot, sigma: float) -> float | None:
-        """Strength of so many standard deviations; None where the truth does not get there."""
-        curve = self.curves.get(spot_key(truth, spot))
+    def value(self, effect: InjectedEffect, spot: Spot, sigma: float) -> float | None:
+        """Strength of so many standard deviations; None where the effect does not get there."""
+        curve = self.curves.get(spot_key(effect, spot))
         return None if curve is None else value_at(curve, sigma)
 
     def missing(self, model: Rig) -> tuple[str, ...]:
@@ -74,25 +74,25 @@ class StrengthTable:
         keys = [spot_key(t, spot) for t in INJECTED_EFFECTS.values() for spot in t.spots(model, self.operating)]
         return tuple(key for key in keys if "competing" not in self.curves.get(key, {}))
 
-    def twins(self, truth: InjectedEffect, spot: Spot) -> tuple[str, ...]:
-        """Known truths whose signature is hardly another: with one of them in the library nothing is unnamed."""
-        competing = self.curves.get(spot_key(truth, spot), {}).get("competing", {})
+    def twins(self, effect: InjectedEffect, spot: Spot) -> tuple[str, ...]:
+        """Known effects whose signature is hardly another: with one of them in the library nothing is unnamed."""
+        competing = self.curves.get(spot_key(effect, spot), {}).get("competing", {})
         return tuple(
             name
             for name, cosine in competing.items()
-            if cosine >= _TWIN and INJECTED_EFFECTS[name].known and name != truth.name
+            if cosine >= _TWIN and INJECTED_EFFECTS[name].known and name != effect.name
         )
 
-    def alone(self, truth: InjectedEffect, spot: Spot, without: Collection[str] = ()) -> float:
-        """Share of a signature that no other known truth can imitate, beside the model's parameters.
+    def alone(self, effect: InjectedEffect, spot: Spot, without: Collection[str] = ()) -> float:
+        """Share of a signature that no other known effect can imitate, beside the model's parameters.
 
         Args:
-            truth, spot: the truth.
+            effect, spot: the injected effect and its place.
             without: truths that do not compete.
         """
-        competing = self.curves.get(spot_key(truth, spot), {}).get("competing", {})
+        competing = self.curves.get(spot_key(effect, spot), {}).get("competing", {})
         known = (
-            name for name in competing if INJECTED_EFFECTS[name].known and name != truth.name and name not in without
+            name for name in competing if INJECTED_EFFECTS[name].known and name != effect.name and name not in without
         )
         closest = max((float(competing[name]) for name in known), default=0.0)
         return math.sqrt(max(0.0, 1.0 - closest**2))
@@ -161,11 +161,11 @@ def make_table(
         tolerances: of the measuring chain.
 
     Raises:
-        BenchError: a truth that does not exist.
+        BenchError: an effect that does not exist.
     """
     for name in names:
         if name not in INJECTED_EFFECTS:
-            raise BenchError(f"There is no truth '{name}'; choose from {', '.join(INJECTED_EFFECTS)}.")
+            raise BenchError(f"There is no injected effect '{name}'; choose from {', '.join(INJECTED_EFFECTS)}.")
     path = path or table_file(rig, tolerances)
     path.parent.mkdir(parents=True, exist_ok=True)
     expected = fingerprint(rig, tolerances)
@@ -174,19 +174,19 @@ def make_table(
     former: dict[str, dict[str, Any]] = {**plain["curves"], **(found["curves"] if found else {})}
     curves = found["curves"] if found and found.get("fingerprint") == expected else {}
     sensitivity = Sensitivity(rig, tolerances)
-    # The first place of every truth, then the second of every one: a table that is not complete has something of each.
+    # The first place of every effect, then the second of every one: a table that is not complete has something of each.
     todo = [
-        (truth, spot)
-        for _, truth, spot in sorted(
+        (effect, spot)
+        for _, effect, spot in sorted(
             (
-                (rank, truth, spot)
-                for truth in INJECTED_EFFECTS.values()
-                if not names or truth.name in names
-                for rank, spot in enumerate(truth.spots(sensitivity.model, sensitivity.operating))
+                (rank, effect, spot)
+                for effect in INJECTED_EFFECTS.values()
+                if not names or effect.name in names
+                for rank, spot in enumerate(effect.spots(sensitivity.model, sensitivity.operating))
             ),
             key=lambda item: item[0],
         )
-        if spot_key(truth, spot) not in curves
+        if spot_key(effect, spot) not in curves
     ]
     values = {
         "format": FORMAT,
@@ -202,7 +202,9 @@ def make_table(
         write_whole(path, _text({**values, "curves": ordered}))
 
     parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
-    work = (delayed(_curve)(sensitivity, truth.name, spot, former.get(spot_key(truth, spot))) for truth, spot in todo)
+    work = (
+        delayed(_curve)(sensitivity, effect.name, spot, former.get(spot_key(effect, spot))) for effect, spot in todo
+    )
     signatures: dict[str, FloatArray] = {}
     for done, (key, curve, signature) in enumerate(parallel(work), start=1):
         curves[key] = curve
@@ -225,13 +227,14 @@ def _add_competing(
 ) -> None:
     """Cosines between all signatures, the model's parameters projected out; ``signatures`` has some already."""
     reached = [
-        (spot_key(truth, spot), truth, spot, value)
-        for truth in INJECTED_EFFECTS.values()
-        for spot in truth.spots(sensitivity.model, sensitivity.operating)
-        if spot_key(truth, spot) in curves and (value := value_at(curves[spot_key(truth, spot)], COMPARED)) is not None
+        (spot_key(effect, spot), effect, spot, value)
+        for effect in INJECTED_EFFECTS.values()
+        for spot in effect.spots(sensitivity.model, sensitivity.operating)
+        if spot_key(effect, spot) in curves
+        and (value := value_at(curves[spot_key(effect, spot)], COMPARED)) is not None
     ]
     missing = [item for item in reached if item[0] not in signatures]
-    work = (delayed(_signature)(sensitivity, key, truth.name, spot, value) for key, truth, spot, value in missing)
+    work = (delayed(_signature)(sensitivity, key, effect.name, spot, value) for key, effect, spot, value in missing)
     for done, (key, signature) in enumerate(parallel(work), start=1):
         signatures[key] = signature
         progress(done, len(missing), f"effects that compete with {key}")
@@ -241,9 +244,9 @@ def _add_competing(
     cosines = np.abs(gram) / sizes[:, np.newaxis] / sizes
     for row, key in enumerate(keys):
         found: dict[str, float] = {}
-        for column, (_, truth, _, _) in enumerate(reached):
+        for column, (_, effect, _, _) in enumerate(reached):
             if column != row and cosines[row, column] > 0.5:
-                found[truth.name] = max(found.get(truth.name, 0.0), round(min(1.0, float(cosines[row, column])), 4))
+                found[effect.name] = max(found.get(effect.name, 0.0), round(min(1.0, float(cosines[row, column])), 4))
         curves[key]["competing"] = dict(sorted(found.items(), key=lambda item: -item[1]))
     for key in set(curves) - set(keys):
         curves[key]["competing"] = {}
@@ -256,8 +259,8 @@ def _signature(sensitivity: Sensitivity, key: str, name: str, spot: Spot, value:
 def _curve(
     sensitivity: Sensitivity, name: str, spot: Spot, former: dict[str, Any] | None
 ) -> tuple[str, dict[str, Any], FloatArray | None]:
-    truth = INJECTED_EFFECTS[name]
-    return spot_key(truth, spot), *sensitivity.curve(truth, spot, former)
+    effect = INJECTED_EFFECTS[name]
+    return spot_key(effect, spot), *sensitivity.curve(effect, spot, former)
 
 
 def _text(values: dict[str, Any]) -> str:

@@ -501,11 +501,7 @@ class ModelComparison:
             )  # fmt: skip
         except FitError:
             return None
-        return (
-            None
-            if np.any(before.used & ~found.used)
-            else FittedModel(fitted_model.candidates, found, fitted_model.score)
-        )
+        return _refitted_whole(fitted_model, found)
 
     def _all_added(self, wanted: Sequence[tuple[FittedModel, Score]]) -> list[FittedModel | None]:
         """Candidates fitted on top of fitted models; None where the model cannot be solved with one."""
@@ -647,11 +643,7 @@ class ModelComparison:
             )  # fmt: skip
         except FitError:
             return None
-        return (
-            None
-            if np.any(before.used & ~found.used)
-            else FittedModel(fitted_model.candidates, found, fitted_model.score)
-        )
+        return _refitted_whole(fitted_model, found)
 
     def _standing(self, found: Sequence[FittedModel]) -> list[tuple[str, float]]:
         """All explanations since the last scan of the model itself, and how far each lies behind the best."""
@@ -714,6 +706,13 @@ class ModelComparison:
 def _hopeless(single: FittedModel, score: Score, best: float) -> bool:
     """Even what the scan promises would not make a pair better than the best explanation."""
     return single.fit.log_evidence + 0.5 * score.gain < best
+
+
+def _refitted_whole(before: FittedModel, found: Fit) -> FittedModel | None:
+    """An explanation with a new fit; None where that leaves out rows which it explained before."""
+    if np.any(before.fit.used & ~found.used):
+        return None
+    return FittedModel(before.candidates, found, before.score)
 
 
 def _restarted_from(shared: tuple[ModelComparison, FittedModel], other: FittedModel) -> Fit | None:

@@ -11,7 +11,7 @@ from nmt_core.blocks import FloatArray
 
 # Sub-windows from which a transient is told, and how fast it may fall, over the window.
 _FEWEST, _RATES = 6, np.geomspace(0.5, 8.0, 25)
-# Standard deviations from which a channel shows a transient, or one of its own: noise makes as much in one of 200.
+# Standard deviations from which a channel shows a transient, or one of its own: noise makes as much in one of 250.
 _SHOWN = 4.0
 _LEAST = 1e-12  # ln of an amplitude that is exact
 
@@ -51,6 +51,9 @@ def settling(logs: FloatArray, responses: NDArray[np.bool_]) -> Settling:
     Args:
         logs: ln of the amplitude in each sub-window, shape (K, C).
         responses: which channels are responses, shape (C,).
+
+    Returns:
+        The transient; sizes of zero where the sub-windows are fewer than six, or none shows.
     """
     count, channels = logs.shape
     if count < _FEWEST:

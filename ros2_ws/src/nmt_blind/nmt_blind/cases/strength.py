@@ -72,7 +72,7 @@ LABORATORY_PHASE_LEAN = math.radians(0.5)
 _CHAIN_STEPS = {"gain": 1e-3, "delay_s": 1e-5, "clock_error": 1e-5}
 
 MIDDLE, STRONGEST, WEAK = 64.0, 4096.0, 8.0
-"""Strengths that are searched for; the last where the signature does not grow in proportion."""
+"""Strengths that are searched for: what parameters or tolerances imitate nearly does not grow in proportion."""
 COMPARED = 16.0
 """Strength at which signatures are compared, standard deviations."""
 # ln of how far from it a signature may have been taken that does not grow in proportion.
@@ -109,6 +109,8 @@ class Sensitivity:
         self._lines = _line_bins(self.model, self.bench)
         self._hum = MAINS if tolerances == "laboratory" else 0.0
         self.base = self.observe(self.model)
+        # The edit that makes a number of standard deviations of a change; None = it stays linear.
+        self._made: list[Callable[[float], Edit] | None] = []
         self._nuisance = self._nuisances()
 
     def observe(self, truth: Rig) -> Observed:
@@ -176,68 +178,76 @@ class Sensitivity:
                 for step in (_STEP, -_STEP)
             )
             columns.append((up - down) / (2.0 * _STEP))
-        leaning = with_edits(self.model, (Edit(("pll",), {"phase_offset_rad": _PHASE_STEP}, "merge"),))
-        change = (self.observe(leaning).values - self.base.values) / _PHASE_STEP
+            self._made.append(partial(shifted, path, value, std))
         laboratory = self.tolerances == "laboratory"
-        columns.append(change * (LABORATORY_PHASE_LEAN if laboratory else PHASE_LEAN))
+        lean = LABORATORY_PHASE_LEAN if laboratory else PHASE_LEAN
+        change = self._change(_leaning(_PHASE_STEP)) / _PHASE_STEP
+        columns.append(change * lean)
+        self._made.append(lambda deviation: _leaning(lean * deviation))
         for level in range(len(self.bench.levels)):
             scatter = LABORATORY_PHASE_AT_LOCK if laboratory else PHASE_AT_LOCK
             columns.append(np.where(self.base.level == level, change * scatter, 0.0))
+            self._made.append(None)
         if laboratory:
             columns += self._chain()
         return np.nan_to_num(np.stack(columns, axis=1))
 
+    def _change(self, edit: Edit) -> FloatArray:
+        """Change of the observables by an edit of the model."""
+        result: FloatArray = self.observe(with_edits(self.model, (edit,))).values - self.base.values
+        return result
+
     def _chain(self) -> list[FloatArray]:
         """Changes by one standard deviation of everything that a laboratory's measuring chain is off by."""
-
-        def change(edit: Edit, step: float) -> FloatArray:
-            return (self.observe(with_edits(self.model, (edit,))).values - self.base.values) / step
-
         columns, late = [], np.zeros(self.base.values.size)
         for index, sensor in enumerate(self.model.sensors):
             path = ("sensors", index)
             if sensor.quantity == "voltage":
                 # The random responses are referred to it.
                 columns.append(GAIN * np.where(self.base.level < 0, self.base.values, 0.0))
+                self._made.append(None)
                 continue
             step = _CHAIN_STEPS["gain"]
-            columns.append(GAIN * change(Edit((*path, "gain"), sensor.gain * (1.0 + step)), step))
+            columns.append(GAIN * self._change(Edit((*path, "gain"), sensor.gain * (1.0 + step))) / step)
+            self._made.append(partial(_louder, (*path, "gain"), sensor.gain))
             step = _CHAIN_STEPS["delay_s"]
-            delay = change(Edit((*path, "delay_s"), sensor.delay_s + step), step)
+            delay = self._change(Edit((*path, "delay_s"), sensor.delay_s + step)) / step
             columns.append(DELAY_S * delay)
+            self._made.append(None)
             late = late + delay
             if has_lead(sensor.quantity) and sensor.high_pass_hz is None:
                 lead = math.radians(PHASE_DEG)
                 corner = self.operating.omega / (2.0 * math.pi) * math.tan(lead)
-                columns.append(change(Edit((*path, "high_pass_hz"), corner), 1.0))
+                columns.append(self._change(Edit((*path, "high_pass_hz"), corner)))
+                self._made.append(None)
         columns.append(SHARED_DELAY_S / math.sqrt(3.0) * late)
+        self._made.append(None)
         step = _CHAIN_STEPS["clock_error"]
-        columns.append(CLOCK * change(Edit(("clock_error",), self.model.clock_error + step), step))
+        columns.append(CLOCK * self._change(Edit(("clock_error",), self.model.clock_error + step)) / step)
+        clock = self.model.clock_error
+        self._made.append(lambda deviation: Edit(("clock_error",), clock + CLOCK * deviation))
         return columns
 
     def sigma_of(self, observed: Observed) -> float:
         """Standard deviations by which observables differ from what the model can be made to say.
 
-        Where parameters imitate nearly all of a difference, or would have to be shifted far, a linear estimate leaves
-        its own error: the model is observed again with the shifts made, step by step.
+        Where parameters and the measuring chain imitate nearly all of a difference, or would have to be shifted far, a
+        linear estimate leaves its own error: the model is observed again with the shifts made, step by step.
 
         Raises:
             TrialError: too few levels locked, or the shifted model cannot be tested.
         """
         size, found, shifts = self._fitted(observed, self.base.values, np.zeros(self._nuisance.shape[1]))
-        paths = parameters(self.model)
-        own = np.arange(shifts.size) < len(paths)
+        own = np.array([edit is not None for edit in self._made])
         largest = float(np.max(np.abs(shifts[own])))
         if largest < _SMALL_STEP or (size <= _IMITATED * found and largest <= _LARGEST_STEP):
             return found
         made, least, changes, values = np.zeros(shifts.size), math.inf, self._nuisance, self.base.values
         for _ in range(_TURNS):
-            # What the phase at lock takes stays linear; the model is not moved by it.
             step = np.where(own, np.clip(shifts - made, -_LARGEST_STEP, _LARGEST_STEP), 0.0)
             made = made + step
             edits = [
-                shifted(path, value, std, float(shift))
-                for (path, (value, std)), shift in zip(paths.items(), made, strict=False)
+                edit(float(shift)) for edit, shift in zip(self._made, made, strict=True) if edit is not None and shift
             ]
             try:
                 moved = self.observe(with_edits(self.model, edits)).values
@@ -355,7 +365,7 @@ class Sensitivity:
         if guess is None:
             guess = self.rig.caution * effect.guess(self.model, self.operating, spot)
         largest = effect.limit(self.model, self.operating, spot)
-        for target in (MIDDLE, STRONGEST) if effect.proportional else (MIDDLE, STRONGEST, WEAK):
+        for target in (MIDDLE, STRONGEST, WEAK):
             # What is imitated at the middle strength is so at the strongest: there in full, too.
             refine = target < STRONGEST or min(shares.values(), default=1.0) < _MOSTLY
             _approach(partial(trial, refine=refine), tried, target, min(guess, largest), largest)
@@ -368,6 +378,16 @@ class Sensitivity:
         near = min((abs(math.log(max(s, 1e-300) / COMPARED)), s) for s in signatures) if signatures else (math.inf, 0.0)
         signature = signatures[near[1]] if near[0] < farthest else None
         return {"points": rounded, "proportional": effect.proportional, "trouble": limit}, signature
+
+
+def _leaning(phase: float) -> Edit:
+    """A loop that holds another phase, rad."""
+    return Edit(("pll",), {"phase_offset_rad": phase}, "merge")
+
+
+def _louder(path: tuple[str | int, ...], gain: float, deviation: float) -> Edit:
+    """A gain that is off by so many standard deviations."""
+    return Edit(path, gain * (1.0 + GAIN * deviation))
 
 
 def _approach(

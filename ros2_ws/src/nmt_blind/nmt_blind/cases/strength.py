@@ -29,6 +29,7 @@ from nmt_blind.cases.tolerances import (
     CLOCK,
     DELAY_S,
     GAIN,
+    LEAST_LEAD,
     MAINS,
     PHASE_DEG,
     SHARED_DELAY_S,
@@ -111,6 +112,8 @@ class Sensitivity:
         self.base = self.observe(self.model)
         # The edit that makes a number of standard deviations of a change; None = it stays linear.
         self._made: list[Callable[[float], Edit] | None] = []
+        # What a standard deviation of a change adds to the delay of sensors: number of the change, sensor, s.
+        self._late: list[tuple[int, int, float]] = []
         self._nuisance = self._nuisances()
 
     def observe(self, truth: Rig) -> Observed:
@@ -213,14 +216,17 @@ class Sensitivity:
             step = _CHAIN_STEPS["delay_s"]
             delay = self._change(Edit((*path, "delay_s"), sensor.delay_s + step)) / step
             columns.append(DELAY_S * delay)
+            self._late.append((len(self._made), index, DELAY_S))
             self._made.append(None)
             late = late + delay
             if has_lead(sensor.quantity) and sensor.high_pass_hz is None:
                 lead = math.radians(PHASE_DEG)
                 corner = self.operating.omega / (2.0 * math.pi) * math.tan(lead)
                 columns.append(self._change(Edit((*path, "high_pass_hz"), corner)))
-                self._made.append(None)
-        columns.append(SHARED_DELAY_S / math.sqrt(3.0) * late)
+                self._made.append(partial(_leading, (*path, "high_pass_hz"), corner))
+        shared = SHARED_DELAY_S / math.sqrt(3.0)
+        columns.append(shared * late)
+        self._late += [(len(self._made), sensor, shared) for sensor in sorted({own for _, own, _ in self._late})]
         self._made.append(None)
         step = _CHAIN_STEPS["clock_error"]
         columns.append(CLOCK * self._change(Edit(("clock_error",), self.model.clock_error + step)) / step)
@@ -239,6 +245,7 @@ class Sensitivity:
         """
         size, found, shifts = self._fitted(observed, self.base.values, np.zeros(self._nuisance.shape[1]))
         own = np.array([edit is not None for edit in self._made])
+        own[[number for number, _, _ in self._late]] = True
         largest = float(np.max(np.abs(shifts[own])))
         if largest < _SMALL_STEP or (size <= _IMITATED * found and largest <= _LARGEST_STEP):
             return found
@@ -246,9 +253,7 @@ class Sensitivity:
         for _ in range(_TURNS):
             step = np.where(own, np.clip(shifts - made, -_LARGEST_STEP, _LARGEST_STEP), 0.0)
             made = made + step
-            edits = [
-                edit(float(shift)) for edit, shift in zip(self._made, made, strict=True) if edit is not None and shift
-            ]
+            edits = self._edits(made)
             try:
                 moved = self.observe(with_edits(self.model, edits)).values
             except BenchError as error:
@@ -264,6 +269,18 @@ class Sensitivity:
             least = min(least, found)
         # Whatever shifts leave least is at most what the best ones leave.
         return min(least, found)
+
+    def _edits(self, shifts: FloatArray) -> list[Edit]:
+        """Edits of the model that make so many standard deviations of every change that does not stay linear."""
+        edits = [edit(float(shift)) for edit, shift in zip(self._made, shifts, strict=True) if edit and shift]
+        delays: dict[int, float] = {}
+        for number, sensor, size in self._late:
+            delays[sensor] = delays.get(sensor, 0.0) + size * float(shifts[number])
+        latest = -LEAST_LEAD / self.model.sample_rate_hz
+        for sensor, delay in delays.items():
+            late = max(self.model.sensors[sensor].delay_s + delay, latest)
+            edits.append(Edit(("sensors", sensor, "delay_s"), late))
+        return edits
 
     def _fitted(
         self, observed: Observed, values: FloatArray, shifts: FloatArray, changes: FloatArray | None = None
@@ -388,6 +405,11 @@ def _leaning(phase: float) -> Edit:
 def _louder(path: tuple[str | int, ...], gain: float, deviation: float) -> Edit:
     """A gain that is off by so many standard deviations."""
     return Edit(path, gain * (1.0 + GAIN * deviation))
+
+
+def _leading(path: tuple[str | int, ...], corner: float, deviation: float) -> Edit:
+    """A high-pass that leads by so many standard deviations; none leads by less than nothing."""
+    return Edit(path, max(corner * deviation, 1e-6 * corner))
 
 
 def _approach(

@@ -38,7 +38,7 @@ MAINS = 3e-4
 
 # Beyond so many standard deviations a calibration would have noticed.
 _LARGEST = 2.5
-_LEAST_LEAD = 0.95
+LEAST_LEAD = 0.95
 """A channel can lead by one sample at most."""
 
 
@@ -70,7 +70,7 @@ class DrawnChain:
             omega: of the mode that is tested, rad/s.
         """
         edits: list[Edit] = []
-        latest = -_LEAST_LEAD / truth.sample_rate_hz
+        latest = -LEAST_LEAD / truth.sample_rate_hz
         for index, sensor in enumerate(truth.sensors):
             path = ("sensors", index)
             edits.append(Edit((*path, "gain"), sensor.gain * self.gains[index]))

@@ -35,7 +35,7 @@ from nmt_diagnose.inference.discrepancy import measured_elsewhere, smooth_errors
 from nmt_diagnose.inference.fit import Fit, FitError, fit
 from nmt_diagnose.inference.gap import Closed, rms
 from nmt_diagnose.inference.generic_source import SourceScore
-from nmt_diagnose.inference.held_images import may_hold_images, with_detected_images
+from nmt_diagnose.inference.held_images import may_hold_images, same_images, with_detected_images
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.held_out_comparison import HeldOut, Refits
 from nmt_diagnose.inference.hypotheses import NULL
@@ -350,7 +350,7 @@ class _Diagnoser:
         if not any(measured_elsewhere(self.observations, number) for number in range(len(self.observations.tests))):
             return False
         moves = bool(singles) and singles[0].fit.log_evidence > null.fit.log_evidence + _MOVES
-        near = singles[0].fit if moves else null.fit
+        near = self._with_images_of(singles[0].fit) if moves else null.fit
         difference = self.plain.difference(near.prediction.values)
         scatter = scatter_floor(self.observations, difference)
         drift = self._drift(near, difference)
@@ -384,6 +384,7 @@ class _Diagnoser:
 
     def _with_detected_images(self, null: FittedModel) -> FittedModel:
         """The model alone after random tests showed whether images of a held drive are in them."""
+        self._undetected = self.plain.observations
         for last in (False, True):
             observations = self.plain.observations
             if not any(
@@ -404,11 +405,27 @@ class _Diagnoser:
                 null = self._under(observations, null)
         return null
 
-    def _under(self, observations: Observations, null: FittedModel) -> FittedModel:
-        """The model alone, re-fitted to observations of other chains, its errors traced about what it was."""
+    def _with_images_of(self, near: Fit) -> Fit:
+        """A fit after random tests showed, about it, whether images of a held drive are in them.
+
+        The model alone may be so far off that it takes what an effect does for images.
+        """
+        options = with_detected_images(self._undetected, near.parametrisation.rig(near.theta))
+        if len(options) != 1 or same_images(options[0], self.plain.observations):
+            return near
+        self._observe(options[0])
+        prediction = self.forward.predict(near.parametrisation.rig(near.theta), near.prediction)
+        return replace(near, prediction=prediction)
+
+    def _observe(self, observations: Observations) -> None:
+        """Take other conditions of the tests for the real side."""
         self.forward = Forward(observations.tests, observations.rows)
         self.given = self.forward.predict(self.rig, self.given)
         self.plain = Problem(observations, self.forward, self.plain.nuisances)
+
+    def _under(self, observations: Observations, null: FittedModel) -> FittedModel:
+        """The model alone, re-fitted to observations of other chains, its errors traced about what it was."""
+        self._observe(observations)
         self._trace(null.fit, np.zeros(len(observations.rows)), 0.0)
         self.judged, self.comparison = self.problem, self._comparison()
         return self.comparison.polished(self.comparison.null())

@@ -40,6 +40,7 @@ _ALIKE = 4.0
 # improve the description by, or worsen it.
 _CLEARLY, _THERE, _ABSENT = 10.0, 0.5, -0.3
 _LEAST_SPREAD = 1e-5
+_SAME_MOMENT = 0.02  # samples
 
 
 class MeasuredResponse(NamedTuple):
@@ -107,6 +108,16 @@ def with_detected_images(observations: Observations, rig: Rig) -> tuple[Observat
         without = replace(observations, chains=chains)
         return (with_images, without) if found.there is None else (with_images if found.there else without,)
     return ()
+
+
+def same_images(one: Observations, other: Observations) -> bool:
+    """Whether both descriptions of the same recordings have the same images, sampled at nearly the same moment."""
+    held = [[chain is not None and chain.images for chain in own.chains] for own in (one, other)]
+    moments = [
+        np.array([math.nan if t.sampled_at is None else t.sampled_at for t in own.tests if isinstance(t, RandomTest)])
+        for own in (one, other)
+    ]
+    return held[0] == held[1] and np.allclose(moments[0], moments[1], rtol=0.0, atol=_SAME_MOMENT, equal_nan=True)
 
 
 def may_hold_images(test: Test, chain: MeasuringChain | None) -> bool:

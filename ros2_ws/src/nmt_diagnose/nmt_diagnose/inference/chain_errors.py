@@ -43,9 +43,9 @@ _IMAGE_ORDERS = tuple((order,) for order in (-1, 1, -2, 2, -3, 3, -4, 4))
 # noise of each line it must be larger by the root of their number not to count for more than it is. The share of it
 # that differs from level to level.
 _IMAGE_FLOOR, _SAME_FOR_LEVELS = 1.0, 0.2
-# Samples about the step of a held drive in which it is on the way, time constant of that, and what is left of a
+# Samples about the step of a held drive in which it is on the way, time constants of that, and what is left of a
 # response at most, relative.
-_JUMP, _SMOOTH, _JUMP_FLOOR = 0.15, 0.03, 1e-3
+_JUMP, _SMOOTH, _SMOOTHER, _JUMP_FLOOR = 0.15, 0.03, 0.1, 1e-3
 # Time that such a drive takes to move on, samples; what images that are part of the model may be off by, relative.
 _RISE, _KNOWN_IMAGES = 0.05, 0.01
 # What the model's response to a harmonic of the drive may be off by, relative.
@@ -205,8 +205,10 @@ class _Columns:
                 lead = change(_edited(self.rig, own, partial(_leading, corner_hz=_LEAD_STEP * tested)), _LEAD_STEP)
                 found.append(tolerance.phase * lead)
             if any(_near_step(test) for test in self.tests):
-                smooth = partial(_smoothed, time_s=_SMOOTH / self._step_rate())
-                found.append(change(_edited(self.rig, own, smooth), 1.0))
+                # Two of them: with the size of such an error its shape changes, too.
+                for time in (_SMOOTH, _SMOOTHER):
+                    smooth = partial(_smoothed, time_s=time / self._step_rate())
+                    found.append(change(_edited(self.rig, own, smooth), 1.0))
         # Sensors of one kind share their conditioners; all of them together may be late against the voltage.
         shared = max(chain.shared_delay_s for chain in self.own)
         found += [shared * group for group in (*groups.values(), np.sum(list(groups.values()), axis=0))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -73,6 +74,7 @@ _CHANCE = 1.0
 # ln of the evidence from which an effect moves the solution so far that errors of the measuring chain act otherwise.
 _MOVES = 50.0
 _GOOD = 1.5  # rms of residuals of a model that may tell whether images of a held drive are there
+_NOISE = 1.05  # rms of residuals that may be noise
 _TRACED, _SETTLED = 3, 0.3  # most times that they are traced anew, and change in standard deviations that ends it
 # Share of the gap of a laboratory's tests that a named effect may leave, and by how many times as much its interval may
 # fall short.
@@ -350,7 +352,7 @@ class _Diagnoser:
         if not any(measured_elsewhere(self.observations, number) for number in range(len(self.observations.tests))):
             return False
         moves = bool(singles) and singles[0].fit.log_evidence > null.fit.log_evidence + _MOVES
-        near = self._with_images_of(singles[0].fit) if moves else null.fit
+        near = self._with_images_of(singles[0]) if moves else null.fit
         difference = self.plain.difference(near.prediction.values)
         scatter = scatter_floor(self.observations, difference)
         drift = self._drift(near, difference)
@@ -405,17 +407,27 @@ class _Diagnoser:
                 null = self._under(observations, null)
         return null
 
-    def _with_images_of(self, near: Fit) -> Fit:
-        """A fit after random tests showed, about it, whether images of a held drive are in them.
+    def _with_images_of(self, leader: FittedModel) -> Fit:
+        """The fit of an explanation after random tests showed, about it, whether images of a held drive are in them.
 
-        The model alone may be so far off that it takes what an effect does for images.
+        The model alone may be so far off that it takes what an effect does for images. What is left of the fit must not
+        grow by it, or be noise.
         """
+        near = leader.fit
         options = with_detected_images(self._undetected, near.parametrisation.rig(near.theta))
         if len(options) != 1 or same_images(options[0], self.plain.observations):
             return near
+        before = self.forward, self.given, self.plain, self.problem, self.observations
         self._observe(options[0])
         prediction = self.forward.predict(near.parametrisation.rig(near.theta), near.prediction)
-        return replace(near, prediction=prediction)
+        moved = replace(near, prediction=prediction)
+        self._trace(moved, np.zeros(len(self.observations.rows)), 0.0)
+        with suppress(FitError):
+            found = fit(self.problem, near.parametrisation, near.theta, near.used, prediction)
+            if rms_left(replace(leader, fit=found)) <= max(rms_left(leader), _NOISE):
+                return found
+        self.forward, self.given, self.plain, self.problem, self.observations = before
+        return near
 
     def _observe(self, observations: Observations) -> None:
         """Take other conditions of the tests for the real side."""

@@ -22,6 +22,9 @@ _WRONG_FREQUENCY = 1.6
 _NODE = 0.1
 _FEWEST_FLAT = 3
 _FLAT_SHARE = 0.002
+# Fewest repeated samples and their least share; steps of the signal, over the typical one, from which a repeat is none
+# of the signal's own.
+_FEWEST_REPEATS, _REPEATS_SHARE, _STEEP = 5, 1e-3, 0.5
 
 
 def check_frequency(name: str, frequency_hz: Sequence[float], view: ModelView) -> None:
@@ -158,4 +161,41 @@ def clipping_notes(name: str, windows: Sequence[tuple[int, Stretch]]) -> list[st
         f"{name}: channel {channel} is clipped at level {', '.join(map(str, levels))}; its observables are kept, "
         "because clipping is one of the effects that are looked for."
         for channel, levels in clipped.items()
+    ]
+
+
+def repeated_share(samples: FloatArray) -> float:
+    """Share of steep places at which the sample before was recorded again: values that a converter lost.
+
+    Where the neighbours on both sides differ much, two equal samples are no chance, unless the converter is coarse.
+
+    Args:
+        samples: (n,) of one channel.
+    """
+    steps = np.diff(samples)
+    if steps.size < 3:
+        return 0.0
+    around = np.abs(samples[3:] - samples[:-3])
+    # What a limiter clips stays at its ends.
+    inside = (samples[1:-2] > samples.min()) & (samples[1:-2] < samples.max())
+    steep = inside & (around > _STEEP * float(np.sqrt(np.mean(around**2))))
+    if not steep.any() or np.unique(samples).size < 0.2 * samples.size:
+        return 0.0
+    repeated = int(np.sum(steep & (steps[1:-1] == 0.0)))
+    share = repeated / int(steep.sum())
+    return share if repeated >= _FEWEST_REPEATS and share >= _REPEATS_SHARE else 0.0
+
+
+def repeats_notes(name: str, stretches: Sequence[Stretch]) -> list[str]:
+    """Sentences on channels in which samples were lost and the ones before recorded again."""
+    found: dict[str, list[float]] = {}
+    for stretch in stretches:
+        for channel in stretch.channels:
+            if channel.name not in stretch.faults and channel.quantity is not Quantity.VOLTAGE:
+                found.setdefault(channel.name, []).append(repeated_share(stretch.row(channel.name)))
+    return [
+        f"{name}: channel {channel} repeats the sample before at {100.0 * max(shares):.2g} % of the times; samples are "
+        "lost on the way, so check its converter, driver and cable."
+        for channel, shares in found.items()
+        if max(shares) > 0.0
     ]

@@ -23,7 +23,7 @@ from nmt_diagnose.observations.observables import Observations, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, strangers
 from nmt_diagnose.observations.phase_resonance_observations import phase_resonance_observations
-from nmt_diagnose.observations.plausibility import check_frequency, clipping_notes, out_of_scale
+from nmt_diagnose.observations.plausibility import check_frequency, clipping_notes, out_of_scale, repeats_notes
 from nmt_diagnose.observations.random_observations import random_observations
 from nmt_diagnose.observations.record_observations import record_observations
 from nmt_diagnose.observations.ring_down_observations import ring_down_observations
@@ -237,6 +237,7 @@ def _signals(
             own = f"{name}/{kind.label}" if len(windows) > len(mine_windows) else name
             own = f"{own} {window.segment.level_index}" if len(mine_windows) > 1 else own
             notes += clipping_notes(own, [(window.segment.level_index, window.stretch)])
+            notes += repeats_notes(own, [window.stretch])
             if kind is TestKind.RANDOM:
                 parts.append(random_observations(own, window.stretch, view, channels, settings, rate))
             else:
@@ -267,6 +268,7 @@ def _plausible(
     off, more = out_of_scale(name, [(locked[i].stretch, frequencies[i]) for i in lowest], view, channels)
     notes += more
     notes += clipping_notes(name, [(window.segment.level_index, window.stretch) for window in locked])
+    notes += repeats_notes(name, [window.stretch for window in locked])
     return {key: channel for key, channel in channels.items() if key not in off}
 
 

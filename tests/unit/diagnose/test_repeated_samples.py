@@ -1,0 +1,52 @@
+"""Samples that a converter lost are seen where the signal is steep; flats and coarse steps are not taken for them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.observations.plausibility import repeated_share
+
+SIZE = 20_000
+
+
+def _tone(noise: float = 1e-3) -> FloatArray:
+    generator = np.random.default_rng(4)
+    time = np.arange(SIZE) / 5000.0
+    return np.asarray(np.sin(2 * np.pi * 115.0 * time) + noise * generator.standard_normal(SIZE), dtype=np.float64)
+
+
+def _losing(samples: FloatArray, share: float) -> FloatArray:
+    lost = np.random.default_rng(5).random(samples.size) < share
+    lost[0] = False
+    result = samples.copy()
+    for k in np.flatnonzero(lost):
+        result[k] = result[k - 1]
+    return result
+
+
+@pytest.mark.parametrize("share", [0.003, 0.02, 0.2])
+def test_the_share_of_lost_samples_is_found(share: float) -> None:
+    assert repeated_share(_losing(_tone(), share)) == pytest.approx(share, rel=0.35)
+
+
+def test_lost_samples_of_a_random_signal_are_found() -> None:
+    samples = np.random.default_rng(6).standard_normal(SIZE)
+    assert repeated_share(_losing(samples, 0.01)) == pytest.approx(0.01, rel=0.35)
+
+
+@pytest.mark.parametrize(
+    "samples",
+    [
+        _tone(),
+        _tone(0.0),
+        np.clip(_tone(), -0.5, 0.5),
+        np.round(_tone() * 20.0) / 20.0,
+        np.zeros(SIZE),
+        np.random.default_rng(7).standard_normal(SIZE),
+    ],
+    ids=["healthy", "without noise", "clipped", "coarse", "zero", "random"],
+)
+def test_what_lost_nothing_is_left_alone(samples: FloatArray) -> None:
+    assert repeated_share(samples) == 0.0

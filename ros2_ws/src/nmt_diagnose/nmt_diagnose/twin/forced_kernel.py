@@ -424,3 +424,68 @@ def step_lines(
                 y[k] += slopes[line, k, b] * step[b]
         values[line] = y
     return moved, values
+
+
+@njit(cache=True)
+def step_more_lines(
+    z: FloatArray,
+    own: np.ndarray,
+    kept: np.ndarray,
+    fresh: np.ndarray,
+    inverses: FloatArray,
+    slopes: ComplexArray,
+    given: int,
+    target: ComplexArray,
+    omega: FloatArray,
+    poles: ComplexArray,
+    displacement: ComplexArray,
+    velocity: ComplexArray,
+    acceleration: ComplexArray,
+    inputs: ComplexArray,
+    feedthrough: ComplexArray,
+    channels: FloatArray,
+    factor: FloatArray,
+    tables: LocalTables,
+) -> tuple[FloatArray, ComplexArray]:
+    """As :func:`step_lines` for a rig with coordinates that the solved one lacks.
+
+    Their forces are of the order of the change. To first order they move as the others make them, and what their forces
+    do is in the residuals of the others.
+
+    Args:
+        own, kept: positions of the unknowns that both have, in those of this rig and of the solved one.
+        fresh: positions of the others in those of this rig.
+    """
+    orders, offsets = tables[0], tables[1]
+    lines = z.shape[0]
+    c = channels.shape[0]
+    r = inputs.shape[1] - 1
+    size = offsets[orders.size - 1] + 2
+    moved = np.full((lines, r * size + 2), np.nan)
+    values = np.full((lines, c), np.nan + 0j)
+    for line in range(lines):
+        if not np.isfinite(z[line, 0]):
+            continue
+        w = omega[line]
+        transfer = transfers(w, orders, poles, displacement, velocity, acceleration, inputs, feedthrough)
+        here = np.zeros(r * size + 2)
+        for k in range(own.size):
+            here[own[k]] = z[line, kept[k]]
+        g = local_amounts(here[: r * size].copy().reshape(r, size), w, factor, tables)
+        residual, y = balance(here, g, given, target[line], w, transfer, orders, offsets, channels)
+        for k in fresh:
+            here[k] = -residual[k]
+        g = local_amounts(here[: r * size].copy().reshape(r, size), w, factor, tables)
+        residual, y = balance(here, g, given, target[line], w, transfer, orders, offsets, channels)
+        known = np.zeros(z.shape[1])
+        for k in range(own.size):
+            known[kept[k]] = residual[own[k]]
+        step = -inverses[line] @ known
+        for k in range(own.size):
+            here[own[k]] += step[kept[k]]
+        for k in range(c):
+            for b in range(step.size):
+                y[k] += slopes[line, k, b] * step[b]
+        moved[line] = here
+        values[line] = y
+    return moved, values

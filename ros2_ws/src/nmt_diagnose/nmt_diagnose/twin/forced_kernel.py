@@ -58,7 +58,7 @@ def transfers(
 @njit(cache=True)
 def driven_orders(g: FloatArray, orders: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """Orders (n_orders,) that the drive or local forces g (r, size) act at: at others nothing responds."""
-    result = orders == 1
+    result: np.ndarray = orders == 1
     for n in range(orders.size):
         for j in range(g.shape[0]):
             if g[j, offsets[n]] != 0.0 or (orders[n] > 0 and g[j, offsets[n] + 1] != 0.0):

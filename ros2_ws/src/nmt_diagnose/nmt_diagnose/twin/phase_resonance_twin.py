@@ -383,7 +383,8 @@ class PhaseResonanceTwin:
         chain = parts.channels[self._force]
         gains = np.array([sensor_gain(1j * w, *chain)[0] for w in omega])
         force = np.array([state.channels[self._force, one] for state in states]) / gains
-        return np.linalg.solve(impedance, loads[:, :, None])[:, :, 0], np.asarray(force, dtype=np.complex128)
+        shapes: ComplexArray = np.linalg.solve(impedance, loads[:, :, None])[:, :, 0].astype(np.complex128)
+        return shapes, np.asarray(force, dtype=np.complex128)
 
     def carried(self, parts: RigParts, level: LevelProblem, state: PeriodicState) -> FloatArray:
         """A solution's unknowns on the coordinates of ``parts``; new coordinates move as the others make them."""

@@ -167,8 +167,10 @@ def detected_images(responses: Sequence[MeasuredResponse], rate: float, apart: f
     if not usable:
         return None
     turns = np.exp(2j * np.pi * np.outer(_ANGLES, SEEN_ORDERS))
+    late = [np.exp(2j * np.pi * np.outer(_DELAYS_S, own.frequency_hz)) for own in usable]
     held = [
-        [_fitted(own.frequency_hz, own.measured, own.plain + turn @ own.images) for turn in turns] for own in usable
+        [_fitted(own.frequency_hz, own.measured, own.plain + turn @ own.images, delays) for turn in turns]
+        for own, delays in zip(usable, late, strict=True)
     ]
     costs = np.array([[_cost(each) for each in of_channel] for of_channel in held])
     # Each channel has the angle that suits it best, and that is near to the angle of all.
@@ -179,10 +181,10 @@ def detected_images(responses: Sequence[MeasuredResponse], rate: float, apart: f
     common = int(np.argmin(together))
     gained = lost = 0.0
     lead = []
-    for own, of_channel, cost, near in zip(usable, held, costs, weighed[:, common], strict=True):
+    for own, delays, of_channel, cost, near in zip(usable, late, held, costs, weighed[:, common], strict=True):
         best = int(np.argmin(near))
-        plain = _fitted(own.frequency_hz, own.measured, own.plain)
-        missed = _fitted(own.frequency_hz, own.plain + turns[best] @ own.images, own.plain)
+        plain = _fitted(own.frequency_hz, own.measured, own.plain, delays)
+        missed = _fitted(own.frequency_hz, own.plain + turns[best] @ own.images, own.plain, delays)
         least = min(plain.spread, of_channel[best].spread)
         gained += _cost(plain) - float(cost[best])
         lost += _cost(missed._replace(spread=least)) - _cost(missed._replace(left=0.0 * missed.left, spread=least))
@@ -215,12 +217,14 @@ def _cost(found: _Description) -> float:
     return float(2.0 * np.sum(np.log(found.spread**2 + 0.1 * found.left**2)) / _ALIKE)
 
 
-def _fitted(hertz: FloatArray, measured: ComplexArray, expected: ComplexArray) -> _Description:
-    """What a response leaves of a measured one with the best gain, phase, delay, high-pass and roll-off."""
+def _fitted(hertz: FloatArray, measured: ComplexArray, expected: ComplexArray, delays: ComplexArray) -> _Description:
+    """What a response leaves of a measured one with the best gain, phase, delay, high-pass and roll-off.
+
+    ``delays`` are the turns that each of the delays tried makes up for, (delays, lines).
+    """
     ratio = measured / expected
-    turning = np.exp(2j * np.pi * np.outer(_DELAYS_S, hertz))
-    best = int(np.argmax(np.abs(turning @ (ratio / np.abs(ratio)))))
-    late = turning[best]
+    best = int(np.argmax(np.abs(delays @ (ratio / np.abs(ratio)))))
+    late = delays[best]
     # Over the size of both, so that neither a resonance nor a zero of the model weighs more than all else.
     size = np.abs(expected) + np.abs(measured)
     model, values = expected / late / size, measured / size

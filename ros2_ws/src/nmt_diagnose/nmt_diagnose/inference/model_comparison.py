@@ -314,13 +314,14 @@ class ModelComparison:
                 else:
                     shown.add(i)
                     result.append(Direction(chosen[i], starts[i], column, parameter.signed))
+        plain = base.fit.parametrisation.rig(base.fit.theta)
         for i in sorted(set(range(len(chosen))) - shown):
             start = starts[i]
             strength = float(start[_strength(self.candidates[chosen[i]])])
             own = Parametrisation(self.rig, self.calibration, (*base.candidates, self.candidates[chosen[i]]))
             try:
                 rig = own.rig(np.concatenate([base.fit.theta, start]))
-                moved = self.problem.forward.predict(rig, base.fit.prediction)
+                moved = self.problem.forward.predict(rig, base.fit.prediction, plain)
             except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
                 continue  # no rig there
             change = base.fit.residual - self.problem.residual(moved)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from nmt_diagnose.observations.conditions import BackboneTable, LockedLevel, Mea
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin, Tangent
+from nmt_diagnose.twin.rig_parts import RigParts
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import Rig, ShakerSection
 
@@ -78,27 +80,33 @@ class BackboneTwin:
         """Observables of the test's rows."""
         count = self.test.amplitudes.size
         log_omega, damping = np.full(count, np.nan), np.full(count, np.nan)
-        wants = bool(np.any(self.rows.part == Part.DAMPING))
+        groups: dict[int, tuple[RigParts, list[int]]] = {}
         for position, state in enumerate(states):
             if state is not None:
                 log_omega[position] = np.log(state.omega / (1.0 + rig.clock_error))
-                if wants:
-                    damping[position] = self._damping(rig, cache, position, state)
+                parts = self.inner.parts(rig, cache, self.inner.levels[position])
+                groups.setdefault(id(parts), (parts, []))[1].append(position)
+        if np.any(self.rows.part == Part.DAMPING):
+            for parts, positions in groups.values():
+                own = [state for position in positions if (state := states[position]) is not None]
+                damping[positions] = self._damping(rig, parts, own)
         result = np.full(len(self.rows), np.nan)
         for kind, values in ((Part.LOG_FREQUENCY, log_omega), (Part.DAMPING, damping)):
             which = self.rows.part == kind
             result[which] = values[self.rows.level[which]]
         return result
 
-    def _damping(self, rig: Rig, cache: PartsCache, position: int, state: PeriodicState) -> float:
-        parts = self.inner.parts(rig, cache, self.inner.levels[position])
-        shape, force = self.inner.fundamental_unknowns(parts, state)
+    def _damping(self, rig: Rig, parts: RigParts, states: Sequence[PeriodicState]) -> FloatArray:
+        """Damping ratios of some levels of one rig, (levels,)."""
+        shapes, force = self.inner.fundamental_unknowns(parts, states)
+        omega = np.array([state.omega for state in states])
         system = parts.system
         n = system.structure_size
-        mass = system.mass[:n, :n].copy()
+        mass = system.mass[:n, :n]
         if isinstance(rig.exciter, ShakerSection):
             drive = system.selector(system.drive_point)[:n]
-            mass -= rig.exciter.table_mass_kg * np.outer(drive, drive)
-        velocity = 1j * state.omega * system.motion(system.drive_point, shape)
-        power = 0.5 * float((velocity * np.conj(force)).real)
-        return power / (state.omega**3 * float((np.conj(shape[:n]) @ mass @ shape[:n]).real))
+            mass = mass - rig.exciter.table_mass_kg * np.outer(drive, drive)
+        velocity = 1j * omega * np.array([system.motion(system.drive_point, shape) for shape in shapes])
+        power = 0.5 * (velocity * np.conj(force)).real
+        moving = np.einsum("la,ab,lb->l", np.conj(shapes[:, :n]), mass, shapes[:, :n]).real
+        return np.asarray(power / (omega**3 * moving))

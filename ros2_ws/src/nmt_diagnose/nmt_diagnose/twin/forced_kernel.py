@@ -28,6 +28,7 @@ _LOWEST = 0.02
 def transfers(
     omega: float,
     orders: np.ndarray,
+    wanted: np.ndarray,
     poles: ComplexArray,
     displacement: ComplexArray,
     velocity: ComplexArray,
@@ -35,10 +36,15 @@ def transfers(
     inputs: ComplexArray,
     feedthrough: ComplexArray,
 ) -> ComplexArray:
-    """T at i n ω for every order n, (n_orders, outputs, r + 1): all of order 1, of others what local forces do."""
+    """T at i n ω for every order n that is wanted, (n_orders, outputs, r + 1), zeros for others.
+
+    All of order 1, of others what local forces do.
+    """
     result = np.zeros((orders.size, displacement.shape[0], inputs.shape[1]), dtype=np.complex128)
     r = inputs.shape[1] - 1
     for n in range(orders.size):
+        if not wanted[n]:
+            continue
         s = 1j * orders[n] * omega
         if orders[n] == 1:
             result[n] = response_at(s, poles, displacement, velocity, acceleration, inputs, feedthrough, r + 1)
@@ -46,6 +52,27 @@ def transfers(
             result[n, :r] = response_at(
                 s, poles, displacement[:r], velocity[:r], acceleration[:r], inputs, feedthrough[:r], r
             )
+    return result
+
+
+@njit(cache=True)
+def driven_orders(g: FloatArray, orders: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Orders (n_orders,) that the drive or local forces g (r, size) act at: at others nothing responds."""
+    result: np.ndarray = orders == 1
+    for n in range(orders.size):
+        for j in range(g.shape[0]):
+            if g[j, offsets[n]] != 0.0 or (orders[n] > 0 and g[j, offsets[n] + 1] != 0.0):
+                result[n] = True
+    return result
+
+
+@njit(cache=True)
+def forced_orders(orders: np.ndarray, factor: FloatArray, tables: LocalTables) -> np.ndarray:
+    """Orders (n_orders,) that may move: the first alone where no force is nonlinear."""
+    linear = tables[3].shape[0] + tables[5].shape[0] + tables[7].size == 0 and factor[1] == 0.0 and factor[2] == 0.0
+    result = np.ones(orders.size, dtype=np.bool_)
+    for n in range(orders.size):
+        result[n] = not linear or orders[n] == 1
     return result
 
 
@@ -324,9 +351,10 @@ def solve_lines(
     inverses = np.zeros((lines, nz, nz))
     values = np.full((lines, c), np.nan + 0j)
     slopes = np.zeros((lines, c, nz), dtype=np.complex128)
+    wanted = forced_orders(orders, factor, tables)
     for line in range(lines):
         w = omega[line]
-        transfer = transfers(w, orders, poles, displacement, velocity, acceleration, inputs, feedthrough)
+        transfer = transfers(w, orders, wanted, poles, displacement, velocity, acceleration, inputs, feedthrough)
         done = False
         if known[line]:
             done, z, g, inverse, y, slope = newton_line(
@@ -411,16 +439,86 @@ def step_lines(
         if not np.isfinite(z[line, 0]):
             continue
         w = omega[line]
-        transfer = transfers(w, orders, poles, displacement, velocity, acceleration, inputs, feedthrough)
         if same_forces:
             g = forces[line]
         else:
             g = local_amounts(z[line, : r * size].copy().reshape(r, size), w, factor, tables)
+        wanted = driven_orders(g, orders, offsets)
+        transfer = transfers(w, orders, wanted, poles, displacement, velocity, acceleration, inputs, feedthrough)
         residual, y = balance(z[line], g, given, target[line], w, transfer, orders, offsets, channels)
         step = -inverses[line] @ residual
         moved[line] = z[line] + step
         for k in range(c):
             for b in range(step.size):
                 y[k] += slopes[line, k, b] * step[b]
+        values[line] = y
+    return moved, values
+
+
+@njit(cache=True)
+def step_more_lines(
+    z: FloatArray,
+    own: np.ndarray,
+    kept: np.ndarray,
+    fresh: np.ndarray,
+    inverses: FloatArray,
+    slopes: ComplexArray,
+    given: int,
+    target: ComplexArray,
+    omega: FloatArray,
+    poles: ComplexArray,
+    displacement: ComplexArray,
+    velocity: ComplexArray,
+    acceleration: ComplexArray,
+    inputs: ComplexArray,
+    feedthrough: ComplexArray,
+    channels: FloatArray,
+    factor: FloatArray,
+    tables: LocalTables,
+) -> tuple[FloatArray, ComplexArray]:
+    """As :func:`step_lines` for a rig with coordinates that the solved one lacks.
+
+    Their forces are of the order of the change. To first order they move as the others make them, and what their forces
+    do is in the residuals of the others.
+
+    Args:
+        own, kept: positions of the unknowns that both have, in those of this rig and of the solved one.
+        fresh: positions of the others in those of this rig.
+    """
+    orders, offsets = tables[0], tables[1]
+    lines = z.shape[0]
+    c = channels.shape[0]
+    r = inputs.shape[1] - 1
+    size = offsets[orders.size - 1] + 2
+    moved = np.full((lines, r * size + 2), np.nan)
+    values = np.full((lines, c), np.nan + 0j)
+    for line in range(lines):
+        if not np.isfinite(z[line, 0]):
+            continue
+        w = omega[line]
+        here = np.zeros(r * size + 2)
+        for k in range(own.size):
+            here[own[k]] = z[line, kept[k]]
+        g = local_amounts(here[: r * size].copy().reshape(r, size), w, factor, tables)
+        wanted = driven_orders(g, orders, offsets)
+        transfer = transfers(w, orders, wanted, poles, displacement, velocity, acceleration, inputs, feedthrough)
+        residual, y = balance(here, g, given, target[line], w, transfer, orders, offsets, channels)
+        for k in fresh:
+            here[k] = -residual[k]
+        g = local_amounts(here[: r * size].copy().reshape(r, size), w, factor, tables)
+        more = driven_orders(g, orders, offsets)
+        if np.any(more & ~wanted):
+            transfer = transfers(w, orders, more, poles, displacement, velocity, acceleration, inputs, feedthrough)
+        residual, y = balance(here, g, given, target[line], w, transfer, orders, offsets, channels)
+        known = np.zeros(z.shape[1])
+        for k in range(own.size):
+            known[kept[k]] = residual[own[k]]
+        step = -inverses[line] @ known
+        for k in range(own.size):
+            here[own[k]] += step[kept[k]]
+        for k in range(c):
+            for b in range(step.size):
+                y[k] += slopes[line, k, b] * step[b]
+        moved[line] = here
         values[line] = y
     return moved, values

@@ -114,12 +114,16 @@ class Forward:
                 found.append((int(row), test.channels[self.rows.channel[row]].name))
         return found
 
-    def predict(self, rig: Rig, start: Prediction | None = None) -> Prediction:
+    def predict(self, rig: Rig, start: Prediction | None = None, near: Rig | None = None) -> Prediction:
         """Observables of a rig; ``start`` is a prediction for a similar one.
+
+        Where ``near``, the rig of ``start``, differs in converters alone, its solutions are those of the rig.
 
         Raises:
             BenchError: the rig does not fit the tests, or has something the twin does not cover.
         """
+        if start is not None and near is not None and _same_but_converters(rig, near):
+            return self._converted(rig, start)
         cache = PartsCache(self.settings)
         values = np.full(len(self.rows), np.nan)
         states: list[Any] = []
@@ -136,6 +140,16 @@ class Forward:
                 states.append(None)
         self._add_unexcited(rig, values)
         return Prediction(values, np.isfinite(values), tuple(reasons), tuple(states))
+
+    def _converted(self, rig: Rig, solved: Prediction) -> Prediction:
+        """Observables of a rig that has the solutions of a prediction."""
+        cache = PartsCache(self.settings)
+        values = np.full(len(self.rows), np.nan)
+        for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
+            own = (list(solved.states[index]),) if hasattr(twin, "solve") else ()
+            values[where] = twin.values(rig, cache, *own)
+        self._add_unexcited(rig, values)
+        return replace(solved, values=values, converged=np.isfinite(values))
 
     def _tangents(self, rig: Rig, prediction: Prediction, cache: PartsCache) -> list[Any]:
         """What each test's solutions need to follow small changes of the rig; None where the test has its own way."""
@@ -285,6 +299,19 @@ class Forward:
         phases = self._phases
         result[phases] -= 2.0 * np.pi * np.round(result[phases] / (2.0 * np.pi))
         return result
+
+
+def _same_but_converters(rig: Rig, other: Rig) -> bool:
+    """Whether two rigs differ in nothing but clipping levels, ranges and bits of their channels."""
+    if len(rig.sensors) != len(other.sensors) or any(
+        getattr(rig, name) != getattr(other, name) for name in type(rig).model_fields if name != "sensors"
+    ):
+        return False
+    same = {"clip": None, "range": None, "bits": None}
+    return all(
+        a is b or a.model_copy(update=same) == b.model_copy(update=same)
+        for a, b in zip(rig.sensors, other.sensors, strict=True)
+    )
 
 
 def traced(tests: Sequence[Test], prediction: Prediction) -> tuple[Test, ...]:

@@ -8,6 +8,7 @@ moves on in a straight line within a time r has sinc(x r) in addition.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ class HeldSteps:
     orders: NDArray[np.int64]
     between: FloatArray
 
-    @property
+    @cached_property
     def frequencies(self) -> FloatArray:
         """Where responses are wanted, (images · nodes,) Hz."""
         return np.abs(self._places() * self.rate).ravel()
@@ -55,30 +56,49 @@ class HeldSteps:
         """
         at = self.sampled_at - self.rate * delays
         slow = self.rate * low_passes
-        place = self._places()[:, :, np.newaxis]
+        place, below, held = self._of_nodes
         images = above.reshape((*place.shape[:2], -1))
-        images = np.where(place < 0.0, np.conj(images), images)
-        folded_down = self.between @ np.sum(
-            self._turned(place, at) * images / (1.0 + 2j * np.pi * place * slow), axis=0
-        )
-        share = (self.lines / self.rate)[:, np.newaxis]
-        own = self._turned(share, np.full(1, self.sampled_at))
+        images = np.where(below, np.conj(images), images)
+        turned = held * self._turns(self.nodes / self.rate, self.orders, at)
+        folded_down = self.between @ np.sum(_behind(turned * images, place, slow), axis=0)
         # All images of a response of 1 at all frequencies add up to the step that the channel sees: beyond those that
         # are taken one by one nothing resonates, what passes there is passed at once.
-        place = (self.lines / self.rate + np.append(0, self.orders)[:, np.newaxis])[:, :, np.newaxis]
-        one_by_one = np.sum(self._turned(place, at) / (1.0 + 2j * np.pi * place * slow), axis=0)
-        rest = _step(share, at, slow) - one_by_one
+        place, share, held, own = self._of_lines
+        turned = held * self._turns(self.lines / self.rate, np.append(0, self.orders), at)
+        rest = _step(share, at, slow) - np.sum(_behind(turned, place, slow), axis=0)
         return np.asarray(own * responses + folded_down + rest * images[-1].real.mean(axis=0))
+
+    @cached_property
+    def _of_nodes(self) -> tuple[FloatArray, NDArray[np.bool_], ComplexArray]:
+        """Images of the nodes over the rate (images, nodes, 1), which lie below zero, and S there."""
+        place = self._places()[:, :, np.newaxis]
+        return place, place < 0.0, self._held(place)
+
+    @cached_property
+    def _of_lines(self) -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
+        """Lines with their images over the rate (1 + images, lines, 1), lines alone (lines, 1), S at both, turned."""
+        share = (self.lines / self.rate)[:, np.newaxis]
+        place = (self.lines / self.rate + np.append(0, self.orders)[:, np.newaxis])[:, :, np.newaxis]
+        own = self._held(share) * np.exp(2j * np.pi * share * self.sampled_at)
+        return place, share, self._held(place), np.asarray(own)
 
     def _places(self) -> FloatArray:
         """Images of the nodes over the rate, (images, nodes)."""
         return np.asarray(self.nodes / self.rate + self.orders[:, np.newaxis])
 
-    def _turned(self, share: FloatArray, at: FloatArray) -> ComplexArray:
-        """S at frequencies over the rate, turned for channels that are sampled at some time, in samples."""
-        held = np.sinc(share) * np.sinc(share * self.rise) * np.exp(-1j * np.pi * share)
-        result: ComplexArray = held * np.exp(2j * np.pi * share * at)
-        return result
+    def _held(self, share: FloatArray) -> ComplexArray:
+        """S at frequencies over the rate."""
+        return np.asarray(np.sinc(share) * np.sinc(share * self.rise) * np.exp(-1j * np.pi * share))
+
+    @staticmethod
+    def _turns(share: FloatArray, orders: NDArray[np.int64], at: FloatArray) -> ComplexArray:
+        """Turn of images of frequencies over the rate, seen at some times in samples, (images, frequencies, times)."""
+        return np.asarray(np.exp(2j * np.pi * np.outer(orders, at))[:, None] * np.exp(2j * np.pi * np.outer(share, at)))
+
+
+def _behind(values: ComplexArray, place: FloatArray, slow: FloatArray) -> ComplexArray:
+    """Values of channels behind low-passes of first order, at frequencies over the rate."""
+    return values / (1.0 + 2j * np.pi * place * slow) if np.any(slow) else values
 
 
 def _step(share: FloatArray, at: FloatArray, slow: FloatArray) -> ComplexArray:

@@ -124,7 +124,7 @@ def resonance_influence(
 ) -> tuple[FloatArray, list[SourceColumn]]:
     """Columns (rows of the test, sources): one for each level, order, and real and imaginary part."""
     base = twin.values(rig, cache, list(states))
-    columns: list[FloatArray] = []
+    moved: list[tuple[int, PeriodicState]] = []
     names: list[SourceColumn] = []
     models: dict[int, LinearModel] = {}
     highest = twin.test.harmonics
@@ -134,7 +134,6 @@ def resonance_influence(
         parts = twin.parts(rig, cache, level)
         z = twin.carried(parts, level, state)
         _, jacobian, channels, slopes = twin.linearised(parts, level, z)
-        own = twin.rows.level == position
         force = abs(channels[twin.force_row, 1])
         vectors = np.zeros((parts.system.size, 0))
         if source.kind not in ("force_sensor", "response_sensor"):
@@ -147,16 +146,27 @@ def resonance_influence(
                     twin, parts, models.get(id(parts)), vectors.shape[1], source, state, order, turn, force, channels
                 ):
                     step = -np.linalg.solve(jacobian, residual)
-                    moved = PeriodicState(z + step, parts.keys, state.drive, channels + direct + slopes @ step)
-                    # Only this level moves; the rows of the others stay as they are.
-                    alone: list[PeriodicState | None] = [None] * len(states)
-                    alone[position] = moved
-                    columns.append(np.where(own, twin.values(rig, cache, alone) - base, 0.0))
+                    channels_there = channels + direct + slopes @ step
+                    moved.append((position, PeriodicState(z + step, parts.keys, state.drive, channels_there)))
                     part: Literal["re", "im"] = "re" if turn == 1.0 else "im"
                     names.append(SourceColumn(twin.test.name, "level", position, order, part, vector))
-    if not columns:
-        return np.zeros((base.size, 0)), []
-    return np.column_stack(columns), names
+    columns = np.zeros((base.size, len(moved)))
+    # Only the rows of its own level follow a solution: one of every level can be looked at in one go.
+    turns: dict[int, int] = {}
+    together: list[dict[int, int]] = []
+    for column, (position, _) in enumerate(moved):
+        turn_of_level = turns[position] = turns.get(position, -1) + 1
+        if turn_of_level == len(together):
+            together.append({})
+        together[turn_of_level][position] = column
+    for members in together:
+        several: list[PeriodicState | None] = [None] * len(states)
+        for position, column in members.items():
+            several[position] = moved[column][1]
+        change = twin.values(rig, cache, several) - base
+        for position, column in members.items():
+            columns[:, column] = np.where(twin.rows.level == position, change, 0.0)
+    return columns, names
 
 
 def _level_sources(

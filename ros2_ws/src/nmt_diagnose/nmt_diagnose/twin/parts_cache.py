@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.twin.rig_parts import (
@@ -66,6 +67,8 @@ class PartsCache:
         self.settings = settings
         self._base = base
         self._known: dict[tuple[int, float, float], tuple[Rig, RigParts]] = {}
+        # Rigs that differ from this one by an infinitesimal step and have more coordinates, the newest one each.
+        self._wider: dict[tuple[Any, ...], tuple[Rig, RigParts]] = {}
 
     def parts(self, rig: Rig, setup: Setup, seconds: float = 0.0, cycles: float = 0.0) -> RigParts:
         """Parts of the rig in a setup, at a moment of its drift."""
@@ -79,11 +82,21 @@ class PartsCache:
         if found is None:
             near = self._near(key)
             parts = self._later(rig, setup, key) if near is None else self._shared(rig, setup, key, *near)
+            places = (key, *((e.point, e.other_point, e.rotation, e.side) for e in rig.local_elements))
+            if parts is None and near is not None and self._base is not None:
+                wider = self._base._wider.get(places)
+                parts = None if wider is None else self._shared(rig, setup, key, *wider)
             if parts is None:
                 parts = rig_parts(
                     with_exciter_at(rig, setup.drive_point), setup.channels, setup.basis, self.settings, seconds,
                     cycles, setup.ideal_force, None if near is None else near[1],
                 )  # fmt: skip
+                if (
+                    near is not None
+                    and self._base is not None
+                    and len(rig.local_elements) > len(near[0].local_elements)
+                ):
+                    self._base._wider[places] = (rig, parts)
             found = (rig, parts)
             self._known[key] = found
         return found[1]
@@ -147,7 +160,7 @@ def _equal(a: object, b: object) -> bool:
 
 
 def _alike(rig: Rig, other: Rig, at_rest: bool) -> bool:
-    """Whether two rigs have the same local elements but for numbers of the nonlinear ones.
+    """Whether two rigs have the same local elements but for kinds and numbers of the nonlinear ones.
 
     ``at_rest`` asks for the same modes at rest, too.
     """
@@ -156,9 +169,8 @@ def _alike(rig: Rig, other: Rig, at_rest: bool) -> bool:
     return all(
         _equal(a, b)
         or (
-            a.kind == b.kind
-            and a.kind not in ("linear_spring", "linear_damper")
-            and (not at_rest or a.kind in SOFT_AT_REST)
+            not {a.kind, b.kind} & {"linear_spring", "linear_damper"}
+            and (not at_rest or {a.kind, b.kind} <= SOFT_AT_REST)
             and (a.point, a.other_point, a.rotation, a.side) == (b.point, b.other_point, b.rotation, b.side)
             and getattr(a, "remaining_stiffness_n_m", 0.0) == getattr(b, "remaining_stiffness_n_m", 0.0)
         )

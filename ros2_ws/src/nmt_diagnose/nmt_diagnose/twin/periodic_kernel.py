@@ -177,6 +177,7 @@ def evaluate(
 
     displacement = z[:local].copy().reshape(r, size)
     g, dg, g_omega = harmonic_forces(displacement, omega, factor, tables)
+    linear = tables[3].shape[0] + tables[5].shape[0] + tables[7].size == 0 and factor[1] == 0.0 and factor[2] == 0.0
     residual = np.zeros(nz)
     jacobian = np.zeros((nz, nz))
     measured = np.zeros((c, count), dtype=np.complex128)
@@ -187,6 +188,13 @@ def evaluate(
         offset = offsets[n]
         s = 1j * order * omega
         u = amplitude * drive[n]
+        if linear and u == 0.0:
+            # Nothing acts at this order, and nothing responds.
+            for o in range(r):
+                for row in range(o * size + offset, o * size + offset + (2 if order > 0 else 1)):
+                    residual[row] = z[row]
+                    jacobian[row, row] = 1.0
+            continue
         # Most orders are not driven, and the response to the drive is not wanted.
         columns = r if u == 0.0 else r + 1
         transfer, transfer_slope = transfer_at(
@@ -376,6 +384,13 @@ def residuals(
             offset = offsets[n]
             s = 1j * order * omega
             u = amplitude * drive[level, n]
+            if u == 0.0 and not np.any(g[:, offset]) and (order == 0 or not np.any(g[:, offset + 1])):
+                # Nothing acts at this order, and nothing responds.
+                for o in range(r):
+                    residual[level, o * size + offset] = z[level, o * size + offset]
+                    if order > 0:
+                        residual[level, o * size + offset + 1] = z[level, o * size + offset + 1]
+                continue
             columns = r if u == 0.0 else r + 1
             transfer = response_at(
                 s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough, columns

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +25,7 @@ from nmt_diagnose.twin.periodic_kernel import (
     residuals,
     sensor_gain,
 )
-from nmt_diagnose.twin.rig_parts import IDLE, RigParts, resting_tangent
+from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent, shared_unknowns
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
@@ -226,10 +227,7 @@ class PhaseResonanceTwin:
 
     def _arguments(self, parts: RigParts, level: LevelProblem, amplitude: float) -> tuple[Any, ...]:
         """Arguments of the kernel from ``given`` on."""
-        # Saturation is followed where the drive is what is given.
-        drive = unit_drive(parts, amplitude if level.given == DRIVE_GIVEN else 0.0, self.ideal_force)
-        for order, share in enumerate(level.harmonics, start=2):
-            drive[parts.basis.orders == order] += share * (1.0 if self.ideal_force else parts.input_per_volt)
+        drive = self._drive(parts, level, amplitude)
         model = parts.linear
         given = {DRIVE_GIVEN: DRIVE_GIVEN, FORCE_GIVEN: self._force}
         return (
@@ -250,6 +248,14 @@ class PhaseResonanceTwin:
             parts.force_factor,
             parts.tables,
         )
+
+    def _drive(self, parts: RigParts, level: LevelProblem, amplitude: float) -> ComplexArray:
+        """Harmonics (n_orders,) of the input per unit of the drive, with those that were recorded."""
+        # Saturation is followed where the drive is what is given.
+        drive = unit_drive(parts, amplitude if level.given == DRIVE_GIVEN else 0.0, self.ideal_force)
+        if level.harmonics:
+            drive += recorded_shares(level.harmonics, parts.basis) * (1.0 if self.ideal_force else parts.input_per_volt)
+        return drive
 
     def _newton(self, parts: RigParts, level: LevelProblem, amplitude: float, z: FloatArray) -> PeriodicState | None:
         scale = self._scale(parts, z)
@@ -361,15 +367,24 @@ class PhaseResonanceTwin:
         )
         return result
 
-    def fundamental_unknowns(self, parts: RigParts, state: PeriodicState) -> tuple[ComplexArray, complex]:
-        """Fundamental of all unknowns (n,) and of the force at the drive point."""
-        one, omega, system = self.basis.fundamental, state.omega, parts.system
-        drive = unit_drive(parts, 0.0, self.ideal_force)[one] * math.exp(state.z[-1])
-        amplitudes = np.append(-self.local_amplitudes(parts, state)[:, one], drive)
-        impedance = system.stiffness + 1j * omega * system.damping - omega**2 * system.mass
+    def fundamental_unknowns(
+        self, parts: RigParts, states: Sequence[PeriodicState]
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """Fundamentals of all unknowns (states, n) and of the force at the drive point (states,)."""
+        one, system = self.basis.fundamental, parts.system
+        unit = unit_drive(parts, 0.0, self.ideal_force)[one]
+        omega = np.array([state.omega for state in states])
+        amplitudes = np.array(
+            [np.append(-self.local_amplitudes(parts, state)[:, one], unit * math.exp(state.z[-1])) for state in states]
+        )
+        s = 1j * omega[:, None, None]
+        impedance = system.stiffness + s * system.damping + s**2 * system.mass
+        loads = np.einsum("nk,lk->ln", parts.inputs, amplitudes)
         chain = parts.channels[self._force]
-        force = state.channels[self._force, one] / sensor_gain(1j * omega, *chain)[0]
-        return np.linalg.solve(impedance, parts.inputs @ amplitudes), complex(force)
+        gains = np.array([sensor_gain(1j * w, *chain)[0] for w in omega])
+        force = np.array([state.channels[self._force, one] for state in states]) / gains
+        shapes: ComplexArray = np.linalg.solve(impedance, loads[:, :, None])[:, :, 0].astype(np.complex128)
+        return shapes, np.asarray(force, dtype=np.complex128)
 
     def carried(self, parts: RigParts, level: LevelProblem, state: PeriodicState) -> FloatArray:
         """A solution's unknowns on the coordinates of ``parts``; new coordinates move as the others make them."""
@@ -482,25 +497,23 @@ class PhaseResonanceTwin:
         if old == parts.keys:
             return before, every, every
         z = np.zeros((len(states), parts.coordinates * size + 2))
-        blocks = {key: np.arange(i * size, (i + 1) * size) for i, key in enumerate(parts.keys)}
-        shared = [(i, key) for i, key in enumerate(old) if key in blocks]
-        if any(key not in blocks and key != IDLE for key in old):
+        shared = shared_unknowns(old, parts.keys, size)
+        if shared is None:
             return z, every, None
-        ends = np.array([-2, -1])
-        own = np.concatenate([*(blocks[key] for _, key in shared), z.shape[1] + ends])
-        kept = np.concatenate([*(np.arange(i * size, (i + 1) * size) for i, _ in shared), before.shape[1] + ends])
+        own, kept, fresh = shared
         z[:, own] = before[:, kept]
-        fresh = np.setdiff1d(np.arange(z.shape[1]), own)
         z[:, fresh] = -self._residuals(parts, levels, z)[0][:, fresh]
         return z, own, kept
 
     def _residuals(self, parts: RigParts, levels: list[LevelProblem], z: FloatArray) -> tuple[FloatArray, ComplexArray]:
         """Residuals (levels, nz) and channels (levels, c, n_orders) of several levels of one rig."""
-        each = [self._arguments(parts, level, level.amplitude) for level in levels]
-        given, force, response, power = each[0][0], *each[0][3:6]
-        logs, phases, drives = (np.array([own[k] for own in each]) for k in (1, 2, 6))
+        first = self._arguments(parts, levels[0], levels[0].amplitude)
+        given, force, response, power = first[0], *first[3:6]
+        logs = np.array([math.log(level.amplitude) for level in levels])
+        phases = np.array([level.phase for level in levels])
+        drives = np.array([self._drive(parts, level, level.amplitude) for level in levels])
         result: tuple[FloatArray, ComplexArray] = residuals(
-            z, given, logs, phases, force, response, power, drives, *each[0][7:]
+            z, given, logs, phases, force, response, power, drives, *first[7:]
         )
         return result
 
@@ -549,6 +562,14 @@ class PhaseResonanceTwin:
                 result[where] = values
         result[np.isinf(result)] = np.nan
         return result
+
+
+def recorded_shares(harmonics: tuple[complex, ...], basis: FourierBasis) -> ComplexArray:
+    """Recorded harmonics of a drive, orders 2, 3, … over the fundamental, on the orders of a basis, (n_orders,)."""
+    result = np.zeros(basis.orders.size, dtype=np.complex128)
+    here = (basis.orders >= 2) & (basis.orders < 2 + len(harmonics))
+    result[here] = np.asarray(harmonics)[basis.orders[here] - 2]
+    return result
 
 
 def _by_part(rows: Rows) -> dict[int, tuple[NDArray[np.int64], ...]]:

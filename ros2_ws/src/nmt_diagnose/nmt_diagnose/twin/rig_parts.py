@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
@@ -125,6 +126,28 @@ class RigParts:
                 if kinds[number] == TANH_FRICTION:
                     damping[i] += parameters[number, 0] / parameters[number, 1]
         return stiffness, damping
+
+
+def shared_unknowns(
+    before: Sequence[str], keys: Sequence[str], size: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None:
+    """Unknowns, coordinate by coordinate and then two, that a rig shares with one that was solved before.
+
+    Args:
+        before, keys: coordinates of the solved rig and of the other.
+        size: unknowns of a coordinate.
+
+    Returns:
+        Their positions in those of the other rig and of the solved one, and positions of the rest of the other's; None
+        where a coordinate with a force is missing.
+    """
+    if any(key not in keys and key != IDLE for key in before):
+        return None
+    pairs = [(list(keys).index(key), j) for j, key in enumerate(before) if key in keys]
+    block, ends = np.arange(size), np.arange(2)
+    own = np.concatenate([*(i * size + block for i, _ in pairs), len(keys) * size + ends])
+    kept = np.concatenate([*(j * size + block for _, j in pairs), len(before) * size + ends])
+    return own, kept, np.setdiff1d(np.arange(len(keys) * size + 2), own)
 
 
 def resting_tangent(parts: RigParts, s: complex) -> ComplexArray:

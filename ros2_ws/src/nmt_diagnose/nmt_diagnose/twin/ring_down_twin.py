@@ -15,9 +15,16 @@ from numpy.typing import NDArray
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.observations.conditions import RingDownTest
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.twin.decay_kernel import evaluate_decay
+from nmt_diagnose.twin.decay_kernel import (
+    closure,
+    decay_shapes,
+    evaluate_decay,
+    newton_step,
+    observed_ratios,
+    stepped_decays,
+)
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.periodic_kernel import local_amounts, sensor_gain
+from nmt_diagnose.twin.periodic_kernel import sensor_gain
 from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -69,91 +76,70 @@ class RingDownTwin:
         clock = 1.0 + rig.clock_error
         log_omega = np.array([math.nan if s is None else math.log(s[0][-2] / clock) for s in states])
         parts = cache.parts(rig, self.setup)
-        ratio = np.array([math.nan if s is None else self._observed_ratio(parts, s) for s in states])
+        solved = [position for position, state in enumerate(states) if state is not None]
+        ratio = np.full(len(states), np.nan)
+        shapes = np.full((len(states), len(self.channels)), np.nan, dtype=np.complex128)
+        shape = np.isin(self.rows.part, (Part.LOG_MAGNITUDE, Part.PHASE))
+        if solved:
+            z = np.array([state[0] for state in states if state is not None])
+            amplitudes = np.array([state[2] for state in states if state is not None])
+            # Not at the pole of the linear system itself, where transfer functions are infinite.
+            z[:, -2] *= 1.0 + _OFF_POLE
+            derivatives = {Quantity.VELOCITY: 1.0, Quantity.ACCELERATION: 2.0}.get(self.test.channel.quantity, 0.0)
+            own, model = self._own_output(parts), self._model(parts)
+            nonlinear = parts.force_factor, parts.tables
+            ratio[solved] = observed_ratios(z, amplitudes, derivatives, *own, *model, *nonlinear)
+            if shape.any():
+                places = np.array(self._places, dtype=np.int64)
+                shapes[solved] = decay_shapes(
+                    z, amplitudes, *own, parts.coordinates + places, parts.channels[places], *model, *nonlinear
+                )
         result = np.full(len(self.rows), np.nan)
         for kind, values in ((Part.LOG_FREQUENCY, log_omega), (Part.DAMPING, ratio)):
             which = self.rows.part == kind
             result[which] = values[self.rows.level[which]]
-        shape = np.isin(self.rows.part, (Part.LOG_MAGNITUDE, Part.PHASE))
         if shape.any():
-            size = len(self.channels)
-            over_own = np.array([np.full(size, np.nan) if s is None else self._shape(parts, s) for s in states])
-            picked = over_own[self.rows.level[shape], self.rows.channel[shape]]
+            picked = shapes[self.rows.level[shape], self.rows.channel[shape]]
             log_size = np.log(np.abs(picked) * self.test.amplitudes[self.rows.level[shape]])
             result[shape] = np.where(self.rows.part[shape] == Part.PHASE, np.angle(picked), log_size)
         return result
 
-    def _shape(self, parts: RigParts, state: DecayState) -> ComplexArray:
-        """Fundamentals of all channels over that of the first one, with their sensors, (channels,)."""
-        r, basis = parts.coordinates, self.setup.basis
-        z = state[0].copy()
-        z[-2] *= 1.0 + _OFF_POLE
-        displacement = z[:-2].reshape(r, basis.size)
-        force = local_amounts(displacement, z[-2], parts.force_factor, parts.tables)
-        offset = int(basis.offsets[basis.fundamental])
-        local = force[:, offset] - 1j * force[:, offset + 1]
-        t, _ = parts.linear.at(z[-2] * (1j - z[-1]))
-        rows = r + np.asarray(self._places)
-        gain, _ = sensor_gain(1j * z[-2], *parts.channels[self._own])
-        own = r + self._own
-        drive = (state[2] / abs(gain) + t[own, :r] @ local) / t[own, r]
-        motion = t[rows, r] * drive - t[rows, :r] @ local
-        gains = np.array([sensor_gain(1j * z[-2], *parts.channels[place])[0] for place in self._places])
-        seen = motion * gains
-        return np.asarray(seen / seen[0])
-
     def stepped(self, rig: Rig, cache: PartsCache, states: tuple[DecayState | None, ...]) -> list[DecayState | None]:
         """Solutions of a slightly different rig by one Newton step."""
         parts = cache.parts(rig, self.setup)
-        result: list[DecayState | None] = []
-        for state in states:
-            if state is None:
-                result.append(None)
-                continue
-            z = self._carried(parts, state, state[2])
-            # Not at the pole of the linear system itself, where transfer functions are infinite.
-            z[-2] *= 1.0 + _OFF_POLE
-            residual, jacobian = evaluate_decay(z, *self._arguments(parts, z, state[2]))
-            result.append((z - self._solved(jacobian, residual, z), parts.keys, state[2]))
+        result: list[DecayState | None] = [None] * len(states)
+        solved = [(position, state) for position, state in enumerate(states) if state is not None]
+        if not solved:
+            return result
+        z = np.array([self._carried(parts, state, state[2]) for _, state in solved])
+        # Not at the pole of the linear system itself, where transfer functions are infinite.
+        z[:, -2] *= 1.0 + _OFF_POLE
+        amplitudes = np.array([state[2] for _, state in solved])
+        moved = stepped_decays(
+            z, amplitudes, *self._own_output(parts), *self._model(parts), parts.force_factor, parts.tables
+        )
+        for (position, state), own in zip(solved, moved, strict=True):
+            result[position] = (own, parts.keys, state[2])
         return result
 
-    def _observed_ratio(self, parts: RigParts, state: DecayState) -> float:
-        """Damping ratio with the change of frequency over amplitude, for the amplitude of the channel itself."""
-        z, amplitude = state[0].copy(), state[2]
-        z[-2] *= 1.0 + _OFF_POLE
-        arguments = self._arguments(parts, z, amplitude)
-        residual, jacobian = evaluate_decay(z, *arguments)
-        step = 1e-5
-        moved = evaluate_decay(z, arguments[0] * (1.0 + step), *arguments[1:])[0]
-        slope = -float(self._solved(jacobian, (moved - residual) / step, z)[-2]) / z[-2]
-        derivatives = {Quantity.VELOCITY: 1.0, Quantity.ACCELERATION: 2.0}.get(self.test.channel.quantity, 0.0)
-        # From the channel's amplitude to that of the displacement.
-        slope = slope / (1.0 - derivatives * slope)
-        return float(z[-1] * (1.0 + derivatives * slope) / (1.0 + 0.5 * slope))
+    def _own_output(self, parts: RigParts) -> tuple[int, FloatArray]:
+        """Row of the channel that was band-passed in the linear model, and its sensor."""
+        return parts.coordinates + self._own, parts.channels[self._own]
 
-    def _arguments(self, parts: RigParts, z: FloatArray, amplitude: float) -> tuple[Any, ...]:
+    @staticmethod
+    def _model(parts: RigParts) -> tuple[Any, ...]:
         model = parts.linear
-        output = parts.coordinates + self._own
-        gain, _ = sensor_gain(1j * z[-2], *parts.channels[self._own])
-        true = amplitude / abs(gain)
-        # Change of 1/T per relative change of s, at the nearest pole.
-        s = z[-2] * (1j - z[-1])
-        t, slope = model.at(s * (1.0 + 1e-6))
-        size = abs(slope[output, -1] / t[output, -1] ** 2 * s) * true
         return (
-            complex(true), 1.0 / size, output, model.poles, model.displacement, model.velocity, model.acceleration,
-            model.inputs, model.feedthrough, parts.force_factor, parts.tables,
+            model.poles, model.displacement, model.velocity, model.acceleration, model.inputs, model.feedthrough,
         )  # fmt: skip
 
+    def _arguments(self, parts: RigParts, z: FloatArray, amplitude: float) -> tuple[Any, ...]:
+        own, model = self._own_output(parts), self._model(parts)
+        true, weight = closure(z, amplitude, *own, *model)
+        return (true, weight, own[0], *model, parts.force_factor, parts.tables)
+
     def _solved(self, jacobian: FloatArray, residual: FloatArray, z: FloatArray) -> FloatArray:
-        size = self.setup.basis.size
-        scale = np.ones_like(z)
-        for first in range(0, z.size - 2, size):
-            largest = float(np.max(np.abs(z[first : first + size])))
-            scale[first : first + size] = largest if largest > 0.0 else 1.0
-        scale[-2] = z[-2]
-        rows = np.concatenate((1.0 / scale[:-2], [1.0, 1.0]))
-        result: FloatArray = scale * np.linalg.solve(jacobian * scale * rows[:, None], residual * rows)
+        result: FloatArray = newton_step(jacobian, residual, z, self.setup.basis.size)
         return result
 
     def _continued(

@@ -32,10 +32,10 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines
+from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines, step_more_lines
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.rig_parts import RigParts
+from nmt_diagnose.twin.rig_parts import RigParts, shared_unknowns
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
@@ -163,8 +163,15 @@ class SteppedSineTwin:
         assert state is not None
         parts = self.parts(rig, cache)
         if parts.keys != state.keys:
-            # Other coordinates: nothing of the Jacobians can be kept.
-            return self.solve(rig, cache, None)
+            shared = shared_unknowns(state.keys, parts.keys, parts.basis.size)
+            if shared is None:
+                # A coordinate with a force is gone: nothing of the Jacobians can be kept.
+                return self.solve(rig, cache, None)
+            z, values = step_more_lines(
+                state.z, *shared, state.inverses, state.slopes, *self._given(parts), *_model(parts)
+            )
+            responses, _ = self._over_reference(parts, z, values)
+            return [replace(state, keys=parts.keys, z=z, responses=responses)]
         same = parts.clock == state.clock and _same_tables(parts.tables, state.tables)
         z, values = step_lines(
             state.z, state.forces, same, state.inverses, state.slopes, *self._given(parts), *_model(parts)
@@ -279,4 +286,7 @@ def _model(parts: RigParts) -> tuple[Any, ...]:
 
 def _same_tables(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
     """Whether two tables hold the same elements."""
-    return a is b or all(x is y or (x.shape == y.shape and np.array_equal(x, y)) for x, y in zip(a, b, strict=True))
+    # Elements and their coordinates, and the number of samples; the rest follows from these.
+    if a is b:
+        return True
+    return all(x is y or (x.shape == y.shape and (x == y).all()) for x, y in zip(a[3:11], b[3:11], strict=True))

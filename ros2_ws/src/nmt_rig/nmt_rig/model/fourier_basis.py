@@ -7,6 +7,7 @@ value for n = 0, otherwise (c_n, s_n) with x = Σ c_n cos(nθ) + s_n sin(nθ) an
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,27 +58,32 @@ class FourierBasis:
         offsets = np.concatenate(([0], np.cumsum(widths)[:-1])).astype(np.int64)
         return cls(kept, offsets, int(widths.sum()))
 
-    @property
+    @cached_property
     def fundamental(self) -> int:
         """Position of order 1 in ``orders``."""
         return int(np.flatnonzero(self.orders == 1)[0])
 
+    @cached_property
+    def _sines(self) -> tuple[IntArray, IntArray]:
+        """Positions of the orders above 0, and of their sine coefficients."""
+        above = np.flatnonzero(self.orders > 0)
+        return above, self.offsets[above] + 1
+
     def to_complex(self, coefficients: FloatArray) -> ComplexArray:
         """Complex amplitudes ψ_n (…, n_orders) of real coefficients (…, size)."""
         amplitudes = np.empty((*coefficients.shape[:-1], self.orders.size), dtype=np.complex128)
-        for position, (order, offset) in enumerate(zip(self.orders, self.offsets, strict=True)):
-            amplitudes[..., position] = coefficients[..., offset]
-            if order:
-                amplitudes[..., position] -= 1j * coefficients[..., offset + 1]
+        above, sines = self._sines
+        amplitudes.real = coefficients[..., self.offsets]
+        amplitudes.imag = 0.0
+        amplitudes.imag[..., above] = -coefficients[..., sines]
         return amplitudes
 
     def to_real(self, amplitudes: ComplexArray) -> FloatArray:
         """Real coefficients (…, size) of complex amplitudes ψ_n (…, n_orders)."""
         coefficients = np.empty((*amplitudes.shape[:-1], self.size))
-        for position, (order, offset) in enumerate(zip(self.orders, self.offsets, strict=True)):
-            coefficients[..., offset] = amplitudes[..., position].real
-            if order:
-                coefficients[..., offset + 1] = -amplitudes[..., position].imag
+        above, sines = self._sines
+        coefficients[..., self.offsets] = amplitudes.real
+        coefficients[..., sines] = -amplitudes.imag[..., above]
         return coefficients
 
     def sampled(self, samples: int) -> FloatArray:

@@ -30,15 +30,16 @@ def sensitivity(columns: np.ndarray = COLUMNS) -> Sensitivity:
     own = Sensitivity.__new__(Sensitivity)
     own.base, own._nuisance = observed(np.zeros(ROWS)), columns
     own.model = None  # type: ignore[assignment]
+    # The first column is a parameter of the model, in prior standard deviations; the others are of the lock.
+    own._made = [lambda deviation: deviation, *[None] * (columns.shape[1] - 1)]  # type: ignore[list-item, return-value]
+    own._late = []
     own.bench = type("Bench", (), {"levels": tuple(range(12))})()  # type: ignore[assignment]
     return own
 
 
 @pytest.fixture(autouse=True)
 def one_parameter(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first column is a parameter of the model, in prior standard deviations; the others are of the lock."""
-    monkeypatch.setattr(strength, "parameters", lambda model: {("a",): (1.0, 0.1)})
-    monkeypatch.setattr(strength, "shifted", lambda path, value, std, deviation: deviation)
+    """An edit of the model is the shift of its parameter."""
     monkeypatch.setattr(strength, "with_edits", lambda model, edits: edits[0])
 
 
@@ -91,12 +92,13 @@ def test_a_former_curve_is_where_the_search_starts(monkeypatch: pytest.MonkeyPat
     own.rig = type("R", (), {"caution": 1.0})()  # type: ignore[assignment]
     curve, mark = own.curve(flat, None, {"points": [[4.0, 16.0], [16.0, 64.0]], "proportional": True})  # type: ignore[arg-type]
     assert tried[0] == pytest.approx(16.0)
-    assert curve == {"points": [[16.0, 64.0], [1024.0, 4096.0]], "proportional": True, "trouble": ""}
-    # Of what grows in proportion the mark at 64 does; of others it may be another one.
-    assert mark == pytest.approx([16.0])
+    assert curve == {"points": [[2.0, 8.0], [16.0, 64.0], [1024.0, 4096.0]], "proportional": True, "trouble": ""}
+    # The nearest to where signatures are compared; farther ones do only of what grows in proportion.
+    assert mark == pytest.approx([2.0])
     other = own.curve(replace(flat, proportional=False), None, {"points": [[16.0, 64.0]]})[1]  # type: ignore[arg-type]
     assert other == pytest.approx([2.0])
     monkeypatch.setattr(strength, "COMPARED", 1.0)
+    assert own.curve(flat, None, {"points": [[16.0, 64.0]]})[1] == pytest.approx([2.0])  # type: ignore[arg-type]
     assert own.curve(replace(flat, proportional=False), None, {"points": [[16.0, 64.0]]})[1] is None  # type: ignore[arg-type]
 
 

@@ -276,9 +276,8 @@ class Sensitivity:
         delays: dict[int, float] = {}
         for number, sensor, size in self._late:
             delays[sensor] = delays.get(sensor, 0.0) + size * float(shifts[number])
-        latest = -LEAST_LEAD / self.model.sample_rate_hz
         for sensor, delay in delays.items():
-            late = max(self.model.sensors[sensor].delay_s + delay, latest)
+            late = max(self.model.sensors[sensor].delay_s + delay, -LEAST_LEAD / self.model.sample_rate_hz)
             edits.append(Edit(("sensors", sensor, "delay_s"), late))
         return edits
 

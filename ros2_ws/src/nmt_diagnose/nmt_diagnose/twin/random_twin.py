@@ -1,4 +1,4 @@
-"""Frequency responses of a low-level random test: the system linearised at rest, smoothed as the estimator does."""
+"""Frequency responses of a random test: the system linearised about its motion, smoothed as the estimator does."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.twin.equivalent_linear import equivalents
 from nmt_diagnose.twin.held_steps import HeldSteps
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
@@ -27,6 +28,10 @@ HANN = np.array([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])
 # Orders of the drive's images: the armature's resonance may amplify high ones.
 IMAGES = tuple(order for n in range(1, 7) for order in (-n, n))
 IMAGE_NODES = 12
+# Frequencies about each pole at which the motion is added up, in half widths of its peak.
+_ABOUT = np.sinh(np.linspace(-6.0, 6.0, 61)) / 4.0
+# Most turns and relative change that ends the search for a motion and the local forces that belong to it.
+_TURNS, _SETTLED = 40, 1e-9
 
 
 @dataclass(frozen=True)
@@ -133,18 +138,72 @@ class RandomTwin:
         fractions = parts.linear.partial_fractions(
             np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
         )
-        result = self._smoothed(parts, self.frequencies, fractions)
+        local = self._local(parts)
+        result = self._smoothed(parts, local, fractions)
         if self._steps is not None:
             chains = parts.channels[self._own]
             plain = chains.copy()
             plain[:, 1:3] = 0.0
-            above = self._plain(parts, self._steps.frequencies, fractions, plain)[:, :-1]
+            above = self._plain(parts, local, self._steps.frequencies, fractions, plain)[:, :-1]
             return self._steps.seen(result, above, chains[:-1, 1], chains[:-1, 2])
         if self._folding is None:
             return result
-        return np.asarray(self._folding.own * result + self._images(parts, self._folding, fractions))
+        return np.asarray(self._folding.own * result + self._images(parts, local, self._folding, fractions))
 
-    def _images(self, parts: RigParts, folding: Folding, fractions: tuple[FloatArray, ...]) -> ComplexArray:
+    def _local(self, parts: RigParts) -> tuple[FloatArray, FloatArray]:
+        """Stiffness and damping of the local forces under the motion that the drive makes, (r,) each; see
+        equivalent_linear.py. A drive of unknown size is small.
+        """
+        resting = parts.resting
+        test, tables, r = self.test, parts.tables, parts.coordinates
+        acting = np.diff(tables[4]) + np.diff(tables[6]) + np.diff(tables[9]) > 0
+        if not acting.any() or not test.drive_rms > 0.0 or not test.stop_s > test.start_s or test.lines_hz.size < 2:
+            return resting
+        count = acting.size
+        coordinates = np.arange(r)
+        fractions = parts.linear.partial_fractions(np.concatenate((coordinates, coordinates, r + self._own[-1:])))
+        chains = np.zeros((r + 1, parts.channels.shape[1]))
+        chains[:, 0] = 1.0
+        omega = self._band(parts)
+        stiffness, damping = resting
+        before = math.inf
+        size = 1.0
+        for _ in range(_TURNS):
+            h = np.abs(linear_responses(omega, r, stiffness, damping, *fractions, chains)) ** 2
+            scale = test.drive_rms**2 / np.trapezoid(h[:, r], omega)
+            moved = np.sqrt(scale * np.trapezoid(h[:, :r], omega, axis=0))[:count]
+            fast = np.sqrt(scale * np.trapezoid(h[:, :r] * omega[:, np.newaxis] ** 2, omega, axis=0))[:count]
+            if not (np.all(np.isfinite(moved)) and np.all(moved[acting] > 0.0)):
+                return resting
+            k, d = equivalents(tables, np.maximum(moved, 1e-300), np.maximum(fast, 1e-300))
+            # Over what moves the coordinate as it is.
+            mobility = np.sqrt(np.max(h[:, :r], axis=0))[:count]
+            steps = (
+                (k - stiffness[:count]) * mobility,
+                (d - damping[:count]) * mobility * fast / np.maximum(moved, 1e-300),
+            )
+            change = float(np.max(np.abs(steps)))
+            size = size if change < 0.9 * before else 0.5 * size
+            before = change
+            stiffness, damping = stiffness.copy(), damping.copy()
+            stiffness[:count] += size * (k - stiffness[:count])
+            damping[:count] += size * (d - damping[:count])
+            if change < _SETTLED:
+                break
+        return stiffness, damping
+
+    def _band(self, parts: RigParts) -> FloatArray:
+        """Frequencies at which the motion is added up, rad/s: lines of the test, and about each pole between them."""
+        low, high = float(self.test.lines_hz.min()), float(self.test.lines_hz.max())
+        poles = parts.linear.poles[parts.linear.poles.imag > 0.0]
+        widths = np.maximum(np.abs(poles.real), 1e-4 * np.abs(poles))
+        about = (np.abs(poles)[:, np.newaxis] + widths[:, np.newaxis] * _ABOUT) / (2.0 * np.pi * parts.clock)
+        inside = about[(about > low) & (about < high)]
+        return np.asarray(2.0 * np.pi * parts.clock * np.unique(np.concatenate((self.test.lines_hz, inside))))
+
+    def _images(
+        self, parts: RigParts, local: tuple[FloatArray, FloatArray], folding: Folding, fractions: tuple[FloatArray, ...]
+    ) -> ComplexArray:
         """What images of the drive around multiples of its rate fold onto the lines (lines, channels).
 
         Far above the lines the responses are smooth: a few frequencies and a polynomial between them do.
@@ -153,34 +212,37 @@ class RandomTwin:
         chains = parts.channels[self._own]
         ideal = chains.copy()
         ideal[:, 1:] = 0.0
-        values = self._plain(parts, folding.frequencies, fractions, ideal)
+        values = self._plain(parts, local, folding.frequencies, fractions, ideal)
         total = folded(values, folding.below, folding.weights)
         total *= sensor_gains(folding.nodes * parts.clock, chains[:-1]) / chains[:-1, 0]
         return np.asarray(folding.between @ total)
 
-    def _smoothed(self, parts: RigParts, frequencies: FloatArray, fractions: tuple[FloatArray, ...]) -> ComplexArray:
+    def _smoothed(
+        self, parts: RigParts, local: tuple[FloatArray, FloatArray], fractions: tuple[FloatArray, ...]
+    ) -> ComplexArray:
         """Responses over the reference, as the estimator's window mixes neighbouring lines (lines, channels)."""
-        h = self._plain(parts, frequencies, fractions)
+        h = self._plain(parts, local, self.frequencies, fractions)
         result: ComplexArray = windowed(h, self.index, self.weights)
         return result
 
     def _plain(
         self,
         parts: RigParts,
+        local: tuple[FloatArray, FloatArray],
         frequencies: FloatArray,
         fractions: tuple[FloatArray, ...],
         chains: FloatArray | None = None,
     ) -> ComplexArray:
         """Responses to the drive at some frequencies (frequencies, channels and reference).
 
-        ``fractions`` are the partial fractions of the local coordinates and of the channels, ``chains`` the sensor
-        chains; None = those of the rig.
+        ``local`` are stiffness and damping of the local forces, ``fractions`` the partial fractions of the local
+        coordinates and of the channels, ``chains`` the sensor chains; None = those of the rig.
         """
         r = parts.coordinates
         h = linear_responses(
             2.0 * np.pi * frequencies * parts.clock,
             r,
-            *parts.resting,
+            *local,
             *fractions,
             parts.channels[self._own] if chains is None else chains,
         )

@@ -1,0 +1,87 @@
+"""Local forces under Gaussian motion, each replaced by the spring and damper that are nearest to it in the mean square.
+
+Statistical linearisation (Roberts and Spanos, Random Vibration and Statistical Linearization, 2003, chapter 3): a force
+g(w, ẇ) becomes k w + d ẇ with k = E[g w] / E[w²] and d = E[g ẇ] / E[ẇ²]. It is what cross-spectra with the drive see of
+a weakly nonlinear system. A force with memory takes its values from cycles whose amplitudes are distributed as those of
+narrow-band noise (Rayleigh).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from nmt_core.blocks import FloatArray
+from nmt_rig.model.aft import LocalTables
+from nmt_rig.model.local_elements import element_response
+
+_DISPLACEMENTS, _VELOCITIES, _CYCLES = 16, 48, 32
+_W, _W_SHARE = np.polynomial.hermite_e.hermegauss(_DISPLACEMENTS)
+_V, _V_SHARE = np.polynomial.hermite_e.hermegauss(_VELOCITIES)
+_W_SHARE, _V_SHARE = _W_SHARE / _W_SHARE.sum(), _V_SHARE / _V_SHARE.sum()
+_A, _A_SHARE = np.polynomial.laguerre.laggauss(_CYCLES)
+
+
+def equivalents(tables: LocalTables, displacement: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Stiffness (N/m) and damping (N s/m) of the local forces of each coordinate, (r,) each.
+
+    Args:
+        tables: of the local forces.
+        displacement, velocity: rms of w (m) and ẇ (m/s) of each coordinate, (r,), above zero.
+    """
+    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = tables[3:10]
+    stiffness, damping = _equivalents(
+        jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start, displacement, velocity,
+        _W, _W_SHARE, _V, _V_SHARE, _A, _A_SHARE,
+    )  # fmt: skip
+    return stiffness, damping
+
+
+@njit(cache=True)
+def _equivalents(  # type: ignore[no-untyped-def]
+    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start, displacement, velocity,
+    w_nodes, w_shares, v_nodes, v_shares, cycles, cycle_shares,
+):  # fmt: skip
+    count = displacement.size
+    stiffness, damping = np.zeros(count), np.zeros(count)
+    for i in range(count):
+        x, y = displacement[i], velocity[i]
+        for number in range(jenkins_start[i], jenkins_start[i + 1]):
+            k, d = _slider(jenkins[number, 0], jenkins[number, 1], x, y, cycles, cycle_shares)
+            stiffness[i] += k
+            damping[i] += d
+        for number in range(contacts_start[i], contacts_start[i + 1]):
+            # E[g w] / E[w²] is the mean slope of g (Stein): the share of time in contact.
+            stiffness[i] += contacts[number, 0] * 0.5 * math.erfc(contacts[number, 1] / x / math.sqrt(2.0))
+        for number in range(sampled_start[i], sampled_start[i + 1]):
+            along_w, along_v = 0.0, 0.0
+            for a in range(w_nodes.size):
+                for b in range(v_nodes.size):
+                    g = element_response(kinds[number], parameters[number], x * w_nodes[a], y * v_nodes[b], 0.0)[0]
+                    share = w_shares[a] * v_shares[b] * g
+                    along_w += share * w_nodes[a]
+                    along_v += share * v_nodes[b]
+            stiffness[i] += along_w / x
+            damping[i] += along_v / y
+    return stiffness, damping
+
+
+@njit(cache=True)
+def _slider(k, slip, x, y, cycles, shares):  # type: ignore[no-untyped-def]
+    """Equivalents of a Jenkins element: secant and dissipation of cycles of amplitude A, weighed with A²."""
+    limit = slip / k
+    total, along, lost = 0.0, 0.0, 0.0
+    for n in range(cycles.size):
+        amplitude = x * math.sqrt(2.0 * cycles[n])
+        weight = shares[n] * cycles[n]
+        total += weight
+        if amplitude <= limit:
+            along += weight * k
+            continue
+        angle = math.acos(1.0 - 2.0 * limit / amplitude)
+        along += weight * k / math.pi * (angle - 0.5 * math.sin(2.0 * angle))
+        # 4 μN (A − A₀) a cycle over π ω A².
+        lost += weight * 4.0 * slip * (amplitude - limit) / (math.pi * amplitude * amplitude)
+    return along / total, lost / total * x / y

@@ -246,12 +246,17 @@ class RecorderNode(BenchNode):
         now = time.monotonic()
         silence, since_end = now - self._last_time, now - self._end_time
         if self.core.gaps.reached(self.core.end_sample):
-            if since_end < _LONGEST_RAMP and self.core.awaits_ramp:
+            if since_end < _LONGEST_RAMP and self.core.awaits_ramp and self._plant_is_there:
                 return
             if silence >= self._settle_time or since_end >= _LONGEST_END:
                 self.close("", "done")
         elif silence >= self._patience or since_end >= self._patience + _LONGEST_END:
             self.close(f"blocks up to sample {self.core.end_sample} did not arrive", "incomplete")
+
+    @property
+    def _plant_is_there(self) -> bool:
+        """Whether anybody is left who could send the ramp to zero."""
+        return self.count_publishers(PLANT_BUNDLE if "voltage" in self._bundled else "voltage") > 0
 
     def _failed(self, error: BenchError) -> None:
         self.get_logger().error(str(error))

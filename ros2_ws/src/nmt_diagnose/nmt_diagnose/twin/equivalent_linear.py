@@ -72,16 +72,15 @@ def _equivalents(  # type: ignore[no-untyped-def]
 def _slider(k, slip, x, y, cycles, shares):  # type: ignore[no-untyped-def]
     """Equivalents of a Jenkins element: secant and dissipation of cycles of amplitude A, weighed with A²."""
     limit = slip / k
-    total, along, lost = 0.0, 0.0, 0.0
-    for n in range(cycles.size):
-        amplitude = x * math.sqrt(2.0 * cycles[n])
-        weight = shares[n] * cycles[n]
-        total += weight
-        if amplitude <= limit:
-            along += weight * k
-            continue
-        angle = math.acos(1.0 - 2.0 * limit / amplitude)
+    # With x = A² / 2σ² the distribution is exp(−x); below x₀ the slider sticks.
+    start = 0.5 * (limit / x) ** 2
+    share = math.exp(-start)
+    along, lost = k * (1.0 - share * (1.0 + start)), 0.0
+    for n in range(cycles.size if share > 0.0 else 0):
+        amplitude = x * math.sqrt(2.0 * (start + cycles[n]))
+        weight = share * shares[n] * (start + cycles[n])
+        angle = math.acos(max(1.0 - 2.0 * limit / amplitude, -1.0))
         along += weight * k / math.pi * (angle - 0.5 * math.sin(2.0 * angle))
-        # 4 μN (A − A₀) a cycle over π ω A².
+        # 4 μN (A − A₀) a cycle, over π ω A².
         lost += weight * 4.0 * slip * (amplitude - limit) / (math.pi * amplitude * amplitude)
-    return along / total, lost / total * x / y
+    return along, lost * x / y

@@ -30,6 +30,7 @@ IMAGES = tuple(order for n in range(1, 7) for order in (-n, n))
 IMAGE_NODES = 12
 # Frequencies about each pole at which the motion is added up, in half widths of its peak.
 _ABOUT = np.sinh(np.linspace(-6.0, 6.0, 61)) / 4.0
+_FAR = 3.0  # poles beyond the band by that factor hardly move those in it
 # Most turns and relative change that ends the search for a motion and the local forces that belong to it.
 _TURNS, _SETTLED = 40, 1e-9
 
@@ -164,11 +165,11 @@ class RandomTwin:
         fractions = parts.linear.partial_fractions(np.concatenate((coordinates, coordinates, r + self._own[-1:])))
         chains = np.zeros((r + 1, parts.channels.shape[1]))
         chains[:, 0] = 1.0
-        omega = self._band(parts)
         stiffness, damping = resting
         before = math.inf
         size = 1.0
         for _ in range(_TURNS):
+            omega = self._band(parts, stiffness, damping)
             h = np.abs(linear_responses(omega, r, stiffness, damping, *fractions, chains)) ** 2
             scale = test.drive_rms**2 / np.trapezoid(h[:, r], omega)
             moved = np.sqrt(scale * np.trapezoid(h[:, :r], omega, axis=0))[:count]
@@ -192,14 +193,22 @@ class RandomTwin:
                 break
         return stiffness, damping
 
-    def _band(self, parts: RigParts) -> FloatArray:
-        """Frequencies at which the motion is added up, rad/s: lines of the test, and about each pole between them."""
-        low, high = float(self.test.lines_hz.min()), float(self.test.lines_hz.max())
-        poles = parts.linear.poles[parts.linear.poles.imag > 0.0]
-        widths = np.maximum(np.abs(poles.real), 1e-4 * np.abs(poles))
-        about = (np.abs(poles)[:, np.newaxis] + widths[:, np.newaxis] * _ABOUT) / (2.0 * np.pi * parts.clock)
-        inside = about[(about > low) & (about < high)]
-        return np.asarray(2.0 * np.pi * parts.clock * np.unique(np.concatenate((self.test.lines_hz, inside))))
+    def _band(self, parts: RigParts, stiffness: FloatArray, damping: FloatArray) -> FloatArray:
+        """Frequencies at which the motion is added up, rad/s: lines of the test, and about each pole, as it is with
+        local forces of that stiffness and damping (r,).
+        """
+        lines = 2.0 * np.pi * parts.clock * self.test.lines_hz
+        low, high = float(lines.min()), float(lines.max())
+        model, r = parts.linear, parts.coordinates
+        near = np.flatnonzero((np.abs(model.poles) < _FAR * high) & (np.abs(model.poles) > low / _FAR))
+        poles, outputs = model.poles[near], model.displacement[:r, near]
+        forces = stiffness[:, np.newaxis] * outputs + damping[:, np.newaxis] * outputs * poles
+        closed = np.linalg.eigvals(np.diag(poles) - model.inputs[near, :r] @ forces)
+        closed = closed[closed.imag > 0.0]
+        widths = np.maximum(np.abs(closed.real), 1e-4 * np.abs(closed))
+        about = np.abs(closed)[:, np.newaxis] + widths[:, np.newaxis] * _ABOUT
+        # Clipped, not left out: sums must not jump where a pole moves.
+        return np.sort(np.concatenate((lines, np.clip(about, low, high).ravel())))
 
     def _images(
         self, parts: RigParts, local: tuple[FloatArray, FloatArray], folding: Folding, fractions: tuple[FloatArray, ...]

@@ -11,11 +11,12 @@ from matplotlib.figure import Figure
 from unit.bench.synthetic_run import synthetic_run
 
 from nmt_report import backbone_figures
+from nmt_report.error_bars import joined_error_bars
 from nmt_report.figure_files import _NUMBERS
 from nmt_report.figure_record import record, unpacked
 from nmt_report.run_report import report_html
 from nmt_report.shown_levels import MOST_CURVES, shown_note, spread_evenly
-from nmt_report.svg import _shortened, figure_style, svg_text
+from nmt_report.svg import BLUE, _shortened, figure_style, svg_text
 
 
 @pytest.mark.parametrize(("count", "most"), [(1, 2), (7, 7), (8, 7), (25, 24), (47, 24), (1000, 24), (13, 12)])
@@ -67,6 +68,28 @@ def test_a_drawn_figure_is_recorded_as_one_that_is_drawn_for_it() -> None:
     with figure_style():
         page = svg_text(figure(), "one", "title")
         assert unpacked(_NUMBERS.findall(page)[0]) == record(figure(), "one", "title")
+
+
+def test_error_bars_of_many_points_are_recorded_and_drawn_as_those_of_few() -> None:
+    x, y = np.geomspace(1.0, 9.0, 30), np.linspace(4.0, 5.0, 30)
+    y_std, x_std = np.full(30, 0.1), 0.01 * x
+
+    def figure(joined: bool) -> Figure:
+        made = Figure(figsize=(6.3, 4.2))
+        axes = made.subplots()
+        if joined:
+            joined_error_bars(axes, x, y, y_std, x_std, colour=BLUE, width=1.0)
+        else:
+            axes.errorbar(x, y, y_std, x_std, fmt="none", ecolor=BLUE, elinewidth=1.0, capsize=0.0)
+        axes.plot(x, y, "o", color=BLUE)
+        axes.set_xscale("log")
+        return made
+
+    with figure_style():
+        one, other = (svg_text(figure(joined), "one", "title") for joined in (True, False))
+    assert unpacked(_NUMBERS.findall(one)[0]) == unpacked(_NUMBERS.findall(other)[0])
+    ways = [[corners(way) for way in re.findall(r'<path d="([^"]*)"', page)] for page in (one, other)]
+    assert ways[0] == ways[1]
 
 
 def test_crowded_figures_keep_every_level_in_their_numbers(monkeypatch: pytest.MonkeyPatch) -> None:

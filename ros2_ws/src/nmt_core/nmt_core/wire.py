@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.blocks import OscillatorPhase, SampleBlock
+from nmt_core.blocks import FloatArray, OscillatorPhase, SampleBlock
 from nmt_core.cdr import (
     BASE,
     COUNT,
@@ -168,6 +168,20 @@ class BlockReader:
         samples = layout.count // len(channels)
         phase = OscillatorPhase(cycles, frequency, rate)
         return BlockHead(first_sample, samples, sample_rate, quantity, unit, channels, points, phase, flags)
+
+    def samples(self, raw: bytes, row: int) -> FloatArray:
+        """Samples of one channel, which cannot be written to and keep ``raw``.
+
+        Raises:
+            ValueError: as :meth:`read`.
+            IndexError: there is no such channel.
+        """
+        layout = self._layout_of(raw)
+        channels = len(layout.values[2])
+        if not 0 <= row < channels:
+            raise IndexError(f"channel {row} of {channels}")
+        size = layout.count // channels
+        return np.frombuffer(raw, np.float64, size, layout.data + 8 * size * row)
 
     def _layout_of(self, raw: bytes) -> _BlockLayout:
         layout = self._layout

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -198,12 +198,19 @@ def read_signals(bag: Bag, first_sample: int, samples: int) -> Signals:
     return signals
 
 
-def read_stretches(bag: Bag, stretches: Sequence[tuple[int, int]]) -> list[Signals | None]:
+def read_stretches(
+    bag: Bag,
+    stretches: Sequence[tuple[int, int]],
+    each: Callable[[str, bytes], None] | None = None,
+    whole: bool = False,
+) -> list[Signals | None]:
     """All channels of a bag over several stretches of samples, in one pass.
 
     Args:
         bag: an opened bag.
         stretches: first sample and number of samples of each.
+        each: called on the way with the topic and the serialised block of every message of samples.
+        whole: leave out stretches that reach beyond the last sample of the bag.
 
     Returns:
         One for each stretch, with what is wrong with it; None where the bag holds no sample of it.
@@ -219,7 +226,10 @@ def read_stretches(bag: Bag, stretches: Sequence[tuple[int, int]]) -> list[Signa
     starts = [collector.first for collector in in_order]
     longest = max((collector.samples for collector in collectors), default=0)
     clock = _Clock()
+    end_sample = 0
     for topic, _, _, raw in bag.raw_messages(names) if names else ():
+        if each is not None:
+            each(topic, raw)
         try:
             head = readers[topic].head(raw)
             # No other stretch has a sample of this block, however many stretches there are.
@@ -228,12 +238,15 @@ def read_stretches(bag: Bag, stretches: Sequence[tuple[int, int]]) -> list[Signa
             block = readers[topic].read(raw) if wanted else None
         except ValueError:
             continue  # its samples will be found to be missing
+        end_sample = max(end_sample, head.end_sample)
         if topic == clock_topic:
             clock.add(head)
         for collector in wanted:
             collector.add(topic, block)
     clock.finish()
-    return [collector.signals(names, clock) for collector in collectors]
+    return [
+        None if whole and collector.end > end_sample else collector.signals(names, clock) for collector in collectors
+    ]
 
 
 class _Collector:

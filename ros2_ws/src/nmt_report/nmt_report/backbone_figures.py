@@ -13,6 +13,7 @@ from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, 
 
 from nmt_report.abscissa import Abscissa, abscissa_of
 from nmt_report.columns import unit_text
+from nmt_report.error_bars import joined_error_bars
 from nmt_report.quantity_format import significant, uncertain
 from nmt_report.run_data import RunReportData
 from nmt_report.shown_levels import MOST_MARKS
@@ -117,7 +118,7 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
         value, std = _column(points, name)
         tips |= _points(axes, points, x, x_std, value, std, name, "")
         axes.axhline(1.0, color=MUTED, linewidth=0.8)
-        axes.set_title(title)
+        axes.set_title(title, y=1.0)
         lowest = float(np.nanmin(value)) if np.any(np.isfinite(value)) else 0.9
         span = max(1.0 - lowest, 1e-4)
         axes.set_ylim(lowest - 0.25 * span, 1.0 + 0.25 * span)
@@ -225,17 +226,11 @@ def _points(
     single = len(points) <= MOST_MARKS
     if not single and x_std is not None and not np.nanmax(x_std / x, initial=0.0) > _HIDDEN:
         x_std = None
-    axes.errorbar(
-        x,
-        y,
-        np.nan_to_num(y_std),
-        None if x_std is None else np.nan_to_num(x_std),
-        fmt="none",
-        ecolor=BLUE,
-        elinewidth=1.0,
-        capsize=2.0 if single else 0.0,
-        capthick=1.0,
-    )
+    bars = np.nan_to_num(y_std), None if x_std is None else np.nan_to_num(x_std)
+    if single:
+        axes.errorbar(x, y, *bars, fmt="none", ecolor=BLUE, elinewidth=1.0, capsize=2.0, capthick=1.0)
+    else:
+        joined_error_bars(axes, x, y, *bars, colour=BLUE, width=1.0)
     if joined:
         axes.plot(x, y, "-", color=BLUE, linewidth=0.8, alpha=0.55)
     tips: dict[str, str] = {}

@@ -16,13 +16,12 @@ from nmt_core.vocabulary import LoopState
 from nmt_report.columns import unit_text
 from nmt_report.quantity_format import significant
 from nmt_report.run_data import Excerpt, LevelStart, RunReportData
-from nmt_report.shown_levels import MOST_MARKS, shown_note, spread_evenly
+from nmt_report.shown_levels import MOST_MARKS, MOST_PANELS, shown_note, spread_evenly
 from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MOST_PANELS = 12
 _STRIP_COLUMNS = 400
 _WINDOW = "#dbe8f6"
 _STATE_COLOURS = {
@@ -151,7 +150,7 @@ def excerpt_figure(data: RunReportData) -> ReportFigure | None:
         if index + columns >= len(chosen):
             panels[index].set_xlabel("time in the window / periods")
             panels[index].tick_params(labelbottom=True)
-    some = shown_note(len(chosen), len(data.excerpts))
+    some = shown_note(len(chosen), max(len(data.excerpts), data.excerpts_of))
     symbol = chosen[0].response_symbol
     caption = (
         "Force (blue, left axis, N) and response "
@@ -226,6 +225,7 @@ def _excerpt(axes: Axes, excerpt: Excerpt, first_column: bool, last_column: bool
         f"level {excerpt.level_index + 1}: {significant(excerpt.level, 3)} {unit_text(excerpt.level_unit)}",
         fontsize=8.5,
         loc="center",
+        y=1.0,
     )
     axes.set_xlim(0.0, float(periods[-1]))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -160,7 +160,8 @@ class RunReportData:
         linear: what the loop and the extraction knew of the linear system.
         history: state of the loop; None where it was not recorded.
         envelopes: voltage, force and response over the whole run, as far as recorded.
-        excerpts: time signals, one a locked level.
+        excerpts: time signals, one a locked level, or only of those that a page shows.
+        excerpts_of: locked levels that they were chosen from; 0 = not chosen.
         levels: steps of the plan.
         locks: confirmed locks.
         reference: computed backbone to compare with, if any.
@@ -181,6 +182,7 @@ class RunReportData:
     history: LoopHistory | None = None
     envelopes: Sequence[Envelope] = ()
     excerpts: Sequence[Excerpt] = ()
+    excerpts_of: int = 0
     levels: Sequence[LevelStart] = ()
     locks: Sequence[LockMark] = ()
     reference: ReferenceCurve | None = None

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, SampleBlock
+from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import yaml_value
 from nmt_core.linear_description import LinearDescription
+from nmt_core.wire import BlockReader
 from nmt_report.run_data import (
     Envelope,
     Excerpt,
@@ -24,6 +25,7 @@ from nmt_report.run_data import (
     ReferenceCurve,
     RunReportData,
 )
+from nmt_report.shown_levels import MOST_PANELS, spread_evenly
 
 if TYPE_CHECKING:
     from nmt_extract.modal_point import ModalPoint
@@ -61,23 +63,17 @@ def report_data_from_bag(
     loop: list[tuple[int, float, float, int, float]] = []
     levels: list[LevelStart] = []
     locks: list[LockMark] = []
-    recorded: list[ModalPoint] = list(bag.records("modal_point", MODAL_POINT))
-    for topic, _, message in bag.messages(["frequency", "level", "lock"]):
+    recorded: list[ModalPoint] = list(bag.records("modal_point", MODAL_POINT)) if points is None else []
+    for topic, _, _, raw in bag.raw_messages(["frequency", "level", "lock"]):
         if topic == "frequency":
-            loop.append(
-                (
-                    message.last_sample,
-                    message.frequency_hz,
-                    message.phase_error,
-                    message.state,
-                    message.drive_amplitude,
-                )
-            )
-        elif topic == "level":
+            loop.append(_status(bag, raw))
+            continue
+        message = bag.deserialise(topic, raw)
+        if topic == "level":
             levels.append(LevelStart(int(message.index), float(message.amplitude), int(message.apply_at_sample)))
         else:
             locks.append(_lock(message))
-    envelopes, excerpts, sample_rate, end_sample = _signals(bag, linear, locks)
+    envelopes, excerpts, windows, sample_rate, end_sample = _signals(bag, linear, locks)
     excerpts = _with_frequency(excerpts, recorded if points is None else points)
     return RunReportData(
         points=recorded if points is None else points,
@@ -89,6 +85,7 @@ def report_data_from_bag(
         history=_history(loop),
         envelopes=envelopes,
         excerpts=excerpts,
+        excerpts_of=windows,
         levels=levels,
         locks=locks,
         reference=reference,
@@ -96,6 +93,23 @@ def report_data_from_bag(
         end_sample=end_sample,
         plant=_plant(bag),
     )
+
+
+def _status(bag: Bag, raw: bytes) -> tuple[int, float, float, int, float]:
+    """Last sample, frequency, phase error, state and drive amplitude of a message of ``frequency``."""
+    from nmt_core.wire import read_status
+
+    status: Any
+    if bag.topics["frequency"][0] == "nmt_msgs/msg/Frequency":
+        try:
+            status = read_status(raw)
+        except ValueError as error:
+            raise BenchError(
+                f"A message of topic 'frequency' in the bag {bag.path} cannot be read: {error}."
+            ) from error
+    else:
+        status = bag.deserialise("frequency", raw)
+    return status.last_sample, status.frequency_hz, status.phase_error, status.state, status.drive_amplitude
 
 
 def _plant(bag: Bag) -> dict[str, str]:
@@ -116,6 +130,7 @@ class _Signal:
     def __init__(self, topic: str, point: int, blocks: int, shortest: float) -> None:
         self._topic, self._symbol = topic, _SYMBOLS[topic]
         self._point = point
+        self._reader = BlockReader()
         self._blocks_per_stretch = max(1, math.ceil(blocks / STRETCHES))
         self._shortest = shortest
         self._gathered: list[Any] = []
@@ -126,17 +141,23 @@ class _Signal:
         self.sample_rate = math.nan
         self.end_sample = 0
 
-    def add(self, block: SampleBlock) -> None:
-        row = block.points.index(self._point) if self._point in block.points else 0
-        self.channel, self.unit, self.sample_rate = block.channels[row], block.unit, block.sample_rate
-        self.end_sample = max(self.end_sample, block.end_sample)
-        data = block.data[row]
+    def add(self, raw: bytes) -> None:
+        """Take a serialised block.
+
+        Raises:
+            ValueError: it is not a whole block.
+        """
+        head = self._reader.head(raw)
+        points, end = head.points, head.first_sample + head.samples
+        row = points.index(self._point) if self._point in points else 0
+        self.channel, self.unit, self.sample_rate = head.channels[row], head.unit, head.sample_rate
+        if end > self.end_sample:
+            self.end_sample = end
         if not self._gathered:
-            self._first = block.first_sample
-        self._gathered.append(data)
-        long_enough = block.end_sample - self._first >= self._shortest * block.sample_rate
-        if len(self._gathered) >= self._blocks_per_stretch and long_enough:
-            self._close_stretch(block.end_sample)
+            self._first = head.first_sample
+        self._gathered.append(self._reader.samples(raw, row))
+        if len(self._gathered) >= self._blocks_per_stretch and end - self._first >= self._shortest * head.sample_rate:
+            self._close_stretch(end)
 
     def envelope(self) -> Envelope:
         if self._gathered:
@@ -172,27 +193,57 @@ _SYMBOLS = {
 
 def _signals(
     bag: Bag, linear: LinearDescription | None, locks: Sequence[LockMark]
-) -> tuple[list[Envelope], list[Excerpt], float, int]:
+) -> tuple[list[Envelope], list[Excerpt], int, float, int]:
+    """Envelopes, excerpts, windows that these were chosen from, sample rate (Hz), sample after the last one.
+
+    The samples are read once. Of many windows only those are cut out that a page shows.
+    """
+    from nmt_record.bench_topics import SAMPLE_BLOCK
     from nmt_record.segments import read_stretches
 
     present = [topic for topic in _SYMBOLS if bag.topics.get(topic, ("", 0))[1]]
+    for topic in present:
+        if bag.topics[topic][0] != SAMPLE_BLOCK:
+            raise BenchError(f"Topic '{topic}' of the bag {bag.path} holds {bag.topics[topic][0]}, not samples.")
     if "displacement" in present and "acceleration" in present:
         present.remove("acceleration")
     point = linear.drive_point if linear is not None else -1
     # A stretch shorter than a period would show the signal itself, not its envelope.
     shortest = 1.5 / linear.frequency_hz if linear is not None else 0.0
-    signals: dict[str, _Signal] = {}
-    for topic in present:
-        signal = signals[topic] = _Signal(topic, point, bag.topics[topic][1], shortest)
-        for block in bag.blocks(topic):
-            signal.add(block)
+    signals = {topic: _Signal(topic, point, bag.topics[topic][1], shortest) for topic in present}
+
+    def add(topic: str, raw: bytes) -> None:
+        if topic not in signals:
+            return
+        try:
+            signals[topic].add(raw)
+        except ValueError as error:
+            raise BenchError(f"A block of topic '{topic}' in the bag {bag.path} cannot be used: {error}.") from error
+
+    chosen = spread_evenly(locks, MOST_PANELS)
+    excerpts = _excerpts(signals, chosen, read_stretches(bag, [_excerpt_span(lock) for lock in chosen], add, True))
+    windows = len(locks)
+    if len(excerpts) < len(chosen) < windows:
+        # Some of them lack samples: the page chooses among those that do not.
+        cut = read_stretches(bag, [_excerpt_span(lock) for lock in locks], whole=True)
+        excerpts = _excerpts(signals, locks, cut)
+        windows = len(excerpts)
+    elif len(chosen) == windows:
+        windows = len(excerpts)
+    end_sample = max((signal.end_sample for signal in signals.values()), default=0)
+    rates = [signal.sample_rate for signal in signals.values()]
+    envelopes = [signal.envelope() for signal in signals.values()]
+    return envelopes, excerpts, windows, rates[0] if rates else math.nan, end_sample
+
+
+def _excerpts(
+    signals: dict[str, _Signal], locks: Sequence[LockMark], stretches: Sequence[Signals | None]
+) -> list[Excerpt]:
+    """Excerpts of the windows whose samples are all there."""
     response = signals.get("displacement") or signals.get("acceleration")
     force = signals.get("force")
-    end_sample = max((signal.end_sample for signal in signals.values()), default=0)
     excerpts = []
-    shown = [lock for lock in locks if lock.window_first_sample + _excerpt_samples(lock) <= end_sample]
-    spans = [(lock.window_first_sample, _excerpt_samples(lock)) for lock in shown]
-    for lock, stretch in zip(shown, read_stretches(bag, spans), strict=True):
+    for lock, stretch in zip(locks, stretches, strict=True):
         if force is None or response is None or stretch is None:
             continue
         force_samples, response_samples = force.excerpt(stretch), response.excerpt(stretch)
@@ -211,13 +262,7 @@ def _signals(
                 response_unit=response.unit,
             )
         )
-    rates = [signal.sample_rate for signal in signals.values()]
-    return (
-        [signal.envelope() for signal in signals.values()],
-        excerpts,
-        rates[0] if rates else math.nan,
-        end_sample,
-    )
+    return excerpts
 
 
 def _with_frequency(excerpts: Sequence[Excerpt], points: Sequence[ModalPoint]) -> list[Excerpt]:
@@ -240,6 +285,11 @@ def _excerpt_samples(lock: LockMark) -> int:
     if lock.window_periods == 0:
         return lock.window_samples
     return min(lock.window_samples, round(EXCERPT_PERIODS * lock.window_samples / lock.window_periods))
+
+
+def _excerpt_span(lock: LockMark) -> tuple[int, int]:
+    """First sample and number of samples."""
+    return lock.window_first_sample, _excerpt_samples(lock)
 
 
 def _lock(message: Any) -> LockMark:

@@ -130,4 +130,4 @@ def _bars(axes: Axes, harmonics: list[Any], title: str) -> None:
     axes.set_xticks(range(1, orders + 1))
     axes.set_xlabel("harmonic $n$")
     axes.grid(False, axis="x")
-    axes.set_title(title)
+    axes.set_title(title, y=1.0)

@@ -11,6 +11,9 @@ MOST_CURVES = 24
 MOST_MARKS = 200
 """Levels with marks or hover texts of their own: they are then some 4 points apart on a page."""
 
+MOST_PANELS = 12
+"""Levels whose signals have a panel of their own."""
+
 Item = TypeVar("Item")
 
 

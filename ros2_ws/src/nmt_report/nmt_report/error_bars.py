@@ -43,7 +43,7 @@ def joined_error_bars(axes: Axes, x: Any, y: Any, y_std: Any, x_std: Any = None,
         colour: of the bars.
         width: of the bars, points.
     """
-    bars = []
+    bars: list[LineCollection] = []
     for along, std in enumerate((x_std, y_std)):
         if std is None:
             continue
@@ -52,4 +52,5 @@ def joined_error_bars(axes: Axes, x: Any, y: Any, y_std: Any, x_std: Any = None,
         ends[:, 1, along] += std
         bars.append(JoinedSegments(ends, colors=colour, linewidths=width))
         axes.add_collection(bars[-1])
-    axes.add_container(ErrorbarContainer((None, (), tuple(bars)), has_xerr=x_std is not None, has_yerr=True))
+    lines: Any = (None, (), tuple(bars))  # the hints of matplotlib leave out that there may be no marks
+    axes.add_container(ErrorbarContainer(lines, has_xerr=x_std is not None, has_yerr=True))

@@ -105,6 +105,7 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "clock_error": "relative error e of the clock: real rates are (1 + e) times the nominal, so whatever happens "
         "at f appears at f / (1 + e)",
         "drift": "slow changes with bench time",
+        "recording": "a smaller bag: samples rounded, chunks compressed; without the section neither",
     },
     "StructureSection": {
         "added_masses": "masses fixed to points",
@@ -114,6 +115,10 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     "AddedMassSection": {
         "point": "where it is",
         "mass_kg": "mass; negative where the model has too much",
+    },
+    "RecordingSection": {
+        "sample_bits": "significant bits of the samples that the plant gives, 24 as in single precision, 53 = all",
+        "compression": "of the bag's chunks",
     },
     "DriftSection": {
         "slip_force_per_s": "relative change of all slip forces (`jenkins`, `iwan`, `tanh_friction`) per second",

@@ -21,6 +21,7 @@ __all__ = [
     "OscillatorPhase",
     "Quantity",
     "SampleBlock",
+    "rounded",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -56,6 +57,32 @@ class OscillatorPhase(NamedTuple):
 
 
 UNKNOWN_PHASE = OscillatorPhase(float("nan"), float("nan"))
+
+
+def rounded(values: FloatArray, bits: int) -> FloatArray:
+    """Values with so many significant bits, to the nearest, halves away from zero; what is not finite stays.
+
+    The other bits are zero, which a compression of the bag makes use of. The relative error is at most 2 to the power
+    of minus ``bits``.
+
+    Args:
+        values: of any shape.
+        bits: 1 to 53; 53 changes nothing, 24 are those of single precision.
+
+    Returns:
+        New values of the same shape.
+    """
+    if not 1 <= bits <= 53:
+        raise ValueError(f"bits must be 1 to 53, got {bits}")
+    result = np.array(values, dtype=np.float64)
+    dropped = 53 - bits
+    if dropped == 0:
+        return result
+    pattern = result.view(np.uint64)
+    half, kept = np.uint64(1 << (dropped - 1)), np.uint64(2**64 - 2**dropped)
+    # A carry into the exponent is right: the next power of two. Infinity and NaN are left out of it.
+    np.copyto(pattern, (pattern + half) & kept, where=np.isfinite(result))
+    return result
 
 
 @dataclass(slots=True)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from nmt_core.blocks import BlockFlag, FloatArray, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.blocks import BlockFlag, FloatArray, OscillatorPhase, Quantity, SampleBlock, rounded
 from nmt_core.errors import BenchError
 from nmt_core.ramp import half_cosine
 from nmt_core.records import DriveCommand
@@ -79,6 +79,7 @@ class GuardSettings:
         drive_maximum: V, amplitude of the drive that ends a test; None = none.
         rms_time: s, time constant of the rms.
         warning_share: of an abort level, from which it is reported; None = only at the warning levels of `channels`.
+        sample_bits: significant bits of the samples given; 53 = all.
     """
 
     limits: Mapping[Quantity, float]
@@ -92,6 +93,7 @@ class GuardSettings:
     drive_maximum: float | None = None
     rms_time: float = 1.0
     warning_share: float | None = None
+    sample_bits: int = 53
 
     @property
     def voltage(self) -> float | None:
@@ -489,6 +491,9 @@ class GuardedDevice(Device):
         return true_values, False
 
     def _blocks(self, recorded: FloatArray, phase: OscillatorPhase) -> list[SampleBlock]:
+        if self._settings.sample_bits < 53:
+            # Here, not in the recorder: live and offline extraction have the same samples.
+            recorded = rounded(recorded, self._settings.sample_bits)
         return [
             SampleBlock(
                 self._next_sample,

@@ -149,6 +149,7 @@ def guard_settings(rig: Rig) -> GuardSettings:
         drive_maximum=section.drive_maximum_v,
         rms_time=section.rms_time_s,
         warning_share=section.warning_share,
+        sample_bits=53 if rig.recording is None else rig.recording.sample_bits,
     )
 
 

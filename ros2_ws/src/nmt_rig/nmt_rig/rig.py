@@ -480,6 +480,13 @@ class DriftSection(Section):
     stiffness_per_s: float = 0.0
 
 
+class RecordingSection(Section):
+    """How samples are kept: significant bits of their values (24 as in single precision), compression of the bag."""
+
+    sample_bits: Annotated[int, Field(ge=16, le=53)] = 24
+    compression: Literal["none", "lz4", "zstd"] = "zstd"
+
+
 def _plain_setting(value: Any) -> Any:
     """One setting of the loop: a finite number, a word, or true or false; the loop itself checks the rest."""
     if isinstance(value, float) and not math.isfinite(value):
@@ -510,6 +517,7 @@ class Rig(Section):
     pll: Annotated[dict[str, Annotated[Any, AfterValidator(_plain_setting)]], Field(default_factory=dict)]
     clock_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
     drift: DriftSection = DriftSection()
+    recording: RecordingSection | None = None
     device: Annotated[AnyDevice, Field(discriminator="kind")] | None = None
 
     @property

@@ -313,7 +313,11 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             "power_balance": extraction.power_balance,
             "hysteresis_json": "" if layout is None else json.dumps(layout.to_mapping()),
         },
-        "recorder": {"output": str(bag), "chunk_messages": _chunk_messages(rig, len(topics))},
+        "recorder": {
+            "output": str(bag),
+            "chunk_messages": _chunk_messages(rig, len(topics)),
+            **({} if rig.recording is None else {"compression": rig.recording.compression}),
+        },
     }
     bundle = _bundle_blocks(test, len(topics))
     if bundle:

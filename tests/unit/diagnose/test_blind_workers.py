@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from nmt_blind.workers import worked
 from nmt_core.errors import BenchError
+from nmt_core.workers import worked
 
 
 def fragile(folder: str, number: int) -> int:
@@ -31,6 +31,29 @@ def test_a_killed_worker_costs_no_result(tmp_path: Path) -> None:
         work = [(str(tmp_path), number) for number in range(4)]
         found = sorted(worked(fragile, work, 1, cluster.scheduler_address))
     assert found == [0, 1, 4, 9]
+
+
+def test_work_that_kills_every_worker_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+
+    class Killed:
+        def result(self) -> None:
+            raise distributed.KilledWorker("work", None, 4)
+
+    class Client:
+        def __enter__(self) -> Client:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def submit(self, *_: Any, **__: Any) -> Killed:
+            return Killed()
+
+    monkeypatch.setattr(distributed, "Client", lambda *_, **__: Client())
+    monkeypatch.setattr(distributed, "as_completed", lambda futures: futures)
+    with pytest.raises(BenchError, match="died over and over"):
+        list(worked(fragile, [("", 1)], 1, "tcp://127.0.0.1:1"))
 
 
 def test_a_scheduler_that_does_not_answer_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

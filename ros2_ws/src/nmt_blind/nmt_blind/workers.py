@@ -21,7 +21,7 @@ def worked(function: Callable[..., Any], work: Sequence[tuple[Any, ...]], jobs: 
         scheduler: address of a Dask scheduler in place of them; empty = none.
 
     Raises:
-        BenchError: the scheduler does not answer.
+        BenchError: the scheduler does not answer, or workers died again and again over one of the works.
     """
     if scheduler and work:
         yield from _over_machines(function, work, scheduler)
@@ -37,7 +37,7 @@ def worked(function: Callable[..., Any], work: Sequence[tuple[Any, ...]], jobs: 
 
 
 def _over_machines(function: Callable[..., Any], work: Sequence[tuple[Any, ...]], scheduler: str) -> Iterable[Any]:
-    from distributed import Client, as_completed
+    from distributed import Client, KilledWorker, as_completed
 
     try:
         client = Client(scheduler, timeout="20s")
@@ -49,4 +49,10 @@ def _over_machines(function: Callable[..., Any], work: Sequence[tuple[Any, ...]]
     with client:
         futures = [client.submit(function, *item, pure=False, retries=RETRIES) for item in work]
         for future in as_completed(futures):
-            yield future.result()
+            try:
+                yield future.result()
+            except KilledWorker as error:
+                raise BenchError(
+                    f"Workers of the Dask scheduler {scheduler} died over and over at the same work; give them more "
+                    "memory (--memory-limit of 'dask worker') and repeat the command: what is done is kept."
+                ) from error

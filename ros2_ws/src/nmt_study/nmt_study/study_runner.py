@@ -1,4 +1,4 @@
-"""Runs the cases of a study over the cores of the machine, keeping each as soon as it is finished."""
+"""Runs the cases of a study over the cores of the machine, or over machines; keeps each as soon as it is finished."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
+from nmt_core.workers import worked
 from nmt_study import STUDIES
 from nmt_study.case import StudyCase
 from nmt_study.case_store import CaseStore
@@ -42,6 +43,7 @@ def run_cases(
     jobs: int,
     bags: Path | None = None,
     on_done: Callable[[CaseReport], None] = lambda _: None,
+    scheduler: str = "",
 ) -> list[CaseReport]:
     """Run the cases that have no result yet.
 
@@ -54,28 +56,24 @@ def run_cases(
         jobs: worker processes; 1 = in this process.
         bags: folder that gets the bag of each case; None = bags are not kept.
         on_done: called with each case as it ends.
+        scheduler: address of a Dask scheduler in place of worker processes; its workers must see the folder of the
+            bags, if these are kept. A case whose worker dies is given to another one.
 
     Returns:
         The cases that were run, in the order in which they ended.
+
+    Raises:
+        BenchError: the scheduler does not answer, or the workers die again and again.
     """
     todo = store.missing(cases)
     reports: list[CaseReport] = []
 
-    def take(report: CaseReport) -> None:
+    kept = None if bags is None else bags.absolute()
+    for report in worked(_run_one, [(study, case, kept) for case in todo], jobs, scheduler):
         if report.result is not None:
             store.save(report.case, report.result)
         reports.append(report)
         on_done(report)
-
-    if jobs == 1 or len(todo) <= 1:
-        for case in todo:
-            take(_run_one(study, case, bags))
-        return reports
-    from joblib import Parallel, delayed
-
-    parallel = Parallel(n_jobs=min(jobs, len(todo)), return_as="generator_unordered")
-    for report in parallel(delayed(_run_one)(study, case, bags) for case in todo):
-        take(report)
     return reports
 
 

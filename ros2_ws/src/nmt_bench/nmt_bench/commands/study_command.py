@@ -54,6 +54,9 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--force", action="store_true", help="start over in a folder that has results")
     parser.add_argument("--quick", action="store_true", help="few, short cases: shows that it works, no more")
     add_jobs(parser)
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", default="", help="Dask scheduler, tcp://host:port, in place of own processes"
+    )
     add_task_page_option(parser)
     parser.add_argument("--keep-bags", action="store_true", help="keep the recording of every case in bags/")
 
@@ -127,7 +130,7 @@ def _run_study(
     progress = _Progress(console, len(todo), page)
     page.step(f"{module.TITLE}: cases", 0, len(todo))
     bags = folder / "bags" if arguments.keep_bags else None
-    reports = run_cases(name, cases, store, jobs, bags, progress.case_done)
+    reports = run_cases(name, cases, store, jobs, bags, progress.case_done, arguments.scheduler)
     failures = [report for report in reports if report.result is None]
     results = [result for case in cases if (result := store.load(case)) is not None]
     if not results:

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from nmt_blind.campaign.frozen import check_frozen
-from nmt_blind.workers import worked
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_json
 from nmt_core.whole_file import write_whole
+from nmt_core.workers import worked
 
 RESULT_FORMAT = "nmt blind result 1"
 _PUBLIC_FILE = "public.json"
@@ -97,7 +97,10 @@ def run_campaign(
     todo = [case for case in made if again or read_result(results, str(case["case"])) is None]
     done, failed, spent = len(made) - len(todo), 0, []
     progress(done, len(cases), "")
-    work = [(folder, results, str(case["case"]), str(case["withheld"]), discard_bags, diagnose) for case in todo]
+    work = [
+        (folder.absolute(), results.absolute(), str(case["case"]), str(case["withheld"]), discard_bags, diagnose)
+        for case in todo
+    ]
     for result in worked(run_case, work, jobs, scheduler):
         done += 1
         failed += "error" in result

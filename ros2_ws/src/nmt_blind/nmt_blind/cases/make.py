@@ -16,10 +16,10 @@ from nmt_blind.cases.laboratory import record_backbone, record_random
 from nmt_blind.cases.reduced_tests import record_ring_down, record_tables
 from nmt_blind.cases.rig_edits import with_edits
 from nmt_blind.cases.strength_table import StrengthTable, load_table
-from nmt_blind.workers import worked
 from nmt_core import hardened
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
+from nmt_core.workers import worked
 from nmt_rig.rig import Rig
 
 TRUTH_FILE = "truth.sealed"
@@ -208,7 +208,7 @@ def _make_bags(
 ) -> float:
     seconds = 0.0
     progress(done, total)
-    for spent in worked(make_case, [(folder, rig, case) for case in todo], jobs, scheduler):
+    for spent in worked(make_case, [(folder.absolute(), rig, case) for case in todo], jobs, scheduler):
         seconds += spent
         done += 1
         progress(done, total)

@@ -10,7 +10,6 @@ setup(
         ("share/nmt_blind", ["package.xml"]),
     ],
     install_requires=[
-        "distributed>=2024.1",
         "jinja2>=3.1",
         "joblib>=1.3",
         "matplotlib>=3.6",

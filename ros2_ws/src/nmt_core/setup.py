@@ -10,7 +10,9 @@ setup(
         ("share/nmt_core", ["package.xml"]),
     ],
     install_requires=[
+        "distributed>=2024.1",
         "h5py>=3.10",
+        "joblib>=1.3",
         "numpy>=1.26",
         "PyYAML>=6.0",
     ],

@@ -85,6 +85,7 @@ def plant_figures(seconds: float) -> list[Figure]:
     every = contact_speed(_CONTACTS, _CONTACTS // 10, 0.05, every_place=True)
     all_slip = contact_speed(_CONTACTS, _CONTACTS)
     growth = contact_speed(12, 3) / contact_speed(48, 12)
+    growth_all = contact_speed(12, 12) / contact_speed(48, 48)
     channels, more_channels = channel_speed(32), channel_speed(12) / channel_speed(48)
     name = f"plant: {_CONTACTS} joints along a beam"
     contacts = [
@@ -98,6 +99,14 @@ def plant_figures(seconds: float) -> list[Figure]:
             LIMIT_GROWTH,
             _AT_MOST,
             growth <= LIMIT_GROWTH,
+        ),
+        Figure(
+            "plant: growth over four times the joints, all slip",
+            growth_all,
+            "×",
+            LIMIT_GROWTH,
+            _AT_MOST,
+            growth_all <= LIMIT_GROWTH,
         ),
         Figure(
             "plant: whole device, 49 elements, 32 channels, 51.2 kHz",

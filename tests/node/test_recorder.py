@@ -202,14 +202,19 @@ def test_after_an_early_end_the_bag_stays_open_until_the_drive_is_at_zero(stage)
     assert [float(block.data.max()) for block in blocks] == [0.8, 0.4, 0.0]
 
 
-def test_the_ramp_of_a_plant_that_is_gone_is_not_waited_for(stage, monkeypatch):
-    monkeypatch.setattr("nmt_record.recorder_node._LONGEST_RAMP", 1000.0)
-    recorder = stage.start(settle_time=0.0)
+def end_while_driven(stage, recorder):
+    """A run that ends, by a fault, with the drive at 0.8 V."""
     stage.until(stage.rig.blocks["voltage"].get_subscription_count)
     stage.rig.publish_state(RunState.RUNNING)
     stage.rig.publish_voltage(0, 0.8)
     stage.until(lambda: recorder.writer.counts.get("voltage") == 1)
     stage.rig.publish_state(RunState.DONE, sample=19, result_code=6)
+
+
+def test_the_ramp_of_a_plant_that_is_gone_is_not_waited_for(stage, monkeypatch):
+    monkeypatch.setattr("nmt_record.recorder_node._LONGEST_RAMP", 1000.0)
+    recorder = stage.start(settle_time=0.0)
+    end_while_driven(stage, recorder)
     stage.until(lambda: recorder.core.end_sample == 19)
     recorder._watch()
     assert recorder.state == "open"
@@ -220,11 +225,7 @@ def test_the_ramp_of_a_plant_that_is_gone_is_not_waited_for(stage, monkeypatch):
 def test_a_drive_that_never_comes_to_rest_does_not_keep_the_bag_open(stage, monkeypatch):
     monkeypatch.setattr("nmt_record.recorder_node._LONGEST_RAMP", 0.2)
     recorder = stage.start(settle_time=0.0)
-    stage.until(stage.rig.blocks["voltage"].get_subscription_count)
-    stage.rig.publish_state(RunState.RUNNING)
-    stage.rig.publish_voltage(0, 0.8)
-    stage.until(lambda: recorder.writer.counts.get("voltage") == 1)
-    stage.rig.publish_state(RunState.DONE, sample=19, result_code=6)
+    end_while_driven(stage, recorder)
     stage.until(lambda: recorder.state == "closed")
 
 

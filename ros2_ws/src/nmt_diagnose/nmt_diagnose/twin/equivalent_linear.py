@@ -22,6 +22,8 @@ _W, _W_SHARE = np.polynomial.hermite_e.hermegauss(_DISPLACEMENTS)
 _V, _V_SHARE = np.polynomial.hermite_e.hermegauss(_VELOCITIES)
 _W_SHARE, _V_SHARE = _W_SHARE / _W_SHARE.sum(), _V_SHARE / _V_SHARE.sum()
 _A, _A_SHARE = np.polynomial.laguerre.laggauss(_CYCLES)
+# Nodes and weights of displacement, velocity and squared amplitude, as ``equivalents_kernel`` takes them.
+NODES = (_W, _W_SHARE, _V, _V_SHARE, _A, _A_SHARE)
 
 
 def equivalents(tables: LocalTables, displacement: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -31,19 +33,16 @@ def equivalents(tables: LocalTables, displacement: FloatArray, velocity: FloatAr
         tables: of the local forces.
         displacement, velocity: rms of w (m) and ẇ (m/s) of each coordinate, (r,), above zero.
     """
-    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = tables[3:10]
-    stiffness, damping = _equivalents(
-        jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start, displacement, velocity,
-        _W, _W_SHARE, _V, _V_SHARE, _A, _A_SHARE,
-    )  # fmt: skip
+    stiffness, damping = equivalents_kernel(*tables[3:10], displacement, velocity, *NODES)
     return stiffness, damping
 
 
 @njit(cache=True)
-def _equivalents(  # type: ignore[no-untyped-def]
+def equivalents_kernel(  # type: ignore[no-untyped-def]
     jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start, displacement, velocity,
     w_nodes, w_shares, v_nodes, v_shares, cycles, cycle_shares,
 ):  # fmt: skip
+    """``equivalents`` for other kernels."""
     count = displacement.size
     stiffness, damping = np.zeros(count), np.zeros(count)
     for i in range(count):

@@ -13,7 +13,7 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.twin.equivalent_linear import equivalents
+from nmt_diagnose.twin.gaussian_motion import forces_in_motion
 from nmt_diagnose.twin.held_steps import HeldSteps
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
@@ -28,11 +28,6 @@ HANN = np.array([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])
 # Orders of the drive's images: the armature's resonance may amplify high ones.
 IMAGES = tuple(order for n in range(1, 7) for order in (-n, n))
 IMAGE_NODES = 12
-# Frequencies about each pole at which the motion is added up, in half widths of its peak.
-_ABOUT = np.sinh(np.linspace(-6.0, 6.0, 61)) / 4.0
-_FAR = 3.0  # poles beyond the band by that factor hardly move those in it
-# Most turns and relative change that ends the search for a motion and the local forces that belong to it.
-_TURNS, _SETTLED = 40, 1e-9
 
 
 @dataclass(frozen=True)
@@ -139,7 +134,7 @@ class RandomTwin:
         fractions = parts.linear.partial_fractions(
             np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
         )
-        local = self._local(parts)
+        local = self._local(parts, fractions)
         result = self._smoothed(parts, local, fractions)
         if self._steps is not None:
             chains = parts.channels[self._own]
@@ -151,64 +146,16 @@ class RandomTwin:
             return result
         return np.asarray(self._folding.own * result + self._images(parts, local, self._folding, fractions))
 
-    def _local(self, parts: RigParts) -> tuple[FloatArray, FloatArray]:
+    def _local(self, parts: RigParts, fractions: tuple[FloatArray, ...]) -> tuple[FloatArray, FloatArray]:
         """Stiffness and damping of the local forces under the motion that the drive makes, (r,) each; see
-        equivalent_linear.py. A drive of unknown size is small.
+        gaussian_motion.py. A drive of unknown size is small.
         """
-        resting = parts.resting
-        test, tables, r = self.test, parts.tables, parts.coordinates
+        test, tables = self.test, parts.tables
         acting = np.diff(tables[4]) + np.diff(tables[6]) + np.diff(tables[9]) > 0
         if not acting.any() or not test.drive_rms > 0.0 or not test.stop_s > test.start_s or test.lines_hz.size < 2:
-            return resting
-        count = acting.size
-        coordinates = np.arange(r)
-        fractions = parts.linear.partial_fractions(np.concatenate((coordinates, coordinates, r + self._own[-1:])))
-        chains = np.zeros((r + 1, parts.channels.shape[1]))
-        chains[:, 0] = 1.0
-        stiffness, damping = resting
-        before = math.inf
-        size = 1.0
-        for _ in range(_TURNS):
-            omega = self._band(parts, stiffness, damping)
-            h = np.abs(linear_responses(omega, r, stiffness, damping, *fractions, chains)) ** 2
-            scale = test.drive_rms**2 / np.trapezoid(h[:, r], omega)
-            moved = np.sqrt(scale * np.trapezoid(h[:, :r], omega, axis=0))[:count]
-            fast = np.sqrt(scale * np.trapezoid(h[:, :r] * omega[:, np.newaxis] ** 2, omega, axis=0))[:count]
-            if not (np.all(np.isfinite(moved)) and np.all(moved[acting] > 0.0)):
-                return resting
-            k, d = equivalents(tables, np.maximum(moved, 1e-300), np.maximum(fast, 1e-300))
-            # Over what moves the coordinate as it is.
-            mobility = np.sqrt(np.max(h[:, :r], axis=0))[:count]
-            steps = (
-                (k - stiffness[:count]) * mobility,
-                (d - damping[:count]) * mobility * fast / np.maximum(moved, 1e-300),
-            )
-            change = float(np.max(np.abs(steps)))
-            size = size if change < 0.9 * before else 0.5 * size
-            before = change
-            stiffness, damping = stiffness.copy(), damping.copy()
-            stiffness[:count] += size * (k - stiffness[:count])
-            damping[:count] += size * (d - damping[:count])
-            if change < _SETTLED:
-                break
-        return stiffness, damping
-
-    def _band(self, parts: RigParts, stiffness: FloatArray, damping: FloatArray) -> FloatArray:
-        """Frequencies at which the motion is added up, rad/s: lines of the test, and about each pole, as it is with
-        local forces of that stiffness and damping (r,).
-        """
-        lines = 2.0 * np.pi * parts.clock * self.test.lines_hz
-        low, high = float(lines.min()), float(lines.max())
-        model, r = parts.linear, parts.coordinates
-        near = np.flatnonzero((np.abs(model.poles) < _FAR * high) & (np.abs(model.poles) > low / _FAR))
-        poles, outputs = model.poles[near], model.displacement[:r, near]
-        forces = stiffness[:, np.newaxis] * outputs + damping[:, np.newaxis] * outputs * poles
-        closed = np.linalg.eigvals(np.diag(poles) - model.inputs[near, :r] @ forces)
-        closed = closed[closed.imag > 0.0]
-        widths = np.maximum(np.abs(closed.real), 1e-4 * np.abs(closed))
-        about = np.abs(closed)[:, np.newaxis] + widths[:, np.newaxis] * _ABOUT
-        # Clipped, not left out: sums must not jump where a pole moves.
-        return np.sort(np.concatenate((lines, np.clip(about, low, high).ravel())))
+            return parts.resting
+        omega = 2.0 * np.pi * parts.clock * test.lines_hz
+        return forces_in_motion(parts.linear, tables, acting, parts.resting, fractions, omega, test.drive_rms)
 
     def _images(
         self, parts: RigParts, local: tuple[FloatArray, FloatArray], folding: Folding, fractions: tuple[FloatArray, ...]

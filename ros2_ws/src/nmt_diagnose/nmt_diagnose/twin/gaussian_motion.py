@@ -1,0 +1,181 @@
+"""Local forces under the motion that a random drive makes: motion and equivalent forces that belong to each other.
+
+The drive is flat over the lines of the test and has a known rms. Motion gives the equivalent springs and dampers of the
+local forces (equivalent_linear.py), these give the motion; turns go on until neither changes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.twin.equivalent_linear import NODES, equivalents_kernel
+from nmt_diagnose.twin.linear_model import LinearModel
+from nmt_rig.model.aft import LocalTables
+
+# Frequencies about each pole at which the motion is added up, in half widths of its peak.
+_ABOUT = np.sinh(np.linspace(-6.0, 6.0, 61)) / 4.0
+_FAR = 3.0  # poles beyond the band by that factor hardly move those in it
+# Most turns and relative change that ends the search for a motion and the local forces that belong to it.
+_TURNS, _SETTLED = 40, 1e-9
+
+
+def forces_in_motion(
+    model: LinearModel,
+    tables: LocalTables,
+    acting: NDArray[np.bool_],
+    resting: tuple[FloatArray, FloatArray],
+    fractions: tuple[FloatArray, ...],
+    omega: FloatArray,
+    drive_rms: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Stiffness (N/m) and damping (N s/m) of the local forces of each coordinate, (r,) each.
+
+    Args:
+        model: the linear part.
+        tables: of the local forces.
+        acting: (coordinates of the tables,) which carry a force that depends on the motion.
+        resting: stiffness and damping at rest, (r,) each; also the answer where no motion is found.
+        fractions: ``LinearModel.partial_fractions`` of the r coordinates and of channels, the last of them the drive.
+        omega: (lines,) of the test, rad/s, at least two.
+        drive_rms: of the reference over the band, V or N.
+    """
+    r = resting[0].size
+    low, high = float(omega.min()), float(omega.max())
+    near = np.flatnonzero((np.abs(model.poles) < _FAR * high) & (np.abs(model.poles) > low / _FAR))
+    stiffness, damping, found = _settled(
+        np.ascontiguousarray(omega), model.poles[near], np.ascontiguousarray(model.displacement[:r, near]),
+        np.ascontiguousarray(model.inputs[near, :r]), acting, *resting, *fractions, drive_rms, *tables[3:10],
+        *NODES, _ABOUT,
+    )  # fmt: skip
+    return (stiffness, damping) if found else resting
+
+
+@njit(cache=True)
+def _settled(  # type: ignore[no-untyped-def]
+    lines, poles, outputs, inputs, acting, rest_stiffness, rest_damping, sums, products, constants, slopes, rest,
+    drive_rms, jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start,
+    w_nodes, w_shares, v_nodes, v_shares, cycles, cycle_shares, about,
+):  # fmt: skip
+    """Stiffness and damping (r,) each, and whether a motion was found."""
+    count, r = acting.size, rest_stiffness.size
+    low, high = lines.min(), lines.max()
+    stiffness, damping = rest_stiffness.copy(), rest_damping.copy()
+    before, size = np.inf, 1.0
+    omega = np.empty(lines.size + poles.size * about.size)
+    moved, fast, most = np.empty(count), np.empty(count), np.empty(count)
+    for _ in range(_TURNS):
+        # The poles with these forces; about each of them the lines of the test may be too far apart.
+        closed = np.diag(poles)
+        for i in range(r):
+            for k in range(poles.size):
+                turned = stiffness[i] * outputs[i, k] + damping[i] * outputs[i, k] * poles[k]
+                for row in range(poles.size):
+                    closed[row, k] -= inputs[row, i] * turned
+        omega[: lines.size] = lines
+        places = lines.size
+        for pole in np.linalg.eigvals(closed):
+            if pole.imag > 0.0:
+                natural = abs(pole)
+                width = max(abs(pole.real), 1e-4 * natural)
+                # Clipped, not left out: sums must not jump where a pole moves.
+                for n in range(about.size):
+                    omega[places + n] = min(max(natural + width * about[n], low), high)
+                places += about.size
+        total = _powers(
+            np.sort(omega[:places]), r, stiffness, damping, sums, products, constants, slopes, rest, moved, fast, most
+        )
+        scale = drive_rms * drive_rms / total
+        for i in range(count):
+            moved[i], fast[i] = np.sqrt(scale * moved[i]), np.sqrt(scale * fast[i])
+            if not np.isfinite(moved[i]) or (acting[i] and not moved[i] > 0.0):
+                return stiffness, damping, False
+            moved[i], fast[i] = max(moved[i], 1e-300), max(fast[i], 1e-300)
+        k_new, d_new = equivalents_kernel(
+            jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start, moved, fast,
+            w_nodes, w_shares, v_nodes, v_shares, cycles, cycle_shares,
+        )  # fmt: skip
+        # Over what moves the coordinate as it is.
+        change = 0.0
+        for i in range(count):
+            mobility = np.sqrt(most[i])
+            change = max(
+                change,
+                abs(k_new[i] - stiffness[i]) * mobility,
+                abs(d_new[i] - damping[i]) * mobility * fast[i] / moved[i],
+            )
+        if not change < 0.9 * before:
+            size *= 0.5
+        before = change
+        for i in range(count):
+            stiffness[i] += size * (k_new[i] - stiffness[i])
+            damping[i] += size * (d_new[i] - damping[i])
+        if change < _SETTLED:
+            break
+    return stiffness, damping, True
+
+
+@njit(cache=True)
+def _powers(  # type: ignore[no-untyped-def]
+    omega, r, stiffness, damping, sums, products, constants, slopes, rest, moved, fast, most
+):  # fmt: skip
+    """Integrals over ω of |H|², and of ω² |H|², into ``moved`` and ``fast``, the largest |H|² into ``most``, for the
+    first coordinates, (count,) each; returns that of |H|² of the last channel. H as in ``linear_responses``.
+    """
+    count, columns = moved.size, r + 1
+    rows = columns * columns
+    last = rest.size - columns
+    at = np.empty(rows, dtype=np.int64)
+    for e in range(rows):
+        at[e] = e if e < r * columns else last + e - r * columns
+    # Only what is needed, and beside each other.
+    constants, slopes, rest = constants[:, at], slopes[:, at], rest[at]
+    re, im = np.empty(rows), np.empty(rows)
+    closed = np.empty((r, columns), dtype=np.complex128)
+    now, then = np.empty(count + 1), np.zeros(count + 1)
+    moved[:], fast[:], most[:] = 0.0, 0.0, 0.0
+    total = 0.0
+    for line in range(omega.size):
+        w = omega[line]
+        s = 1j * w
+        re[:] = rest
+        im[:] = 0.0
+        for k in range(sums.size):
+            a = products[k] - w * w
+            b = -sums[k] * w
+            size = 1.0 / (a * a + b * b)
+            dr, di = a * size, -b * size
+            wr, wi = -w * di, w * dr
+            for e in range(rows):
+                re[e] += constants[k, e] * dr + slopes[k, e] * wr
+                im[e] += constants[k, e] * di + slopes[k, e] * wi
+        for i in range(r):
+            for j in range(r):
+                closed[i, j] = (re[i * columns + j] + 1j * im[i * columns + j]) * (stiffness[j] + s * damping[j])
+            closed[i, i] += 1.0
+            closed[i, r] = re[i * columns + r] + 1j * im[i * columns + r]
+        for i in range(r):
+            pivot = 1.0 / closed[i, i]
+            for row in range(r):
+                if row != i and closed[row, i] != 0.0:
+                    factor = closed[row, i] * pivot
+                    for j in range(i, columns):
+                        closed[row, j] -= factor * closed[i, j]
+        drive = re[r * columns + r] + 1j * im[r * columns + r]
+        for i in range(r):
+            w_i = closed[i, r] / closed[i, i]
+            drive -= (re[r * columns + i] + 1j * im[r * columns + i]) * (stiffness[i] + s * damping[i]) * w_i
+            if i < count:
+                now[i] = w_i.real * w_i.real + w_i.imag * w_i.imag
+                most[i] = max(most[i], now[i])
+        now[count] = drive.real * drive.real + drive.imag * drive.imag
+        if line:
+            step = 0.5 * (w - omega[line - 1])
+            for i in range(count):
+                moved[i] += step * (now[i] + then[i])
+                fast[i] += step * (now[i] * w * w + then[i] * omega[line - 1] ** 2)
+            total += step * (now[count] + then[count])
+        then[:] = now
+    return total

@@ -13,7 +13,7 @@ from unit.diagnose.blind_campaign import made_up_table, make, operating, short_r
 from nmt_blind.cases.blind_rigs import blind_rig
 from nmt_blind.cases.draw import draw_cases
 from nmt_blind.cases.laboratory import record_backbone
-from nmt_blind.cases.laboratory_rig import STEPS, Converters, LaboratoryRig
+from nmt_blind.cases.laboratory_rig import STEPS, STEPS_OF_IMAGES, Converters, LaboratoryRig
 from nmt_blind.cases.rig_edits import Edit, with_edits
 from nmt_blind.cases.tolerances import (
     DISTORTION,
@@ -117,7 +117,8 @@ def test_the_drive_is_held_and_distorted_as_drawn() -> None:
     # Held over all but the last step of a sample: late by half of that. The reference is straight between samples,
     # which takes sinc² from it.
     x = 2.0 * np.pi * frequency / MODAL.sample_rate_hz
-    late = np.sinc(x / (2.0 * np.pi * STEPS)) / np.sinc(x / (2.0 * np.pi)) * np.exp(-0.5j * x * (1.0 - 1.0 / STEPS))
+    step = 1.0 / STEPS_OF_IMAGES
+    late = np.sinc(x * step / (2.0 * np.pi)) / np.sinc(x / (2.0 * np.pi)) * np.exp(-0.5j * x * (1.0 - step))
     moved = [row for row, sensor in enumerate(MODAL.sensors) if sensor.quantity == "displacement"]
     np.testing.assert_allclose(held[0][moved] / plain[0][moved], late, rtol=2e-4)
     # Without a filter the steps appear in what follows them at once: force and acceleration. With one they do not,

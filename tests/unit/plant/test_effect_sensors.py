@@ -55,6 +55,17 @@ def test_a_delay_of_whole_samples_moves_them():
     assert np.array_equal(moved[:7], np.zeros(7))
 
 
+@pytest.mark.parametrize("delay", (0.3, 1.7, 2.5))
+def test_a_late_step_does_not_ring(delay):
+    step = np.repeat((0.0, 1.0), 20)
+    seen = AnalogueChain(RATE, low_pass_hz=None, delay=delay / RATE, steps=True).process(step)
+    np.testing.assert_allclose(seen, np.interp(np.arange(40) - delay, np.arange(40), step), atol=1e-12)
+    filtered = AnalogueChain(RATE, low_pass_hz=0.1 * RATE, delay=delay / RATE, steps=True).process(step)
+    assert np.all(np.diff(filtered) >= 0.0)
+    # The ordinary chain, for smooth signals, does.
+    assert AnalogueChain(RATE, delay=delay / RATE).process(step).max() > 1.02
+
+
 def test_filters_in_a_row_are_multiplied():
     chain = AnalogueChain(RATE, 800.0, 2.0, 3e-4)
     expected = 1 / (1 + 50j / 800) * 50j / (50j + 2) * np.exp(-2j * np.pi * 50 * 3e-4)

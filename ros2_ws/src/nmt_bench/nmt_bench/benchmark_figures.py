@@ -24,7 +24,7 @@ _SHORT = "block_samples=200"  # 20 ms
 _BEST_OF = 3
 _REAL_TIME = 5.0  # s
 _MANY = 1000
-_ELEMENTS = 98
+_ELEMENTS = 196
 LIMIT_BACKBONE = 0.5
 LIMIT_RESPONSE = 2.0
 LIMIT_DIAGNOSIS = 12.0
@@ -154,7 +154,10 @@ def reference_figures(_: float) -> list[Figure]:
     from nmt_rig.rig_model import build_system
 
     rig = load_rig("beam")
-    fine = load_rig("beam", [f"structure.elements={_ELEMENTS}"])
+    coarse, fine = (
+        load_rig("beam", [f"structure.elements={count}", "structure.mesh_refinement=1"])
+        for count in (_ELEMENTS // 4, _ELEMENTS)
+    )
     amplitudes = np.geomspace(1e-5, 2e-2, 100)
     problem = ForcedProblem(build_system(rig), FourierBasis.up_to(7), 139.4)
 
@@ -167,6 +170,7 @@ def reference_figures(_: float) -> list[Figure]:
     response = _best(sweep)
     default_amplitudes(rig)
     search = _best(lambda: default_amplitudes(fine), 1)
+    growth = search / _best(lambda: default_amplitudes(coarse))
     return [
         Figure(
             f"reference: search of the amplitudes, {_ELEMENTS} elements",
@@ -175,6 +179,14 @@ def reference_figures(_: float) -> list[Figure]:
             LIMIT_AMPLITUDES,
             _AT_MOST,
             search <= LIMIT_AMPLITUDES,
+        ),
+        Figure(
+            "reference: growth of that search over four times the elements",
+            growth,
+            "×",
+            LIMIT_GROWTH,
+            _AT_MOST,
+            growth <= LIMIT_GROWTH,
         ),
         Figure(
             "reference: 100 backbone points, 7 harmonics",
@@ -219,6 +231,13 @@ def bag_figures(seconds: float) -> list[Figure]:
         ours = messages / _best(lambda: sum(1 for _ in bag.messages(topics)))
         extraction = messages / _best(lambda: extract_opened_bag(bag))
         writing = _copy_time(bag, Path(folder) / "copy") / sum(count for _, count in bag.topics.values())
+        plan = plan_test(load_rig("beam", [_SHORT, "recording.sample_bits=24"]), _LEVELS, window_periods=100)
+        full_plan = plan_test(rig, _LEVELS, window_periods=100)
+        sizes = []
+        for name, own in (("small", plan), ("full", full_plan)):
+            with Session(own, Path(folder) / name, extract=False) as session:
+                session.run()
+            sizes.append(_size(Path(folder) / name / "bag") / session.bench_time)
     block_us = 1e6 * rig.block_samples / rig.sample_rate_hz
     plant_us = 1e6 * session.spent["plant"] / session.blocks
     loop_us = 1e6 * session.spent["loop"] / session.blocks

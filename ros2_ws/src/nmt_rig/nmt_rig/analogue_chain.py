@@ -2,7 +2,8 @@
 
 Between samples the signal is taken as the polynomial through the last six samples; a filter's response to that is
 exact. Relative error at ω for sampling intervals h: about 0.02 (ωh)⁶, i.e. 8e-8 at a fiftieth of the sample rate and
-1e-3 at a tenth. The history before the first sample is zero: at rest.
+1e-3 at a tenth. The history before the first sample is zero: at rest. Such a polynomial rings about a step; a signal
+with steps is taken as straight lines between its samples.
 """
 
 from __future__ import annotations
@@ -18,32 +19,33 @@ from nmt_rig.model.local_elements import compiled
 NODES = 6
 
 
-def lagrange_weights(position: float) -> FloatArray:
-    """(NODES,) weights of samples k, k - 1, … for the value at k - position (in samples)."""
-    nodes = np.arange(NODES, dtype=np.float64)
-    weights = np.ones(NODES)
-    for j in range(NODES):
+def lagrange_weights(position: float, count: int = NODES) -> FloatArray:
+    """(count,) weights of samples k, k - 1, … for the value at k - position (in samples)."""
+    nodes = np.arange(count, dtype=np.float64)
+    weights = np.ones(count)
+    for j in range(count):
         others = np.delete(nodes, j)
         weights[j] = np.prod((position - others) / (nodes[j] - others))
     return weights
 
 
-def low_pass_weights(rate: float, interval: float) -> tuple[FloatArray, float]:
+def low_pass_weights(rate: float, interval: float, count: int = NODES) -> tuple[FloatArray, float]:
     """One step of ẏ = rate (x - y) as y[k] = decay y[k - 1] + Σ weights[j] x[k - j].
 
     Args:
         rate: ω_c, rad/s.
         interval: sampling interval, s.
+        count: samples that the polynomial passes through.
 
     Returns:
-        weights (NODES,) and decay.
+        weights (count,) and decay.
     """
     decay = math.exp(-rate * interval)
     nodes, shares = np.polynomial.legendre.leggauss(128)
     # Time before the newest sample, in samples.
     before = 0.5 * (1.0 - nodes)
     kernel = 0.5 * shares * rate * interval * np.exp(-rate * interval * before)
-    weights = np.array([lagrange_weights(float(position)) for position in before]).T @ kernel
+    weights = np.array([lagrange_weights(float(position), count) for position in before]).T @ kernel
     # A constant is to pass unchanged, whatever the quadrature.
     return weights * ((1.0 - decay) / weights.sum()), decay
 
@@ -97,6 +99,7 @@ class AnalogueChain:
         sample_rate: Hz.
         low_pass_hz, high_pass_hz: corner frequencies, Hz.
         delay: s; at least minus one sampling interval (a channel that leads is extrapolated).
+        steps: the signal has steps between samples.
 
     Raises:
         ValueError: a delay that would need the future.
@@ -108,18 +111,20 @@ class AnalogueChain:
         low_pass_hz: float | None = None,
         high_pass_hz: float | None = None,
         delay: float = 0.0,
+        steps: bool = False,
     ) -> None:
         interval = 1.0 / sample_rate
         samples = delay * sample_rate
         if samples < -1.0 - 1e-9:
             raise ValueError(f"a channel can lead by one sampling interval ({interval:g} s) at most, got {-delay:g} s")
-        self._low = Filter(*low_pass_weights(2.0 * math.pi * low_pass_hz, interval)) if low_pass_hz else None
-        self._high = Filter(*low_pass_weights(2.0 * math.pi * high_pass_hz, interval)) if high_pass_hz else None
+        count = 2 if steps else NODES
+        self._low = Filter(*low_pass_weights(2.0 * math.pi * low_pass_hz, interval, count)) if low_pass_hz else None
+        self._high = Filter(*low_pass_weights(2.0 * math.pi * high_pass_hz, interval, count)) if high_pass_hz else None
         self._delay: Filter | None = None
         if delay != 0.0:
             # Between the two middle nodes where the history allows it.
-            whole = max(math.floor(samples) - (NODES // 2 - 1), 0)
-            weights = np.concatenate([np.zeros(whole), lagrange_weights(samples - whole)])
+            whole = max(math.floor(samples) - (count // 2 - 1), 0)
+            weights = np.concatenate([np.zeros(whole), lagrange_weights(samples - whole, count)])
             self._delay = Filter(weights)
         self.plain = self._low is None and self._high is None and self._delay is None
 

@@ -19,8 +19,9 @@ from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_system
 from nmt_rig.sensors import SensorChannel
 
-STEPS = 20
-"""Steps of the time integration per sample: the drive is held over all but the last, in which it moves on."""
+STEPS, STEPS_OF_IMAGES = 20, 40
+"""Steps of the time integration per sample: the drive is held over all but the last, in which it moves on. There are
+more where nothing filters the steps of a held drive: there delays of channels go along straight lines between them."""
 
 
 @dataclass(frozen=True)
@@ -53,22 +54,27 @@ class LaboratoryRig(SimulatedRig):
     Args:
         rig: the rig with everything that it really has.
         converters: what they make of the drive and of the channels.
+
+    Attributes:
+        steps: of the time integration per sample.
     """
 
     def __init__(self, rig: Rig, converters: Converters) -> None:
         self._converters = converters
-        self._ahead = STEPS - 1 if converters.held else 0
-        self._filter = butter(8, 0.8 / STEPS, output="sos")
+        self._images = converters.held and not converters.filtered
+        self.steps = STEPS_OF_IMAGES if self._images else STEPS
+        self._ahead = self.steps - 1 if converters.held else 0
+        self._filter = butter(8, 0.8 / self.steps, output="sos")
         super().__init__(rig)
 
     def _prepare(self) -> None:
         super()._prepare()
-        rate = STEPS * self.true_sample_rate
+        rate = self.steps * self.true_sample_rate
         self._begun = False
         self._memory = np.zeros((self._filter.shape[0], len(self.sensors), 2))
-        self._drift = Drift(self.rig.model_copy(update={"sample_rate_hz": STEPS * self.rig.sample_rate_hz}))
+        self._drift = Drift(self.rig.model_copy(update={"sample_rate_hz": self.steps * self.rig.sample_rate_hz}))
         self._chains = [
-            AnalogueChain(rate, sensor.low_pass_hz, sensor.high_pass_hz, sensor.delay + self._ahead / rate)
+            AnalogueChain(rate, sensor.low_pass_hz, sensor.high_pass_hz, sensor.delay + self._ahead / rate, self._images)
             for sensor in self.sensors
         ]
         sampled = [replace(s, low_pass_hz=None, high_pass_hz=None, delay=0.0, dead_zone=0.0) for s in self.sensors]
@@ -78,7 +84,7 @@ class LaboratoryRig(SimulatedRig):
     def _make_integrator(self) -> TimeIntegrator:
         system = build_system(self.rig)
         outputs = [sensor_row(system, self.rig, row, self._volts_to_input) for row in range(len(self.sensors))]
-        return TimeIntegrator(system, STEPS * self.true_sample_rate, outputs)
+        return TimeIntegrator(system, self.steps * self.true_sample_rate, outputs)
 
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
         monitor = self._distorted(drive)
@@ -100,7 +106,7 @@ class LaboratoryRig(SimulatedRig):
         values = self._sensed(values)
         if self._converters.filtered:
             values, self._memory = sosfilt(self._filter, values, zi=self._memory)
-        return np.ascontiguousarray(values[:, first::STEPS])
+        return np.ascontiguousarray(values[:, first::self.steps])
 
     def _sensed(self, values: FloatArray) -> FloatArray:
         """What the sensors and their conditioners pass, at every step."""
@@ -115,8 +121,8 @@ class LaboratoryRig(SimulatedRig):
     def _between(self, voltage: FloatArray) -> FloatArray:
         """The drive at every step that is to be made and at the end of the last, from that at the samples, (n + 1,)."""
         if self._converters.held:
-            return np.repeat(voltage, STEPS)[self._ahead if self._begun else 0 :]
-        places = np.arange(STEPS * (voltage.size - 1) + 1) / STEPS
+            return np.repeat(voltage, self.steps)[self._ahead if self._begun else 0 :]
+        places = np.arange(self.steps * (voltage.size - 1) + 1) / self.steps
         return np.interp(places, np.arange(voltage.size), voltage)
 
     def _distorted(self, drive: OscillatorBlock) -> FloatArray:

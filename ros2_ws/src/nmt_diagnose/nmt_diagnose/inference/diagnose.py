@@ -51,6 +51,7 @@ from nmt_diagnose.inference.progress import Progress
 from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import residual_tests
+from nmt_diagnose.inference.sampling_moment import with_better_moment
 from nmt_diagnose.inference.scan import Score
 from nmt_diagnose.inference.scatter import scatter_floor
 from nmt_diagnose.inference.sentences import sentences
@@ -67,6 +68,8 @@ from nmt_diagnose.twin.operating_range import operating_range
 from nmt_record.calibration_file import CalibrationSheet
 from nmt_rig.rig import Rig, load_rig
 
+# Most times that the moment at which a held random test was sampled is corrected.
+_MOMENTS = 3
 _RANKED = 8
 _JUDGED = 3
 _HELPS = 2.0
@@ -196,7 +199,8 @@ class _Diagnoser:
         self.repeated, self.workers = repeated, workers
         # Refits of the model and of the best explanations, by the rows that they were fitted to.
         self._known: dict[bytes, list[FittedModel | None]] = {}
-        self.confidence: Confidence = confidence()
+        self.elsewhere = any(measured_elsewhere(observations, number) for number in range(len(observations.tests)))
+        self.confidence: Confidence = confidence(elsewhere=self.elsewhere)
         self.splits = splits(observations, settings.hold_out)
         self.forward = Forward(observations.tests, observations.rows)
         self.given = self.forward.predict(rig)
@@ -349,7 +353,7 @@ class _Diagnoser:
 
         What the model of a strong effect is off by smoothly is noise to the comparison, and part of the stated gap.
         """
-        if not any(measured_elsewhere(self.observations, number) for number in range(len(self.observations.tests))):
+        if not self.elsewhere:
             return False
         moves = bool(singles) and singles[0].fit.log_evidence > null.fit.log_evidence + _MOVES
         near = self._with_images_of(singles[0]) if moves else null.fit
@@ -405,6 +409,15 @@ class _Diagnoser:
             elif not last:
                 # The nearer the model is, the clearer they show it.
                 null = self._under(observations, null)
+        return self._with_better_moment(null)
+
+    def _with_better_moment(self, null: FittedModel) -> FittedModel:
+        """The model alone where held random tests are taken as sampled at the moment that leaves least."""
+        for _ in range(_MOMENTS):
+            moved = with_better_moment(self.problem, null.fit)
+            if moved is None:
+                break
+            null = self._under(moved, null)
         return null
 
     def _with_images_of(self, leader: FittedModel) -> Fit:
@@ -583,8 +596,7 @@ class _Diagnoser:
         strict = 1.0 - self.confidence.explained
         if share is None or not share.before > _STRONG * max(share.floor, 1.0):
             return strict
-        own = not any(measured_elsewhere(self.observations, number) for number in range(len(self.observations.tests)))
-        return strict if own else max(_REMAINDER, strict)
+        return max(_REMAINDER, strict) if self.elsewhere else strict
 
     def _left(self, found: Fit) -> FloatArray:
         """Residual of a fit as the gap counts it, smooth errors of the model included, shape (m,)."""

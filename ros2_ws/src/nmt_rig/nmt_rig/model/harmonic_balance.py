@@ -137,10 +137,10 @@ def transfer_matrices(
         n = orders[position]
         s = 1j * n * angular_frequency
         mode = shifted_mode if n == 1 else -1
-        inverse = modal_inverse(s, self_excitation, shift, mode, mass, damping, stiffness, diagonal)
         rows = displacement_rows + s * velocity_rows + s * s * acceleration_rows
         row_slopes = velocity_rows + 2.0 * s * acceleration_rows
         if diagonal:
+            inverse = modal_inverse(s, self_excitation, shift, mode, mass, damping, stiffness, diagonal)
             response = np.empty((size, columns), dtype=np.complex128)
             adjoint = np.empty((outputs, size), dtype=np.complex128)
             impedance_response = np.empty((size, columns), dtype=np.complex128)
@@ -154,11 +154,15 @@ def transfer_matrices(
                 for i in range(outputs):
                     adjoint[i, k] = rows[i, k] * inverse[k, k]
         else:
-            response = inverse @ complex_inputs
-            adjoint = rows @ inverse
-            slope_matrix = damping - self_excitation * mass + (2.0 * s) * mass
-            impedance_response = slope_matrix @ response
-            mass_response = mass.astype(np.complex128) @ response
+            impedance = stiffness + (damping - self_excitation * mass) * s + mass * (s * s)
+            if mode >= 0:
+                impedance[mode, mode] += shift
+            response = np.linalg.solve(impedance, complex_inputs)
+            adjoint = np.ascontiguousarray(np.linalg.solve(impedance.T, rows.T).T)
+            real, imag = np.ascontiguousarray(response.real), np.ascontiguousarray(response.imag)
+            mass_response = mass @ real + 1j * (mass @ imag)
+            damping_response = damping @ real + 1j * (damping @ imag)
+            impedance_response = damping_response + (2.0 * s - self_excitation) * mass_response
         transfer[position] = rows @ response + feedthrough
         by_frequency[position] = (1j * n) * (row_slopes @ response - adjoint @ impedance_response)
         by_excitation[position] = s * (adjoint @ mass_response)
@@ -262,17 +266,13 @@ def harmonic_responses(
     (n, p)."""
     result = np.empty((basis.orders.size, impedance.shapes.shape[0]), dtype=np.complex128)
     modal_inputs = impedance.shapes.T @ inputs
+    damping = impedance.damping - self_excitation * impedance.mass
     for position, order in enumerate(basis.orders):
         s = 1j * order * angular_frequency
-        inverse = modal_inverse(
-            s,
-            self_excitation,
-            0j,
-            -1,
-            impedance.mass,
-            impedance.damping,
-            impedance.stiffness,
-            impedance.diagonal,
-        )
-        result[position] = impedance.shapes @ (inverse @ (modal_inputs @ amplitudes[position]))
+        given = modal_inputs @ amplitudes[position]
+        if impedance.diagonal:
+            modal = given / (np.diag(impedance.stiffness) + s * np.diag(damping) + s * s * np.diag(impedance.mass))
+        else:
+            modal = np.linalg.solve(impedance.stiffness + s * damping + s * s * impedance.mass, given)
+        result[position] = impedance.shapes @ modal
     return result

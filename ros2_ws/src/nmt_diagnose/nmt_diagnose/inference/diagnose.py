@@ -427,20 +427,25 @@ class _Diagnoser:
         grow by it, or be noise.
         """
         near = leader.fit
-        options = with_detected_images(self._undetected, near.parametrisation.rig(near.theta))
-        if len(options) != 1 or same_images(options[0], self.plain.observations):
-            return near
-        before = self.forward, self.given, self.plain, self.problem, self.observations
-        self._observe(options[0])
-        prediction = self.forward.predict(near.parametrisation.rig(near.theta), near.prediction)
-        moved = replace(near, prediction=prediction)
-        self._trace(moved, np.zeros(len(self.observations.rows)), 0.0)
-        with suppress(FitError):
-            found = fit(self.problem, near.parametrisation, near.theta, near.used, prediction)
-            if rms_left(replace(leader, fit=found)) <= max(rms_left(leader), _NOISE):
-                return found
-        self.forward, self.given, self.plain, self.problem, self.observations = before
-        return near
+        options = [
+            option
+            for option in with_detected_images(self._undetected, near.parametrisation.rig(near.theta))
+            if not same_images(option, self.plain.observations)
+        ]
+        best, least = near, max(rms_left(leader), _NOISE)
+        kept = self.forward, self.given, self.plain, self.problem, self.observations
+        for option in options:
+            self._observe(option)
+            prediction = self.forward.predict(near.parametrisation.rig(near.theta), near.prediction)
+            self._trace(replace(near, prediction=prediction), np.zeros(len(self.observations.rows)), 0.0)
+            with suppress(FitError):
+                found = fit(self.problem, near.parametrisation, near.theta, near.used, prediction)
+                left = rms_left(replace(leader, fit=found))
+                if left <= least:
+                    best, least = found, left
+                    kept = self.forward, self.given, self.plain, self.problem, self.observations
+        self.forward, self.given, self.plain, self.problem, self.observations = kept
+        return best
 
     def _observe(self, observations: Observations) -> None:
         """Take other conditions of the tests for the real side."""

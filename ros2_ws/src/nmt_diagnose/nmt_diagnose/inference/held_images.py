@@ -36,9 +36,10 @@ _ANGLES = np.linspace(0.0, 1.0, 80, endpoint=False)
 _DELAYS_S = np.linspace(-1e-3, 1e-3, 401)
 # Errors of a model go smoothly over so many lines.
 _ALIKE = 4.0
-# Twice the logarithm of likelihoods, and shares of it: what the images must matter, and how much of that they must
-# improve the description by, or worsen it.
-_CLEARLY, _THERE, _ABSENT = 10.0, 0.5, -0.3
+# Twice the logarithm of likelihoods: what the images must matter to be looked for, and to be sure of them; share of it by
+# which they must then improve the description, or worsen it.
+_CLEARLY, _MATTER, _SURE = 10.0, 60.0, 1.2
+_AT_STEP = 0.03  # samples
 _LEAST_SPREAD = 1e-5
 _SAME_MOMENT = 0.02  # samples
 
@@ -155,8 +156,8 @@ def detected_images(responses: Sequence[MeasuredResponse], rate: float, apart: f
     """Whether responses hold images of a held drive, and how they are turned; None where they hardly matter.
 
     Every response may have a gain, a phase, a delay, a high-pass and a roll-off of its own. Errors of the model near
-    its resonances are taken as outliers. The images are there if including them improves the description by at least
-    half of what it would lose without them; they are not if including them makes it clearly worse.
+    its resonances are taken as outliers. The images are there if including them improves the description by more than
+    it would lose without them; they are not if including them makes it worse by as much.
 
     Args:
         responses: of one random test, one for each channel.
@@ -192,8 +193,9 @@ def detected_images(responses: Sequence[MeasuredResponse], rate: float, apart: f
     if lost <= _CLEARLY:
         return None
     angle = _between(together, common)
-    there = None if _ABSENT * lost <= gained <= _THERE * lost else gained > 0.0
-    return DetectedImages(there, angle + round(float(np.median(lead)) - angle))
+    # Sampled as the drive moves on, images add what a mass or a filter in the model's place would add.
+    sure = lost > _MATTER and abs(gained) > _SURE * lost and abs(angle - round(angle)) > _AT_STEP
+    return DetectedImages(gained > 0.0 if sure else None, angle + round(float(np.median(lead)) - angle))
 
 
 def _between(costs: FloatArray, best: int) -> float:

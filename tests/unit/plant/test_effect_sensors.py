@@ -55,7 +55,7 @@ def test_a_delay_of_whole_samples_moves_them():
     assert np.array_equal(moved[:7], np.zeros(7))
 
 
-@pytest.mark.parametrize("delay", (0.3, 1.7, 2.5))
+@pytest.mark.parametrize("delay", [0.3, 1.7, 2.5])
 def test_a_late_step_does_not_ring(delay):
     step = np.repeat((0.0, 1.0), 20)
     seen = AnalogueChain(RATE, low_pass_hz=None, delay=delay / RATE, steps=True).process(step)

@@ -74,8 +74,8 @@ class LaboratoryRig(SimulatedRig):
         self._memory = np.zeros((self._filter.shape[0], len(self.sensors), 2))
         self._drift = Drift(self.rig.model_copy(update={"sample_rate_hz": self.steps * self.rig.sample_rate_hz}))
         self._chains = [
-            AnalogueChain(rate, sensor.low_pass_hz, sensor.high_pass_hz, sensor.delay + self._ahead / rate, self._images)
-            for sensor in self.sensors
+            AnalogueChain(rate, own.low_pass_hz, own.high_pass_hz, own.delay + self._ahead / rate, self._images)
+            for own in self.sensors
         ]
         sampled = [replace(s, low_pass_hz=None, high_pass_hz=None, delay=0.0, dead_zone=0.0) for s in self.sensors]
         self._channels = [SensorChannel(sensor, self.true_sample_rate, self.rig.seed) for sensor in sampled]
@@ -106,7 +106,7 @@ class LaboratoryRig(SimulatedRig):
         values = self._sensed(values)
         if self._converters.filtered:
             values, self._memory = sosfilt(self._filter, values, zi=self._memory)
-        return np.ascontiguousarray(values[:, first::self.steps])
+        return np.ascontiguousarray(values[:, first :: self.steps])
 
     def _sensed(self, values: FloatArray) -> FloatArray:
         """What the sensors and their conditioners pass, at every step."""

@@ -36,8 +36,8 @@ _ANGLES = np.linspace(0.0, 1.0, 80, endpoint=False)
 _DELAYS_S = np.linspace(-1e-3, 1e-3, 401)
 # Errors of a model go smoothly over so many lines.
 _ALIKE = 4.0
-# Twice the logarithm of likelihoods: what the images must matter to be looked for, and to be sure of them; share of it by
-# which they must then improve the description, or worsen it.
+# Twice the logarithm of likelihoods: what the images must matter to be looked for, and to be sure of them; share of it
+# by which they must then improve the description, or worsen it.
 _CLEARLY, _MATTER, _SURE = 10.0, 60.0, 1.2
 _AT_STEP = 0.03  # samples
 _LEAST_SPREAD = 1e-5

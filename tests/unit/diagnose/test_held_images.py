@@ -15,9 +15,13 @@ from unit.diagnose.twin_tests import noise_test, rows_of
 
 from nmt_blind.cases.blind_rigs import blind_rig
 from nmt_core.blocks import Quantity
+from nmt_diagnose.effects.calibration import calibration_parameters
+from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.chain_errors import with_chain_errors
+from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.held_images import with_detected_images
 from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.inference.sampling_moment import with_better_moment
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part, Rows
@@ -188,3 +192,46 @@ def test_a_share_of_the_images_that_a_channel_is_off_by_is_one_error(turn: compl
     sizes = [float(problem.whitened(each) @ problem.whitened(each)) for each in (error, alternating)]
     assert sizes[0] < 5.0
     assert sizes[1] > 5.0 * sizes[0]
+
+
+@pytest.mark.parametrize("at", [0.005, -0.005])
+def test_channels_sampled_just_beside_the_step_are_on_the_right_side_of_it(at: float) -> None:
+    test, rows = _random()
+    (found,) = with_detected_images(_observations(_sampled(MODEL, test, at), test, rows, 4), _off_by(2e-4))
+    (seen,) = found.tests
+    assert isinstance(seen, RandomTest)
+    assert 0.0 < (seen.sampled_at or 0.0) * np.sign(at) < 0.06
+
+
+def test_what_half_a_step_would_explain_leaves_it_open() -> None:
+    """Between its two sides a channel never is: a mass or a filter that the model lacks looks the same."""
+    test, rows = _random()
+    middle = 0.5 * (_sampled(MODEL, test, 0.0) + _sampled(MODEL, test, -1e-9))
+    options = with_detected_images(_observations(middle, test, rows, 6), _off_by(2e-4))
+    assert len(options) == 2
+    held, plain = (option.tests[0] for option in options)
+    assert isinstance(held, RandomTest)
+    assert abs(held.sampled_at or 0.0) < 0.03
+    assert plain == test
+
+
+@pytest.mark.parametrize("start", [0.17, 0.36])
+def test_the_moment_of_sampling_is_what_leaves_least_of_all_lines(start: float) -> None:
+    test, rows = _random()
+    test = replace(test, drive_hold_hz=RATE, sampled_at=start)
+    seen = _observations(_sampled(MODEL, test, 0.25), test, rows, 5)
+    seen = replace(seen, chains=(replace(seen.chains[0], images=False),))
+    for _ in range(3):
+        forward = Forward(seen.tests, rows)
+        base = forward.predict(MODEL)
+        problem = with_chain_errors(Problem(seen, forward), MODEL, base)
+        own = Parametrisation(MODEL, calibration_parameters(MODEL))
+        found = fit(problem, own, np.zeros(own.size), np.isfinite(base.values), base)
+        moved = with_better_moment(problem, found)
+        if moved is None:
+            break
+        seen = moved
+    (last,) = seen.tests
+    assert isinstance(last, RandomTest)
+    assert last.sampled_at == pytest.approx(0.25, abs=0.025)
+    assert moved is None

@@ -264,7 +264,7 @@ def _bag_size(rig: Any) -> float:
     with tempfile.TemporaryDirectory(prefix="nmt-benchmark-") as folder:
         with Session(plan_test(rig, list(_LEVELS), window_periods=100), Path(folder), extract=False) as session:
             session.run()
-        seconds = session.blocks * rig.block_samples / rig.sample_rate_hz
+        seconds = float(session.blocks * rig.block_samples / rig.sample_rate_hz)
         return sum(file.stat().st_size for file in Path(folder, "bag").iterdir()) / 1e6 / seconds * 60.0
 
 

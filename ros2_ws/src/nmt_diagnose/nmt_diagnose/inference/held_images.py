@@ -36,10 +36,10 @@ _ANGLES = np.linspace(0.0, 1.0, 80, endpoint=False)
 _DELAYS_S = np.linspace(-1e-3, 1e-3, 401)
 # Errors of a model go smoothly over so many lines.
 _ALIKE = 4.0
-# Twice the logarithm of likelihoods: what the images must matter to be looked for, and to be sure of them; share of it
-# by which they must then improve the description, or worsen it.
-_CLEARLY, _MATTER, _SURE = 10.0, 60.0, 1.2
-_AT_STEP = 0.03  # samples
+# Twice the logarithm of likelihoods: what the images must matter to be looked for, to be sure that they are not there,
+# and that they are; share of it by which they must then worsen the description, or improve it.
+_CLEARLY, _ABSENT, _THERE, _SURE = 10.0, 40.0, 80.0, 1.2
+_AT_STEP = 0.025  # samples
 _LEAST_SPREAD = 1e-5
 _SAME_MOMENT = 0.02  # samples
 
@@ -193,8 +193,9 @@ def detected_images(responses: Sequence[MeasuredResponse], rate: float, apart: f
     if lost <= _CLEARLY:
         return None
     angle = _between(together, common)
-    # Sampled as the drive moves on, images add what a mass or a filter in the model's place would add.
-    sure = lost > _MATTER and abs(gained) > _SURE * lost and abs(angle - round(angle)) > _AT_STEP
+    # Half the step, as at the very moment of it, looks like a mass or a filter; a channel sees one side or the other.
+    sure = lost > (_THERE if gained > 0.0 else _ABSENT) and abs(gained) > _SURE * lost
+    sure = sure and abs(angle - round(angle)) > _AT_STEP
     return DetectedImages(gained > 0.0 if sure else None, angle + round(float(np.median(lead)) - angle))
 
 

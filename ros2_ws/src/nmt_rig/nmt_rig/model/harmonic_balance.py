@@ -157,7 +157,7 @@ def transfer_matrices(
             impedance = stiffness + (damping - self_excitation * mass) * s + mass * (s * s)
             if mode >= 0:
                 impedance[mode, mode] += shift
-            response = np.linalg.solve(impedance, complex_inputs)
+            response = np.ascontiguousarray(np.linalg.solve(impedance, complex_inputs))
             adjoint = np.ascontiguousarray(np.linalg.solve(impedance.T, rows.T).T)
             real, imag = np.ascontiguousarray(response.real), np.ascontiguousarray(response.imag)
             mass_response = mass @ real + 1j * (mass @ imag)

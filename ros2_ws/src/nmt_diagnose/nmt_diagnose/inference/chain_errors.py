@@ -219,7 +219,7 @@ class _Columns:
         moved = forward.difference(forward.predict(clock, base).values, base.values)
         found.append(max(chain.clock for chain in self.own) * moved / _CLOCK_STEP)
         found += self._aims()
-        found += [*self._stepped(), *self._other_modes()]
+        found += [*self._stepped(), *self._other_modes(), *self._bends()]
         return np.column_stack([self._full(column) for column in found])
 
     def sweeps(self, prediction: Prediction) -> FloatArray:
@@ -506,6 +506,31 @@ class _Columns:
             for part in (images, 1j * images)
         ]
 
+    def _bends(self) -> list[FloatArray]:
+        """What delays of channels add to images that are part of the model, beyond what is in proportion to them.
+
+        An image of order m turns by m times the delay's share of a sample: a bend that counts. For a Gaussian delay it
+        goes with the square, of which the rms is √3.
+        """
+        found = []
+        for number, test in enumerate(self.tests):
+            if not isinstance(test, RandomTest) or test.sampled_at is None:
+                continue
+            mine = self.rows.test == number
+            own = self.rows.take(mine)
+            forward = Forward((test,), replace(own, test=np.zeros_like(own.test)))
+            base = forward.predict(self.rig)
+            for channel in test.channels:
+                delay = self.own[number].of(channel.name).delay_s
+                both = np.zeros(len(own))
+                for turn in (-delay, delay):
+                    moved = forward.predict(_edited(self.rig, channel, partial(_later, seconds=turn)), base)
+                    both += forward.difference(moved.values, base.values)
+                column = np.zeros(len(self.rows))
+                column[mine] = 0.5 * math.sqrt(3.0) * np.nan_to_num(both)
+                found.append(column)
+        return found
+
     def _without_images(self, base: Prediction) -> FloatArray:
         """Change of the rows if images that are part of the model were not there."""
         return self._other_steps(base, sampled_at=None, drive_hold_hz=math.inf)
@@ -610,8 +635,8 @@ def _near_step(test: Test) -> bool:
     return abs(test.sampled_at - round(test.sampled_at)) < _JUMP
 
 
-def _later(sensor: SensorSection) -> SensorSection:
-    return sensor.model_copy(update={"delay_s": sensor.delay_s + _DELAY_STEP_S})
+def _later(sensor: SensorSection, seconds: float = _DELAY_STEP_S) -> SensorSection:
+    return sensor.model_copy(update={"delay_s": sensor.delay_s + seconds})
 
 
 def _edited(rig: Rig, channel: MeasuredChannel, change: Callable[[SensorSection], SensorSection]) -> Rig:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -81,46 +80,8 @@ def test_sealed_campaigns_teach_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "confidence.json").exists()
 
 
-def test_recordings_made_elsewhere_teach_reliabilities_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    features = {"unknown_odds": 0.0, "leftover": 0.0, "second": 0.0, "together": 0.0, "sigmas": 1.0}
-    features |= {"margin": 1.0, "equivalents": 0.0}
-
-    def cases(bias: float) -> list[ScoredCase]:
-        found = gap_cases(400, 1.0, bias)
-        for truth, said in (("air_drag", "air_drag"), ("air_drag", "microslip"), ("lugre_joint", "microslip")):
-            kind = "open" if truth == "lugre_joint" else "effect"
-            found += [case(kind, {"log_odds": 3.0, **features}, truth, said)] * 20
-        return [replace(c, details={"features": {**_zeros(features), **c.details["features"]}}) for c in found]
-
-    made = {"own": cases(0.0), "elsewhere": cases(2.0)}
-    for name, tolerances in (("own", "none"), ("elsewhere", "laboratory")):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "public.json").write_text(json.dumps({"tolerances": tolerances}), encoding="utf-8")
-    monkeypatch.setattr("nmt_blind.campaign.calibrate.development_cases", lambda folder: tuple(made[folder.name]))
-    both = tmp_path / "both.json"
-    learned = calibrate([tmp_path / "own", tmp_path / "elsewhere"], CONFIDENCE_FILE, both)
-    assert [item.name for item in learned] == ["gap", "unnamed", "first"] + [
-        f"elsewhere: {name}" for name in ("gap", "unnamed", "first")
-    ]
-    here, there = confidence(both), confidence(both, elsewhere=True)
-    assert there.gap.bias - here.gap.bias == pytest.approx(2.0, abs=0.5)
-    assert there.prior_none == here.prior_none
-    # Without a campaign with tolerances what was learned of them stays.
-    only = tmp_path / "only.json"
-    calibrate([tmp_path / "own"], CONFIDENCE_FILE, only)
-    assert confidence(only, elsewhere=True).gap == confidence(elsewhere=True).gap
-    assert confidence(only).gap == here.gap
-
-
-def _zeros(features: dict[str, float]) -> dict[str, float]:
-    return {f"feature:{name}": value for name, value in features.items()}
-
-
-@pytest.mark.parametrize("elsewhere", [False, True])
-def test_the_frozen_calibration_has_a_reliability_for_each_question(elsewhere: bool) -> None:
-    frozen = confidence(elsewhere=elsewhere)
+def test_the_frozen_calibration_has_a_reliability_for_each_question() -> None:
+    frozen = confidence()
     for question in QUESTIONS:
         found: Reliability = getattr(frozen, question.name)
         assert set(found.weights) <= set(question.features)

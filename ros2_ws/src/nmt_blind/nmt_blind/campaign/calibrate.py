@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import minimize
 
-from nmt_blind.campaign.score import development_cases, has_tolerances
+from nmt_blind.campaign.score import development_cases
 from nmt_blind.campaign.scored_case import ScoredCase
 from nmt_blind.campaign.statistics import ReliabilityDiagram, area_under_roc, reliability
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_json
 from nmt_core.whole_file import write_whole
-from nmt_diagnose.inference.confidence import ELSEWHERE, bounded
+from nmt_diagnose.inference.confidence import bounded
 
 _RIDGE = 0.5
 _FEWEST = 20
@@ -50,7 +50,7 @@ class Learned:
     """What was learned for a question.
 
     Attributes:
-        name: of the question, with ``elsewhere:`` before it for recordings that were made elsewhere.
+        name: of the question.
         bias, weights: of the reliability.
         cases: that it was asked of; share: of those with the answer yes.
         error: expected calibration error on the same cases, each left out in its tenth.
@@ -90,9 +90,6 @@ QUESTIONS = (
 def calibrate(folders: Sequence[Path], file: Path, target: Path) -> tuple[Learned, ...]:
     """Learn all reliabilities and write them into a copy of a calibration.
 
-    Campaigns without tolerances of the measuring chain teach those of the bench's own recordings, campaigns with them
-    those of recordings made elsewhere. What no campaign is about stays as it is.
-
     Args:
         folders: diagnosed development campaigns.
         file: the calibration whose priors and thresholds are kept.
@@ -101,23 +98,17 @@ def calibrate(folders: Sequence[Path], file: Path, target: Path) -> tuple[Learne
     Raises:
         BenchError: no development campaign, or too few cases.
     """
-    groups: dict[bool, list[ScoredCase]] = {}
-    for folder in folders:
-        cases = [case for case in development_cases(folder) if case.details.get("features")]
-        groups.setdefault(has_tolerances(folder), []).extend(cases)
+    cases = [case for folder in folders for case in development_cases(folder) if case.details.get("features")]
     try:
         values = read_json(file, "calibration")
     except BenchError as error:
         raise BenchError(f"The calibration {file} cannot be read ({error}).") from error
-    learned: list[Learned] = []
-    for elsewhere, cases in sorted(groups.items()):
-        own = values.setdefault(ELSEWHERE, {}) if elsewhere else values
-        for item in (learn(question, cases) for question in QUESTIONS):
-            weights = {name: round(weight, 4) for name, weight in item.weights.items()}
-            own[item.name] = {"bias": round(item.bias, 4), "weights": weights}
-            learned.append(replace(item, name=f"{ELSEWHERE}: {item.name}") if elsewhere else item)
+    learned = tuple(learn(question, cases) for question in QUESTIONS)
+    for item in learned:
+        weights = {name: round(weight, 4) for name, weight in item.weights.items()}
+        values[item.name] = {"bias": round(item.bias, 4), "weights": weights}
     write_whole(target, json.dumps(values, indent=2) + "\n")
-    return tuple(learned)
+    return learned
 
 
 def learn(question: Question, cases: Sequence[ScoredCase]) -> Learned:

@@ -469,15 +469,6 @@ def development_cases(folder: Path) -> tuple[ScoredCase, ...]:
     return read_cases(_opened(folder, seal), folder / "results")[0]
 
 
-def has_tolerances(folder: Path) -> bool:
-    """Whether a measuring chain was drawn for every case of a campaign, so that its recordings count as made elsewhere.
-
-    Raises:
-        BenchError: it is no campaign.
-    """
-    return str(_read(folder / "public.json").get("tolerances", "none")) != "none"
-
-
 def _read(path: Path) -> dict[str, Any]:
     try:
         return read_json(path, "file")

@@ -4,9 +4,6 @@ Evidences of an inexact model are over-confident, and what is called the cause o
 one. So three questions are answered by how often the same features were right on cases whose truth was known: is there
 a gap, has it a name, is the first name the right one. ``./nmt blind calibrate`` learns them from development campaigns.
 
-Recordings that were measured elsewhere have a measuring chain with tolerances, and smooth errors of their models: the
-same odds mean something else than in the bench's own simulator. They have reliabilities of their own.
-
 The file ``confidence.json`` beside this module is frozen before a sealed campaign; its SHA-256 goes into every
 diagnosis.
 """
@@ -107,28 +104,15 @@ class Confidence:
     first: Reliability
 
 
-RELIABILITIES = ("gap", "unnamed", "first")
-"""Names of the reliabilities."""
-
-ELSEWHERE = "elsewhere"
-"""Key of the reliabilities of recordings that the bench's own simulator did not make."""
-
-
 @cache
-def confidence(path: Path = CONFIDENCE_FILE, elsewhere: bool = False) -> Confidence:
+def confidence(path: Path = CONFIDENCE_FILE) -> Confidence:
     """The frozen calibration.
-
-    Args:
-        path: of the file.
-        elsewhere: for recordings that the bench's own simulator did not make.
 
     Raises:
         BenchError: the file is damaged.
     """
     try:
         values = read_json(path, "calibration of confidence")
-        if elsewhere:
-            values = {**values, **{name: values[ELSEWHERE][name] for name in RELIABILITIES}}
         return Confidence(**{item.name: _read(values[item.name]) for item in fields(Confidence)})
     except (BenchError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise BenchError(

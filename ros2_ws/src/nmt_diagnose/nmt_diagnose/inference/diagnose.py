@@ -200,7 +200,7 @@ class _Diagnoser:
         # Refits of the model and of the best explanations, by the rows that they were fitted to.
         self._known: dict[bytes, list[FittedModel | None]] = {}
         self.elsewhere = any(measured_elsewhere(observations, number) for number in range(len(observations.tests)))
-        self.confidence: Confidence = confidence(elsewhere=self.elsewhere)
+        self.confidence: Confidence = confidence()
         self.splits = splits(observations, settings.hold_out)
         self.forward = Forward(observations.tests, observations.rows)
         self.given = self.forward.predict(rig)

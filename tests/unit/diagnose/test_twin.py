@@ -670,3 +670,27 @@ def test_a_held_drive_folds_its_images_onto_the_lines():
     found = responses(replace(plain, drive_hold_hz=rate))
     np.testing.assert_allclose(found, expected, rtol=1e-7)
     assert np.max(np.abs(found / responses(plain) - 1.0)) > 1e-4
+
+
+def test_a_backbone_table_is_the_modes_own_whatever_the_sensors_do():
+    rig = chain()
+    amplitudes = np.array([1e-4, 1e-3])
+    test = BackboneTable("table", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), amplitudes)
+    own = [(0, k, 0, 1, part) for k in range(2) for part in (Part.LOG_FREQUENCY, Part.DAMPING)]
+    forward = Forward([test], rows_of(own, 24.0))
+    expected = forward.predict(rig).values
+
+    def with_sensor(quantity, **changes):
+        sensors = [s.model_copy(update=changes) if s.quantity == quantity else s for s in rig.sensors]
+        return forward.predict(rig.model_copy(update={"sensors": sensors})).values
+
+    for changes in ({"high_pass_hz": 2.0}, {"delay_s": 1e-3}, {"gain": 1.3}):
+        np.testing.assert_allclose(with_sensor("force", **changes), expected, rtol=1e-9)
+    np.testing.assert_allclose(with_sensor("displacement", delay_s=1e-3), expected, rtol=1e-9)
+    # The amplitudes are what their channel shows.
+    louder = BackboneTable("table", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), amplitudes / 1.3)
+    np.testing.assert_allclose(
+        with_sensor("displacement", gain=1.3),
+        Forward([louder], rows_of(own, 24.0)).predict(rig).values,
+        rtol=1e-9,
+    )

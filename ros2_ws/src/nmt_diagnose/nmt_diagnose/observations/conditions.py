@@ -21,11 +21,13 @@ class MeasuredChannel:
         name: channel name, for example ``f2``, ``x4``, ``a2``, ``u``.
         quantity: what it measures.
         point: measurement point, 0 for voltage and current.
+        ideal: it is the motion or force itself, whatever sensors the rig has.
     """
 
     name: str
     quantity: Quantity
     point: int
+    ideal: bool = False
 
 
 @dataclass(frozen=True)

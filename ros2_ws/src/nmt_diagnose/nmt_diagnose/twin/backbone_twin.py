@@ -20,6 +20,7 @@ from nmt_rig.rig import Rig, ShakerSection
 class BackboneTwin:
     """Predicts a backbone: frequency and damping over the amplitude of a response.
 
+    A table is the nonlinear mode's own, as from free decays: only the sensor of the amplitudes has a part in it.
     The damping ratio is that of the method, δ̃ = P₁ / (ω̃³ φ̃ᴴ M φ̃) with the structure's own mass matrix.
 
     Args:
@@ -35,8 +36,8 @@ class BackboneTwin:
             own = rows.frequency_hz[rows.level == position]
             frequency = float(own[0]) if own.size else np.nan
             levels.append(LockedLevel(position, float(amplitude), 0.0, 0.0, frequency, 0.0, 0.0, 0.0, 1))
-        probe = MeasuredChannel(f"x{test.drive_point}", Quantity.DISPLACEMENT, test.drive_point)
-        force = MeasuredChannel(f"f{test.drive_point}", Quantity.FORCE, test.drive_point)
+        probe = MeasuredChannel("motion", Quantity.DISPLACEMENT, test.drive_point, ideal=True)
+        force = MeasuredChannel("force", Quantity.FORCE, test.drive_point, ideal=True)
         channels = tuple(dict.fromkeys((test.channel, force, probe)))
         inner = PhaseResonanceTest(
             test.name, test.drive_point, probe.name, channels, settings.harmonics, "response", tuple(levels)

@@ -431,6 +431,8 @@ def _force_rows(system: ElectromechanicalSystem) -> tuple[FloatArray, FloatArray
 
 def _sensor(rig: Rig, channel: MeasuredChannel, named: dict[str, SensorSection]) -> SensorSection | None:
     """The rig's sensor of a channel: by name, else by quantity and point."""
+    if channel.ideal:
+        return None
     if channel.name in named:
         return named[channel.name]
     for sensor in rig.sensors:

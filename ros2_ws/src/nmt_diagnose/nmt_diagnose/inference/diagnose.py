@@ -199,7 +199,6 @@ class _Diagnoser:
         self.repeated, self.workers = repeated, workers
         # Refits of the model and of the best explanations, by the rows that they were fitted to.
         self._known: dict[bytes, list[FittedModel | None]] = {}
-        self.elsewhere = any(measured_elsewhere(observations, number) for number in range(len(observations.tests)))
         self.confidence: Confidence = confidence()
         self.splits = splits(observations, settings.hold_out)
         self.forward = Forward(observations.tests, observations.rows)
@@ -212,6 +211,11 @@ class _Diagnoser:
             rig, operating_range(rig, observations.tests, observations=observations), settings.withheld
         )
         self.comparison = self._comparison()
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether any test was not made by the bench's own simulator."""
+        return any(measured_elsewhere(self.observations, number) for number in range(len(self.observations.tests)))
 
     def _plain(self, near: Prediction) -> Problem:
         """Observations and model, with the noise of measured amplitudes propagated about a solution."""

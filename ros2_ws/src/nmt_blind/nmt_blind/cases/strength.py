@@ -4,8 +4,8 @@ Two tests without noise are compared, with the effect and without: harmonics of 
 random test. What the difference d amounts to is σ² = dᵀ (N + C Cᵀ)⁻¹ d, with N the noise of the sensors and the
 repeatability of a test, and C the changes that shifts of the model's parameters by one prior standard deviation make,
 together with the scatter of the phase at lock, of each level and of all levels alike. Where a laboratory's tolerances
-are asked for, C also has what they change: a gain, a phase and a delay of every channel, a delay of all of them, the
-clock, and what an ordinary loop's phase leans by.
+are asked for, C also has what they change: a gain, a phase and a delay of every channel, a delay of all sensors of
+a kind, the clock, and what an ordinary loop's phase leans by.
 """
 
 from __future__ import annotations
@@ -202,7 +202,9 @@ class Sensitivity:
 
     def _chain(self) -> list[FloatArray]:
         """Changes by one standard deviation of everything that a laboratory's measuring chain is off by."""
-        columns, late = [], np.zeros(self.base.values.size)
+        columns: list[FloatArray] = []
+        # Delays of the sensors of each kind: their numbers, and the change of all together.
+        kinds: dict[str, tuple[list[int], FloatArray]] = {}
         for index, sensor in enumerate(self.model.sensors):
             path = ("sensors", index)
             if sensor.quantity == "voltage":
@@ -218,16 +220,18 @@ class Sensitivity:
             columns.append(DELAY_S * delay)
             self._late.append((len(self._made), index, DELAY_S))
             self._made.append(None)
-            late = late + delay
+            members, late = kinds.get(sensor.quantity, ([], np.zeros(self.base.values.size)))
+            kinds[sensor.quantity] = ([*members, index], late + delay)
             if has_lead(sensor.quantity) and sensor.high_pass_hz is None:
                 lead = math.radians(PHASE_DEG)
                 corner = self.operating.omega / (2.0 * math.pi) * math.tan(lead)
                 columns.append(self._change(Edit((*path, "high_pass_hz"), corner)))
                 self._made.append(partial(_leading, (*path, "high_pass_hz"), corner))
         shared = SHARED_DELAY_S / math.sqrt(3.0)
-        columns.append(shared * late)
-        self._late += [(len(self._made), sensor, shared) for sensor in sorted({own for _, own, _ in self._late})]
-        self._made.append(None)
+        for members, late in kinds.values():
+            columns.append(shared * late)
+            self._late += [(len(self._made), sensor, shared) for sensor in members]
+            self._made.append(None)
         step = _CHAIN_STEPS["clock_error"]
         columns.append(CLOCK * self._change(Edit(("clock_error",), self.model.clock_error + step)) / step)
         clock = self.model.clock_error

@@ -113,6 +113,8 @@ def fingerprint(rig: BlindRig, tolerances: str = "none") -> str:
     if tolerances != "none":
         noise += [LABORATORY_PHASE_AT_LOCK, LABORATORY_PHASE_LEAN]
         noise += [GAIN, PHASE_DEG, DELAY_S, SHARED_DELAY_S, CLOCK, MAINS]
+        # A delay for the sensors of each kind.
+        noise += [float(len({sensor.quantity for sensor in rig.model().sensors}))]
     values = rig.model().model_dump(mode="json", exclude_defaults=True)
     text = json.dumps([values, asdict(rig.bench), noise], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

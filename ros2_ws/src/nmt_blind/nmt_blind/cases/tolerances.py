@@ -26,7 +26,7 @@ PHASE_DEG = 0.2
 DELAY_S = 5e-6
 """Standard deviation of the delay of a channel against the others, s."""
 SHARED_DELAY_S = 100e-6
-"""Half width of the delay of all sensors against the drive, s."""
+"""Half width of the delay of all sensors of a kind against the drive: they share their conditioners, s."""
 DISTORTION = 1e-3
 """Largest third harmonic of the drive over its fundamental; the second has up to half of it."""
 FILTERED = 0.5
@@ -104,7 +104,9 @@ def draw_chain(model: Rig, operating: Operating, generator: np.random.Generator)
 
     gains = 1.0 + GAIN * normal()
     leads = math.radians(PHASE_DEG) * np.abs(normal())
-    delays = DELAY_S * normal() + generator.uniform(-SHARED_DELAY_S, SHARED_DELAY_S)
+    kinds = list(dict.fromkeys(sensor.quantity for sensor in model.sensors))
+    shared = dict(zip(kinds, generator.uniform(-SHARED_DELAY_S, SHARED_DELAY_S, len(kinds)), strict=True))
+    delays = DELAY_S * normal() + np.array([shared[sensor.quantity] for sensor in model.sensors])
     hums = MAINS * generator.random(count)
     clock = CLOCK * float(np.clip(generator.standard_normal(), -_LARGEST, _LARGEST))
     sizes = DISTORTION * generator.random(2) * (0.5, 1.0)

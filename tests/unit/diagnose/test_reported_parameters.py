@@ -44,6 +44,10 @@ REPORTED = {
         },
     ),
     "amplifier_saturation": ("chain", {"V": lambda rig: rig.exciter.amplifier_saturation_v}),
+    "clipping@x1": (
+        "chain",
+        {"level": lambda rig: next(s for s in rig.sensors if rig.sensor_channel(s) == "x1").clip},
+    ),
     "low_pass@x1": (
         "chain",
         {"low_pass_hz": lambda rig: next(s for s in rig.sensors if rig.sensor_channel(s) == "x1").low_pass_hz},
@@ -66,7 +70,7 @@ def test_a_reported_parameter_is_the_key_of_the_rig(label: str) -> None:
     rig, own = candidate(name, label)
     values = {p.name: (0.7 + 0.2 * k) * own.site.scales[p.name] for k, p in enumerate(own.effect.parameters)}
     changed = own.effect.apply(rig, own.site, values)
-    reported = own.effect.reported(values)
+    reported = own.effect.reported(own.site, values)
     assert set(reported) == set(keys)
     for parameter, (value, _) in reported.items():
         assert value == pytest.approx(keys[parameter](changed), rel=1e-12), parameter

@@ -35,6 +35,7 @@ _PARTS = {
     Part.SAMPLE: "sample",
     Part.LINE: "line_amplitude",
     Part.STEP: "converter_step",
+    Part.LIMIT: "inverse_clipping_level",
 }
 _FEW_LINES = 12
 _TAU = 2.0 * math.pi

@@ -99,7 +99,7 @@ def _with_friction(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_element(rig, element)
 
 
-def _friction_report(values: Mapping[str, float]) -> Reported:
+def _friction_report(site: Site, values: Mapping[str, float]) -> Reported:
     return {"kt": (values["kt"], "N/m"), "slip_force": (values["kt"] * values["slip_displacement"], "N")}
 
 
@@ -144,7 +144,7 @@ def _joint_slip_force(values: Mapping[str, float]) -> float:
     return values["kt"] * values["slip_displacement"] * power / (power + 1.0)
 
 
-def _new_joint_report(values: Mapping[str, float]) -> Reported:
+def _new_joint_report(site: Site, values: Mapping[str, float]) -> Reported:
     return {
         "kt": (values["kt"], "N/m"),
         "slip_force": (_joint_slip_force(values), "N"),
@@ -171,7 +171,7 @@ def _with_microslip(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("local_elements", site.index), joint)
 
 
-def _microslip_report(values: Mapping[str, float]) -> Reported:
+def _microslip_report(site: Site, values: Mapping[str, float]) -> Reported:
     return {
         "spread": (values["spread"], "1"),
         "chi": (values["power"] - 1.0, "1"),
@@ -189,7 +189,7 @@ BOUNDARY_EFFECTS: tuple[Effect, ...] = (
         parameters=(EffectParameter("compliance", "rad/(N m) or m/N"),),
         sites=_compliance_sites,
         change=_with_compliance,
-        report=lambda values: {"k": (1.0 / values["compliance"] if values["compliance"] else float("inf"),
+        report=lambda site, values: {"k": (1.0 / values["compliance"] if values["compliance"] else float("inf"),
                                      "N m/rad or N/m")},
         equivalents={"stinger_stiffness": "a second drive point"},
     ),

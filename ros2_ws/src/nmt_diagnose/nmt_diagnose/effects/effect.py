@@ -88,7 +88,7 @@ class Effect:
     parameters: tuple[EffectParameter, ...]
     sites: Callable[[Rig, OperatingRange], tuple[Site, ...]] = field(repr=False)
     change: Callable[[Rig, Site, Mapping[str, float]], Rig] = field(repr=False)
-    report: Callable[[Mapping[str, float]], Reported] | None = field(default=None, repr=False)
+    report: Callable[[Site, Mapping[str, float]], Reported] | None = field(default=None, repr=False)
     equivalents: Mapping[str, str] = field(default_factory=dict)
     force: Literal["", "elastic", "dissipative"] = ""
 
@@ -108,10 +108,10 @@ class Effect:
             return rig
         return self.change(rig, site, values)
 
-    def reported(self, values: Mapping[str, float]) -> Reported:
-        """Physical parameters as they are reported, with units."""
+    def reported(self, site: Site, values: Mapping[str, float]) -> Reported:
+        """Physical parameters at a site as they are reported, with units."""
         if self.report is not None:
-            return self.report(values)
+            return self.report(site, values)
         return {p.name: (values[p.name], p.unit) for p in self.parameters}
 
 

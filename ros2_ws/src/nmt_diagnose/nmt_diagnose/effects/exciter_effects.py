@@ -75,7 +75,7 @@ def _with_saturation(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("exciter", "amplifier_saturation_v"), values["inverse_square"] ** -0.5)
 
 
-def _saturation_report(values: Mapping[str, float]) -> Reported:
+def _saturation_report(site: Site, values: Mapping[str, float]) -> Reported:
     strength = values["inverse_square"]
     return {"V": (strength**-0.5 if strength > 0.0 else float("inf"), "V")}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,9 @@ class OperatingRange:
         force: fundamental of the force at the drive point, N.
         channels: largest fundamental amplitude of each channel by name, before its gain.
         channels_low: the same at the lowest level.
+        steps: converter step of each channel whose samples were looked at, recorded units; 0 = they show none, or that
+            of the model.
+        limits: level at which the samples of a channel are clipped, recorded units.
         duration_s: bench time from the first to the last window, s.
         cycles: drive periods in that time.
     """
@@ -41,6 +44,8 @@ class OperatingRange:
     channels_low: Mapping[str, float]
     duration_s: float
     cycles: float
+    steps: Mapping[str, float] = field(default_factory=dict)
+    limits: Mapping[str, float] = field(default_factory=dict)
 
     def typical_mass(self, point: int) -> float:
         """1 % of what moves at a point, kg: of the mode's mass there or of the structure, whichever is less."""

@@ -125,7 +125,7 @@ class Parametrisation:
         own = self.candidates[candidate]
         return {
             name: (value, _unit_at(unit, own.site))
-            for name, (value, unit) in own.effect.reported(self.values(theta, candidate)).items()
+            for name, (value, unit) in own.effect.reported(own.site, self.values(theta, candidate)).items()
         }
 
 

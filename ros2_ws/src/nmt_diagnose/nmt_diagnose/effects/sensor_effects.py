@@ -17,6 +17,10 @@ MEASUREMENT = "Ewins, Modal Testing (2000)"
 Change = Callable[[Rig, Site, Mapping[str, float]], Rig]
 
 
+# Depth of clipping that is looked at where no samples stand at a level; what depth counts from where they do.
+_CLIP_DEPTH, _SEEN_DEPTH = 0.1, 0.5
+
+
 def _sensors(rig: Rig, quantities: tuple[str, ...]) -> list[tuple[int, SensorSection, str]]:
     return [
         (index, sensor, rig.sensor_channel(sensor))
@@ -84,28 +88,37 @@ def _with_transverse(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("sensors", site.index, "transverse"), section)
 
 
-def _limit_sites(low: bool) -> Callable[[Rig, OperatingRange], tuple[Site, ...]]:
-    name = "lsb" if low else "depth"
+def _clip_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    """Where samples stand at a level, that is where the search begins."""
+    found = []
+    for index, sensor, channel in _sensors(rig, (*RESPONSES, "force")):
+        largest = operating.channels.get(channel, 0.0) * abs(sensor.gain)
+        depth, level = _CLIP_DEPTH, operating.limits.get(channel, 0.0)
+        if level > 0.0:
+            largest, depth = level * exp(_SEEN_DEPTH), _SEEN_DEPTH
+        if largest > 0.0:
+            where = _placement(rig, sensor)
+            found.append(Site(where, {"depth": depth}, rig.sensor_point(sensor), index=index, reference=largest))
+    return tuple(found)
 
-    def sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-        amplitudes = operating.channels_low if low else operating.channels
-        return tuple(
-            Site(
-                _placement(rig, sensor),
-                {name: amplitudes[channel] * abs(sensor.gain) if low else 0.1},
-                rig.sensor_point(sensor),
-                index=index,
-                reference=0.0 if low else float(operating.channels[channel] * abs(sensor.gain)),
-            )
-            for index, sensor, channel in _sensors(rig, (*RESPONSES, "force"))
-            if amplitudes.get(channel, 0.0) > 0.0
-        )
 
-    return sites
+def _step_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    """Where samples show a step, that is where the search begins; otherwise one that hides the lowest level."""
+    found = []
+    for index, sensor, channel in _sensors(rig, (*RESPONSES, "force")):
+        lowest = operating.channels_low.get(channel, 0.0) * abs(sensor.gain)
+        step = operating.steps.get(channel, lowest)
+        if step > 0.0:
+            found.append(Site(_placement(rig, sensor), {"lsb": step}, rig.sensor_point(sensor), index=index))
+    return tuple(found)
 
 
 def _with_clip(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("sensors", site.index, "clip"), site.reference * exp(-values["depth"]))
+
+
+def _clip_report(site: Site, values: Mapping[str, float]) -> Reported:
+    return {"level": (site.reference * exp(-values["depth"]), "channel")}
 
 
 def _with_lsb(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
@@ -177,7 +190,7 @@ def _low_pass(sensor: SensorSection, values: Mapping[str, float]) -> float:
     return 1.0 / (2.0 * pi * values["time_constant"])
 
 
-def _low_pass_report(values: Mapping[str, float]) -> Reported:
+def _low_pass_report(site: Site, values: Mapping[str, float]) -> Reported:
     tau = values["time_constant"]
     return {"low_pass_hz": (1.0 / (2.0 * pi * tau) if tau > 0.0 else float("inf"), "Hz")}
 
@@ -185,7 +198,8 @@ def _low_pass_report(values: Mapping[str, float]) -> Reported:
 def _chain_effect(
     name: str, equation: str, parameter: EffectParameter, key: str,
     value: Callable[[SensorSection, Mapping[str, float]], float | None],
-    scale: Callable[[OperatingRange, str], float], report: Callable[[Mapping[str, float]], Reported] | None = None,
+    scale: Callable[[OperatingRange, str], float],
+    report: Callable[[Site, Mapping[str, float]], Reported] | None = None,
     equivalents: Mapping[str, str] | None = None,
 ) -> Effect:  # fmt: skip
     return Effect(
@@ -269,16 +283,16 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         _high_pass, lambda operating, channel: 0.005 * operating.omega / (2.0 * pi),
     ),
     Effect(
-        name="clipping", place="response_sensor", equation="clip(y, ±A e^{−depth}), A = largest amplitude of the model",
+        name="clipping", place="response_sensor", equation="clip(y, ±A e^{−depth}), A > amplitudes of all tests",
         reference=MEASUREMENT, keys="sensors.clip",
         parameters=(EffectParameter("depth", "1", grid=(0.5, 1.0, 2.0, 4.0)),),
-        sites=_limit_sites(low=False), change=_with_clip,
+        sites=_clip_sites, change=_with_clip, report=_clip_report,
     ),
     Effect(
         name="quantisation", place="response_sensor", equation="LSB · round(y/LSB)",
         reference="Widrow and Kollár, Quantization Noise (2008)", keys="sensors.bits, sensors.range",
         parameters=(EffectParameter("lsb", "channel", grid=(0.3, 1.0, 1.8)),),
-        sites=_limit_sites(low=True), change=_with_lsb,
+        sites=_step_sites, change=_with_lsb,
     ),
     Effect(
         name="mains_hum", place="response_sensor", equation="y + A cos(2π 50 t), or 60", reference=MEASUREMENT,

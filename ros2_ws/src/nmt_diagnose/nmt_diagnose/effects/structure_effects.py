@@ -204,7 +204,7 @@ STRUCTURE_EFFECTS: tuple[Effect, ...] = (
         keys="local_elements: power_law_damper",
         parameters=(EffectParameter("force", "N"), EffectParameter("excess", "1", "shape", grid=(0.5, 2.0))),
         sites=_power_law_sites, change=_with_power_law,
-        report=lambda values: {"force": (values["force"], "N"),
+        report=lambda site, values: {"force": (values["force"], "N"),
                                "p": (1.0 + min(values["excess"], _LARGEST_EXCESS), "1")},
         force="dissipative",
     ),

@@ -18,7 +18,7 @@ from nmt_diagnose.observations.conditions import (
     RingDownTest,
     SteppedSineTest,
 )
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.observations.observables import Observations, Part
 
 _FEWEST_LEVELS = 4
 # Frequency responses at held amplitudes: levels from which they are held out by level, and the highest two of them.
@@ -78,6 +78,8 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
         mine = named_tests(observations, hold_out)
         return [Split(" and ".join(f"the test {PurePath(name).name}" for name in hold_out), ~mine, mine)]
     rows = observations.rows
+    # Where a channel is clipped is read off the few windows that reach the level; no other window predicts it.
+    limits = rows.part == Part.LIMIT
     result = []
     levelled = np.zeros(len(rows), dtype=bool)
     odd = np.zeros(len(rows), dtype=bool)
@@ -115,7 +117,7 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
             if len(numbers) > 1:
                 names = f"{names} and {len(numbers) - 1} more levels of it"
             result.append(Split(f"the test {names}", ~mine, mine))
-    return result
+    return [Split(own.name, own.fitted | limits, own.held_out & ~limits) for own in result]
 
 
 def _swept(observations: Observations) -> list[list[tuple[int, float]]]:

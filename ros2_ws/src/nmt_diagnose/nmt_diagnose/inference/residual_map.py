@@ -85,6 +85,7 @@ KINDS: tuple[tuple[str, str, float, tuple[Part, ...]], ...] = (
     ("damping", "% of critical", 100.0, (Part.DAMPING,)),
     ("line of the mains in", "", 1.0, (Part.LINE,)),
     ("converter step of", "", 1.0, (Part.STEP,)),
+    ("inverse clipping level of", "", 1.0, (Part.LIMIT,)),
     ("record of", "", 1.0, (Part.SAMPLE,)),
 )
 """Kinds of observables: name, unit (empty = that of the channel), factor to that unit, parts of rows."""

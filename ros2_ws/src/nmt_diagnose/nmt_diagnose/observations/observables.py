@@ -30,6 +30,7 @@ class Part(IntEnum):
     SAMPLE = 7  # a sample of a record, in units of the channel
     LINE = 8  # amplitude of a spectral line at the row's frequency that follows no excitation, in units of the channel
     STEP = 9  # step of the converter that recorded the channel, in its units; 0 where the samples show none
+    LIMIT = 10  # one over the level at which the samples of the channel are clipped, in one over its units; 0 = nowhere
 
 
 @dataclass(frozen=True)

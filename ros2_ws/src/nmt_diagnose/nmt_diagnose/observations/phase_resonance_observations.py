@@ -13,6 +13,7 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.clipping import clipping_level
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.converter_step import converter_step
 from nmt_diagnose.observations.drive_hold import hold_factor, image_responses
@@ -50,6 +51,8 @@ _STANDS_OUT = 6.0
 # deviation of the noise changes hardly any observable: its weight is that of four standard deviations.
 _HIDDEN_STEP = 0.3
 _STEP_SHARE = 0.25
+# Standard deviation of a clipping level that all levels of a test show, and what counts as the same, relative.
+_LIMIT_SHARE, _SAME_LIMIT = 0.1, 0.01
 
 
 def wrapped(angle: FloatArray) -> FloatArray:
@@ -399,6 +402,7 @@ def phase_resonance_observations(
                 table.add(cell.part, cell.value, std, floor, place, index_of[cell.name], cell.harmonic)
     notes += _mains(run, floors, table)
     notes += _steps(run, cells, view, table)
+    _limits(run, view, table)
     return table.observations(test, notes)
 
 
@@ -490,6 +494,26 @@ def _steps(run: _Run, cells: Sequence[_Cell], view: ModelView, table: RowTable) 
         for k in found:
             table.add(Part.STEP, step, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
     return notes
+
+
+def _limits(run: _Run, view: ModelView, table: RowTable) -> None:
+    """Add the levels at which channels are clipped, where the model does not say so."""
+    believed = {view.rig.sensor_channel(sensor): sensor.clip or sensor.range for sensor in view.rig.sensors}
+    for number, channel in enumerate(run.channels):
+        if channel.quantity is Quantity.VOLTAGE:
+            continue
+        theirs = run.recorded[channel.name]
+        found = {
+            k: level
+            for k, window in enumerate(run.windows)
+            if theirs in window.rows and (level := clipping_level(window.stretch.row(theirs))) > 0.0
+        }
+        expected = believed.get(channel.name)
+        for k, level in found.items():
+            if expected is None or not math.isclose(level, expected, rel_tol=_SAME_LIMIT):
+                # All levels together say it once.
+                floor = _LIMIT_SHARE / level * math.sqrt(len(found))
+                table.add(Part.LIMIT, 1.0 / level, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
 
 
 def _response(stretch: Stretch, drive_point: int, wanted: Quantity | None) -> MeasuredChannel | None:

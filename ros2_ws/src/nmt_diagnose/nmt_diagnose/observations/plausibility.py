@@ -10,6 +10,7 @@ import numpy as np
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.clipping import clipping_level
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
 from nmt_extract.harmonics import harmonic_amplitudes
@@ -20,8 +21,6 @@ _OUT_OF_SCALE_FORCE = 30.0
 _WRONG_FREQUENCY = 1.6
 # Channels whose response the model puts this far below the largest of their quantity are near a node.
 _NODE = 0.1
-_FEWEST_FLAT = 3
-_FLAT_SHARE = 0.002
 # Fewest repeated samples and their least share; steps of the signal, over the typical one, from which a repeat is none
 # of the signal's own.
 _FEWEST_REPEATS, _REPEATS_SHARE, _STEEP = 5, 1e-3, 0.5
@@ -125,28 +124,6 @@ def _guess(factor: float) -> str:
     return "a wrong scale?"
 
 
-def clipped_channels(stretch: Stretch) -> list[str]:
-    """Channels that stay at their extreme values again and again: a converter at its end, or a limiter."""
-    usable = [c.name for c in stretch.channels if c.name not in stretch.faults and c.quantity is not Quantity.VOLTAGE]
-    return [name for name in usable if _is_clipped(stretch.row(name))]
-
-
-def _is_clipped(samples: FloatArray) -> bool:
-    top, bottom = float(samples.max()), float(samples.min())
-    if not top > bottom:
-        return False
-    for value in (top, bottom):
-        # Two equal neighbours happen at a coarse converter's turning points; long flats all over do not.
-        at = samples == value
-        steps = np.unique(np.abs(np.diff(np.unique(samples[:4096]))))
-        coarse = steps.size > 0 and float(steps[0]) > 1e-3 * (top - bottom)
-        runs = np.flatnonzero(np.diff(np.concatenate(([0], at.astype(np.int8), [0]))))
-        longest = int((runs[1::2] - runs[::2]).max())
-        if longest >= _FEWEST_FLAT * (10 if coarse else 1) and float(at.mean()) > _FLAT_SHARE * (50 if coarse else 1):
-            return True
-    return False
-
-
 def clipping_notes(name: str, windows: Sequence[tuple[int, Stretch]]) -> list[str]:
     """Sentences on clipped channels.
 
@@ -155,8 +132,10 @@ def clipping_notes(name: str, windows: Sequence[tuple[int, Stretch]]) -> list[st
     """
     clipped: dict[str, list[int]] = {}
     for level, stretch in windows:
-        for channel in clipped_channels(stretch):
-            clipped.setdefault(channel, []).append(level)
+        for channel in stretch.channels:
+            usable = channel.name not in stretch.faults and channel.quantity is not Quantity.VOLTAGE
+            if usable and clipping_level(stretch.row(channel.name)) > 0.0:
+                clipped.setdefault(channel.name, []).append(level)
     return [
         f"{name}: channel {channel} is clipped at level {', '.join(map(str, levels))}; its observables are kept, "
         "because clipping is one of the effects that are looked for."

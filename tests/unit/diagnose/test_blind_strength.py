@@ -68,6 +68,25 @@ def test_what_a_parameter_imitates_costs_its_prior_however_curved(monkeypatch: p
     assert linear > 1.3 * found
 
 
+def test_a_resonance_that_moved_by_more_than_its_width_is_a_shift_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    levels = np.concatenate([np.arange(12.0), np.full(81, -1.0)])
+    noise = np.concatenate([np.full(12, 3e-5), np.full(81, 0.02)])
+    lines = np.linspace(0.98, 1.02, 81)
+
+    def play(shift: float) -> Observed:
+        frequency = math.exp(0.005 * shift)  # a prior standard deviation is two and a half times the half width
+        peak = 1.0 / (1.0 - (lines / frequency) ** 2 + 2j * 0.002 * lines / frequency)
+        return Observed(np.concatenate([np.full(12, math.log(frequency)), np.abs(peak)]), noise, levels)
+
+    own = sensitivity(np.zeros((93, 1)))
+    own.base = play(0.0)
+    own._nuisance = ((play(0.01).values - play(-0.01).values) / 0.02)[:, np.newaxis]
+    monkeypatch.setattr(own, "observe", play, raising=False)
+    linear = own._fitted(play(0.7), own.base.values, np.zeros(1))[1]
+    assert own.sigma_of(play(0.7)) == pytest.approx(0.7, rel=0.05)
+    assert linear > 100.0
+
+
 def test_cosines_leave_out_what_parameters_take() -> None:
     own = sensitivity()
     own_mark, other = _generator.standard_normal((2, ROWS))

@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmt_blind.cases.blind_rigs import BlindRig
 from nmt_blind.cases.injected_effects import InjectedEffect, Spot
@@ -60,7 +61,10 @@ _STEP = 0.1
 _IMITATED = 5.0
 _TURNS = 12
 _LARGEST_STEP = 1.5
+_LARGEST_TOGETHER = 3.0
 _SMALL_STEP = 0.2
+# Of the steps, where one made it worse.
+_LEAST_DAMPING, _MORE_DAMPING = 1e-3, 10.0
 # Turns end where one takes less of what is left.
 _WORTH = 0.05
 # Share of a linear estimate that is left after such turns, from which the estimate may stand for the strongest.
@@ -84,6 +88,9 @@ _TRIALS = 4
 _FEWEST_LEVELS = 8
 
 
+BoolArray = NDArray[np.bool_]
+
+
 @dataclass(frozen=True, eq=False)
 class Observed:
     """Observables of a pair of tests: values, noise (standard deviations), both (m,), and the level of each row."""
@@ -91,6 +98,16 @@ class Observed:
     values: FloatArray
     noise: FloatArray
     level: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Shifted:
+    """The model with shifts made, in standard deviations (k,): its observables (m,), their changes, and σ left."""
+
+    made: FloatArray
+    values: FloatArray
+    changes: FloatArray
+    left: float
 
 
 class Sensitivity:
@@ -247,32 +264,122 @@ class Sensitivity:
         Raises:
             TrialError: too few levels locked, or the shifted model cannot be tested.
         """
-        size, found, shifts = self._fitted(observed, self.base.values, np.zeros(self._nuisance.shape[1]))
+        none = np.zeros(self._nuisance.shape[1])
+        locked = self.base.level >= 0
+        size, found, shifts = self._fitted(observed, self.base.values, none)
         own = np.array([edit is not None for edit in self._made])
         own[[number for number, _, _ in self._late]] = True
         largest = float(np.max(np.abs(shifts[own])))
-        if largest < _SMALL_STEP or (size <= _IMITATED * found and largest <= _LARGEST_STEP):
+        imitated = size > _IMITATED * found
+        if not imitated:
+            windows, rest, _ = self._fitted(observed, self.base.values, none, rows=locked)
+            imitated = windows > _IMITATED * rest
+        if largest < _SMALL_STEP or not (imitated or largest > _LARGEST_STEP):
             return found
-        made, least, changes, values = np.zeros(shifts.size), math.inf, self._nuisance, self.base.values
+        start = _Shifted(none, self.base.values, self._nuisance, self._left(observed, self.base.values, none, own))
+        # Locked windows tell by how much a resonance has moved where lines of the random test, further off than its
+        # width, no longer do.
+        by_windows = self._walked(observed, start, own, locked)
+        # Shifts that only cancel together go at one pace; one that asks for too much must not hold up the others.
+        paces = [self._walked(observed, start, own, None, together) for together in (True, False)]
+        return self._settled(observed, min(by_windows, *paces, key=lambda found: found.left), own).left
+
+    def _walked(
+        self, observed: Observed, start: _Shifted, own: BoolArray, rows: BoolArray | None, together: bool = False
+    ) -> _Shifted:
+        """Where σ is least on the way that ``rows`` of the observables ask for, step by step; None = all rows."""
+        best = here = start
         for _ in range(_TURNS):
-            step = np.where(own, np.clip(shifts - made, -_LARGEST_STEP, _LARGEST_STEP), 0.0)
-            made = made + step
-            edits = self._edits(made)
             try:
-                moved = self.observe(with_edits(self.model, edits)).values
-            except BenchError as error:
-                raise TrialError(str(error)) from error
-            # Along the step the changes are known now (Broyden's update).
-            missed = np.nan_to_num(moved - values - changes @ step)
-            changes = changes + np.outer(missed, step) / max(float(step @ step), 1e-12)
-            values = moved
-            _, found, shifts = self._fitted(observed, values, made, changes)
-            settled = float(np.max(np.abs((shifts - made)[own]))) < _SMALL_STEP
-            if settled and found > (1.0 - _WORTH) * least:
+                step, moved = self._step(observed, here, own, 0.0, rows, together)
+            except TrialError:
+                if here is start:
+                    raise
+                break  # as far as the shifted model can be tested
+            settled = float(np.max(np.abs(step))) < _SMALL_STEP
+            here = moved
+            if here.left < best.left:
+                best = here
+            if settled:
                 break
-            least = min(least, found)
-        # Whatever shifts leave least is at most what the best ones leave.
-        return min(least, found)
+        return best
+
+    def _settled(self, observed: Observed, start: _Shifted, own: BoolArray) -> _Shifted:
+        """The best shifts from others on, every step of which leaves less (Levenberg and Marquardt)."""
+        best, damping = start, 0.0
+        for _ in range(_TURNS):
+            try:
+                step, moved = self._step(observed, best, own, damping)
+            except TrialError:
+                break
+            if not moved.left < best.left:
+                if float(np.max(np.abs(step))) < _SMALL_STEP:
+                    break
+                # What was learned of the changes serves the next step all the same.
+                best, damping = replace(best, changes=moved.changes), max(_MORE_DAMPING * damping, _LEAST_DAMPING)
+                continue
+            enough = moved.left > (1.0 - _WORTH) * best.left
+            best, damping = moved, damping / _MORE_DAMPING
+            if enough:
+                break
+        return best
+
+    def _step(
+        self,
+        observed: Observed,
+        here: _Shifted,
+        own: BoolArray,
+        damping: float,
+        rows: BoolArray | None = None,
+        together: bool = False,
+    ) -> tuple[FloatArray, _Shifted]:
+        """The next step, standard deviations (k,), and the model after it.
+
+        What is too long is shortened: each shift on its own, or all ``together``.
+
+        Raises:
+            TrialError: the shifted model cannot be tested.
+        """
+        wanted = self._fitted(observed, here.values, here.made, here.changes, damping, rows)[2]
+        step = np.where(own, wanted - here.made, 0.0)
+        if together:
+            step *= min(1.0, _LARGEST_TOGETHER / max(float(np.max(np.abs(step))), 1e-300))
+        else:
+            step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+        made = here.made + step
+        try:
+            values = self.observe(with_edits(self.model, self._edits(made))).values
+        except BenchError as error:
+            raise TrialError(str(error)) from error
+        # Along the step the changes are known now (Broyden's update).
+        missed = np.nan_to_num(values - here.values - here.changes @ step)
+        changes = here.changes + np.outer(missed, step) / max(float(step @ step), 1e-12)
+        return step, _Shifted(made, values, changes, self._left(observed, values, made, own))
+
+    def _left(self, observed: Observed, values: FloatArray, made: FloatArray, own: BoolArray) -> float:
+        """σ with some shifts made; only changes that cannot be made are fitted."""
+        good, scale = self._good(observed, values)
+        d = (observed.values - values)[good] * scale
+        c = self._nuisance[good][:, ~own] * scale[:, np.newaxis]
+        shifts = np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, c.T @ d)
+        rest = d - c @ shifts
+        return math.sqrt(float(rest @ rest + shifts @ shifts + made @ made))
+
+    def _good(
+        self, observed: Observed, values: FloatArray, rows: BoolArray | None = None
+    ) -> tuple[BoolArray, FloatArray]:
+        """Rows that compare, shape (m,), and one over the noise of each of them.
+
+        Raises:
+            TrialError: too few levels locked.
+        """
+        good = np.isfinite(observed.values) & np.isfinite(values) & np.isfinite(self.base.noise)
+        levels = np.unique(self.base.level[good & (self.base.level >= 0)]).size
+        if levels < min(_FEWEST_LEVELS, len(self.bench.levels)):
+            raise TrialError(f"only {levels} levels locked")
+        if rows is not None:
+            good &= rows
+        return good, 1.0 / self.base.noise[good]
 
     def _edits(self, shifts: FloatArray) -> list[Edit]:
         """Edits of the model that make so many standard deviations of every change that does not stay linear."""
@@ -286,17 +393,24 @@ class Sensitivity:
         return edits
 
     def _fitted(
-        self, observed: Observed, values: FloatArray, shifts: FloatArray, changes: FloatArray | None = None
+        self,
+        observed: Observed,
+        values: FloatArray,
+        shifts: FloatArray,
+        changes: FloatArray | None = None,
+        damping: float = 0.0,
+        rows: BoolArray | None = None,
     ) -> tuple[float, float, FloatArray]:
-        """Size of the difference from the plain model, σ after the best shifts about given ones, and these."""
-        good = np.isfinite(observed.values) & np.isfinite(values) & np.isfinite(self.base.noise)
-        levels = np.unique(self.base.level[good & (self.base.level >= 0)]).size
-        if levels < min(_FEWEST_LEVELS, len(self.bench.levels)):
-            raise TrialError(f"only {levels} levels locked")
-        scale = 1.0 / self.base.noise[good]
+        """Size of the difference from the plain model, σ after the best shifts about given ones, and these.
+
+        ``damping`` shortens the step to them, most where the observables say most (Marquardt).
+        """
+        good, scale = self._good(observed, values, rows)
         d = (observed.values - values)[good] * scale
         c = (self._nuisance if changes is None else changes)[good] * scale[:, np.newaxis]
-        step = np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, c.T @ d - shifts)
+        normal = c.T @ c
+        normal = np.eye(c.shape[1]) + normal + damping * np.diag(np.diag(normal))
+        step = np.linalg.solve(normal, c.T @ d - shifts)
         rest, total = d - c @ step, shifts + step
         whole = np.nan_to_num((observed.values - self.base.values)[good] * scale)
         return float(np.linalg.norm(whole)), math.sqrt(float(rest @ rest + total @ total)), total

@@ -59,3 +59,16 @@ def test_units_and_topics():
     assert Quantity.UNKNOWN.unit == ""
     assert Quantity.ACCELERATION.topic == "acceleration"
     assert SAMPLE_TOPICS == ("force", "displacement", "velocity", "acceleration", "voltage", "current")
+
+
+def test_the_channel_at_a_point_alone():
+    data = np.arange(6.0).reshape(3, 2)
+    phase = OscillatorPhase(0.25, 20.0, 0.0)
+    block = SampleBlock(40, 1e3, Quantity.ACCELERATION, "m/s^2", ("a", "b", "c"), (3, 7, 7), data, phase, 2)
+    alone = block.at_point(7)
+    assert (alone.channels, alone.points) == (("b",), (7,))
+    assert alone.data.tolist() == [[2.0, 3.0]]
+    assert (alone.first_sample, alone.sample_rate, alone.quantity, alone.unit) == (40, 1e3, block.quantity, "m/s^2")
+    assert (alone.oscillator, alone.flags) == (phase, 2)
+    assert block.at_point(5) is block  # the loop says that it has no such channel
+    assert alone.at_point(9) is alone  # one channel is the drive point's

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from nmt_bench.channel_figures import large_rig
 from nmt_core.blocks import FloatArray, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.records import DriveCommand, LockEvent, LoopStatus, RunState
@@ -220,3 +221,20 @@ def test_all_nodes_reckon_with_the_blocks_that_wait_at_the_output(pacing: str, l
     values = plan_nodes(one_level(pacing=pacing, latency_blocks=latency), Path("bag"), Path("rig.yaml")).values
     assert [values[name]["latency_blocks"] for name in ("plant", "pll", "sequencer")] == [lead] * 3
     assert ("output_record" in values["plant"]) == (pacing == "realtime")
+
+
+@pytest.mark.parametrize(
+    ("pacing", "channels", "joined"),
+    [("lockstep", 3, False), ("lockstep", 200, True), ("realtime", 3, False), ("realtime", 200, True)],
+)
+def test_the_loop_takes_its_input_joined_with_many_channels(pacing: str, channels: int, joined: bool) -> None:
+    plan = plan_test(large_rig(10, channels, 25_600.0), [0.3], pacing=pacing)
+    values = plan_nodes(plan, Path("bag"), Path("rig.yaml")).values
+    assert values["pll"].get("joined_input", False) is joined
+    assert values["plant"].get("loop_topics", []) == (["force", "acceleration"] if joined else [])
+    peers = values["pll"]["expected_peers"]
+    assert ("loop_input:1" in peers) is joined
+    assert ("force:1" in peers) is not joined
+    if joined:
+        assert values["plant"]["drive_point"] == plan.rig.drive_point
+        assert "loop_input:1" in values["plant"]["expected_peers"]

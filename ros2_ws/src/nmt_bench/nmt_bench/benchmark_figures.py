@@ -46,8 +46,8 @@ _MEASURED = (
     *(f"sensors.{k}.{key}" for k in range(1, 5) for key in ("noise_psd=4.5e-16", "noise_correlation_time_s=1e-5")),
 )
 _SHORT_BLOCKS = 80.0  # × real time that blocks of 20 ms are to allow
-_AT_LEAST = "limit, at least"
-_AT_MOST = "limit, at most"
+AT_LEAST = "limit, at least"
+AT_MOST = "limit, at most"
 
 
 @dataclass(frozen=True)
@@ -89,15 +89,15 @@ def plant_figures(seconds: float) -> list[Figure]:
     channels, more_channels = channel_speed(32), channel_speed(12) / channel_speed(48)
     name = f"plant: {_CONTACTS} joints along a beam"
     contacts = [
-        Figure(f"{name}, {_CONTACTS // 10} slip", few, "× real time", LIMIT_CONTACTS, _AT_LEAST, few >= LIMIT_CONTACTS),
+        Figure(f"{name}, {_CONTACTS // 10} slip", few, "× real time", LIMIT_CONTACTS, AT_LEAST, few >= LIMIT_CONTACTS),
         Figure(f"{name}, {_CONTACTS // 10} slip", few, "× real time", every, "all of them solved for at every step"),
-        Figure(f"{name}, all slip", all_slip, "× real time", LIMIT_CONTACTS, _AT_LEAST, all_slip >= LIMIT_CONTACTS),
+        Figure(f"{name}, all slip", all_slip, "× real time", LIMIT_CONTACTS, AT_LEAST, all_slip >= LIMIT_CONTACTS),
         Figure(
             "plant: growth over four times the joints, a quarter slip",
             growth,
             "×",
             LIMIT_GROWTH,
-            _AT_MOST,
+            AT_MOST,
             growth <= LIMIT_GROWTH,
         ),
         Figure(
@@ -105,7 +105,7 @@ def plant_figures(seconds: float) -> list[Figure]:
             growth_all,
             "×",
             LIMIT_GROWTH,
-            _AT_MOST,
+            AT_MOST,
             growth_all <= LIMIT_GROWTH,
         ),
         Figure(
@@ -113,7 +113,7 @@ def plant_figures(seconds: float) -> list[Figure]:
             channels,
             "× real time",
             LIMIT_CHANNELS,
-            _AT_LEAST,
+            AT_LEAST,
             channels >= LIMIT_CHANNELS,
         ),
         Figure(
@@ -121,7 +121,7 @@ def plant_figures(seconds: float) -> list[Figure]:
             more_channels,
             "×",
             LIMIT_GROWTH,
-            _AT_MOST,
+            AT_MOST,
             more_channels <= LIMIT_GROWTH,
         ),
     ]
@@ -131,7 +131,7 @@ def plant_figures(seconds: float) -> list[Figure]:
             kernel,
             "× real time",
             LIMIT_KERNEL,
-            _AT_LEAST,
+            AT_LEAST,
             kernel >= LIMIT_KERNEL,
         ),
         Figure("plant: time integration", kernel, "× real time", result.peer, "scipy solve_ivp, same equations"),
@@ -177,7 +177,7 @@ def reference_figures(_: float) -> list[Figure]:
             search,
             "s",
             LIMIT_AMPLITUDES,
-            _AT_MOST,
+            AT_MOST,
             search <= LIMIT_AMPLITUDES,
         ),
         Figure(
@@ -185,7 +185,7 @@ def reference_figures(_: float) -> list[Figure]:
             growth,
             "×",
             LIMIT_GROWTH,
-            _AT_MOST,
+            AT_MOST,
             growth <= LIMIT_GROWTH,
         ),
         Figure(
@@ -193,7 +193,7 @@ def reference_figures(_: float) -> list[Figure]:
             backbone,
             "s",
             LIMIT_BACKBONE,
-            _AT_MOST,
+            AT_MOST,
             backbone <= LIMIT_BACKBONE,
         ),
         Figure(
@@ -201,7 +201,7 @@ def reference_figures(_: float) -> list[Figure]:
             response,
             "s",
             LIMIT_RESPONSE,
-            _AT_MOST,
+            AT_MOST,
             response <= LIMIT_RESPONSE,
         ),
     ]
@@ -253,7 +253,7 @@ def bag_figures(seconds: float) -> list[Figure]:
             ratio,
             "×",
             LIMIT_EXTRACTION,
-            _AT_LEAST,
+            AT_LEAST,
             ratio >= LIMIT_EXTRACTION,
         ),
     ]
@@ -289,21 +289,17 @@ def level_figures(_: float) -> list[Figure]:
         opening = 1e3 * _best(lambda: Bag.open(bag.path))
     growth = reports[_MANY] / reports[_MANY // 4]
     figures = [
-        Figure(
-            f"report of {_MANY} levels", reports[_MANY], "s", LIMIT_REPORT, _AT_MOST, reports[_MANY] <= LIMIT_REPORT
-        ),
-        Figure(f"report of {_MANY} levels: page", pages[_MANY], "MB", LIMIT_PAGE, _AT_MOST, pages[_MANY] <= LIMIT_PAGE),
-        Figure(
-            "report: growth over four times the levels", growth, "×", LIMIT_GROWTH, _AT_MOST, growth <= LIMIT_GROWTH
-        ),
-        Figure("bag: opening", opening, "ms", LIMIT_OPENING, _AT_MOST, opening <= LIMIT_OPENING),
+        Figure(f"report of {_MANY} levels", reports[_MANY], "s", LIMIT_REPORT, AT_MOST, reports[_MANY] <= LIMIT_REPORT),
+        Figure(f"report of {_MANY} levels: page", pages[_MANY], "MB", LIMIT_PAGE, AT_MOST, pages[_MANY] <= LIMIT_PAGE),
+        Figure("report: growth over four times the levels", growth, "×", LIMIT_GROWTH, AT_MOST, growth <= LIMIT_GROWTH),
+        Figure("bag: opening", opening, "ms", LIMIT_OPENING, AT_MOST, opening <= LIMIT_OPENING),
     ]
     for count in (50, 200):
         with tempfile.TemporaryDirectory(prefix="nmt-benchmark-") as folder:
             bag = _recorded(Path(folder), load_rig("beam", [_SHORT]), np.geomspace(0.3, 0.9, count), 20)
             ratio = _over_bare_read(bag)
         name = f"bag: extraction over bare read, {count} levels"
-        figures.append(Figure(name, ratio, "×", LIMIT_MANY_LEVELS, _AT_LEAST, ratio >= LIMIT_MANY_LEVELS))
+        figures.append(Figure(name, ratio, "×", LIMIT_MANY_LEVELS, AT_LEAST, ratio >= LIMIT_MANY_LEVELS))
     return figures
 
 
@@ -372,7 +368,7 @@ def diagnosis_figures(_: float) -> list[Figure]:
             whole,
             "s",
             LIMIT_DIAGNOSIS,
-            _AT_MOST,
+            AT_MOST,
             whole <= LIMIT_DIAGNOSIS,
         ),
         Figure(
@@ -405,7 +401,7 @@ def bench_figures(seconds: float) -> list[Figure]:
         except BenchError as error:
             figures.append(Figure(name, None, "× real time", limit, f"not measured: {error}"))
             continue
-        figures.append(Figure(name, factor, "× real time", limit, _AT_LEAST, factor >= limit))
+        figures.append(Figure(name, factor, "× real time", limit, AT_LEAST, factor >= limit))
         figures.append(Figure(f"{name}, {length:.0f} ms", factor, "× real time", short, "blocks of 20 ms"))
     times = []
     for test in (plan, plan_test("beam", overrides=[_SHORT])):
@@ -418,7 +414,7 @@ def bench_figures(seconds: float) -> list[Figure]:
             more,
             "% more",
             LIMIT_BENCH_TIME,
-            _AT_MOST,
+            AT_MOST,
             more <= LIMIT_BENCH_TIME,
         )
     )

@@ -113,6 +113,23 @@ class SampleBlock:
     oscillator: OscillatorPhase = UNKNOWN_PHASE
     flags: int = 0
 
+    def at_point(self, point: int) -> SampleBlock:
+        """The channel at a measurement point alone; the block itself if it has one channel, or none at the point."""
+        if len(self.channels) == 1 or point not in self.points:
+            return self
+        row = self.points.index(point)
+        return SampleBlock(
+            self.first_sample,
+            self.sample_rate,
+            self.quantity,
+            self.unit,
+            self.channels[row : row + 1],
+            self.points[row : row + 1],
+            self.data[row : row + 1],
+            self.oscillator,
+            self.flags,
+        )
+
     @property
     def samples(self) -> int:
         """Number of samples in the block."""

@@ -15,6 +15,8 @@ PLANT_BUNDLE = "plant_bundle"
 """Topic of the plant's samples."""
 PLL_BUNDLE = "pll_bundle"
 """Topic of the loop's drive commands and states."""
+LOOP_INPUT = "loop_input"
+"""Topic of what the loop needs of a block: force and response at the drive point."""
 MOST_BYTES = 65_536
 """A bundle is full when the next block might not fit."""
 

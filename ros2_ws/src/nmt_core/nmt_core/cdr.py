@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -100,6 +101,19 @@ class MessageCodec(Generic[Record]):
         """
         values = self.to_values(record)
         buffer = bytearray(ENCAPSULATION)
+        try:
+            for names, kinds in _stretches(self.fields):
+                if kinds[0] in _NUMBERS:
+                    layout = _layout(kinds, (len(buffer) - BASE) % 8)
+                    buffer += layout.pack(*[values[name] for name in names])
+                else:
+                    _append(buffer, kinds[0], values[names[0]])
+        except (struct.error, OverflowError, TypeError):
+            return self._write_each(values)  # says which field it is
+        return bytes(buffer)
+
+    def _write_each(self, values: Mapping[str, Any]) -> bytes:
+        buffer = bytearray(ENCAPSULATION)
         for name, kind in self.fields:
             try:
                 _append(buffer, kind, values[name])
@@ -125,6 +139,21 @@ class MessageCodec(Generic[Record]):
         check_encapsulation(raw)
         values: dict[str, Any] = {}
         position = BASE
+        try:
+            for names, kinds in _stretches(self.fields):
+                if kinds[0] in _NUMBERS:
+                    layout = _layout(kinds, (position - BASE) % 8)
+                    values.update(zip(names, layout.unpack_from(raw, position), strict=True))
+                    position += layout.size
+                else:
+                    values[names[0]], position = _take(raw, position, kinds[0])
+        except (struct.error, UnicodeDecodeError, ValueError):
+            return self._values_each(raw)  # an older recording, or not a whole message
+        return values
+
+    def _values_each(self, raw: bytes) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        position = BASE
         old = False
         try:
             for name, kind in self.fields:
@@ -136,6 +165,31 @@ class MessageCodec(Generic[Record]):
         except (struct.error, UnicodeDecodeError, ValueError) as error:
             raise ValueError(f"the message is not a whole {self.name}: {error}") from error
         return values
+
+
+@lru_cache(maxsize=64)
+def _stretches(fields: tuple[tuple[str, str], ...]) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]:
+    """Names and types of the fields: numbers that follow each other together, everything else by itself."""
+    stretches: list[tuple[list[str], list[str]]] = []
+    for name, kind in fields:
+        if kind in _NUMBERS and stretches and stretches[-1][1][0] in _NUMBERS:
+            stretches[-1][0].append(name)
+            stretches[-1][1].append(kind)
+        else:
+            stretches.append(([name], [kind]))
+    return tuple((tuple(names), tuple(kinds)) for names, kinds in stretches)
+
+
+@lru_cache(maxsize=256)
+def _layout(kinds: tuple[str, ...], offset: int) -> struct.Struct:
+    """Numbers that follow each other, with their padding; ``offset``: of the first position, modulo 8."""
+    text, position = "<", offset
+    for kind in kinds:
+        number = _NUMBERS[kind]
+        padding = -position % number.size
+        text += f"{padding}x{number.format[1:]}" if padding else number.format[1:]
+        position += padding + number.size
+    return struct.Struct(text)
 
 
 _ZEROS: dict[str, Any] = {TIME: 0, "string": "", **dict.fromkeys(_NUMBERS, 0), **dict.fromkeys(_ITEMS, ())}

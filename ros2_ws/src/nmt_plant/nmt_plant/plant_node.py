@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from nmt_core.base_node import READY, SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.blocks import SampleBlock
-from nmt_core.bundle import PLANT_BUNDLE, BundleWriter
+from nmt_core.bundle import LOOP_INPUT, PLANT_BUNDLE, BundleWriter
 from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
@@ -75,6 +75,13 @@ PARAMETERS = (
         low=0,
         high=100,
     ),
+    Parameter(
+        "loop_topics",
+        [""],
+        "",
+        f"Topics whose channel at the drive point is also published, together, on {LOOP_INPUT}; empty = none.",
+    ),
+    Parameter("drive_point", 0, "", "Point of the exciter, for loop_topics.", low=0),
     Parameter("device_address", "", "", "host:port of NI's gRPC device server; empty = as the rig file says."),
     Parameter(
         "command_timeout",
@@ -151,6 +158,15 @@ class PlantNode(BenchNode):
         for quantity in self.core.quantities:
             publisher = self.bench_publisher(SampleBlockMessage, quantity.topic, SAMPLES_QOS)
             self._publishers_by_quantity[int(quantity)] = (quantity.topic, publisher, BlockWriter(self._frame))
+        self._loop_input: BundleWriter | None = None
+        self._loop_writers: dict[int, BlockWriter] = {}
+        loop_topics: Any = self.values["loop_topics"]
+        if any(loop_topics):
+            self._loop_point = int(str(self.values["drive_point"]))
+            chosen = [quantity for quantity in self.core.quantities if quantity.topic in loop_topics]
+            self._loop_writers = {int(quantity): BlockWriter(self._frame) for quantity in chosen}
+            inputs = self.bench_publisher(Bundle, LOOP_INPUT, SAMPLES_QOS)
+            self._loop_input = BundleWriter([quantity.topic for quantity in chosen], 1, inputs.publish)
         self._bundle: BundleWriter | None = None
         bundled = int(str(self.values["bundle_blocks"]))
         if bundled > 0:
@@ -266,10 +282,16 @@ class PlantNode(BenchNode):
 
     def _publish(self, blocks: list[SampleBlock]) -> None:
         self._publish_stop()
+        if self._loop_input is not None and blocks:
+            self._publish_loop_input(self._loop_input, blocks)
         for block in blocks:
             topic, publisher, writer = self._publishers_by_quantity[int(block.quantity)]
+            read = publisher.get_subscription_count() > 0
+            if not read and self._bundle is None:
+                continue
             raw = writer.write(block)
-            publisher.publish(raw)
+            if read:
+                publisher.publish(raw)
             if self._bundle is not None:
                 self._bundle.add(topic, raw)
         if self._bundle is not None:
@@ -277,6 +299,14 @@ class PlantNode(BenchNode):
         levels = self.core.levels(blocks)
         if levels is not None:
             self._monitor.publish(MONITOR.write(levels))
+
+    def _publish_loop_input(self, joined: BundleWriter, blocks: list[SampleBlock]) -> None:
+        """What the loop waits for, in one message and before all else."""
+        for block in blocks:
+            writer = self._loop_writers.get(int(block.quantity))
+            if writer is not None:
+                joined.add(block.quantity.topic, writer.write(block.at_point(self._loop_point)))
+        joined.flush()
 
     def _publish_stop(self) -> None:
         stop = self.core.stop()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from nmt_core.blocks import SampleBlock
-from nmt_core.bundle import PLL_BUNDLE
+from nmt_core.bundle import LOOP_INPUT, PLL_BUNDLE
 from nmt_core.cdr import bench_time_ns
 from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge
 from nmt_core.errors import BenchError
@@ -54,6 +54,12 @@ PARAMETERS = (
         f"Blocks whose drive commands and states are also published together on {PLL_BUNDLE}; 0 = none.",
         low=0,
         high=100,
+    ),
+    Parameter(
+        "joined_input",
+        False,
+        "",
+        f"Take force and response at the drive point, joined, from {LOOP_INPUT} in place of their own topics.",
     ),
     Parameter("settling_time", 2.0, "s", "Random test: between the end of the ramp and the window.", low=0.0),
     *setting_parameters(),

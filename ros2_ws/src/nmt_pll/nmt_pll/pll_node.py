@@ -8,7 +8,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
-from nmt_core.bundle import PLL_BUNDLE, BundleWriter
+from nmt_core.bundle import LOOP_INPUT, PLL_BUNDLE, BundleWriter, read_bundle
 from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
 from nmt_core.records import LoopStatus
@@ -46,8 +46,12 @@ class PllNode(BenchNode):
             self._bundle = BundleWriter(("drive", "frequency"), blocks, bundles.publish)
             self.steady_timer(_LONGEST_WAIT, self._bundle.flush)
         self.command_subscription(msg.Level, "level", self._on_level, SAMPLES_QOS)
-        for topic in ("force", self.core.response.topic):
-            self.bench_subscription(msg.SampleBlock, topic, self._reading(BlockReader()), SAMPLES_QOS, raw=True)
+        self._inputs = {topic: self._reading(BlockReader()) for topic in ("force", self.core.response.topic)}
+        if self.values["joined_input"]:
+            self.bench_subscription(msg.Bundle, LOOP_INPUT, self._on_input, SAMPLES_QOS, raw=True)
+        else:
+            for topic, take in self._inputs.items():
+                self.bench_subscription(msg.SampleBlock, topic, take, SAMPLES_QOS, raw=True)
         self._reported = ""
         self.steady_timer(0.25, self._guard)
 
@@ -95,6 +99,17 @@ class PllNode(BenchNode):
         self._publish_statuses(self.core.take_level(level, source))
         if self.core.second_source:
             self._report(self.core.second_source)
+
+    def _on_input(self, raw: bytes) -> None:
+        try:
+            messages = read_bundle(raw)
+        except ValueError as error:
+            self.core.refuse(f"Sample block refused: {error}")
+            return
+        for topic, message in messages:
+            take = self._inputs.get(topic)
+            if take is not None:
+                take(message)
 
     def _reading(self, reader: BlockReader) -> Callable[[bytes], None]:
         def on_bytes(raw: bytes) -> None:

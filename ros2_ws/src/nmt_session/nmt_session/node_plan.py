@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.blocks import SAMPLE_TOPICS, Quantity
-from nmt_core.bundle import MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
+from nmt_core.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
 from nmt_core.linear_description import LinearDescription
@@ -324,6 +324,11 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         values["plant"]["bundle_blocks"] = values["pll"]["bundle_blocks"] = bundle
         values["recorder"]["bundled"] = [*topics, *LOOP_TOPICS]
         values["extract"]["bundled"] = [*extraction.topics, "frequency"]
+    joined = _joins_loop_input(test, response)
+    if joined:
+        values["plant"]["loop_topics"] = ["force", response]
+        values["plant"]["drive_point"] = int(rig.drive_point)
+        values["pll"]["joined_input"] = True
     for name, extra in test.node_values.items():
         if name not in values:
             raise BenchError(f"Node '{name}' is not part of the bench; there are {', '.join(values)}.")
@@ -338,7 +343,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         raise BenchError(
             f"The paper's loop steps the voltage only; use the adaptive loop for levels of {test.control}."
         )
-    for name, peers in expected_peers(topics, extraction.topics, response, bundle > 0).items():
+    for name, peers in expected_peers(topics, extraction.topics, response, bundle > 0, joined).items():
         values[name]["expected_peers"] = peers
     goal = test.goal
     run = {
@@ -374,8 +379,17 @@ def _bundle_blocks(test: TestPlan, topics: int) -> int:
     return blocks if test.pacing == "lockstep" and blocks > 1 else 0
 
 
+def _joins_loop_input(test: TestPlan, response: str) -> bool:
+    """Whether the loop gets force and response at the drive point as one message instead of all their channels.
+
+    It does so where it would else take many channels.
+    """
+    channels = sum(sensor.quantity == response for sensor in test.rig.sensors)
+    return 8 * int(test.rig.block_samples) * channels > MOST_BYTES
+
+
 def expected_peers(
-    topics: Sequence[str], extracted: Sequence[str], response: str, bundled: bool = False
+    topics: Sequence[str], extracted: Sequence[str], response: str, bundled: bool = False, joined: bool = False
 ) -> dict[str, list[str]]:
     """For every node the ``topic:count`` list of connections it waits for before it calls itself ready.
 
@@ -384,12 +398,16 @@ def expected_peers(
         extracted: those that the extraction reads.
         response: topic of the response that the loop controls.
         bundled: whether recorder and extraction take samples, drive and frequency in bundles.
+        joined: whether the loop takes force and response at the drive point joined.
     """
     subscribers: dict[str, list[str]] = {
         topic: [] if bundled else ["recorder", *(["extract"] if topic in extracted else [])] for topic in topics
     }
-    subscribers["force"].append("pll")
-    subscribers[response].append("pll")
+    if joined:
+        subscribers[LOOP_INPUT] = ["pll"]
+    else:
+        subscribers["force"].append("pll")
+        subscribers[response].append("pll")
     subscribers.update(
         drive=["plant"] if bundled else ["plant", "recorder"],
         frequency=["sequencer"] if bundled else ["sequencer", "extract", "recorder"],
@@ -412,7 +430,7 @@ def expected_peers(
         steering="sequencer",
         modal_point="extract",
         monitor="plant",
-        **{PLANT_BUNDLE: "plant", PLL_BUNDLE: "pll"},
+        **{PLANT_BUNDLE: "plant", PLL_BUNDLE: "pll", LOOP_INPUT: "plant"},
     )
     peers: dict[str, list[str]] = {name: [] for name in NODES}
     for topic, names in subscribers.items():

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
-PARTS = ("plant", "reference", "bag", "levels", "diagnosis", "bench")
+PARTS = ("plant", "reference", "bag", "levels", "diagnosis", "bench", "channels")
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -30,8 +30,8 @@ def add_parser(subparsers: Subparsers) -> None:
         description=(
             "Measures the plant's time integration, the harmonic-balance reference, the work per block of each "
             "node, reading and extracting bags, runs of very many levels, a diagnosis, and the whole bench with its "
-            "nodes in one process and in one process each. Each figure is printed beside its limit, or beside a peer "
-            "measured in the same run. Takes about four minutes on an idle machine."
+            "nodes in one process and in one process each, also with many channels. Each figure is printed beside its "
+            "limit, or beside a peer measured in the same run. Takes about six minutes on an idle machine."
         ),
     )
     parser.add_argument("--json", metavar="FILE", type=Path, help="also write the figures to this JSON file")
@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None and not arguments.json.absolute().parent.is_dir():
         raise BenchError(f"The folder of {arguments.json} does not exist; make it or give another --json file.")
 
-    from nmt_bench import benchmark_figures
+    from nmt_bench import benchmark_figures, channel_figures
     from nmt_bench.commands.console import make_console
 
     console = make_console()
@@ -76,6 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
         "levels": benchmark_figures.level_figures,
         "diagnosis": benchmark_figures.diagnosis_figures,
         "bench": benchmark_figures.bench_figures,
+        "channels": channel_figures.channel_figures,
     }
     figures: list[Figure] = []
     for name in arguments.part or PARTS:

@@ -29,6 +29,7 @@ from nmt_rig.model.continuation import (
 from nmt_rig.model.fourier_basis import ComplexArray, FloatArray, FourierBasis, IntArray
 from nmt_rig.model.harmonic_balance import (
     ModalImpedance,
+    Ports,
     harmonic_responses,
     local_balance,
     modal_inverse,
@@ -161,6 +162,7 @@ class EpmcProblem:
             self.impedance.damping,
             self.impedance.stiffness,
             self.impedance.diagonal,
+            self.impedance.ports,
             self.basis.fundamental,
             self.local.tables,
         )
@@ -190,6 +192,7 @@ def _epmc_residual(
     damping: FloatArray,
     stiffness: FloatArray,
     diagonal: bool,
+    ports: Ports,
     fundamental: int,
     tables: LocalTables,
 ) -> tuple[FloatArray, FloatArray, ComplexArray]:
@@ -220,6 +223,7 @@ def _epmc_residual(
         damping,
         stiffness,
         diagonal,
+        ports,
         inputs,
         rows,
         nothing,

@@ -17,7 +17,7 @@ from nmt_rig.model.aft import LocalForces, LocalTables, scaled_local_forces
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.continuation import Branch, StepControl, follow_branch, solve_at_parameter
 from nmt_rig.model.fourier_basis import ComplexArray, FloatArray, FourierBasis, IntArray
-from nmt_rig.model.harmonic_balance import ModalImpedance, harmonic_responses, local_balance, transfer_matrices
+from nmt_rig.model.harmonic_balance import ModalImpedance, Ports, harmonic_responses, local_balance, transfer_matrices
 
 
 @dataclass(frozen=True)
@@ -136,6 +136,7 @@ class ForcedProblem:
             self.impedance.damping,
             self.impedance.stiffness,
             self.impedance.diagonal,
+            self.impedance.ports,
             self._inputs,
             *self._rows,
             self._feedthrough,
@@ -186,6 +187,7 @@ def _forced_residual(
     damping: FloatArray,
     stiffness: FloatArray,
     diagonal: bool,
+    ports: Ports,
     inputs: FloatArray,
     displacement_rows: FloatArray,
     velocity_rows: FloatArray,
@@ -211,6 +213,7 @@ def _forced_residual(
         damping,
         stiffness,
         diagonal,
+        ports,
         inputs,
         displacement_rows,
         velocity_rows,

@@ -7,20 +7,43 @@ unknown:
     w_n + T_n^{wg} g_n(w) − T_n^{wu} u_n = 0.
 
 The linear part is kept in mass-normalised modal coordinates; where damping is proportional Z_n is diagonal
-there.
+there. With an exciter or dampers it is diagonal but for a few ports Q,
+
+    Z = D + Q Y Qᵀ,   Z⁻¹ = D⁻¹ − D⁻¹ Q (I + Y Qᵀ D⁻¹ Q)⁻¹ Y Qᵀ D⁻¹   (Woodbury).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from scipy.linalg import eigh
 
 from nmt_rig.model.assembly import ElectromechanicalSystem
+from nmt_rig.model.damping_ports import MOST_PORTS, is_small, port_directions, split_damping
 from nmt_rig.model.fourier_basis import ComplexArray, FloatArray, FourierBasis, IntArray
 from nmt_rig.model.structure import Structure
+
+_WORTH = 4
+"""Unknowns for each port from which a system of the ports is solved in place of the whole."""
+
+
+class Ports(NamedTuple):
+    """An impedance that is diagonal but for a few ports; without ports it is to be taken as it is.
+
+    Attributes:
+        stiffness, damping: (N,) diagonals.
+        directions: (N, m) of the ports.
+        between_stiffness, between_damping: (m, m).
+    """
+
+    stiffness: FloatArray
+    damping: FloatArray
+    directions: FloatArray
+    between_stiffness: FloatArray
+    between_damping: FloatArray
 
 
 @dataclass(frozen=True)
@@ -32,6 +55,7 @@ class ModalImpedance:
             own.
         mass, damping, stiffness: (N, N) in modal coordinates.
         diagonal: all three are diagonal (proportional damping, no shaker).
+        ports: the same as diagonals and a few ports; none where it is diagonal, small or of another form.
     """
 
     shapes: FloatArray
@@ -39,26 +63,69 @@ class ModalImpedance:
     damping: FloatArray
     stiffness: FloatArray
     diagonal: bool
+    ports: Ports
 
     @classmethod
     def of(cls, system: Structure | ElectromechanicalSystem) -> ModalImpedance:
         """Transform a structure, or a structure with exciter, to the modal coordinates of its undamped
         mechanical part."""
+        found = cls.of_matrices(system, system.stiffness, system.damping)
+        ports = found.ports.directions.shape[1]
+        few = 0 < ports <= MOST_PORTS and _WORTH * ports <= len(found.mass)
+        return found if few and not found.diagonal else replace(found, ports=_without_ports(len(found.mass)))
+
+    @classmethod
+    def of_matrices(
+        cls, system: Structure | ElectromechanicalSystem, stiffness_matrix: FloatArray, damping_matrix: FloatArray
+    ) -> ModalImpedance:
+        """The same of a system with other stiffness and damping matrices (n, n), with all the ports that it has."""
         n = system.mass.shape[0]
         massless = np.flatnonzero(~system.mass.any(axis=1))
         inertial = np.flatnonzero(system.mass.any(axis=1))
         mass = system.mass[np.ix_(inertial, inertial)]
-        stiffness = system.stiffness[np.ix_(inertial, inertial)]
+        stiffness = stiffness_matrix[np.ix_(inertial, inertial)]
         _, vectors = eigh(0.5 * (stiffness + stiffness.T), mass)
         shapes = np.zeros((n, n))
         shapes[np.ix_(inertial, np.arange(inertial.size))] = vectors
         for position, index in enumerate(massless, start=inertial.size):
             # √L i has the unit of a modal velocity: keeps the electrical rows as large as the mechanical
             # ones.
-            shapes[index, position] = 1.0 / np.sqrt(system.damping[index, index] or 1.0)
-        modal = [shapes.T @ matrix @ shapes for matrix in (system.mass, system.damping, system.stiffness)]
+            shapes[index, position] = 1.0 / np.sqrt(damping_matrix[index, index] or 1.0)
+        modal = [shapes.T @ matrix @ shapes for matrix in (system.mass, damping_matrix, stiffness_matrix)]
         diagonal = massless.size == 0 and all(_is_diagonal(matrix) for matrix in modal)
-        return cls(shapes, modal[0], modal[1], modal[2], diagonal)
+        ports = None
+        if isinstance(system, ElectromechanicalSystem):
+            ports = _ports(system, vectors, inertial, modal[1], modal[2])
+        return cls(shapes, modal[0], modal[1], modal[2], diagonal, ports or _without_ports(n))
+
+
+def _without_ports(size: int) -> Ports:
+    return Ports(np.zeros(size), np.zeros(size), np.zeros((size, 0)), np.zeros((0, 0)), np.zeros((0, 0)))
+
+
+def _ports(
+    system: ElectromechanicalSystem, modes: FloatArray, inertial: IntArray, damping: FloatArray, stiffness: FloatArray
+) -> Ports | None:
+    """Ports of modal matrices, those without inertia among them; None where they do not give the matrices."""
+    size, count = len(damping), inertial.size
+    physical = port_directions(system, inertial)
+    if physical is None:
+        return None
+    along, _ = np.linalg.qr(modes.T @ physical.T)
+    found = split_damping(damping[:count, :count], along)
+    if found is None:
+        return None
+    directions = np.zeros((size, along.shape[1] + size - count))
+    directions[:count, : along.shape[1]] = along
+    directions[count:, along.shape[1] :] = np.eye(size - count)
+    own = np.diag(stiffness).copy(), np.concatenate([found[1], np.diag(damping)[count:]])
+    between = []
+    for matrix, diagonal in zip((stiffness, damping), own, strict=True):
+        rest = matrix - np.diag(diagonal)
+        between.append(directions.T @ rest @ directions)
+        if not is_small(rest - directions @ between[-1] @ directions.T, matrix):
+            return None
+    return Ports(own[0], own[1], directions, *between)
 
 
 def _is_diagonal(matrix: FloatArray) -> bool:
@@ -105,6 +172,7 @@ def transfer_matrices(
     damping: FloatArray,
     stiffness: FloatArray,
     diagonal: bool,
+    ports: Ports,
     inputs: FloatArray,
     displacement_rows: FloatArray,
     velocity_rows: FloatArray,
@@ -118,6 +186,7 @@ def transfer_matrices(
     Args:
         angular_frequency: ω, rad/s.
         self_excitation: ξ, rad/s.
+        ports: in place of the matrices where there are any.
         inputs: (N, p) modal input vectors.
         displacement_rows, velocity_rows, acceleration_rows: (o, N) outputs y = (a s² + v s + d) η +
             feedthrough · input.
@@ -133,6 +202,11 @@ def transfer_matrices(
     by_frequency = np.empty((orders.size, outputs, columns), dtype=np.complex128)
     by_excitation = np.empty((orders.size, outputs, columns), dtype=np.complex128)
     complex_inputs = inputs.astype(np.complex128)
+    count = ports.directions.shape[1]
+    directions = np.ascontiguousarray(ports.directions.astype(np.complex128))
+    directions_over = np.empty((size, count), dtype=np.complex128)
+    unit = np.eye(count).astype(np.complex128)
+    masses = np.diag(mass)
     for position in range(orders.size):
         n = orders[position]
         s = 1j * n * angular_frequency
@@ -153,6 +227,30 @@ def transfer_matrices(
                     mass_response[k, j] = mass[k, k] * response[k, j]
                 for i in range(outputs):
                     adjoint[i, k] = rows[i, k] * inverse[k, k]
+        elif count > 0:
+            own = ports.stiffness + (ports.damping - self_excitation * masses) * s + masses * (s * s)
+            if mode >= 0:
+                own[mode] += shift
+            response = np.empty((size, columns), dtype=np.complex128)
+            adjoint = np.empty((outputs, size), dtype=np.complex128)
+            for k in range(size):
+                for j in range(count):
+                    directions_over[k, j] = directions[k, j] / own[k]
+                for j in range(columns):
+                    response[k, j] = complex_inputs[k, j] / own[k]
+                for i in range(outputs):
+                    adjoint[i, k] = rows[i, k] / own[k]
+            between = ports.between_stiffness + s * ports.between_damping
+            closed = np.linalg.solve(unit + between @ (directions.T @ directions_over), between)
+            response -= directions_over @ (closed @ (directions.T @ response))
+            adjoint -= ((adjoint @ directions) @ closed) @ directions_over.T
+            mass_response = np.empty((size, columns), dtype=np.complex128)
+            impedance_response = directions @ (ports.between_damping.astype(np.complex128) @ (directions.T @ response))
+            for k in range(size):
+                for j in range(columns):
+                    mass_response[k, j] = masses[k] * response[k, j]
+                    impedance_response[k, j] += ports.damping[k] * response[k, j]
+                    impedance_response[k, j] += (2.0 * s - self_excitation) * mass_response[k, j]
         else:
             impedance = stiffness + (damping - self_excitation * mass) * s + mass * (s * s)
             if mode >= 0:
@@ -272,7 +370,21 @@ def harmonic_responses(
         given = modal_inputs @ amplitudes[position]
         if impedance.diagonal:
             modal = given / (np.diag(impedance.stiffness) + s * np.diag(damping) + s * s * np.diag(impedance.mass))
+        elif impedance.ports.directions.shape[1]:
+            modal = _solved(impedance, s, self_excitation, given)
         else:
             modal = np.linalg.solve(impedance.stiffness + s * damping + s * s * impedance.mass, given)
         result[position] = impedance.shapes @ modal
+    return result
+
+
+def _solved(impedance: ModalImpedance, s: complex, self_excitation: float, given: ComplexArray) -> ComplexArray:
+    """Modal coordinates (N,) under forces (N,), by the ports."""
+    ports, masses = impedance.ports, np.diag(impedance.mass)
+    own = ports.stiffness + (ports.damping - self_excitation * masses) * s + masses * (s * s)
+    over = ports.directions / own[:, None]
+    between = ports.between_stiffness + s * ports.between_damping
+    small = np.eye(len(between)) + between @ (ports.directions.T @ over)
+    free = given / own
+    result: ComplexArray = free - over @ np.linalg.solve(small, between @ (ports.directions.T @ free))
     return result

@@ -18,7 +18,10 @@ from nmt_core.errors import BenchError
 from nmt_rig.model.continuation import Branch, StepControl, follow_branch, solve_at_parameter
 from nmt_rig.model.forced_response import ForcedProblem, PeriodicResponse
 from nmt_rig.model.fourier_basis import ComplexArray, FloatArray
-from nmt_rig.model.rest_response import responses_at_rest
+from nmt_rig.model.rest_response import RestResponse
+
+# Relative distance at which the ports' resonance is checked by the system's own solution.
+_NEAR = 1e-6
 
 
 @dataclass(frozen=True)
@@ -118,11 +121,20 @@ def linear_phase_resonance(problem: ForcedProblem, band: float = 0.3) -> float:
         return float((force * np.conj(system.motion(system.drive_point, unknowns))).real)
 
     grid = reference * np.linspace(1.0 - band, 1.0 + band, 1201)
-    fast = responses_at_rest(system, grid)
-    if fast is not None:
-        bracket = _falling_bracket(grid, (fast[1] * np.conj(fast[0])).real, reference)
-        if bracket is not None and quadrature(bracket[0]) > 0.0 >= quadrature(bracket[1]):
-            return float(brentq(quadrature, *bracket, xtol=1e-10 * reference))
+    response = RestResponse.of(system)
+    if response is not None:
+
+        def fast(frequencies: FloatArray) -> FloatArray:
+            displacement, force = response(frequencies)
+            return np.asarray((force * np.conj(displacement)).real, dtype=np.float64)
+
+        bracket = _falling_bracket(grid, fast(grid), reference)
+        if bracket is not None:
+            near = float(brentq(lambda omega: float(fast(np.array([omega]))[0]), *bracket, xtol=1e-10 * reference))
+            # The system's own solution decides, next to what the ports give.
+            bracket = near * (1.0 - _NEAR), near * (1.0 + _NEAR)
+            if quadrature(bracket[0]) > 0.0 >= quadrature(bracket[1]):
+                return float(brentq(quadrature, *bracket, xtol=1e-10 * reference))
     values = np.array([quadrature(omega) for omega in grid])
     bracket = _falling_bracket(grid, values, reference)
     if bracket is None:

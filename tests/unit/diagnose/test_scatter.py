@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from unit.diagnose.test_amplitude_scales import backbone
 from unit.diagnose.twin_observations import chain, observations_of_twin
 
 from nmt_diagnose.inference.scatter import scatter_floor
+from nmt_diagnose.observations.conditions import SteppedSineTest
 from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 
@@ -66,3 +68,47 @@ def test_the_own_simulator_has_none(observations: Observations) -> None:
     difference = np.random.default_rng(6).standard_normal(len(observations.rows))
     assert not scatter_floor(replace(observations, chains=()), difference).any()
     assert not scatter_floor(replace(observations, chains=(None,)), difference).any()
+
+
+def sweeps(noise: float, drawn: float, seed: int, effect: float = 0.0) -> tuple[Observations, np.ndarray]:
+    """Four sweeps of 34 lines whose stated and drawn noise differ; an effect shifts their resonance by a half width."""
+    lines = np.linspace(0.96, 1.04, 34)
+    plain = backbone(1.0)
+    base = {"channels": (plain.tests[0].channel,), "reference": "force", "held": "force"}
+    tests = tuple(
+        SteppedSineTest(
+            name=f"sweep {k}", drive_point=1, lines_hz=lines, levels=np.ones(34), measured=np.ones((34, 1), complex),
+            noise=np.full(34, noise), direction=0, **base,
+        )
+        for k in range(4)
+    )  # fmt: skip
+    part = np.tile(np.repeat([int(Part.LOG_MAGNITUDE), int(Part.PHASE)], 34), 4)
+    count = part.size
+    rows = Rows(
+        np.repeat(np.arange(4), 68), np.tile(np.arange(34), 8), np.zeros(count, int), np.ones(count, int), part,
+        np.zeros(count), np.tile(lines, 8), np.ones(count),
+    )  # fmt: skip
+    response, moved = (1.0 / (1.0 - (lines / f) ** 2 + 0.02j * lines / f) for f in (1.0, 1.0 + 0.01 * effect))
+    change = np.log(moved / response)
+    left = np.tile(np.concatenate([change.real, change.imag]), 4)
+    draw = np.random.default_rng(seed)
+    observations = Observations(tests, rows, np.zeros(count), np.full(count, noise), np.zeros(count))
+    return observations, left + drawn * draw.standard_normal(count)
+
+
+def test_lines_of_sweeps_that_scatter_as_stated_have_no_more() -> None:
+    for seed in range(20):
+        assert not scatter_floor(*sweeps(2e-3, 2e-3, seed)).any()
+
+
+def test_lines_of_sweeps_that_had_not_settled() -> None:
+    found = [scatter_floor(*sweeps(2e-3, 4e-3, seed)) for seed in range(20)]
+    more = math.sqrt(4e-3**2 - 2e-3**2)
+    assert np.mean([size.max() for size in found]) == pytest.approx(more, rel=0.1)
+    assert all(size.min() == size.max() for size in found)
+    assert scatter_floor(*sweeps(2e-3, 0.1, 1)).max() == 0.02
+
+
+def test_a_resonance_that_an_effect_shifts_is_no_scatter() -> None:
+    for seed in range(10):
+        assert scatter_floor(*sweeps(2e-3, 2e-3, seed, effect=0.5)).max() < 1e-3

@@ -575,9 +575,11 @@ class _Columns:
         """A random test is one more passage: magnitudes and phases of each channel scatter as a level's do, (m, r)."""
         found = [np.zeros(len(self.rows))]
         own = scatter[self.mine]
+        # Lines of a sweep scatter within a passage.
+        sweeps = [k for k, test in enumerate(self.tests) if isinstance(test, SteppedSineTest)]
         for number, test in enumerate(self.tests):
             for k, channel in enumerate(test.channels if isinstance(test, RandomTest) else ()):
-                levels = self._rows_of(channel.name) & (self.rows.test != number)
+                levels = self._rows_of(channel.name) & ~np.isin(self.rows.test, [number, *sweeps])
                 for part in _FUNDAMENTAL:
                     size = float(np.max(own[levels & (self.rows.part == part)], initial=0.0))
                     mine = (self.rows.test == number) & (self.rows.channel == k) & (self.rows.part == part)

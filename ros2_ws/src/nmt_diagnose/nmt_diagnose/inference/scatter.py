@@ -2,22 +2,26 @@
 
 A laboratory's repeats differ by 0.1 to 2 %, far more than the noise within a window. What scatters about a straight
 line over the levels has no course that an effect would have, so it is noise of a kind of its own: it raises the floors.
-What follows a smooth course does not.
+What follows a smooth course does not. Lines of a sweep that had not settled scatter likewise, about their neighbours.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from scipy.stats import chi2
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.observations.conditions import BackboneTable, PhaseResonanceTest
+from nmt_diagnose.observations.conditions import BackboneTable, PhaseResonanceTest, SteppedSineTest
+from nmt_diagnose.observations.neighbour_cubics import neighbour_cubics
 from nmt_diagnose.observations.observables import IntArray, Observations, Part
 
 _FEWEST_LEVELS = 4
 _FEWEST_FREE = 3
 _FEWEST_BETWEEN = 4
 _BY_CHANCE = 1e-4
+_MEDIAN = 0.6745  # of the magnitude of a normal variable
 # What scatter may be, as an ordinary share: ln ω, phases in rad, ln of magnitudes, harmonics over their fundamental.
 _LARGEST = {
     Part.LOG_FREQUENCY: 1e-3,
@@ -29,6 +33,11 @@ _LARGEST = {
 }
 # Of tables that others have reduced, relative: a laboratory's repeats, not those of a locked loop.
 _LARGEST_OF_TABLES = {Part.LOG_FREQUENCY: 0.02, Part.DAMPING: 0.3}
+_LARGEST_OF_LINES = 0.02
+_FEWEST_LINES = 12
+# Standard deviation of a scatter of n lines that is known by its median about four neighbours: this over the root of n,
+# relative (by simulation of normal noise, 15 to 200 lines); how many of them count.
+_MEDIAN_STD, _TIMES = 1.7, 4.0
 
 
 def scatter_floor(observations: Observations, difference: FloatArray) -> FloatArray:
@@ -40,7 +49,7 @@ def scatter_floor(observations: Observations, difference: FloatArray) -> FloatAr
         observations: the real side.
         difference: measured minus predicted, not whitened, shape (m,).
     """
-    result = np.zeros(len(observations.rows))
+    result = _of_lines(observations, difference)
     for number, test in enumerate(observations.tests):
         if isinstance(test, BackboneTable):
             for part, largest in _LARGEST_OF_TABLES.items():
@@ -67,6 +76,47 @@ def scatter_floor(observations: Observations, difference: FloatArray) -> FloatAr
             ordinary = _LARGEST.get(Part(int(kind[0])))
             if ordinary is not None:
                 result[which] = min(_of_kind(observations, difference, np.flatnonzero(which)), ordinary)
+    return result
+
+
+def _of_lines(observations: Observations, difference: FloatArray) -> FloatArray:
+    """Standard deviation of the lines of sweeps beyond the stated one, the same for all sweeps of a channel, (m,).
+
+    Each line is compared with the cubic through its four neighbours. The median does not see where an effect leaves
+    more than a smooth course.
+    """
+    rows = observations.rows
+    result = np.zeros(len(rows))
+    channels = {test.channels for test in observations.tests if isinstance(test, SteppedSineTest)}
+    for own in sorted(channels, key=repr):
+        numbers = [
+            number
+            for number, test in enumerate(observations.tests)
+            if isinstance(test, SteppedSineTest) and test.channels == own
+        ]
+        found = []
+        for number in numbers:
+            for part in (Part.LOG_MAGNITUDE, Part.PHASE):
+                which = np.flatnonzero((rows.test == number) & (rows.part == part) & np.isfinite(difference))
+                which = which[np.argsort(rows.frequency_hz[which], kind="stable")]
+                if which.size >= _FEWEST_LINES:
+                    found.append(_beside_cubics(rows.frequency_hz[which], difference[which], observations.sigma[which]))
+        beside = np.concatenate(found) if found else np.zeros(0)
+        if not beside.size:
+            continue
+        ratio = float(np.median(np.abs(beside))) / _MEDIAN
+        if ratio > 1.0 + _TIMES * _MEDIAN_STD / math.sqrt(beside.size):
+            mine = np.isin(rows.test, numbers) & np.isin(rows.part, (Part.LOG_MAGNITUDE, Part.PHASE))
+            size = math.sqrt(ratio**2 - 1.0) * float(np.median(observations.sigma[mine]))
+            result[mine] = min(size, _LARGEST_OF_LINES)
+    return result
+
+
+def _beside_cubics(frequency: FloatArray, values: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Distances of values from the cubics through their four neighbours, over their stated standard deviations."""
+    middle, near, weights = neighbour_cubics(frequency)
+    stated = np.sqrt(sigma[middle] ** 2 + np.sum((weights * sigma[near]) ** 2, axis=1))
+    result: FloatArray = (values[middle] - np.sum(weights * values[near], axis=1)) / stated
     return result
 
 

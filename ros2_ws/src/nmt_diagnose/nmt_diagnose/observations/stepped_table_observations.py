@@ -11,6 +11,7 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.model_view import ORDER, ModelView
+from nmt_diagnose.observations.neighbour_cubics import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
@@ -212,20 +213,11 @@ def scatter_of_lines(frequency: FloatArray, response: ComplexArray) -> float:
     if frequency.size < _FEWEST_FOR_SCATTER:
         return math.nan
     log = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))
-    found = []
-    for middle in range(2, frequency.size - 2):
-        near = np.array([middle - 2, middle - 1, middle + 1, middle + 2])
-        gaps = frequency[near][:, None] - frequency[near][None, :]
-        np.fill_diagonal(gaps, 1.0)
-        offsets = frequency[middle] - frequency[near]
-        if not gaps.all():
-            continue
-        products = np.array([np.prod(np.delete(offsets, i)) for i in range(4)])
-        weights = products / np.prod(gaps, axis=1)
-        rest = (log[middle] - weights @ log[near]) / math.sqrt(1.0 + float(weights @ weights))
-        found += [rest.real, rest.imag]
+    middle, near, weights = neighbour_cubics(frequency)
+    rest = (log[middle] - np.sum(weights * log[near], axis=1)) / np.sqrt(1.0 + np.sum(weights**2, axis=1))
     # Median of |x| of a normal variable: 0.6745 σ.
-    return max(float(np.median(np.abs(found))) / 0.6745, 1e-4) if found else math.nan
+    found = np.abs(np.concatenate([rest.real, rest.imag]))
+    return max(float(np.median(found)) / 0.6745, 1e-4) if found.size else math.nan
 
 
 def jumps_of(response: ComplexArray) -> list[int]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RandomTest
 from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
+from nmt_diagnose.observations.neighbour_cubics import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
@@ -106,14 +107,9 @@ def scatter_about_a_course(x: FloatArray, y: FloatArray) -> float:
     y = y[first]
     if x.size < _FEWEST_FOR_SCATTER:
         return 0.0
-    squares = []
-    for middle in range(2, x.size - 2):
-        near = np.array([middle - 2, middle - 1, middle + 1, middle + 2])
-        weights = np.array(
-            [np.prod([(x[middle] - x[j]) / (x[i] - x[j]) for j in near if j != i]) for i in near]
-        )  # Lagrange
-        squares.append((y[middle] - weights @ y[near]) ** 2 / (1.0 + weights @ weights))
-    return math.sqrt(float(np.mean(squares)))
+    middle, near, weights = neighbour_cubics(x)
+    rest = y[middle] - np.sum(weights * y[near], axis=1)
+    return math.sqrt(float(np.mean(rest**2 / (1.0 + np.sum(weights**2, axis=1)))))
 
 
 def _responses(

@@ -27,7 +27,7 @@ class NeighbourCubics(NamedTuple):
 
 
 def neighbour_cubics(x: FloatArray) -> NeighbourCubics:
-    """Of places in ascending order, shape (n,); a point whose neighbours are not all at different places is left out."""
+    """Of places in ascending order, shape (n,); points with neighbours at one place are left out."""
     middle = np.arange(2, x.size - 2)
     near = middle[:, None] + _NEAR
     gaps = x[near][:, :, None] - x[near][:, None, :]

@@ -397,6 +397,29 @@ def test_a_response_that_contradicts_the_others_has_a_transient_of_its_own() -> 
     np.testing.assert_allclose(found.leans, sizes * np.exp(-2.0 * time).mean(), rtol=0.05)
 
 
+def test_the_doubt_about_a_transient_covers_what_it_is_off_by() -> None:
+    generator, time, inside, doubts = np.random.default_rng(11), (np.arange(10) + 0.5) / 10.0, 0, []
+    for _ in range(300):
+        size, rate, noise = 0.01, generator.uniform(1.0, 4.0), 10.0 ** generator.uniform(-5.0, -3.0)
+        transient = size * np.exp(-rate * time)
+        logs = transient[:, None] + noise * generator.standard_normal((10, 4))
+        found = settling(logs, np.arange(4) > 0)
+        mean = size * (1.0 - np.exp(-rate)) / rate
+        inside += bool(abs(found.leans[1] - mean) <= 3.0 * found.doubt * abs(found.leans[1]))
+        doubts.append(found.doubt)
+    assert inside >= 291
+    assert min(doubts) < 0.03
+    assert max(doubts) > 0.1
+
+
+def test_of_an_amplitude_that_creeps_nothing_says_where_it_would_settle() -> None:
+    time = (np.arange(10) + 0.5) / 10.0
+    noise = 1e-5 * np.random.default_rng(12).standard_normal((10, 3))
+    found = settling(0.01 * time[:, None] + noise, np.ones(3, dtype=bool))
+    assert found.leans.all()
+    assert found.doubt == 1.0
+
+
 def test_noise_seldom_passes_for_a_transient_and_an_exact_amplitude_never() -> None:
     generator, shown = np.random.default_rng(7), 0
     for _ in range(400):
@@ -426,4 +449,7 @@ def test_a_window_without_its_transient_is_that_of_the_settled_rig() -> None:
     assert errors[0][2, 1] > 1e-5
     assert errors[1][:, 0].max() < 1e-5
     assert errors[1][:, 1].max() < 1e-6
-    np.testing.assert_allclose(found[1].leans, sizes * (1.0 - np.exp(-2.0)) / 2.0, rtol=1e-2)
+    # It is known to some percent; what is left of that is what the amplitudes may be off by.
+    left = np.abs(found[1].leans) / np.abs(sizes * (1.0 - np.exp(-2.0)) / 2.0 + (sizes == 0.0))
+    assert left[0] == 0.0
+    assert np.all((left[1:] > 0.019) & (left[1:] < 0.05))

@@ -48,8 +48,8 @@ class LockedLevel:
         phase_lean: how far the loop may still have been off because it had not settled, rad.
         drive_harmonics: orders 2, 3, … of the recorded drive, or of the force where that is held, over its fundamental,
             whose phase is zero; empty = pure.
-        amplitude_leans: of each channel of the test, how far its amplitude was from where it would have settled,
-            relative; empty = nowhere.
+        amplitude_leans: of each channel of the test, how far its amplitude may still be from where it would have
+            settled, its transient taken out, relative; empty = nowhere.
     """
 
     index: int

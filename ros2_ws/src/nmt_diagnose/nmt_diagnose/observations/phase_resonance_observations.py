@@ -98,7 +98,7 @@ class LockedWindow:
         return self.rows.index(name)
 
     def lean(self, name: str) -> float:
-        """What the ln of a channel's fundamental was off by; 0 where there is no such channel."""
+        """What the ln of a channel's fundamental may still be off by; 0 where there is no such channel."""
         return self.leans[self.row(name)] if name in self.rows else 0.0
 
 
@@ -184,7 +184,7 @@ def analyse_window(
     mains = {hz: line for hz, line in lines.items() if line is not None}
     return LockedWindow(
         segment, stretch, rows, whole, without, single, frequency, drive, referenced, mains, commanded,
-        tuple(transient.leans.tolist()),
+        tuple((transient.doubt * transient.leans).tolist()),
     )  # fmt: skip
 
 
@@ -198,7 +198,7 @@ def _settling(fundamentals: ComplexArray, channels: Sequence[MeasuredChannel]) -
     responses = np.array([channels[k].quantity in _RESPONSES for k in kept], dtype=bool)
     found = settling(np.log(np.abs(fundamentals[:, kept])), responses)
     result[kept] = found.sizes
-    return Settling(result, found.rate)
+    return Settling(result, found.rate, found.doubt)
 
 
 def _cycles(segment: Segment, stretch: Stretch, force: str) -> FloatArray:

@@ -286,12 +286,8 @@ class PlantNode(BenchNode):
             self._publish_loop_input(self._loop_input, blocks)
         for block in blocks:
             topic, publisher, writer = self._publishers_by_quantity[int(block.quantity)]
-            read = publisher.get_subscription_count() > 0
-            if not read and self._bundle is None:
-                continue
             raw = writer.write(block)
-            if read:
-                publisher.publish(raw)
+            publisher.publish(raw)
             if self._bundle is not None:
                 self._bundle.add(topic, raw)
         if self._bundle is not None:

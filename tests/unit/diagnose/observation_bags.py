@@ -45,6 +45,12 @@ def rig_with_noise(name: str = "beam", noise: float = 1.0, seed: int = 1, overri
     return rig.model_copy(update={"sensors": sensors, "seed": seed})
 
 
+def with_sensor(rig: Rig, channel: str, **changes: Any) -> Rig:
+    """A rig whose sensor of a channel is another."""
+    sensors = [s.model_copy(update=changes) if rig.sensor_channel(s) == channel else s for s in rig.sensors]
+    return rig.model_copy(update={"sensors": sensors})
+
+
 def record(
     path: Path,
     rig: Rig,

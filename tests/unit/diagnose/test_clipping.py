@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from unit.diagnose.observation_bags import record, rig_with_noise
+from unit.diagnose.observation_bags import record, rig_with_noise, with_sensor
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.effects.library import candidates
@@ -58,14 +58,11 @@ def test_a_channel_that_once_stood_still_is_not_clipped() -> None:
 
 def test_a_clipped_channel_of_a_bag_is_where_the_search_begins(tmp_path: Path) -> None:
     model = rig_with_noise(noise=20.0, overrides=["local_elements=[]"])
-    index = next(k for k, sensor in enumerate(model.sensors) if model.sensor_channel(sensor) == "x4")
     free = read_observations([record(tmp_path / "free", model, levels=(0.1, 0.2, 0.4), periods=40)], model)
     assert not np.any(free.rows.part == Part.LIMIT)
     assert not operating_range(model, free.tests, observations=free).limits
     amplitude = operating_range(model, free.tests).channels["x4"]
-    sensors = list(model.sensors)
-    sensors[index] = sensors[index].model_copy(update={"clip": 0.98 * amplitude})
-    rig = model.model_copy(update={"sensors": sensors})
+    rig = with_sensor(model, "x4", clip=0.98 * amplitude)
     bag = record(tmp_path / "run", rig, levels=(0.1, 0.2, 0.4), periods=40)
     observations = read_observations([bag], model)
     rows, names = observations.rows, [channel.name for channel in observations.tests[0].channels]  # type: ignore[union-attr]
@@ -80,7 +77,10 @@ def test_a_clipped_channel_of_a_bag_is_where_the_search_begins(tmp_path: Path) -
     own = {c.label: c for c in found}
     # One dimensionless strength is the depth that the samples show.
     start = Parametrisation(model, (), (own["clipping@x4"],)).rig(np.array([1.0]))
-    assert start.sensors[index].clip == pytest.approx(0.98 * amplitude, rel=1e-6)
+    assert start == with_sensor(model, "x4", clip=pytest.approx(0.98 * amplitude, rel=1e-6))
+    assert Parametrisation(model, (), (own["clipping@x4"],)).reported(np.array([1.0]), 0) == {
+        "level": (pytest.approx(0.98 * amplitude, rel=1e-6), "m")
+    }
     # Samples that were looked at and show no step need no converter that has one.
     assert not [label for label in own if label.startswith("quantisation")]
     assert [c.label for c in candidates(model, operating_range(model, observations.tests)) if "quantis" in c.label]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from unit.diagnose.observation_bags import record, rig_with_noise
+from unit.diagnose.observation_bags import record, rig_with_noise, with_sensor
 
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.observations.converter_step import converter_step
@@ -38,10 +38,8 @@ def test_smooth_samples_have_no_step() -> None:
 
 def test_a_coarse_channel_of_a_bag_is_named_and_the_twin_knows_its_step(tmp_path: Path) -> None:
     model = rig_with_noise(noise=20.0, overrides=["local_elements=[]"])
-    index = next(k for k, sensor in enumerate(model.sensors) if model.sensor_channel(sensor) == "x4")
-    step, sensors = 3e-6, list(model.sensors)
-    sensors[index] = sensors[index].model_copy(update={"bits": 16, "range": step * 2.0**15})
-    rig = model.model_copy(update={"sensors": sensors})
+    step = 3e-6
+    rig = with_sensor(model, "x4", bits=16, range=step * 2.0**15)
     bag = record(tmp_path / "run", rig, levels=(0.1, 0.2, 0.4), periods=40)
     observations = read_observations([bag], model)
     rows, names = observations.rows, [channel.name for channel in observations.tests[0].channels]  # type: ignore[union-attr]

@@ -150,6 +150,29 @@ def test_images_that_are_there_are_found_and_when_the_channels_are_sampled(at: f
     assert not found[0].chains[0].images
 
 
+def test_kinds_of_sensors_that_are_late_by_different_times_have_moments_of_their_own() -> None:
+    """A force cell 0.4 of a held sample behind the accelerometers sees the step before."""
+    test, rows = _random()
+    force = np.array([channel.quantity is Quantity.FORCE for channel in test.channels])
+    both = np.where(force, _sampled(MODEL, test, -0.2), _sampled(MODEL, test, 0.2))
+    observations = _observations(both, test, rows, 1)
+    (found,) = with_detected_images(observations, _off_by(2e-4))
+    (seen,) = found.tests
+    assert isinstance(seen, RandomTest)
+    assert seen.sampled_at is not None
+    moments = seen.sampled_at + RATE * np.array(seen.late_s)
+    np.testing.assert_allclose(moments[~force], 0.2, atol=0.04)
+    # A force that follows the drive at once is the same throughout the sample.
+    assert np.all((moments[force] > -1.0) & (moments[force] < 0.0))
+    left = []
+    for own in (seen, replace(seen, sampled_at=0.2, late_s=())):
+        forward = Forward((own,), rows)
+        difference = forward.difference(observations.values, forward.predict(MODEL).values)
+        left.append(float(np.sqrt(np.mean(difference[rows.channel == np.flatnonzero(force)[0]] ** 2))))
+    assert left[0] < 2.0 * 2e-3
+    assert left[1] > 20.0 * left[0]
+
+
 def test_filters_that_keep_images_out_are_found() -> None:
     test, rows = _random()
     values = Forward([test], rows).predict(MODEL).values

@@ -1,4 +1,4 @@
-"""Modes that a modal model leaves out: what they add to responses at held amplitudes is noise that rows share."""
+"""Modes that a modal model leaves out, and late sensors: noise that the rows of frequency responses share."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from unit.diagnose.test_stepped_sine import DAMPER, OMEGA, observations_of, oscillator, swept
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.inference.chain_errors import chain_errors
 from nmt_diagnose.inference.problem import Problem
-from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
 from nmt_diagnose.observations.measuring_chain import table_chain
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import ResidualSection, Rig
@@ -29,10 +30,18 @@ def receptance(other: bool) -> np.ndarray:
     return np.asarray(found)
 
 
-def left_by_columns(rig: Rig) -> tuple[float, float]:
-    """Largest difference that the other mode makes, ln and rad, and what is left of it after the shared errors."""
-    test = swept(LINES, 1.0, receptance(True))
+def without_level(test: SteppedSineTest) -> RandomTest:
+    return RandomTest(
+        "responses", 1, test.channels, "force", test.lines_hz, float(np.diff(LINES)[0]), "none", 0.0, 0.0, 0.0
+    )
+
+
+def left_by_columns(rig: Rig, response: np.ndarray, levelled: bool = True) -> tuple[float, float]:
+    """Largest difference of measured responses, ln and rad, and what is left of it after the shared errors."""
+    test = swept(LINES, 1.0, response)
     observations = replace(observations_of([test]), chains=(table_chain(),))
+    if not levelled:
+        observations = replace(observations, tests=(without_level(test),))
     forward = Forward(observations.tests, observations.rows)
     problem = Problem(observations, forward)
     prediction = forward.predict(rig)
@@ -45,18 +54,45 @@ def left_by_columns(rig: Rig) -> tuple[float, float]:
     return float(np.abs(difference).max()), float(np.abs(difference - found).max())
 
 
-def test_a_mode_above_the_band_is_within_the_tolerances() -> None:
-    before, after = left_by_columns(oscillator())
+@pytest.mark.parametrize("levelled", [True, False])
+def test_a_mode_above_the_band_is_within_the_tolerances(levelled: bool) -> None:
+    before, after = left_by_columns(oscillator(), receptance(True), levelled)
     assert before > 0.02
     assert after < 0.05 * before
+
+
+def chain_columns(levelled: bool) -> float:
+    """Largest change of the last line's phase by one of the shared errors' standard deviations."""
+    test = swept(LINES, 1.0, receptance(False))
+    observations = replace(observations_of([test]), chains=(table_chain(),))
+    if not levelled:
+        observations = replace(observations, tests=(without_level(test),))
+    forward = Forward(observations.tests, observations.rows)
+    problem = Problem(observations, forward)
+    rig = oscillator()
+    _, columns = chain_errors(problem, rig, forward.predict(rig))
+    return float(np.abs(columns[-1]).max())
 
 
 def test_a_model_that_states_its_residual_has_no_such_tolerance() -> None:
     rig = oscillator()
     stated = ResidualSection(flexibility_m_n=[[1e-12]], frequency_hz=5000.0)
     same = rig.model_copy(update={"structure": rig.structure.model_copy(update={"residual": stated})})
-    before, after = left_by_columns(same)
+    before, after = left_by_columns(same, receptance(True))
     assert after > 0.2 * before
+
+
+@pytest.mark.parametrize("levelled", [True, False])
+@pytest.mark.parametrize("delay", [1e-4, -1e-4])
+def test_a_late_force_or_response_is_within_the_tolerances(levelled: bool, delay: float) -> None:
+    """What is left beyond the direction goes with the square of the gain's error of 1 %."""
+    late = 1.01 * receptance(False) * np.exp(-2j * math.pi * LINES * delay)
+    before, after = left_by_columns(oscillator(), late, levelled)
+    assert before > 2.0 * math.pi * 50.0 * 1e-4
+    assert after < 0.03 * before
+    kinds = chain_columns(levelled=levelled)
+    # Force and displacement, 100 microseconds each: a standard deviation is what makes rows of their phase move.
+    assert kinds == pytest.approx(2.0 * math.pi * LINES[-1] * 1e-4, rel=0.02)
 
 
 def test_a_force_channel_beside_the_responses_has_no_other_modes() -> None:

@@ -15,6 +15,7 @@ from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, Reco
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.observations.record_observations import interpolated, spread_samples, white_noise
+from nmt_diagnose.observations.table_observations import noise_of_weak_lines
 from nmt_record.imported_run import read_import, write_import
 from nmt_rig.rig import Rig, load_rig
 
@@ -194,6 +195,20 @@ def test_frequency_response_table(tmp_path: Path) -> None:
     near = np.sum(np.abs(test.lines_hz - NATURAL_HZ) < 3.0) / 6.0
     assert near > 2.0 * np.sum(test.lines_hz > 100.0) / 20.0
     assert any("no uncertainties" in note for note in observations.notes)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-7, 1e-6])
+def test_noise_is_read_off_weak_lines(noise: float) -> None:
+    """Receptances from 2e-6 m/N to a peak of 1e-4; about the antiresonance they go smoothly through zero."""
+    frequency = np.linspace(20.0, 220.0, 401)
+    omega = 2.0 * np.pi * frequency
+    response = sum(
+        1.0 / ((2 * np.pi * f) ** 2 - omega**2 + 4j * np.pi * f * 0.005 * omega) for f in (NATURAL_HZ, 2.5 * NATURAL_HZ)
+    )
+    random = np.random.default_rng(5)
+    scattered = response + noise * (random.standard_normal(401) + 1j * random.standard_normal(401))
+    assert noise_of_weak_lines(frequency, scattered) == pytest.approx(noise, rel=0.2, abs=2e-9)
+    assert noise_of_weak_lines(frequency[:12], scattered[:12]) == 0.0
 
 
 @pytest.mark.parametrize("scatter", [0.0, 3e-3, 1.2e-2])

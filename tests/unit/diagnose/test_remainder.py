@@ -62,6 +62,17 @@ def test_less_than_a_percent_is_not_told(observations: Observations, closed: flo
     assert remainder(observations, replace(LEFT, closed=closed), np.zeros(len(observations.rows)), rows) is None
 
 
+def test_of_noise_nothing_is_left(observations: Observations) -> None:
+    """What the uncertainties allow without the explanation is no gap that it could leave."""
+    rows = np.ones(len(observations.rows), dtype=bool)
+    weak = replace(LEFT, before=0.9, after=0.8, closed=0.3)
+    assert remainder(observations, weak, left_in(observations, Part.LOG_FREQUENCY, 1.2), rows) is None
+    ranked = Ranked("clipping", "force_sensor", "f1", 0.9, (), {}, Share(0.3, 0.1, 0.5), 9.0)
+    head = SimpleNamespace(head=SimpleNamespace(explanation=SimpleNamespace(placements=())))
+    said = sentences(Verdict.EFFECT, (), (ranked,), (head,), weak, (), ())[2]  # type: ignore[arg-type]
+    assert said.endswith("The uncertainties of the held-out data allow 1, so they hardly show it.")
+
+
 def test_the_answer_says_how_much_is_left_and_where(observations: Observations) -> None:
     rows = np.ones(len(observations.rows), dtype=bool)
     rest = remainder(observations, LEFT, left_in(observations, Part.LOG_FREQUENCY, 1.2), rows)

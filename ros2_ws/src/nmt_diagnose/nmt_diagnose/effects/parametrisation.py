@@ -9,7 +9,7 @@ from math import exp, log
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate, EffectParameter, Reported, Site
 from nmt_rig.rig import Rig
@@ -124,13 +124,15 @@ class Parametrisation:
         """Parameters that a candidate is reported by, with units."""
         own = self.candidates[candidate]
         return {
-            name: (value, _unit_at(unit, own.site))
+            name: (value, _unit_at(unit, own.site, self.base))
             for name, (value, unit) in own.effect.reported(own.site, self.values(theta, candidate)).items()
         }
 
 
-def _unit_at(unit: str, site: Site) -> str:
-    """Unit at a site, out of alternatives for displacement and rotation, or for time and periods."""
+def _unit_at(unit: str, site: Site, rig: Rig) -> str:
+    """Unit at a site: of its channel, or out of alternatives for displacement and rotation, or time and periods."""
+    if unit == "channel":
+        return Quantity[rig.sensors[site.index].quantity.upper()].unit
     found = unit.split(" or ")
     if len(found) == 1:
         return unit

@@ -53,11 +53,15 @@ _DRIVEN_FLOOR = 0.03
 _CLOCK_STEP = 1e-5
 # Modes that a model leaves out, as shares of the static flexibility of those that it has; frequency over the
 # resonance's at which that is taken.
-_ABOVE, _BELOW, _STATIC = 0.1, 0.05, 0.1
+_ABOVE, _BELOW, _STATIC = 0.2, 0.05, 0.1
 _SHIFT_STEP = 1e-6
+# Measured over predicted magnitude, ln, at which nothing lies between them.
+_FAR = 1.0
 # What a loop may hold other than it was told, for all levels and for each, rad.
 _AIM_STD, _LOCK_STD = math.radians(1.0), math.radians(0.5)
 _FUNDAMENTAL = (Part.LOG_MAGNITUDE, Part.PHASE)
+# What responses at held amplitudes are divided by.
+_REFERENCE = {"force": Quantity.FORCE, "base": Quantity.ACCELERATION, "voltage": Quantity.VOLTAGE}
 
 
 def with_chain_errors(problem: Problem, rig: Rig, prediction: Prediction, scatter: FloatArray | None = None) -> Problem:
@@ -171,6 +175,10 @@ class _Columns:
             for c in getattr(test, "channels", ())
             if c.quantity is not Quantity.VOLTAGE
         }
+        for test in self.tests:
+            if isinstance(test, RandomTest) and test.reference == "force":
+                name = f"f{test.drive_point}"
+                self.channels.setdefault(name, MeasuredChannel(name, Quantity.FORCE, test.drive_point))
         self.images = self._images()
 
     def _full(self, values: FloatArray) -> FloatArray:
@@ -204,7 +212,7 @@ class _Columns:
                 # Its high-pass leads by ω_h/ω: by the phase that is stated at the mode that is tested.
                 lead = change(_edited(self.rig, own, partial(_leading, corner_hz=_LEAD_STEP * tested)), _LEAD_STEP)
                 found.append(tolerance.phase * lead)
-            if any(_near_step(test) for test in self.tests):
+            if any(_near_step(test, channel) for test in self.tests):
                 # Two of them: with the size of such an error its shape changes, too.
                 for time in (_SMOOTH, _SMOOTHER):
                     smooth = partial(_smoothed, time_s=time / self._step_rate())
@@ -212,6 +220,10 @@ class _Columns:
         # Sensors of one kind share their conditioners; all of them together may be late against the voltage.
         shared = max(chain.shared_delay_s for chain in self.own)
         found += [shared * group for group in (*groups.values(), np.sum(list(groups.values()), axis=0))]
+        # What a random test itself told of such delays stands in that test alone.
+        told = [k for k, test in enumerate(self.tests) if isinstance(test, RandomTest) and test.late_s]
+        if told:
+            found += [shared * np.where(np.isin(self.rows.test, told), group, 0.0) for group in groups.values()]
         voltage_gain = max(chain.voltage_gain for chain in self.own)
         found += [voltage_gain * self._voltage(base), voltage_gain * self._recorded_voltage()]
         found += self._hold(self._slopes(base), base)
@@ -219,7 +231,7 @@ class _Columns:
         moved = forward.difference(forward.predict(clock, base).values, base.values)
         found.append(max(chain.clock for chain in self.own) * moved / _CLOCK_STEP)
         found += self._aims()
-        found += [*self._stepped(), *self._other_modes(), *self._bends()]
+        found += [*self._stepped(), *self._other_modes(base), *self._bends()]
         return np.column_stack([self._full(column) for column in found])
 
     def sweeps(self, prediction: Prediction) -> FloatArray:
@@ -341,7 +353,7 @@ class _Columns:
 
     def _stepped(self) -> list[FloatArray]:
         """Gain, phase and delay of responses over their reference, at held amplitudes."""
-        found = []
+        found = self._late_kinds()
         for channel in self.channels:
             tolerance = self.own[0].of(channel)
             columns = np.zeros((3, len(self.rows)))
@@ -361,11 +373,28 @@ class _Columns:
             found += list(sizes[:, None] * columns)
         return found
 
-    def _other_modes(self) -> list[FloatArray]:
-        """What modes that a modal model leaves out add to responses at held amplitudes.
+    def _late_kinds(self) -> list[FloatArray]:
+        """Delay that the sensors of a kind share, and the reference's, in responses at held amplitudes."""
+        stepped = [k for k, test in enumerate(self.tests) if isinstance(test, SteppedSineTest)]
+        turned = np.isin(self.rows.test, stepped) & (self.rows.part == Part.PHASE)
+        if not turned.any():
+            return []
+        shared = max(self.own[number].shared_delay_s for number in stepped)
+        late: dict[Quantity, FloatArray] = {}
+        for number in stepped:
+            test = self.tests[number]
+            assert isinstance(test, SteppedSineTest)
+            for k, channel in enumerate(test.channels):
+                mine = turned & (self.rows.test == number) & (self.rows.channel == k)
+                for kind, sign in ((channel.quantity, 1.0), (_REFERENCE[test.reference], -1.0)):
+                    late.setdefault(kind, np.zeros(len(self.rows)))[mine] += sign
+        return [shared * 2.0 * np.pi * self.rows.frequency_hz * column for column in late.values() if column.any()]
 
-        Those above the band add a flexibility, those below it minus one over a mass (Ewins, Modal Testing, 2000,
-        section 4.3): constants that nobody states, of either sign.
+    def _other_modes(self, base: Prediction) -> list[FloatArray]:
+        """What modes that a modal model leaves out add to responses over a force or at held amplitudes.
+
+        Those above the band add a flexibility that rises towards the first of them, those below it minus one over a
+        mass (Ewins, Modal Testing, 2000, section 4.3): constants that nobody states, of either sign.
         """
         structure = self.rig.structure
         if not isinstance(structure, ModalSection) or structure.residual is not None:
@@ -375,23 +404,60 @@ class _Columns:
         for channel, own in self.channels.items():
             if own.quantity not in ORDER:
                 continue  # only motions
-            columns = np.zeros((2, len(self.rows)))
+            columns = np.zeros((4, len(self.rows)))
             for number, test in enumerate(self.tests):
-                if not isinstance(test, SteppedSineTest) or test.held == "response":
+                if not _is_over_force(test):
                     continue
                 mine = np.flatnonzero((self.rows.test == number) & self._rows_of(channel))
                 frequency = self.rows.frequency_hz[mine]
-                view = ModelView.of(self.rig, test.drive_point)
-                static = abs(complex(view.responses((own,), np.array([_STATIC * resonance]))[0, 0]))
-                static /= (2.0 * np.pi * _STATIC * resonance) ** ORDER[own.quantity]
-                omega = 2.0 * np.pi * frequency
-                measured = test.measured[self.rows.level[mine], self.rows.channel[mine]]
-                added = static * (1j * omega) ** ORDER[own.quantity] / measured
-                turned = self.rows.part[mine] == Part.PHASE
-                columns[0, mine] = _ABOVE * np.where(turned, added.imag, added.real)
-                columns[1, mine] = _BELOW * (resonance / frequency) ** 2 * np.where(turned, added.imag, added.real)
+                static = self._flexibility(test, own)
+                added = static * (2j * np.pi * frequency) ** ORDER[own.quantity]
+                part = self.rows.part[mine]
+                relative = np.isin(part, _FUNDAMENTAL)
+                added[relative] /= self._between(test, number, mine, base)[relative]
+                changed = np.where(np.isin(part, (Part.PHASE, Part.IMAG)), added.imag, added.real)
+                share = frequency / np.max(frequency, initial=1.0)
+                columns[:3, mine] = _ABOVE * changed * share ** np.array([[0.0], [2.0], [4.0]])
+                columns[3, mine] = _BELOW * changed * (resonance / frequency) ** 2
             found += list(columns)
         return found
+
+    def _flexibility(self, test: Test, channel: MeasuredChannel) -> float:
+        """Displacement at a channel far below the first mode, m over the N of the force.
+
+        Over the V of the drive where the test refers to the voltage, or the model has no force at the drive point.
+        """
+        view = ModelView.of(self.rig, test.drive_point)
+        frequency = _STATIC * self._resonance()
+        force = MeasuredChannel(f"f{test.drive_point}", Quantity.FORCE, test.drive_point, ideal=True)
+        response, reference = view.responses((channel, force), np.array([frequency]))[:, 0]
+        over = 1.0 if getattr(test, "reference", "") == "voltage" or not np.isfinite(reference) else abs(reference)
+        return float(abs(response) / over / (2.0 * np.pi * frequency) ** ORDER[channel.quantity])
+
+    def _between(self, test: Test, number: int, mine: IntArray, base: Prediction) -> ComplexArray:
+        """Responses of rows that a small addition is compared with: measured ones, or between those and the model's.
+
+        ln (1 + z) is z / √(1 + z) to the second order: of a linear test the geometric mean of both responses is taken,
+        without the delay between them.
+        """
+        if isinstance(test, SteppedSineTest):
+            return np.asarray(test.measured[self.rows.level[mine], self.rows.channel[mine]])
+        difference = self.forward.difference(self.observations.values[self.mine], base.values)
+        apart = self._logarithms(number, mine, difference)
+        frequency = self.rows.frequency_hz[mine]
+        apart -= 1j * frequency * float(frequency @ apart.imag) / max(float(frequency @ frequency), 1.0)
+        apart[np.abs(apart.real) > _FAR] *= 2.0
+        return np.exp(self._logarithms(number, mine, base.values) + 0.5 * apart)
+
+    def _logarithms(self, number: int, mine: IntArray, values: FloatArray) -> ComplexArray:
+        """Complex logarithms of the responses of rows, from those of magnitude and phase."""
+        found = np.zeros(mine.size, dtype=np.complex128)
+        place = self.rows.level * (int(np.max(self.rows.channel)) + 1) + self.rows.channel
+        for part, factor in zip(_FUNDAMENTAL, (1.0, 1j), strict=True):
+            of_part = np.flatnonzero((self.rows.test == number) & (self.rows.part == part))
+            by_place = dict(zip(place[of_part], values[of_part], strict=True))
+            found += factor * np.array([by_place.get(own, 0.0) for own in place[mine]])
+        return np.nan_to_num(found)
 
     def _referred(self) -> list[int]:
         """Tests whose observables refer to the voltage."""
@@ -597,10 +663,17 @@ class _Columns:
                 result[(self.rows.test == number) & self._linear_rows(number)] *= _SAME_FOR_LEVELS
         for number, test in enumerate(self.tests):
             if isinstance(test, RandomTest) and test.sampled_at is not None:
-                result[(self.rows.test == number) & self._linear_rows(number)] += _JUMP_FLOOR * _near_step(test)
+                for k, channel in enumerate(test.channels):
+                    mine = (self.rows.channel == k) & self._linear_rows(number)
+                    result[mine] += _JUMP_FLOOR * _near_step(test, channel.name)
         result += _KNOWN_IMAGES * np.abs(self._without_images(self._start(prediction)))
         # Near zeros of a response images are as large as the response: there ln(1 + z) is far from z.
         result += 0.5 * size**2
+        # Of modes that are left out the directions hold to the second order.
+        others = np.zeros(len(self.rows))
+        for column in self._other_modes(self._start(prediction)):
+            others += np.where(np.isin(self.rows.part, _FUNDAMENTAL), column, 0.0) ** 2
+        result += others**1.5 / 24.0
         values = prediction.values[self.mine]
         for fundamental, over in self._over_fundamental():
             result[over] = np.hypot(result[over], np.abs(values[over]) * result[fundamental])
@@ -627,14 +700,27 @@ def _smoothed(sensor: SensorSection, time_s: float) -> SensorSection:
     return sensor.model_copy(update={"low_pass_hz": min(sensor.low_pass_hz or math.inf, corner)})
 
 
-def _near_step(test: Test) -> bool:
-    """Whether images are part of the model, and the channels are sampled about when the held drive moves on.
+def _is_over_force(test: Test) -> bool:
+    """Whether observables are responses over a force, or over what held its amplitude."""
+    if isinstance(test, SteppedSineTest):
+        return test.held != "response"
+    return isinstance(test, RandomTest) and test.reference == "force"
+
+
+def _near_step(test: Test, channel: str) -> bool:
+    """Whether images are part of the model, and a channel is sampled about when the held drive moves on.
 
     No drive jumps at once: what is sampled at that moment sees something between.
     """
     if not isinstance(test, RandomTest) or test.sampled_at is None:
         return False
-    return abs(test.sampled_at - round(test.sampled_at)) < _JUMP
+    names = [own.name for own in test.channels]
+    if channel not in names:
+        return False
+    moment = test.sampled_at
+    if test.late_s:
+        moment += test.late_s[names.index(channel)] * test.drive_hold_hz
+    return abs(moment - round(moment)) < _JUMP
 
 
 def _later(sensor: SensorSection, seconds: float = _DELAY_STEP_S) -> SensorSection:

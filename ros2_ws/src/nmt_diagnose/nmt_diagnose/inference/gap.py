@@ -10,6 +10,8 @@ from nmt_core.blocks import FloatArray
 from nmt_diagnose.inference.problem import BoolArray
 from nmt_diagnose.observations.observables import IntArray, Observations
 
+NOISE = 1.0
+"""Root mean square of residuals in standard deviations that the stated uncertainties allow."""
 _RESAMPLES = 1000
 _FEWEST = 30
 # Root mean square over median of second differences, in units of what they are for noise, from which bends of the

@@ -2,15 +2,15 @@
 
 A response to a random test refers to the samples of the drive. Where the drive is held and nothing is filtered, it is
 H(f) + Σ_m e^{2πimθ} I_m(f), with I_m the model's response to the image of order m; θ is where within a held sample the
-channel is sampled, much the same for all channels. Both descriptions, with these images and without, are fitted to the
-lines of all channels, and the one that leaves clearly less is right.
+channel is sampled, much the same for all channels of a kind. Both descriptions, with these images and without, are
+fitted to the lines of all channels, and the one that leaves clearly less is right.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +40,8 @@ _ALIKE = 4.0
 # and that they are; share of it by which they must then worsen the description, or improve it.
 _CLEARLY, _ABSENT, _THERE, _SURE = 10.0, 40.0, 80.0, 1.2
 _AT_STEP = 0.025  # samples
+# What the delay of a channel tells of the moment, samples; how far off it may be.
+_LEAD_STD, _NEAR = 0.1, 0.5
 _LEAST_SPREAD = 1e-5
 _SAME_MOMENT = 0.02  # samples
 
@@ -64,11 +66,11 @@ class DetectedImages(NamedTuple):
 
     Attributes:
         there: whether they are in the responses; None = that is not clear.
-        sampled_at: when the channels are sampled if they are, in samples after the drive has moved on.
+        sampled_at: when each channel is sampled if they are, in samples after the drive has moved on.
     """
 
     there: bool | None
-    sampled_at: float
+    sampled_at: tuple[float, ...]
 
 
 def with_detected_images(observations: Observations, rig: Rig) -> tuple[Observations, ...]:
@@ -90,11 +92,13 @@ def with_detected_images(observations: Observations, rig: Rig) -> tuple[Observat
             continue
         rate = chain.hold_hz
         apart = rate * max(chain.of(channel.name).delay_s for channel in test.channels)
-        channels = range(len(test.channels))
-        found = detected_images([_response(observations, number, test, k, rig, rate) for k in channels], rate, apart)
+        responses = [_response(observations, number, test, k, rig, rate) for k in range(len(test.channels))]
+        found = detected_images(responses, rate, apart, [channel.quantity for channel in test.channels])
         if found is None:
             continue
-        seen = replace(test, drive_hold_hz=rate, sampled_at=found.sampled_at)
+        first = found.sampled_at[0]
+        late = tuple((own - first) / rate for own in found.sampled_at)
+        seen = replace(test, drive_hold_hz=rate, sampled_at=first, late_s=late if any(late) else ())
         with_images = replace(
             observations,
             tests=tuple(seen if k == number else own for k, own in enumerate(observations.tests)),
@@ -118,7 +122,18 @@ def same_images(one: Observations, other: Observations) -> bool:
         np.array([math.nan if t.sampled_at is None else t.sampled_at for t in own.tests if isinstance(t, RandomTest)])
         for own in (one, other)
     ]
-    return held[0] == held[1] and np.allclose(moments[0], moments[1], rtol=0.0, atol=_SAME_MOMENT, equal_nan=True)
+    late = [
+        np.array([rate for t in own.tests if isinstance(t, RandomTest) for rate in _late_samples(t)])
+        for own in (one, other)
+    ]
+    return held[0] == held[1] and all(
+        np.allclose(mine, yours, rtol=0.0, atol=_SAME_MOMENT, equal_nan=True) for mine, yours in (moments, late)
+    )
+
+
+def _late_samples(test: RandomTest) -> FloatArray:
+    late = np.array(test.late_s or (0.0,) * len(test.channels))
+    return late * test.drive_hold_hz if late.any() else late
 
 
 def may_hold_images(test: Test, chain: MeasuringChain | None) -> bool:
@@ -152,7 +167,9 @@ def _response(
     )
 
 
-def detected_images(responses: Sequence[MeasuredResponse], rate: float, apart: float) -> DetectedImages | None:
+def detected_images(
+    responses: Sequence[MeasuredResponse], rate: float, apart: float, kinds: Sequence[object] = ()
+) -> DetectedImages | None:
     """Whether responses hold images of a held drive, and how they are turned; None where they hardly matter.
 
     Every response may have a gain, a phase, a delay, a high-pass and a roll-off of its own. Errors of the model near
@@ -162,41 +179,111 @@ def detected_images(responses: Sequence[MeasuredResponse], rate: float, apart: f
     Args:
         responses: of one random test, one for each channel.
         rate: of the drive's samples, Hz.
-        apart: standard deviation of the delays of the channels, samples.
+        apart: standard deviation of the delays of the channels of a kind, samples.
+        kinds: of the channels: those of a kind share a delay; empty = all share one.
     """
-    usable = [own for own in responses if own.frequency_hz.size >= _FEWEST_LINES]
+    kinds = kinds or [None] * len(responses)
+    usable = [k for k, own in enumerate(responses) if own.frequency_hz.size >= _FEWEST_LINES]
     if not usable:
         return None
     turns = np.exp(2j * np.pi * np.outer(_ANGLES, SEEN_ORDERS))
-    late = [np.exp(2j * np.pi * np.outer(_DELAYS_S, own.frequency_hz)) for own in usable]
-    held = [
-        [_fitted(own.frequency_hz, own.measured, own.plain + turn @ own.images, delays) for turn in turns]
-        for own, delays in zip(usable, late, strict=True)
-    ]
-    costs = np.array([[_cost(each) for each in of_channel] for of_channel in held])
-    # Each channel has the angle that suits it best, and that is near to the angle of all.
-    distance = np.abs(_ANGLES[:, np.newaxis] - _ANGLES)
-    distance = np.minimum(distance, 1.0 - distance) / max(apart, 1.0 / _ANGLES.size)
-    weighed = costs[:, np.newaxis, :] + distance**2
-    together = np.sum(np.min(weighed, axis=2), axis=0)
-    common = int(np.argmin(together))
+    found = {
+        kind: _Kind.of([responses[k] for k in usable if kinds[k] == kind], rate, apart, turns)
+        for kind in dict.fromkeys(kinds[k] for k in usable)
+    }
+    sharpest = max(found.values(), key=lambda own: own.sharpness)
+    moments = {kind: own.moment(sharpest.own_moment) for kind, own in found.items()}
     gained = lost = 0.0
-    lead = []
-    for own, delays, of_channel, cost, near in zip(usable, late, held, costs, weighed[:, common], strict=True):
-        best = int(np.argmin(near))
-        plain = _fitted(own.frequency_hz, own.measured, own.plain, delays)
-        missed = _fitted(own.frequency_hz, own.plain + turns[best] @ own.images, own.plain, delays)
-        least = min(plain.spread, of_channel[best].spread)
-        gained += _cost(plain) - float(cost[best])
-        lost += _cost(missed._replace(spread=least)) - _cost(missed._replace(left=0.0 * missed.left, spread=least))
-        lead.append(-rate * of_channel[best].delay_s)
+    for kind, own in found.items():
+        better, worse = own.told(moments[kind], turns)
+        gained, lost = gained + better, lost + worse
     if lost <= _CLEARLY:
         return None
-    angle = _between(together, common)
     # Half the step, as at the very moment of it, looks like a mass or a filter; a channel sees one side or the other.
     sure = lost > (_THERE if gained > 0.0 else _ABSENT) and abs(gained) > _SURE * lost
-    sure = sure and abs(angle - round(angle)) > _AT_STEP
-    return DetectedImages(gained > 0.0 if sure else None, angle + round(float(np.median(lead)) - angle))
+    sure = sure and any(abs(moment - round(moment)) > _AT_STEP for moment in moments.values())
+    return DetectedImages(
+        gained > 0.0 if sure else None, tuple(moments.get(kind, sharpest.own_moment) for kind in kinds)
+    )
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Channels of a kind, described with images at every angle.
+
+    Attributes:
+        responses: of the channels.
+        rate: of the drive's samples, Hz.
+        delays: turns that delays make up for, of each channel, (delays, lines).
+        held: descriptions with images of each channel at each angle.
+        weighed: (channels, angles, angles) costs of the angles of each channel where the angle of all is another.
+        costs: (angles,) of the angle of all.
+        lead: what the delays of the channels tell of the moment, samples.
+    """
+
+    responses: list[MeasuredResponse]
+    rate: float
+    delays: list[ComplexArray]
+    held: list[list[_Description]]
+    weighed: FloatArray
+    costs: FloatArray
+    lead: float
+
+    @classmethod
+    def of(cls, responses: list[MeasuredResponse], rate: float, apart: float, turns: ComplexArray) -> _Kind:
+        """Describe channels; arguments as for `detected_images`, ``turns`` of the images at every angle."""
+        distance = np.abs(_ANGLES[:, np.newaxis] - _ANGLES)
+        distance = np.minimum(distance, 1.0 - distance) / max(apart, 1.0 / _ANGLES.size)
+        delays = [np.exp(2j * np.pi * np.outer(_DELAYS_S, own.frequency_hz)) for own in responses]
+        held = [
+            [_fitted(own.frequency_hz, own.measured, own.plain + turn @ own.images, late) for turn in turns]
+            for own, late in zip(responses, delays, strict=True)
+        ]
+        costs = np.array([[_cost(each) for each in of_channel] for of_channel in held])
+        # Each channel has the angle that suits it best, and that is near to the angle of all.
+        weighed = costs[:, np.newaxis, :] + distance**2
+        together = np.sum(np.min(weighed, axis=2), axis=0)
+        best = np.argmin(weighed[:, int(np.argmin(together))], axis=1)
+        lead = float(np.median([-rate * own[k].delay_s for own, k in zip(held, best, strict=True)]))
+        return cls(responses, rate, delays, held, weighed, together, lead)
+
+    @property
+    def sharpness(self) -> float:
+        """How much worse the angles a tenth of a sample beside the best one are."""
+        best, apart = int(np.argmin(self.costs)), round(0.1 * self.costs.size)
+        beside = [self.costs[(best + step) % self.costs.size] for step in (-apart, apart)]
+        return float(min(beside) - self.costs[best])
+
+    @property
+    def own_moment(self) -> float:
+        """The moment that suits these channels best, samples."""
+        # Where images hardly matter the delay tells more than they do.
+        beside = _ANGLES - self.lead
+        costs = self.costs + ((beside - np.round(beside)) / _LEAD_STD) ** 2 * (self.sharpness < _CLEARLY)
+        angle = _between(costs, int(np.argmin(costs)))
+        return angle + round(self.lead - angle)
+
+    def moment(self, common: float) -> float:
+        """A moment that other channels have where it suits these nearly as well as their own."""
+        at = round(common * _ANGLES.size) % _ANGLES.size
+        lead = float(np.median([-self.rate * own[at].delay_s for own in self.held]))
+        near = abs(common - lead) < _NEAR
+        return common if near and self.costs[at] < self.costs.min() + _CLEARLY else self.own_moment
+
+    def told(self, moment: float, turns: ComplexArray) -> tuple[float, float]:
+        """By how much images at a moment improve the description, and by how much leaving them out would worsen it."""
+        at = round(moment * _ANGLES.size) % _ANGLES.size
+        gained = lost = 0.0
+        for own, late, of_channel, near in zip(
+            self.responses, self.delays, self.held, self.weighed[:, at], strict=True
+        ):
+            suits = int(np.argmin(near))
+            plain = _fitted(own.frequency_hz, own.measured, own.plain, late)
+            missed = _fitted(own.frequency_hz, own.plain + turns[suits] @ own.images, own.plain, late)
+            least = min(plain.spread, of_channel[suits].spread)
+            gained += _cost(plain) - _cost(of_channel[suits])
+            lost += _cost(missed._replace(spread=least)) - _cost(missed._replace(left=0.0 * missed.left, spread=least))
+        return gained, lost
 
 
 def _between(costs: FloatArray, best: int) -> float:
@@ -226,7 +313,8 @@ def _fitted(hertz: FloatArray, measured: ComplexArray, expected: ComplexArray, d
     ``delays`` are the turns that each of the delays tried makes up for, (delays, lines).
     """
     ratio = measured / expected
-    best = int(np.argmax(np.abs(delays @ (ratio / np.abs(ratio)))))
+    # A sensor may be the other way round, but has no other phase at all frequencies.
+    best = int(np.argmax(np.abs(np.real(delays @ (ratio / np.abs(ratio))))))
     late = delays[best]
     # Over the size of both, so that neither a resonance nor a zero of the model weighs more than all else.
     size = np.abs(expected) + np.abs(measured)

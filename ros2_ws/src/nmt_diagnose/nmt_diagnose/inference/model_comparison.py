@@ -24,6 +24,7 @@ from nmt_diagnose.inference.fit import Fit, FitError, fit
 from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
 from nmt_diagnose.inference.problem import BoolArray, Problem
 from nmt_diagnose.inference.progress import Told
+from nmt_diagnose.inference.resonance_starts import resonance_starts
 from nmt_diagnose.inference.scan import Direction, Score, scores
 from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.observations.conditions import PhaseResonanceTest
@@ -46,6 +47,8 @@ _LEAVES, _RESHAPED = 1.5, 2
 _AT_ONCE = 2  # other shapes
 _LOWEST = 0.25  # of the levels, which are nearly linear
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
+# Explanations that begin where natural frequencies suit the responses' peaks.
+_FROM_RESONANCES = 6
 # Known explanations that go on under other noise; share of what the best of them explains that a scan has to promise.
 _CARRIED, _ENOUGH = 3, 0.5
 # Standard deviations by which a strength of one scale has to show to first order.
@@ -198,7 +201,7 @@ class ModelComparison:
         own, (levelled, rank), used = null.fit.parametrisation, self._ranks(), null.fit.used
         lowest = used & (~levelled | (rank < _LOWEST))
         if not np.any(lowest & levelled):
-            return []
+            return self._from_resonances(null)
         try:
             below = fit(self.problem, own, own.zero, lowest)
             if _incredible(below):
@@ -207,6 +210,37 @@ class ModelComparison:
         except FitError:
             return []
         return self.singles(base, self.scan(base))
+
+    def _from_resonances(self, null: FittedModel) -> list[FittedModel]:
+        """Explanations by one effect, from where it brings natural frequencies to where responses peak; best first."""
+        own = null.fit.parametrisation
+        alone = [Parametrisation(self.rig, self.calibration, (candidate,)) for candidate in self.candidates]
+        first = [_starts(candidate)[0] for candidate in self.candidates]
+
+        def changed(number: int, strength: float) -> Rig:
+            start = _at(self.candidates[number], first[number], strength)
+            return alone[number].rig(np.concatenate([own.zero, start]))
+
+        spreads = [
+            (float(each.prior_std[own.zero.size + _strength(candidate)]), _parameter(candidate).signed)
+            for each, candidate in zip(alone, self.candidates, strict=True)
+        ]
+        starts = resonance_starts(self.problem.observations, self.rig, spreads, changed, _FROM_RESONANCES)
+        if not starts:
+            return []
+        try:
+            base = FittedModel((), fit(self.problem, own, own.zero, null.fit.used, steps=0))
+        except FitError:
+            return []
+        wanted = []
+        for number, strength in starts:
+            candidate = self.candidates[number]
+            nothing = np.zeros(self.problem.size)
+            start = _at(candidate, first[number], strength)
+            direction = Direction(number, start, nothing, _parameter(candidate).signed)
+            wanted.append((base, Score(direction, strength, 0.0, 0.0, 0.0)))
+        added = [found for found in self._all_added(wanted) if found is not None]
+        return sorted(added, key=lambda found: -found.fit.log_evidence)
 
     def _ranks(self) -> tuple[BoolArray, FloatArray]:
         """Rows of levels of locked tests, and which share of their test's levels is lower, (m,) each."""

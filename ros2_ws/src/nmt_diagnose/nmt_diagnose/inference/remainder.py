@@ -8,7 +8,7 @@ import numpy as np
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.inference.diagnosis import Gap, Left, Remainder
-from nmt_diagnose.inference.gap import rms
+from nmt_diagnose.inference.gap import NOISE, rms
 from nmt_diagnose.inference.problem import BoolArray
 from nmt_diagnose.inference.residual_map import KINDS, channel_name, unit_of_kind
 from nmt_diagnose.observations.conditions import RandomTest, RecordTest
@@ -23,7 +23,7 @@ _FEWEST_LEVELS = 3
 
 
 def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: BoolArray) -> Remainder | None:
-    """What is left of a gap; None where that is less than 1 % of it, or not known.
+    """What is left of a gap; None where that is less than 1 % of it, not known, or no more than the noise before.
 
     Args:
         observations: the real side.
@@ -31,7 +31,7 @@ def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: Boo
         after: residual of the held-out rows in standard deviations, shape (m,).
         rows: rows that were held out, shape (m,).
     """
-    if not math.isfinite(gap.closed) or 1.0 - gap.closed < _LEAST:
+    if not math.isfinite(gap.closed) or 1.0 - gap.closed < _LEAST or gap.before <= NOISE:
         return None
     found: list[tuple[float, Left]] = []
     good = rows & np.isfinite(after)

@@ -1,19 +1,20 @@
 """When within a held sample of the drive a random test was sampled, by the fit of all its lines.
 
 What images of a held drive add turns with their order times that moment: a direction of the measuring chain describes
-small errors of it only. So it is moved along a grid, every other parameter following in proportion, and taken where the
-least is left.
+small errors of it only. So it is moved along a grid, for all channels and for the sensors of each kind, every other
+parameter following in proportion, and taken where the least is left.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.inference.fit import Fit
-from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.inference.problem import BoolArray, Problem
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.twin.forward import Forward, Prediction
@@ -31,23 +32,46 @@ def with_better_moment(problem: Problem, found: Fit) -> Observations | None:
     """
     for number, test in enumerate(problem.observations.tests):
         if isinstance(test, RandomTest) and test.sampled_at is not None:
-            moments = test.sampled_at + _STEPS
-            left = _left(problem, found, number, moments)
-            if float(left.min()) < float(left[_STEPS.size // 2]) - _FALL:
-                return _sampled_at(problem.observations, number, float(moments[int(np.argmin(left))]))
+            best, least = None, math.inf
+            for own in _groups(test):
+                options = [moved(test, own, float(step)) for step in _STEPS]
+                left = _left(problem, found, number, options)
+                if float(left.min()) < min(least, float(left[_STEPS.size // 2]) - _FALL):
+                    best, least = options[int(np.argmin(left))], float(left.min())
+            if best is not None:
+                return _with(problem.observations, number, best)
     return None
 
 
-def _sampled_at(observations: Observations, number: int, moment: float) -> Observations:
-    tests = tuple(
-        replace(test, sampled_at=moment) if k == number and isinstance(test, RandomTest) else test
-        for k, test in enumerate(observations.tests)
-    )
+def _groups(test: RandomTest) -> list[BoolArray]:
+    """All channels, and those of each kind where there are several, (channels,) each."""
+    kinds = [channel.quantity for channel in test.channels]
+    several = sorted(set(kinds)) if len(set(kinds)) > 1 else []
+    return [np.ones(len(kinds), dtype=bool), *(np.array([own == kind for own in kinds]) for kind in several)]
+
+
+def moved(test: RandomTest, channels: BoolArray, step: float) -> RandomTest:
+    """The test with some of its channels sampled later.
+
+    Args:
+        test: over a held drive whose images are in its responses.
+        channels: which, shape (channels,).
+        step: samples of the drive.
+    """
+    assert test.sampled_at is not None
+    if channels.all():
+        return replace(test, sampled_at=test.sampled_at + step)
+    late = np.array(test.late_s or (0.0,) * len(test.channels)) + step / test.drive_hold_hz * channels
+    return replace(test, late_s=tuple(late.tolist()))
+
+
+def _with(observations: Observations, number: int, test: RandomTest) -> Observations:
+    tests = tuple(test if k == number else own for k, own in enumerate(observations.tests))
     return replace(observations, tests=tests)
 
 
-def _left(problem: Problem, found: Fit, number: int, moments: FloatArray) -> FloatArray:
-    """χ² and prior of the fit with its parameters following in proportion, for each of some moments, (moments,)."""
+def _left(problem: Problem, found: Fit, number: int, options: list[RandomTest]) -> FloatArray:
+    """χ² and prior of the fit with its parameters following in proportion, for each of some options, (options,)."""
     rows = problem.observations.rows
     mine = rows.test == number
     own = rows.take(mine)
@@ -57,9 +81,8 @@ def _left(problem: Problem, found: Fit, number: int, moments: FloatArray) -> Flo
     information = jacobian.T @ jacobian + np.diag(prior**-2.0)
     values = found.prediction.values.copy()
     state = Prediction(values[mine], found.prediction.converged[mine], (), (found.prediction.states[number],))
-    result = np.empty(moments.size)
-    for k, moment in enumerate(moments):
-        test = _sampled_at(problem.observations, number, float(moment)).tests[number]
+    result = np.empty(len(options))
+    for k, test in enumerate(options):
         values[mine] = Forward((test,), own).predict(rig, state).values
         residual = problem.whitened(problem.difference(values))[found.used]
         residual = np.where(np.isfinite(residual), residual, 0.0)

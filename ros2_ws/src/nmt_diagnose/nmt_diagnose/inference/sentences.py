@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from nmt_core.number_words import share_with_interval, significant, value_text
 from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.inference.diagnosis import Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
+from nmt_diagnose.inference.gap import NOISE
 from nmt_diagnose.inference.hypotheses import NULL
 from nmt_diagnose.inference.judgement import ExplanationClass
 
@@ -117,6 +118,7 @@ def _how_far(gap: Gap, what: str) -> str:
     return (
         f"{what} closes {closed} of the gap on data held out from the fit{interval}: from "
         f"{gap.before:.2f} to {gap.after:.2f} standard deviations rms, where scatter alone leaves {gap.floor:.2f}."
+        + (" The uncertainties of the held-out data allow 1, so they hardly show it." if gap.before <= NOISE else "")
     )
 
 

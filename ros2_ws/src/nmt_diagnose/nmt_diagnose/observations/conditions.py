@@ -115,6 +115,7 @@ class RandomTest:
         sampled_at: for a drive that was held from sample to sample at that rate, and channels without anti-alias
             filters: when they are sampled, in samples after the drive has moved on; None = otherwise.
         rise: time that the drive takes to move on, in samples.
+        late_s: for such channels: by how much later each is sampled than that, s; empty = all at that moment.
     """
 
     name: str
@@ -130,6 +131,7 @@ class RandomTest:
     drive_hold_hz: float = math.inf
     sampled_at: float | None = None
     rise: float = 0.0
+    late_s: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from nmt_record.channel_tolerances import (
     DELAY_STD_S,
     GAIN_STD,
     ChannelTolerance,
+    Tolerances,
     is_simulated,
     tolerances,
 )
@@ -84,22 +85,26 @@ def measuring_chain(
     usual = ChannelTolerance()
     named = {name: own for name, own in by_name.items() if own != usual}
     voltage = stated.of(_VOLTAGE, 0)
-    # Of the voltage's delay against the sensors nothing differs from one of all sensors together.
-    said = voltage.delay_s != DELAY_STD_S
-    return MeasuringChain(
-        named, voltage.gain, voltage.delay_s if said else SHARED_DELAY_STD_S, sample_rate, clock=stated.clock
-    )
+    return MeasuringChain(named, voltage.gain, _shared_delay(stated), sample_rate, clock=stated.clock)
 
 
 def table_chain(channels: Sequence[MeasuredChannel] = (), sheet: CalibrationSheet | None = None) -> MeasuringChain:
-    """Tolerances of frequency responses that an analyser has reduced: its channels are sampled together.
+    """Tolerances of frequency responses that an analyser has reduced.
+
+    Its inputs are sampled together; sensors of different kinds are late by their own conditioners all the same.
 
     Args:
         channels: of the table.
         sheet: calibration sheet of the analyser's sensors; None = ordinary tolerances.
     """
     if sheet is None:
-        return MeasuringChain(shared_delay_s=DELAY_STD_S)
+        return MeasuringChain()
     stated = tolerances({"imported": {}}, None, sheet)
     named = {own.name: stated.of(own.quantity, own.point) for own in channels}
-    return MeasuringChain(named, shared_delay_s=DELAY_STD_S, clock=stated.clock)
+    return MeasuringChain(named, shared_delay_s=_shared_delay(stated), clock=stated.clock)
+
+
+def _shared_delay(stated: Tolerances) -> float:
+    """Of the voltage's delay against the sensors nothing differs from one of all sensors together."""
+    said = stated.of(_VOLTAGE, 0).delay_s
+    return said if said != DELAY_STD_S else SHARED_DELAY_STD_S

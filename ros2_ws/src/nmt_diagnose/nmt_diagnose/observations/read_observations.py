@@ -15,7 +15,7 @@ from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.bag_samples import Stretch, read_windows
-from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
+from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
 from nmt_diagnose.observations.floors import repeatability, with_stated_repeatability
 from nmt_diagnose.observations.measuring_chain import measuring_chain, table_chain
 from nmt_diagnose.observations.model_view import ORDER, ModelView, matched
@@ -153,7 +153,7 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
         own = name if len(tables) == 1 and not usable else f"{name}/{table.name or f'table {number + 1}'}"
         reduced = table_observations(own, table, model, settings)
         chains = tuple(
-            table_chain(test.channels, settings.calibration) if isinstance(test, SteppedSineTest) else None
+            table_chain(test.channels, settings.calibration) if isinstance(test, SteppedSineTest | RandomTest) else None
             for test in reduced.tests
         )
         parts.append(replace(reduced, chains=chains))

@@ -131,6 +131,8 @@ def _responses(
     coherence = np.clip(_column(table, "coherence"), 1e-6, 1.0)
     weak = ~stated & np.isfinite(coherence)
     std[weak] = np.maximum(std[weak], np.sqrt(0.5 * (1.0 - coherence[weak]) / coherence[weak]))
+    everywhere = noise_of_weak_lines(frequency[good], response[good]) if not stated.any() else 0.0
+    std = np.hypot(std, everywhere / np.where(size > 0.0, size, 1.0))
     good &= std <= settings.largest_std
     candidates = np.flatnonzero(good)
     if candidates.size == 0:
@@ -139,7 +141,8 @@ def _responses(
     chosen = order[_spread(frequency[order], response[order], settings.lines)]
     notes = []
     if not stated.any():
-        notes.append(f"{name}: no uncertainties are given; {100 * _WITHOUT_STD:g} % is taken for every line.")
+        noise = f"; weak lines show {everywhere:.2g} {table.units.get('real', '')} besides" if everywhere else ""
+        notes.append(f"{name}: no uncertainties are given; {100 * _WITHOUT_STD:g} % is taken for every line{noise}.")
     rows = RowTable()
     level = table.level if math.isfinite(table.level) else 0.0
     for number, index in enumerate(chosen):
@@ -162,6 +165,31 @@ def _responses(
         stop_s=0.0,
     )
     return rows.observations(test, notes)
+
+
+def noise_of_weak_lines(frequency: FloatArray, response: NDArray[np.complex128]) -> float:
+    """Standard deviation of the real and of the imaginary part of the weaker half of a frequency response's lines.
+
+    About an antiresonance a response goes smoothly through zero: what scatters there is noise that does not fall with
+    the response. It is read off the median distance from the cubics through four neighbours.
+
+    Args:
+        frequency: Hz, any order, shape (n,).
+        response: shape (n,).
+
+    Returns:
+        In the unit of the response; 0 for fewer than seven weak lines.
+    """
+    frequency, first = np.unique(frequency, return_index=True)
+    response = response[first]
+    if frequency.size < 2 * _FEWEST_FOR_SCATTER:
+        return 0.0
+    middle, near, weights = neighbour_cubics(frequency)
+    apart = np.abs(response[middle] - np.sum(weights * response[near], axis=1))
+    apart /= np.sqrt(1.0 + np.sum(weights**2, axis=1))
+    weak = np.abs(response[middle]) <= np.median(np.abs(response))
+    # The distance in the plane of a complex number follows Rayleigh's law.
+    return float(np.median(apart[weak])) / math.sqrt(2.0 * math.log(2.0)) if weak.sum() >= _FEWEST_FOR_SCATTER else 0.0
 
 
 def _spread(frequency: FloatArray, response: NDArray[np.complex128], wanted: int) -> NDArray[np.int64]:

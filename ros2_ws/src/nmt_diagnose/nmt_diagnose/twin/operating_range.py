@@ -120,17 +120,21 @@ def operating_range(
         channels_low={name: float(value) for name, value in lowest.items() if np.isfinite(value)},
         duration_s=max(max(stop, default=0.0) - min(start, default=0.0), 1.0),
         cycles=max(max(cycles, default=0.0), 1.0),
-        steps=_of_samples(observations, Part.STEP),
-        limits={name: 1.0 / value for name, value in _of_samples(observations, Part.LIMIT).items() if value > 0.0},
+        steps=_of_samples(observations, Part.STEP) if observations else {},
+        limits=_clipped_at(observations) if observations else {},
     )
 
 
-def _of_samples(observations: Observations | None, part: Part) -> dict[str, float]:
+def _clipped_at(observations: Observations) -> dict[str, float]:
+    return {name: 1.0 / value for name, value in _of_samples(observations, Part.LIMIT).items() if value > 0.0}
+
+
+def _of_samples(observations: Observations, part: Part) -> dict[str, float]:
     """The largest row of a part for every channel whose samples were looked at, 0 where they show nothing."""
+    rows = observations.rows
     found: dict[str, float] = {}
-    for number, test in enumerate(observations.tests if observations is not None else ()):
-        if observations is not None and isinstance(test, PhaseResonanceTest):
-            rows = observations.rows
+    for number, test in enumerate(observations.tests):
+        if isinstance(test, PhaseResonanceTest):
             for index, channel in enumerate(test.channels):
                 mine = (rows.test == number) & (rows.channel == index)
                 if mine.any():

@@ -91,7 +91,7 @@ def chain_errors(
     """The problem with the floors of its measuring chains and scatter, and the errors of the chains, shape (m, r).
 
     Arguments as for :func:`with_chain_errors`; ``drift`` is the relative standard deviation of the resonance from sweep
-    to sweep, see sweep_drift.py.
+    to sweep, see sweep_drift.py. Where there are chains, the first column is the error of the clock.
     """
     observations = problem.observations
     chains = _chains(observations)
@@ -128,6 +128,20 @@ def _unsettled(observations: Observations) -> FloatArray:
                 column[mine] = np.array(level.amplitude_leans)[rows.channel[mine]]
                 found.append(column)
     return np.column_stack(found) if found else np.zeros((len(rows), 0))
+
+
+def lock_slopes(observations: Observations, rig: Rig, prediction: Prediction) -> FloatArray:
+    """Change of the rows of locked windows over the phase at which each of them truly stood, shape (m,).
+
+    Args:
+        observations: the real side.
+        rig: an explanation of it.
+        prediction: of that explanation.
+    """
+    chains = _chains(observations)
+    if not any(isinstance(observations.tests[number], PhaseResonanceTest) for number in chains):
+        return np.zeros(len(observations.rows))
+    return _Columns(observations, rig, chains).slopes(prediction)
 
 
 def sweep_directions(observations: Observations, rig: Rig, prediction: Prediction) -> FloatArray:
@@ -198,7 +212,9 @@ class _Columns:
             moved = forward.difference(forward.predict(rig, base).values, base.values) / step
             return np.where(held, 0.0, moved)
 
-        found: list[FloatArray] = []
+        clock = self.rig.model_copy(update={"clock_error": self.rig.clock_error + _CLOCK_STEP})
+        moved = forward.difference(forward.predict(clock, base).values, base.values)
+        found: list[FloatArray] = [max(chain.clock for chain in self.own) * moved / _CLOCK_STEP]
         omega = 2.0 * np.pi * np.where(self.rows.frequency_hz > 0.0, self.rows.frequency_hz, self._resonance())
         tested = self._tested()
         groups: dict[Quantity, FloatArray] = {}
@@ -227,9 +243,6 @@ class _Columns:
         voltage_gain = max(chain.voltage_gain for chain in self.own)
         found += [voltage_gain * self._voltage(base), voltage_gain * self._recorded_voltage()]
         found += self._hold(self._slopes(base), base)
-        clock = self.rig.model_copy(update={"clock_error": self.rig.clock_error + _CLOCK_STEP})
-        moved = forward.difference(forward.predict(clock, base).values, base.values)
-        found.append(max(chain.clock for chain in self.own) * moved / _CLOCK_STEP)
         found += self._aims()
         found += [*self._stepped(), *self._other_modes(base), *self._bends()]
         return np.column_stack([self._full(column) for column in found])
@@ -249,6 +262,10 @@ class _Columns:
         for number, own in enumerate(self.numbers):
             result[:, own] = self._full(change * (self.rows.test == number))
         return result
+
+    def slopes(self, prediction: Prediction) -> FloatArray:
+        """Change of the rows over that of the phase at which each level truly stood, shape (m,)."""
+        return self._full(self._slopes(self.forward.predict(self.rig, self._start(prediction))))
 
     def _start(self, prediction: Prediction) -> Prediction:
         """The part of a prediction of all observations that belongs to these tests."""

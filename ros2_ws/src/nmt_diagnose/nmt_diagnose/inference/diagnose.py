@@ -57,6 +57,7 @@ from nmt_diagnose.inference.scatter import scatter_floor
 from nmt_diagnose.inference.sentences import sentences
 from nmt_diagnose.inference.sources import generic_sources, places
 from nmt_diagnose.inference.sweep_drift import sweep_drift
+from nmt_diagnose.inference.true_phase import LEAST_CHANGE, at_true_phases, chain_share, phase_offset, with_phases_of
 from nmt_diagnose.inference.warnings import warned
 from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.observations.conditions import BackboneTable, RecordTest, RingDownTest, SteppedSineTest
@@ -77,6 +78,7 @@ _CHANCE = 1.0
 # ln of the evidence from which an effect moves the solution so far that errors of the measuring chain act otherwise.
 _MOVES = 50.0
 _GOOD = 1.5  # rms of residuals of a model that may tell whether images of a held drive are there
+_PHASES = 3  # most times that the phases of locked windows are corrected
 _NOISE = 1.05  # rms of residuals that may be noise
 _TRACED, _SETTLED = 3, 0.3  # most times that they are traced anew, and change in standard deviations that ends it
 # Share of the gap of a laboratory's tests that a named effect may leave, and by how many times as much its interval may
@@ -217,14 +219,15 @@ class _Diagnoser:
         """Whether any test was not made by the bench's own simulator."""
         return any(measured_elsewhere(self.observations, number) for number in range(len(self.observations.tests)))
 
-    def _plain(self, near: Prediction) -> Problem:
+    def _plain(self, near: Prediction, offset: FloatArray | None = None) -> Problem:
         """Observations and model, with the noise of measured amplitudes propagated about a solution."""
         tests = traced(self.observations.tests, near)
         if any(new is not old for new, old in zip(tests, self.observations.tests, strict=True)):
             self.observations = replace(self.observations, tests=tests)
             self.forward = Forward(tests, self.observations.rows)
             self.given = self.forward.predict(self.rig, near if near is self.given else self.given)
-        return Problem(self.observations, self.forward, lock_nuisances(self.observations, self.rig, self.given))
+        noise = lock_nuisances(self.observations, self.rig, self.given)
+        return Problem(self.observations, self.forward, noise, offset=offset)
 
     def _comparison(self) -> ModelComparison:
         return ModelComparison(
@@ -322,7 +325,7 @@ class _Diagnoser:
             null = self.comparison.polished(self.comparison.null())
         except FitError as error:
             raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
-        null = self._with_detected_images(null)
+        null = self._with_true_phases(self._with_detected_images(null))
         self.progress(f"scanning {len(self.candidates)} candidates")
         known = self.comparison.from_below(null)
         scan = self.comparison.scan(null)
@@ -361,10 +364,11 @@ class _Diagnoser:
             return False
         moves = bool(singles) and singles[0].fit.log_evidence > null.fit.log_evidence + _MOVES
         near = self._with_images_of(singles[0]) if moves else null.fit
+        near, stood = self._at_true_phases(near)
         difference = self.plain.difference(near.prediction.values)
         scatter = scatter_floor(self.observations, difference)
         drift = self._drift(near, difference)
-        if not moves and not scatter.any() and drift == 0.0:
+        if not moves and not stood and not scatter.any() and drift == 0.0:
             return False
         self.progress("tracing errors of the measuring chain and of the best explanation")
         noisy, columns = self._trace(near, scatter, drift)
@@ -424,6 +428,40 @@ class _Diagnoser:
             null = self._under(moved, null)
         return null
 
+    def _with_true_phases(self, null: FittedModel) -> FittedModel:
+        """The model alone where locked windows are predicted at the phases that it tells together with the chain."""
+        _, moved = self._at_true_phases(null.fit)
+        if not moved:
+            return null
+        self.judged, self.comparison = self.problem, self._comparison()
+        return self.comparison.polished(self.comparison.null())
+
+    def _at_true_phases(self, near: Fit) -> tuple[Fit, bool]:
+        """A fit with the locked windows at the phases that it tells, if it is good; whether they moved."""
+        moved = False
+        for _ in range(_PHASES if self.elsewhere else 0):
+            if near.chi_square > _GOOD**2 * max(1, int(near.used.sum())):
+                break
+            rig = near.parametrisation.rig(near.theta)
+            noisy, columns = chain_errors(self.plain, rig, near.prediction)
+            share = chain_share(noisy, columns, self.plain.difference(near.prediction.values))
+            found, change = at_true_phases(self.plain.observations, rig, near.prediction, share)
+            if change < LEAST_CHANGE:
+                break
+            kept = self.forward, self.given, self.plain, self.problem, self.observations
+            self._observe(found)
+            prediction = self.forward.predict(rig, near.prediction)
+            self.plain = replace(self.plain, offset=phase_offset(found, rig, prediction))
+            self._trace(replace(near, prediction=prediction), np.zeros(len(found.rows)), 0.0)
+            try:
+                near = fit(self.problem, near.parametrisation, near.theta, near.used, prediction)
+            except FitError:
+                self.forward, self.given, self.plain, self.problem, self.observations = kept
+                break
+            moved = True
+            self._undetected = with_phases_of(self._undetected, found)
+        return near, moved
+
     def _with_images_of(self, leader: FittedModel) -> Fit:
         """The fit of an explanation after random tests showed, about it, whether images of a held drive are in them.
 
@@ -455,7 +493,7 @@ class _Diagnoser:
         """Take other conditions of the tests for the real side."""
         self.forward = Forward(observations.tests, observations.rows)
         self.given = self.forward.predict(self.rig, self.given)
-        self.plain = Problem(observations, self.forward, self.plain.nuisances)
+        self.plain = replace(self.plain, observations=observations, forward=self.forward)
 
     def _under(self, observations: Observations, null: FittedModel) -> FittedModel:
         """The model alone, re-fitted to observations of other chains, its errors traced about what it was."""
@@ -483,7 +521,7 @@ class _Diagnoser:
     def _trace(self, near: Fit, scatter: FloatArray, drift: float) -> tuple[Problem, FloatArray]:
         """Noise of measured amplitudes and errors of the measuring chain as they act about a fit: see chain_errors."""
         self.observations = self.plain.observations
-        self.plain = self._plain(near.prediction)
+        self.plain = self._plain(near.prediction, self.plain.offset)
         moved = near.parametrisation.rig(near.theta)
         noisy, columns = chain_errors(self.plain, moved, near.prediction, scatter, drift)
         self.problem = with_shared(noisy, columns)

@@ -46,12 +46,14 @@ class Problem:
         forward: predicts its observables.
         nuisances: errors that rows share, no row in two of them.
         shared: errors of the measuring chain; None = there are none.
+        offset: what predictions are too high by, shape (m,), see true_phase.py; None = nothing.
     """
 
     observations: Observations
     forward: Forward
     nuisances: tuple[Nuisance, ...] = ()
     shared: SharedErrors | None = None
+    offset: FloatArray | None = None
 
     @property
     def size(self) -> int:
@@ -61,6 +63,8 @@ class Problem:
     def difference(self, values: FloatArray) -> FloatArray:
         """Measured minus predicted, phases on the shortest way, shape (m,)."""
         result: FloatArray = self.observations.values - values
+        if self.offset is not None:
+            result += np.nan_to_num(self.offset)
         phases = np.isin(self.observations.rows.part, (Part.PHASE, Part.PHASE_ERROR))
         result[phases] = (result[phases] + np.pi) % (2.0 * np.pi) - np.pi
         return result

@@ -26,6 +26,7 @@ from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.twin.held_steps import LEAST_RISE
 from nmt_rig.rig import Rig
 
 MODEL = blind_rig("modal_beam").model()
@@ -244,7 +245,13 @@ def test_the_moment_of_sampling_is_what_leaves_least_of_all_lines(start: float) 
     test = replace(test, drive_hold_hz=RATE, sampled_at=start)
     seen = _observations(_sampled(MODEL, test, 0.25), test, rows, 5)
     seen = replace(seen, chains=(replace(seen.chains[0], images=False),))
-    for _ in range(3):
+    last, _ = _settled(seen, rows, 3)
+    assert last.sampled_at == pytest.approx(0.25, abs=0.025)
+
+
+def _settled(seen: Observations, rows: Rows, most: int) -> tuple[RandomTest, float]:
+    """The test at the moments that leave least, and rms of what they leave."""
+    for _ in range(most):
         forward = Forward(seen.tests, rows)
         base = forward.predict(MODEL)
         problem = with_chain_errors(Problem(seen, forward), MODEL, base)
@@ -254,7 +261,40 @@ def test_the_moment_of_sampling_is_what_leaves_least_of_all_lines(start: float) 
         if moved is None:
             break
         seen = moved
+    assert moved is None
     (last,) = seen.tests
     assert isinstance(last, RandomTest)
-    assert last.sampled_at == pytest.approx(0.25, abs=0.025)
-    assert moved is None
+    return last, float(np.sqrt(np.mean(found.residual[found.used] ** 2)))
+
+
+@pytest.mark.parametrize("passed", [0.2, 0.5, 0.9])
+def test_within_the_rise_a_channel_sees_a_part_of_the_step(passed: float) -> None:
+    test, rows = _random()
+    held = replace(test, drive_hold_hz=RATE, sampled_at=LEAST_RISE * (passed - 0.5))
+    values = Forward([held], rows).predict(MODEL).values
+    sides = [_sampled(MODEL, test, side * LEAST_RISE) for side in (-0.5, 0.5)]
+    expected = _values((1.0 - passed) * sides[0] + passed * sides[1], rows)
+    apart = np.abs(
+        np.exp(values * np.where(rows.part == Part.PHASE, 1j, 1.0))
+        - np.exp(expected * np.where(rows.part == Part.PHASE, 1j, 1.0))
+    )
+    assert np.quantile(apart, 0.9) < 0.01
+
+
+def test_a_channel_that_sees_a_part_of_the_step_is_found() -> None:
+    """One acceleration is sampled while the drive moves on, microseconds beside the others of its kind."""
+    test, rows = _random()
+    before, after = (_sampled(MODEL, test, at) for at in (-0.005, 0.005))
+    channel = next(k for k, own in enumerate(test.channels) if own.quantity is Quantity.ACCELERATION)
+    after[:, channel] = 0.7 * before[:, channel] + 0.3 * after[:, channel]
+    seen = _observations(after, test, rows, 7)
+    seen = replace(
+        seen,
+        tests=(replace(test, drive_hold_hz=RATE, sampled_at=0.02),),
+        chains=(replace(seen.chains[0], images=False),),
+    )
+    last, left = _settled(seen, rows, 8)
+    moments = (last.sampled_at or 0.0) + RATE * np.array(last.late_s or (0.0,) * len(test.channels))
+    assert abs(moments[channel]) < 0.5 * LEAST_RISE
+    assert np.all(np.delete(moments, channel) > 0.0)
+    assert left < 1.2

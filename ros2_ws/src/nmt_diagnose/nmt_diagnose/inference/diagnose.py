@@ -70,7 +70,7 @@ from nmt_record.calibration_file import CalibrationSheet
 from nmt_rig.rig import Rig, load_rig
 
 # Most times that the moment at which a held random test was sampled is corrected.
-_MOMENTS = 3
+_MOMENTS = 8
 _RANKED = 8
 _JUDGED = 3
 _HELPS = 2.0

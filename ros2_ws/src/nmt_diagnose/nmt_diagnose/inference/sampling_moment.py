@@ -1,8 +1,8 @@
 """When within a held sample of the drive a random test was sampled, by the fit of all its lines.
 
 What images of a held drive add turns with their order times that moment: a direction of the measuring chain describes
-small errors of it only. So it is moved along a grid, for all channels and for the sensors of each kind, every other
-parameter following in proportion, and taken where the least is left.
+small errors of it only. So it is moved along a grid, for all channels, for the sensors of each kind, and for each
+channel near the step, every other parameter following in proportion, and taken where the least is left.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.twin.forward import Forward, Prediction
 
 _STEPS = np.linspace(-0.2, 0.2, 41)  # samples
+_NEAR, _FINE_STEPS = 0.06, np.linspace(-0.06, 0.06, 121)
 _FALL = 6.0  # of what is left, squared: a better moment lets it fall by more than that
 
 
@@ -33,10 +34,10 @@ def with_better_moment(problem: Problem, found: Fit) -> Observations | None:
     for number, test in enumerate(problem.observations.tests):
         if isinstance(test, RandomTest) and test.sampled_at is not None:
             best, least = None, math.inf
-            for own in _groups(test):
-                options = [moved(test, own, float(step)) for step in _STEPS]
+            for own, steps in [*((own, _STEPS) for own in _groups(test)), *_beside_the_step(test)]:
+                options = [moved(test, own, float(step)) for step in steps]
                 left = _left(problem, found, number, options)
-                if float(left.min()) < min(least, float(left[_STEPS.size // 2]) - _FALL):
+                if float(left.min()) < min(least, float(left[steps.size // 2]) - _FALL):
                     best, least = options[int(np.argmin(left))], float(left.min())
             if best is not None:
                 return _with(problem.observations, number, best)
@@ -48,6 +49,16 @@ def _groups(test: RandomTest) -> list[BoolArray]:
     kinds = [channel.quantity for channel in test.channels]
     several = sorted(set(kinds)) if len(set(kinds)) > 1 else []
     return [np.ones(len(kinds), dtype=bool), *(np.array([own == kind for own in kinds]) for kind in several)]
+
+
+def _beside_the_step(test: RandomTest) -> list[tuple[BoolArray, FloatArray]]:
+    """Channels that are sampled close to when the drive moves on, and the steps in which to look for the moment.
+
+    There a microsecond decides how much of the step a channel sees.
+    """
+    late = np.array(test.late_s or (0.0,) * len(test.channels)) * test.drive_hold_hz + (test.sampled_at or 0.0)
+    near = np.abs(late - np.round(late)) < _NEAR
+    return [(np.arange(late.size) == channel, _FINE_STEPS) for channel in np.flatnonzero(near)]
 
 
 def moved(test: RandomTest, channels: BoolArray, step: float) -> RandomTest:

@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.twin.linear_model import ComplexArray
 
+LEAST_RISE = 0.02
+"""Time that a held drive takes to move on, at least, in samples."""
+
 
 @dataclass(frozen=True)
 class HeldSteps:
@@ -65,7 +68,7 @@ class HeldSteps:
         # are taken one by one nothing resonates, what passes there is passed at once.
         place, share, held, own = self._of_lines
         turned = held * self._turns(self.lines / self.rate, np.append(0, self.orders), at)
-        rest = _step(share, at, slow) - np.sum(_behind(turned, place, slow), axis=0)
+        rest = _ramp(share, at, slow, max(self.rise, LEAST_RISE)) - np.sum(_behind(turned, place, slow), axis=0)
         return np.asarray(own * responses + folded_down + rest * images[-1].real.mean(axis=0))
 
     @cached_property
@@ -99,6 +102,22 @@ class HeldSteps:
 def _behind(values: ComplexArray, place: FloatArray, slow: FloatArray) -> ComplexArray:
     """Values of channels behind low-passes of first order, at frequencies over the rate."""
     return values / (1.0 + 2j * np.pi * place * slow) if np.any(slow) else values
+
+
+def _ramp(share: FloatArray, at: FloatArray, slow: FloatArray, rise: float) -> ComplexArray:
+    """The same of a drive that moves on in a straight line: within the rise a channel sees a part of the step.
+
+    Args:
+        share, at, slow: as for `_step`.
+        rise: in samples.
+    """
+    beside = at - np.round(at)
+    moving = np.abs(beside) < 0.5 * rise
+    if not moving.any():
+        return _step(share, at, slow)
+    passed = 0.5 + beside / rise
+    before, after = (_step(share, np.where(moving, np.round(at) + turn * rise, at), slow) for turn in (-0.5, 0.5))
+    return np.asarray(np.where(moving, (1.0 - passed) * before + passed * after, after))
 
 
 def _step(share: FloatArray, at: FloatArray, slow: FloatArray) -> ComplexArray:

@@ -328,6 +328,22 @@ def test_a_decay_in_time_follows_the_ring_down(kind):
     np.testing.assert_allclose(values[1::2], (rate / omega)[picks], rtol=0.03)
 
 
+def test_a_late_channel_sees_an_earlier_and_larger_part_of_a_decay():
+    """A free decay is e^{(−δ + iω) t}: a delay τ turns it by −ωτ and makes it larger by e^{δτ}."""
+    late = 6e-4
+    rig = chain(local_elements=[])
+    sensors = [s.model_copy(update={"delay_s": late}) if s.quantity == "acceleration" else s for s in rig.sensors]
+    here, there = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), MeasuredChannel("a2", Quantity.ACCELERATION, 2)
+    test = RingDownTest("decay", 1, here, np.array([1e-3, 3e-4]), 24.0, (there,))
+    kinds = [(0, Part.LOG_FREQUENCY), (0, Part.DAMPING), (1, Part.LOG_MAGNITUDE), (1, Part.PHASE)]
+    forward = Forward([test], rows_of([(0, k, channel, 1, part) for k in range(2) for channel, part in kinds]))
+    punctual = forward.predict(rig).values
+    values = forward.predict(rig.model_copy(update={"sensors": sensors})).values
+    omega, ratio = np.exp(punctual[::4]), punctual[1::4]
+    np.testing.assert_allclose(values[2::4] - punctual[2::4], ratio * omega * late, rtol=1e-5)
+    np.testing.assert_allclose(values[3::4] - punctual[3::4], -omega * late, rtol=1e-5)
+
+
 def test_ring_down_jacobian_is_that_of_solutions():
     rig = chain()
     test = RingDownTest("decay", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), np.array([1e-3, 3e-4]), 24.0)

@@ -270,6 +270,8 @@ def decay_shapes(
 ) -> ComplexArray:
     """Fundamentals of some outputs over that of the first of them, with their sensors, (levels, outputs).
 
+    A sensor that is late sees an earlier, larger motion: its chain counts at the complex frequency of the decay.
+
     Args:
         z: unknowns (levels, nz).
         amplitudes: (levels,) of the channel whose amplitude is given.
@@ -301,7 +303,7 @@ def decay_shapes(
             motion = t[places[k], r] * drive
             for j in range(r):
                 motion -= t[places[k], j] * (g[j, offset] - 1j * g[j, offset + 1])
-            gain = sensor_gain(1j * omega, chains[k, 0], chains[k, 1], chains[k, 2], chains[k, 3])[0]
+            gain = sensor_gain(omega * (1j - ratio), chains[k, 0], chains[k, 1], chains[k, 2], chains[k, 3])[0]
             result[level, k] = motion * gain
         first = result[level, 0]
         for k in range(places.size):

@@ -46,6 +46,7 @@ from unique_identifier_msgs.msg import UUID
 from nmt_bench.orchestration.bench_domain import BenchDomain, bench_environment
 from nmt_bench.orchestration.interrupts import deferred_interrupts
 from nmt_bench.orchestration.node_processes import NodeProcesses
+from nmt_bench.orchestration.prepared_nodes import NodeLoader, take_loader
 from nmt_bench.orchestration.surroundings import check_surroundings
 from nmt_core.base_node import STATE_QOS, calm_collector
 from nmt_core.company import Company
@@ -197,6 +198,11 @@ class Bench:
                 self._cleanup.close()
 
     def _start(self) -> None:
+        loader: NodeLoader | None = None
+        if self.use_processes:
+            loader = take_loader()  # before all else: it imports meanwhile
+            if loader is not None:
+                self._cleanup.callback(loader.close)
         if self._out is None:
             check_surroundings(Path(tempfile.gettempdir()) / "nmt")
             self.out = Path(tempfile.mkdtemp(prefix="nmt-"))
@@ -225,7 +231,7 @@ class Bench:
         self.executor = EventsExecutor(context=self.context)
         self._cleanup.callback(self._shut_executor)
         if self.use_processes:
-            self.processes = NodeProcesses(self.plan, self.out, environment)
+            self.processes = NodeProcesses(self.plan, self.out, environment, loader)
             self._cleanup.callback(self.processes.end)
             self.processes.start()
         else:

@@ -44,7 +44,7 @@ from std_srvs.srv import Trigger
 from unique_identifier_msgs.msg import UUID
 
 from nmt_bench.orchestration.bench_domain import BenchDomain, bench_environment
-from nmt_bench.orchestration.interrupts import deferred_interrupts
+from nmt_bench.orchestration.interrupts import deferred_interrupts, unbroken
 from nmt_bench.orchestration.node_processes import NodeProcesses
 from nmt_bench.orchestration.prepared_nodes import NodeLoader, take_loader
 from nmt_bench.orchestration.surroundings import check_surroundings
@@ -368,6 +368,11 @@ class Bench:
 
     # -- waiting -------------------------------------------------------------------------------------------------
 
+    def _turn(self) -> None:
+        """Let the executor work for a moment; a signal that breaks into its conversions would end as a TypeError."""
+        with unbroken():
+            self.executor.spin_once(timeout_sec=_POLL)
+
     def _call(self, service: str) -> bool:
         client = self.client.create_client(Trigger, service)
         try:
@@ -400,7 +405,7 @@ class Bench:
                 if sent[0].done():
                     return sent[0].result()
                 self._check_start()
-                self.executor.spin_once(timeout_sec=_POLL)
+                self._turn()
             if time.monotonic() >= end:
                 raise BenchError(
                     f"Waited {START_TIMEOUT:g} s in vain for the goal's answer; the logs in {self.out / 'log'} may say "
@@ -414,7 +419,7 @@ class Bench:
                 logs = self.out / "log"
                 raise BenchError(f"Waited {timeout:g} s in vain for {what}; the logs in {logs} may say why.")
             self._check_start()
-            self.executor.spin_once(timeout_sec=_POLL)
+            self._turn()
 
     def _await(self, future: Any, timeout: float, what: str) -> Any:
         self._spin_until(future.done, timeout, what)
@@ -433,7 +438,7 @@ class Bench:
         while not future.done():
             try:
                 if self.use_processes:
-                    self.executor.spin_once(timeout_sec=_POLL)
+                    self._turn()
                 else:
                     self.executor.spin_until_future_complete(future, timeout_sec=0.2)
             except KeyboardInterrupt:
@@ -467,7 +472,7 @@ class Bench:
             lost = self._lost_node(time.monotonic())
             if lost:
                 return lost
-            self.executor.spin_once(timeout_sec=_POLL)
+            self._turn()
         return ""
 
     def _recorded_points(self) -> tuple[ModalPoint, ...]:
@@ -498,7 +503,7 @@ class Bench:
     def _spin_while(self, condition: Callable[[], bool], timeout: float) -> None:
         end = time.monotonic() + timeout
         while condition() and time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=_POLL)
+            self._turn()
 
     def _last_words(self, name: str) -> str:
         words = self.processes.last_words(name) if self.processes and name else ""

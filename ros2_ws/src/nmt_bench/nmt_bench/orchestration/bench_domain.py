@@ -67,7 +67,7 @@ def domains_in_use() -> list[int]:
 
 
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-"""Environment of nodes. They share two or more cores: a library that starts a thread a core would only slow them down."""
+"""The nodes share two or more cores: a numerical library that starts a thread a core would only slow them down."""
 
 
 def bench_environment(domain_id: int) -> dict[str, str]:

@@ -6,7 +6,7 @@ It imports, says ``ready``, takes one request, forks, says the process ids, and 
 until whoever adopts them lets them go: each takes one message from the channel, or ends where the channel does.
 
 ROS 2's client library is not among what is imported here: its tracer starts threads as it is loaded, and a process with
-threads must not be forked. A twentieth of a second in each node is left of it, since its messages are here.
+threads must not be forked. Each node loads it itself; its messages, which take as long, are here.
 """
 
 from __future__ import annotations
@@ -15,13 +15,15 @@ import contextlib
 import ctypes
 import gc
 import importlib
+import inspect
 import json
 import os
 import resource
 import runpy
 import socket
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -65,23 +67,75 @@ PREPARED = (
     "rcl_interfaces.msg",
     "rcl_interfaces.srv",
     "rosgraph_msgs.msg",
+    "rosidl_generator_py",
+    "rosidl_parser.parser",
+    "service_msgs.msg",
     "std_msgs.msg",
     "std_srvs.srv",
+    "type_description_interfaces.msg",
     "type_description_interfaces.srv",
     "unique_identifier_msgs.msg",
 )
 """What nodes import and what neither starts threads nor opens anything."""
 
+TYPE_SUPPORTS = (
+    "action_msgs",
+    "builtin_interfaces",
+    "diagnostic_msgs",
+    "nmt_msgs",
+    "rcl_interfaces",
+    "service_msgs",
+    "std_msgs",
+    "std_srvs",
+    "type_description_interfaces",
+    "unique_identifier_msgs",
+)
+"""Packages whose messages nodes send."""
+
 _ARG_START, _ARG_END = 45, 46  # in /proc/PID/stat, counted from the state of the process on
 
 
 def prepare() -> None:
-    """Import what nodes need; what cannot be imported is left for the node to complain about."""
+    """Load what nodes need; what fails here is left for the node to complain about."""
     gc.disable()
-    for name in PREPARED:
+    steps: list[Callable[[], object]] = [partial(importlib.import_module, name) for name in PREPARED]
+    steps += [_load_type_supports, _read_definitions, _load_kernels, _look_at_modules]
+    for step in steps:
         with contextlib.suppress(Exception):
-            importlib.import_module(name)
+            step()
     gc.freeze()
+
+
+def _load_type_supports() -> None:
+    load = importlib.import_module("rosidl_generator_py").import_type_support
+    for package in TYPE_SUPPORTS:
+        load(package)
+
+
+def _read_definitions() -> None:
+    """Definitions of messages, which the recorder writes into bags."""
+    from nmt_record.bench_topics import BENCH_TOPICS
+    from nmt_record.message_definitions import local_definitions
+
+    for topic in BENCH_TOPICS:
+        local_definitions().definition(topic.message_type)
+
+
+def _load_kernels() -> None:
+    """The time loop of a simulated rig, for the plant."""
+    from nmt_plant.simulated_rig import SimulatedRig
+    from nmt_rig.rig import load_rig
+
+    rig = SimulatedRig(load_rig("beam"))
+    rig.configure()
+    rig.start()
+    rig.read()
+    rig.close()
+
+
+def _look_at_modules() -> None:
+    """The first line that a node logs looks up the files of all modules."""
+    inspect.getmodule(sys._getframe())
 
 
 def threads() -> int:

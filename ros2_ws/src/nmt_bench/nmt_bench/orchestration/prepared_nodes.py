@@ -21,7 +21,6 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
@@ -60,7 +59,7 @@ class NodeLoader:
     """
 
     def __init__(self) -> None:
-        self._words = tempfile.TemporaryFile()
+        self._words = os.memfd_create("words of the loader")
         self._channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._nodes: list[AdoptedProcess] = []
         self._released = False
@@ -77,7 +76,7 @@ class NodeLoader:
                 preexec_fn=die_with_parent,
             )
         except OSError as error:
-            self._words.close()
+            os.close(self._words)
             self._channel.close()
             raise BenchError(f"The nodes cannot be started ({error}); run './nmt setup' again.") from error
         finally:
@@ -133,8 +132,9 @@ class NodeLoader:
                 while True:
                     os.waitpid(-self.pid, 0)
         self._released = True
-        self._channel.close()
-        self._words.close()
+        if self._channel.fileno() >= 0:
+            self._channel.close()
+            os.close(self._words)
 
     def _ask(self, nodes: Sequence[NodeCommand]) -> None:
         """Send what is to be forked, in memory without a name since it may be long."""
@@ -166,7 +166,8 @@ class NodeLoader:
                 raise self._end_of_loader()
             ended = self._process.poll() is not None
         raise BenchError(
-            f"The process that loads the nodes ({self.pid}) has said nothing for {_LONGEST:g} s; it is stopped or hangs."
+            f"The process that loads the nodes ({self.pid}) has said nothing for {_LONGEST:g} s; it is stopped or "
+            "hangs."
         )
 
     def _end_of_loader(self) -> BenchError:
@@ -174,8 +175,7 @@ class NodeLoader:
         with contextlib.suppress(subprocess.TimeoutExpired):
             code = self._process.wait(1.0)
         how = f"killed by {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
-        self._words.seek(0)
-        lines = self._words.read().decode(errors="replace").strip().splitlines()
+        lines = os.pread(self._words, _ANSWER, 0).decode(errors="replace").strip().splitlines()
         last = f": {lines[-1].strip().rstrip('.')}" if lines else ""
         return BenchError(f"The process that loads the nodes has ended ({how}{last}) before they began; start again.")
 

@@ -68,10 +68,13 @@ def unbroken() -> Iterator[None]:
 
     A second one breaks in.
     """
-    with deferred_interrupts() as deferred:
-        yield
-    if deferred.came:
-        signal.raise_signal(deferred.number)
+    deferred = Deferred()
+    try:
+        with deferred_interrupts() as deferred:
+            yield
+    finally:
+        if deferred.came:
+            signal.raise_signal(deferred.number)
 
 
 @contextlib.contextmanager

@@ -165,6 +165,16 @@ def test_exit_codes_and_last_words_are_those_of_the_node(tmp_path: Path) -> None
     assert words[6:] == ["tidied up\n", "other program\n"]
 
 
+def test_a_folder_that_is_gone_hinders_no_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    with forked(tmp_path, "print('begun')") as (loader, nodes, logs):
+        loader.release()
+        assert nodes[0].wait(PATIENCE) == 0
+    assert logs[0].read_text() == "begun\n"
+
+
 def test_what_cannot_be_imported_ahead_is_the_nodes_own_complaint(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(node_loader, "PREPARED", ("no_such_module", "json"))
     for step in ("_load_type_supports", "_read_definitions", "_load_kernels"):

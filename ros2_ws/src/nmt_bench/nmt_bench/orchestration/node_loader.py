@@ -184,8 +184,8 @@ def become(node: dict[str, Any]) -> None:
     """Make this process what it would be, had it been started for the node alone.
 
     Args:
-        node: ``command``, ``environment``, ``folder`` to work in, ``files`` (limits of open ones) and ``launcher``
-            (process id of the parent).
+        node: ``command``, ``environment``, ``folder`` to work in (empty = as it is), ``files`` (limits of open ones)
+            and ``launcher`` (process id of the parent).
     """
     os.setsid()
     die_with_parent()
@@ -193,7 +193,8 @@ def become(node: dict[str, Any]) -> None:
         os._exit(1)
     os.environ.clear()
     os.environ.update(node["environment"])
-    os.chdir(node["folder"])
+    if node["folder"]:
+        os.chdir(node["folder"])
     resource.setrlimit(resource.RLIMIT_NOFILE, tuple(node["files"]))
     command = node["command"]
     if not runs_here(Path(command[0])):

@@ -140,7 +140,7 @@ class NodeLoader:
         """Send what is to be forked, in memory without a name since it may be long."""
         request = {
             "nodes": [{"command": list(node.command), "environment": dict(node.environment)} for node in nodes],
-            "folder": os.getcwd(),
+            "folder": _present_folder(),
             "files": resource.getrlimit(resource.RLIMIT_NOFILE),
             "launcher": os.getpid(),
         }
@@ -178,6 +178,14 @@ class NodeLoader:
         lines = os.pread(self._words, _ANSWER, 0).decode(errors="replace").strip().splitlines()
         last = f": {lines[-1].strip().rstrip('.')}" if lines else ""
         return BenchError(f"The process that loads the nodes has ended ({how}{last}) before they began; start again.")
+
+
+def _present_folder() -> str:
+    """The folder to work in; empty where it has been removed, which hinders no node."""
+    try:
+        return os.getcwd()
+    except FileNotFoundError:
+        return ""
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ import importlib.util
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -213,6 +214,32 @@ def test_nothing_begins_before_it_is_let_go(tmp_path: Path) -> None:
         assert [node.poll() for node in nodes] == [None, None]
     assert all(is_gone(node.pid) for node in nodes)
     assert [log.read_text() for log in logs] == ["", ""]
+
+
+def test_a_system_without_room_for_processes_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    request = os.memfd_create("request")
+    os.pwrite(request, json.dumps({"nodes": [{}]}).encode(), 0)
+
+    def no_fork() -> int:
+        raise BlockingIOError("no room")
+
+    monkeypatch.setattr(node_loader.os, "fork", no_fork)
+    with ours, theirs, open(tmp_path / "log", "wb") as log:
+        socket.send_fds(ours, [b"!"], [request, log.fileno()])
+        assert node_loader.serve(theirs) is None
+        ours.recv(100)  # what it says of its threads
+        answer = ours.recv(1000)
+    os.close(request)
+    assert json.loads(answer) == {"processes": [], "error": "no room"}
+    loader = NodeLoader()
+    try:
+        assert loader.can_fork()
+        monkeypatch.setattr(loader, "_answer", lambda: answer)
+        with pytest.raises(BenchError, match=r"cannot be started \(no room\); end other programs"):
+            loader.fork([])
+    finally:
+        loader.close()
 
 
 @pytest.mark.parametrize("moment", ["importing", "ready"])

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from nmt_bench.orchestration.interrupts import deferred_interrupts, terminate_as_interrupt
+from nmt_bench.orchestration.interrupts import deferred_interrupts, terminate_as_interrupt, unbroken
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
@@ -35,6 +35,25 @@ def test_one_signal_waits_and_a_second_one_breaks_in(number: int) -> None:
         assert deferred.came  # and the work goes on
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), number)
+
+
+def test_a_signal_acts_after_what_it_must_not_break() -> None:
+    done = []
+
+    def work(fails: bool) -> None:
+        with unbroken():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append("the work")
+            if fails:
+                raise ValueError("does not swallow the signal")
+
+    for fails in (False, True):
+        with pytest.raises(KeyboardInterrupt):
+            work(fails)
+    with deferred_interrupts() as deferred:
+        work(False)
+    assert deferred.came  # whoever defers around it still does
+    assert len(done) == 3
 
 
 def test_patient_work_is_never_broken() -> None:

@@ -44,8 +44,9 @@ from std_srvs.srv import Trigger
 from unique_identifier_msgs.msg import UUID
 
 from nmt_bench.orchestration.bench_domain import BenchDomain, bench_environment
-from nmt_bench.orchestration.interrupts import deferred_interrupts
+from nmt_bench.orchestration.interrupts import deferred_interrupts, unbroken
 from nmt_bench.orchestration.node_processes import NodeProcesses
+from nmt_bench.orchestration.prepared_nodes import NodeLoader, take_loader
 from nmt_bench.orchestration.surroundings import check_surroundings
 from nmt_core.base_node import STATE_QOS, calm_collector
 from nmt_core.company import Company
@@ -197,6 +198,11 @@ class Bench:
                 self._cleanup.close()
 
     def _start(self) -> None:
+        loader: NodeLoader | None = None
+        if self.use_processes:
+            loader = take_loader()  # before all else: it imports meanwhile
+            if loader is not None:
+                self._cleanup.callback(loader.close)
         if self._out is None:
             check_surroundings(Path(tempfile.gettempdir()) / "nmt")
             self.out = Path(tempfile.mkdtemp(prefix="nmt-"))
@@ -225,7 +231,7 @@ class Bench:
         self.executor = EventsExecutor(context=self.context)
         self._cleanup.callback(self._shut_executor)
         if self.use_processes:
-            self.processes = NodeProcesses(self.plan, self.out, environment)
+            self.processes = NodeProcesses(self.plan, self.out, environment, loader)
             self._cleanup.callback(self.processes.end)
             self.processes.start()
         else:
@@ -362,6 +368,11 @@ class Bench:
 
     # -- waiting -------------------------------------------------------------------------------------------------
 
+    def _turn(self) -> None:
+        """Let the executor work for a moment; a signal that breaks into its conversions would end as a TypeError."""
+        with unbroken():
+            self.executor.spin_once(timeout_sec=_POLL)
+
     def _call(self, service: str) -> bool:
         client = self.client.create_client(Trigger, service)
         try:
@@ -394,7 +405,7 @@ class Bench:
                 if sent[0].done():
                     return sent[0].result()
                 self._check_start()
-                self.executor.spin_once(timeout_sec=_POLL)
+                self._turn()
             if time.monotonic() >= end:
                 raise BenchError(
                     f"Waited {START_TIMEOUT:g} s in vain for the goal's answer; the logs in {self.out / 'log'} may say "
@@ -408,7 +419,7 @@ class Bench:
                 logs = self.out / "log"
                 raise BenchError(f"Waited {timeout:g} s in vain for {what}; the logs in {logs} may say why.")
             self._check_start()
-            self.executor.spin_once(timeout_sec=_POLL)
+            self._turn()
 
     def _await(self, future: Any, timeout: float, what: str) -> Any:
         self._spin_until(future.done, timeout, what)
@@ -427,7 +438,7 @@ class Bench:
         while not future.done():
             try:
                 if self.use_processes:
-                    self.executor.spin_once(timeout_sec=_POLL)
+                    self._turn()
                 else:
                     self.executor.spin_until_future_complete(future, timeout_sec=0.2)
             except KeyboardInterrupt:
@@ -461,7 +472,7 @@ class Bench:
             lost = self._lost_node(time.monotonic())
             if lost:
                 return lost
-            self.executor.spin_once(timeout_sec=_POLL)
+            self._turn()
         return ""
 
     def _recorded_points(self) -> tuple[ModalPoint, ...]:
@@ -492,7 +503,7 @@ class Bench:
     def _spin_while(self, condition: Callable[[], bool], timeout: float) -> None:
         end = time.monotonic() + timeout
         while condition() and time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=_POLL)
+            self._turn()
 
     def _last_words(self, name: str) -> str:
         words = self.processes.last_words(name) if self.processes and name else ""

@@ -110,7 +110,10 @@ def run(arguments: argparse.Namespace) -> int:
                 _write(*evaluated, folder, arguments)
         _show(*evaluated, arguments, console)
         return EXIT_DONE
-    return _measure(arguments, band, console)
+    from nmt_bench.orchestration.prepared_nodes import nodes_ahead
+
+    with nodes_ahead(not arguments.one_process):
+        return _measure(arguments, band, console)
 
 
 def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: Any) -> int:

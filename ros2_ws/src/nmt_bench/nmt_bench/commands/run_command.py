@@ -123,7 +123,13 @@ def run(arguments: argparse.Namespace) -> int:
         BenchError: the rig, a level or an option is refused, or the nodes do not start.
     """
     check_output(arguments.out, arguments.force)
+    from nmt_bench.orchestration.prepared_nodes import nodes_ahead
 
+    with nodes_ahead(not arguments.one_process):
+        return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.hardware_options import device_settings
     from nmt_bench.commands.linear_input import check_fits, read_linear

@@ -98,7 +98,13 @@ def run(arguments: argparse.Namespace) -> int:
     """
     levels, start, stop = _checked(arguments)
     check_output(arguments.out, arguments.replace, "replace")
+    from nmt_bench.orchestration.prepared_nodes import nodes_ahead
 
+    with nodes_ahead(not arguments.one_process):
+        return _measure(arguments, levels, start, stop)
+
+
+def _measure(arguments: argparse.Namespace, levels: list[float], start: float, stop: float) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.hardware_options import device_settings
     from nmt_bench.commands.run_command import measure

@@ -66,15 +66,13 @@ def domains_in_use() -> list[int]:
     return found
 
 
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""The nodes share two or more cores: a numerical library that starts a thread a core would only slow them down."""
+
+
 def bench_environment(domain_id: int) -> dict[str, str]:
     """Environment variables for the nodes of a bench.
 
-    The transport stays on this host, because a shaker must not obey a stranger on the network. The nodes share two or
-    more cores: a numerical library that starts a thread a core would only slow them down.
+    The transport stays on this host, because a shaker must not obey a stranger on the network.
     """
-    return {
-        "ROS_DOMAIN_ID": str(domain_id),
-        **dds_environment(),
-        "OPENBLAS_NUM_THREADS": "1",
-        "OMP_NUM_THREADS": "1",
-    }
+    return {"ROS_DOMAIN_ID": str(domain_id), **dds_environment(), **ONE_THREAD}

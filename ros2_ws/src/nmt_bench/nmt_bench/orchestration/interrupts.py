@@ -34,10 +34,12 @@ class Deferred:
 
     Attributes:
         came: whether a signal came.
+        number: of the first one; 0 = none came.
     """
 
     def __init__(self) -> None:
         self.came = False
+        self.number = 0
 
 
 @contextlib.contextmanager
@@ -54,10 +56,25 @@ def deferred_interrupts(patient: bool = False) -> Iterator[Deferred]:
             _leave_terminal()
         if deferred.came and not patient:
             raise KeyboardInterrupt
-        deferred.came = True
+        deferred.came, deferred.number = True, number
 
     with _handled(_ALL, note):
         yield deferred
+
+
+@contextlib.contextmanager
+def unbroken() -> Iterator[None]:
+    """Keep a signal from breaking into a library that would take it for a failure of its own; it acts afterwards.
+
+    A second one breaks in.
+    """
+    deferred = Deferred()
+    try:
+        with deferred_interrupts() as deferred:
+            yield
+    finally:
+        if deferred.came:
+            signal.raise_signal(deferred.number)
 
 
 @contextlib.contextmanager

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import IO
 
+from nmt_bench.orchestration.adopted_process import AdoptedProcess
+from nmt_bench.orchestration.parent_death import die_with_parent
+from nmt_bench.orchestration.prepared_nodes import NodeCommand, NodeLoader
 from nmt_core.errors import BenchError
 from nmt_core.launcher_watch import LAUNCHER
 from nmt_session.node_plan import NODES, NodePlan
 
 _GRACE = 15.0  # s; a node that is told to end may wait for the ramp to zero, and work off what it was sent
-_PR_SET_PDEATHSIG = 1
 _LOG_HEAD = re.compile(r"^\[\w+\] \[[\d.]+\] \[[^\]]*\]: ")
 
 
@@ -29,14 +30,18 @@ class NodeProcesses:
         plan: parameters of the nodes.
         out: folder that gets ``nodes.yaml`` (parameters for ``ros2 run``) and ``log/``.
         environment: additional environment variables.
+        loader: process from which they are forked; None = each is started as a program of its own.
     """
 
-    def __init__(self, plan: NodePlan, out: Path, environment: Mapping[str, str]) -> None:
+    def __init__(
+        self, plan: NodePlan, out: Path, environment: Mapping[str, str], loader: NodeLoader | None = None
+    ) -> None:
         self._plan = plan
         self._log = out / "log"
         self._parameters = out / "nodes.yaml"
         self._environment = {**os.environ, **environment, LAUNCHER: str(os.getpid())}
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._loader = loader
+        self._processes: dict[str, subprocess.Popen[bytes] | AdoptedProcess] = {}
 
     def start(self) -> None:
         """Start all nodes.
@@ -47,24 +52,38 @@ class NodeProcesses:
         self._log.mkdir(parents=True, exist_ok=True)
         self._plan.write_parameters(self._parameters)
         self._environment.setdefault("ROS_LOG_DIR", str(self._log))
+        commands = {}
         for name in self._plan.values:
             package, executable, _ = NODES[name]
-            command = [str(find_executable(package, executable))]
-            command += ["--ros-args", "--params-file", str(self._parameters)]
-            with open(self._log / f"{name}.log", "wb") as log:
-                try:
-                    self._processes[name] = subprocess.Popen(
-                        command,
-                        stdin=subprocess.DEVNULL,
-                        stdout=log,
-                        stderr=subprocess.STDOUT,
-                        env=self._environment,
-                        # Ctrl-C in the terminal is for the command line alone: it ramps the drive down first.
-                        start_new_session=True,
-                        preexec_fn=die_with_parent,
-                    )
-                except OSError as error:
-                    raise BenchError(f"Node {name} cannot be started ({error}); run './nmt setup' again.") from error
+            path = str(find_executable(package, executable))
+            commands[name] = [path, "--ros-args", "--params-file", str(self._parameters)]
+        with contextlib.ExitStack() as stack:
+            logs = {name: stack.enter_context(open(self._log / f"{name}.log", "wb")) for name in commands}
+            if self._loader is not None and self._loader.can_fork():
+                self._fork(self._loader, commands, logs)
+                return
+            for name, command in commands.items():
+                self._start_alone(name, command, logs[name])
+
+    def _fork(self, loader: NodeLoader, commands: Mapping[str, list[str]], logs: Mapping[str, IO[bytes]]) -> None:
+        nodes = [NodeCommand(command, self._environment, logs[name].fileno()) for name, command in commands.items()]
+        self._processes.update(zip(commands, loader.fork(nodes), strict=True))
+        loader.release()
+
+    def _start_alone(self, name: str, command: list[str], log: IO[bytes]) -> None:
+        try:
+            self._processes[name] = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                # Ctrl-C in the terminal is for the command line alone: it ramps the drive down first.
+                start_new_session=True,
+                preexec_fn=die_with_parent,
+            )
+        except OSError as error:
+            raise BenchError(f"Node {name} cannot be started ({error}); run './nmt setup' again.") from error
 
     @property
     def pids(self) -> dict[str, int]:
@@ -126,9 +145,3 @@ def find_executable(package: str, executable: str) -> Path:
         f"Executable '{executable}' of package {package} was not found on AMENT_PREFIX_PATH; build the workspace with "
         "'./nmt setup', or source ros2_ws/install/setup.bash."
     )
-
-
-def die_with_parent() -> None:
-    """In a child before it starts its program: it gets SIGTERM when its parent dies."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from nmt_bench.orchestration.node_processes import die_with_parent
+from nmt_bench.orchestration.parent_death import die_with_parent
 from nmt_core.errors import BenchError
 
 _START_TIMEOUT = 60.0  # s

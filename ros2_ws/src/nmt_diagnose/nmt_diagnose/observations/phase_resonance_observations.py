@@ -77,6 +77,7 @@ class LockedWindow:
         referenced: whether phases refer to the drive; else to the force.
         mains: lines of the mains by frequency, Hz, their channels as in ``rows``; those that the window can tell.
         commanded: whether ``drive`` is what was commanded; else it is the recorded voltage.
+        recorded: amplitude of the recorded voltage where phases refer to it; NaN elsewhere.
         leans: what the ln of each fundamental was off by before a transient was taken out, in the mean.
     """
 
@@ -91,6 +92,7 @@ class LockedWindow:
     referenced: bool
     mains: Mapping[float, Line]
     commanded: bool
+    recorded: float
     leans: tuple[float, ...]
 
     def row(self, name: str) -> int:
@@ -177,13 +179,16 @@ def analyse_window(
                 reference = None
     else:
         reference = None if known else rows.index(force.name)
+    recorded = math.nan
     if reference is not None:
+        if voltage is not None:
+            recorded = float(abs(whole[reference, 1]))
         whole, without, single = (_turned(part, reference) for part in (whole, without, single))
     frequency = float(cycles[-1] - cycles[0]) / (used - 1) * stretch.sample_rate
     lines = {hz: mains_line(cycles, data, stretch.sample_rate, fitted, hz) for hz in MAINS_HZ}
     mains = {hz: line for hz, line in lines.items() if line is not None}
     return LockedWindow(
-        segment, stretch, rows, whole, without, single, frequency, drive, referenced, mains, commanded,
+        segment, stretch, rows, whole, without, single, frequency, drive, referenced, mains, commanded, recorded,
         tuple((transient.doubt * transient.leans).tolist()),
     )  # fmt: skip
 
@@ -317,8 +322,8 @@ def phase_resonance_observations(
         settings: settings.
         response_quantity: quantity whose phase the loop controlled; None = the first that there is at the drive point.
         hold_rate_hz: rate at which the drive is interpolated linearly, see drive_hold.py.
-        drive_as_recorded: the harmonics of the recorded voltage, or of the force where no voltage is known, are an
-            input of the model; else the drive is as pure as it was commanded.
+        drive_as_recorded: the drive is the recorded voltage where phases refer to that, and its harmonics, or those of
+            the force where no voltage is known, are an input of the model; else the drive is as it was commanded.
     """
     notes: list[str] = []
     analysed: list[LockedWindow] = []
@@ -328,6 +333,8 @@ def phase_resonance_observations(
             analysed.append(_without_hold(window, view, channels, hold_rate_hz))
         except BenchError as error:
             notes.append(f"{name}: {error}")
+    if drive_as_recorded:
+        analysed = _driven_as_recorded(analysed)
     drive_point = view.rig.drive_point
     levels: list[LockedLevel] = []
     kept: list[LockedWindow] = []
@@ -404,6 +411,29 @@ def phase_resonance_observations(
     notes += _steps(run, cells, view, table)
     _limits(run, view, table)
     return table.observations(test, notes)
+
+
+def _driven_as_recorded(windows: list[LockedWindow]) -> list[LockedWindow]:
+    """Windows of one test with the recorded voltage as their drive, where phases refer to it.
+
+    Converters that hold the drive and filter what they record do so to all channels alike: beside the recorded voltage
+    forces and responses are what they are in a random test. Beside the commanded one they are half a sample late.
+    """
+    if not any(math.isfinite(window.recorded) for window in windows):
+        return windows
+    result = []
+    for window in windows:
+        if not math.isfinite(window.recorded):
+            # Its voltage is in step with what was commanded, as far as its noise lets see.
+            usable = (
+                c.name for c in window.stretch.channels if c.quantity is Quantity.VOLTAGE and c.name in window.rows
+            )
+            amplitude = max((abs(window.amplitudes[window.row(name), 1]) for name in usable), default=0.0)
+            window = replace(window, recorded=float(amplitude) or math.nan)
+        if math.isfinite(window.recorded):
+            window = replace(window, drive=window.recorded, commanded=False)
+        result.append(window)
+    return result
 
 
 @dataclass(frozen=True, eq=False)

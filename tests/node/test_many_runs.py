@@ -25,7 +25,10 @@ def send(bench: Bench, **goal: Any) -> Any:
         bench._spin_until(client.server_is_ready, 20.0, "the action server")
         handle = bench._await(client.send_goal_async(RunLevels.Goal(**goal)), 20.0, "the answer")
         assert handle.accepted
-        return bench._await(handle.get_result_async(), 60.0, "the result").result
+        answer = handle.get_result_async()
+        # Not spin_once, which does not rest while the sequencer awaits the end of its run.
+        bench.executor.spin_until_future_complete(answer, timeout_sec=60.0)
+        return answer.result().result
     finally:
         client.destroy()
 

@@ -14,6 +14,7 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="needs ROS 2; source the workspace")
 pytest.importorskip("nmt_msgs.msg", reason="needs the built workspace; source ros2_ws/install/setup.bash")
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
@@ -24,7 +25,7 @@ from nmt_core.base_node import SAMPLES_QOS, STATE_QOS
 from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.wire import BlockReader, BlockWriter
-from nmt_msgs.msg import Drive, LockEvent, RunState
+from nmt_msgs.msg import Drive, LockEvent, ModalPoint, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 from nmt_record import Bag
 from nmt_record.recorder_node import RecorderNode
@@ -50,6 +51,7 @@ class Rig(Node):
         }
         self.drive = self.create_publisher(Drive, "drive", SAMPLES_QOS)
         self.lock = self.create_publisher(LockEvent, "lock", SAMPLES_QOS)
+        self.modal_point = self.create_publisher(ModalPoint, "modal_point", SAMPLES_QOS)
         self.run_state = self.create_publisher(RunState, "run_state", STATE_QOS)
         self.extra = self.create_publisher(Float64, "temperature", 10)
         self.bag_states = []
@@ -68,7 +70,9 @@ class Rig(Node):
         self.blocks["voltage"].publish(BlockWriter("beam").write(block))
 
     def publish_state(self, phase, sample=0, run_id="run-7", result_code=0):
-        self.run_state.publish(RunState(run_id=run_id, phase=phase, sample=sample, result_code=result_code))
+        stamp = Time(nanosec=1_000_000 * sample)
+        state = RunState(stamp=stamp, run_id=run_id, phase=phase, sample=sample, result_code=result_code)
+        self.run_state.publish(state)
 
 
 def make_block(topic, first_sample, samples=20):
@@ -282,6 +286,62 @@ def test_the_bag_waits_for_late_blocks(stage):
     assert recorder.state == "open"
     stage.rig.publish_block("force", 20)
     stage.until(lambda: recorder.state == "closed")
+    assert Bag.open(stage.path).run_stop["exit"]["state"] == "done"
+
+
+def go_on_until(stage, condition, first=40):
+    """A source in real time: blocks after the end of the run, without a pause."""
+    deadline = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        stage.rig.publish_block("force", first)
+        first += 20
+        stage.executor.spin_once(timeout_sec=0.02)
+    return first
+
+
+def end_with_a_lock(stage, recorder):
+    """A run with a level that locked, whose end is sample 39; its source goes on."""
+    rig = stage.rig
+    stage.until(lambda: rig.modal_point.get_subscription_count())
+    rig.publish_state(RunState.RUNNING)
+    rig.publish_block("force", 0)
+    rig.publish_block("force", 20)
+    rig.lock.publish(LockEvent(sample=10))
+    stage.until(lambda: recorder.writer.counts.get("lock") and recorder.writer.counts.get("force") == 2)
+    rig.publish_state(RunState.DONE, sample=39)
+    return go_on_until(stage, lambda: recorder.core.end_sample == 39)
+
+
+def test_a_source_that_goes_on_does_not_keep_the_bag_open(stage, monkeypatch):
+    monkeypatch.setattr("nmt_record.recorder_node._LONGEST_END", 1000.0)
+    recorder = stage.start()
+    first = end_with_a_lock(stage, recorder)
+    stage.rig.modal_point.publish(ModalPoint())
+    go_on_until(stage, lambda: recorder.state == "closed", first)
+    bag = Bag.open(stage.path)
+    assert bag.run_stop["exit"] == {"state": "done", "reason": ""}
+    assert bag.topics["modal_point"] == ("nmt_msgs/msg/ModalPoint", 1)
+
+
+def test_a_late_modal_point_is_in_the_bag(stage, monkeypatch):
+    """Many times the silence that ends a run passes before it comes."""
+    monkeypatch.setattr("nmt_record.recorder_node._LONGEST_END", 1000.0)
+    recorder = stage.start(settle_time=0.01)
+    first = end_with_a_lock(stage, recorder)
+    end = time.monotonic() + 0.5
+    first = go_on_until(stage, lambda: time.monotonic() > end, first)
+    assert recorder.state == "open"
+    stage.rig.modal_point.publish(ModalPoint())
+    go_on_until(stage, lambda: recorder.state == "closed", first)
+    assert Bag.open(stage.path).topics["modal_point"] == ("nmt_msgs/msg/ModalPoint", 1)
+
+
+def test_a_modal_point_that_never_comes_does_not_keep_the_bag_open(stage, monkeypatch):
+    monkeypatch.setattr("nmt_record.recorder_node._LONGEST_END", 0.5)
+    recorder = stage.start()
+    first = end_with_a_lock(stage, recorder)
+    go_on_until(stage, lambda: recorder.state == "closed", first)
     assert Bag.open(stage.path).run_stop["exit"]["state"] == "done"
 
 

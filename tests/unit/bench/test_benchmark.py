@@ -64,6 +64,7 @@ def test_wrong_options(capsys: pytest.CaptureFixture[str], words: tuple[str, str
 
 def test_many_levels_have_a_report_and_their_growth(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benchmark_figures, "_MANY", 8)
+    monkeypatch.setattr(benchmark_figures, "_READ_LEVELS", (2, 4))
     figures = {figure.name: figure for figure in benchmark_figures.level_figures(1.0)}
     assert len(figures) == 6
     assert all(figure.value is not None and figure.value > 0.0 for figure in figures.values())

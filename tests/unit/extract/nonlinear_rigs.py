@@ -61,15 +61,18 @@ class NonlinearRig:
         if self.kind == "cubic":
             force = self.strength * motion**3
         else:
-            slider = 0.0
-            force = np.empty(_STEPS)
-            for _ in range(2):  # the second turn starts from the state that the first ended with
-                for k, x in enumerate(motion.tolist()):
-                    pull = self.stiffness * (x - slider)
-                    if abs(pull) > self.strength:
-                        pull = self.strength if pull > 0.0 else -self.strength
-                        slider = x - pull / self.stiffness
-                    force[k] = pull
+            stiffness, most, slider = self.stiffness, self.strength, 0.0
+            pulls = []
+            for x in 2 * motion.tolist():  # the second turn starts from the state that the first ended with
+                pull = stiffness * (x - slider)
+                if pull > most:
+                    pull = most
+                    slider = x - pull / stiffness
+                elif pull < -most:
+                    pull = -most
+                    slider = x - pull / stiffness
+                pulls.append(pull)
+            force = np.array(pulls[_STEPS:])
             force = force - self.stiffness * motion
         return np.asarray(2.0 / _STEPS * (np.conj(_TURNS) @ force))
 

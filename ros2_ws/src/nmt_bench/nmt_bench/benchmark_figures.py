@@ -24,6 +24,7 @@ _SHORT = "block_samples=200"  # 20 ms
 _BEST_OF = 3
 _REAL_TIME = 5.0  # s
 _MANY = 1000
+_READ_LEVELS = (50, 200)
 _ELEMENTS = 196
 LIMIT_BACKBONE = 0.5
 LIMIT_RESPONSE = 2.0
@@ -294,7 +295,7 @@ def level_figures(_: float) -> list[Figure]:
         Figure("report: growth over four times the levels", growth, "×", LIMIT_GROWTH, AT_MOST, growth <= LIMIT_GROWTH),
         Figure("bag: opening", opening, "ms", LIMIT_OPENING, AT_MOST, opening <= LIMIT_OPENING),
     ]
-    for count in (50, 200):
+    for count in _READ_LEVELS:
         with tempfile.TemporaryDirectory(prefix="nmt-benchmark-") as folder:
             bag = _recorded(Path(folder), load_rig("beam", [_SHORT]), np.geomspace(0.3, 0.9, count), 20)
             ratio = _over_bare_read(bag)

@@ -28,7 +28,7 @@ _QOS = {
     Service.STATE: QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL),
     Service.DEFAULT: QoSProfile(depth=100),
 }
-# A source in real time goes on after the run; its blocks do not keep the bag open for ever.
+# Neither what goes on after the run without a stamp nor a modal point that never comes keeps the bag open for ever.
 _LONGEST_END = 3.0
 # After a run that ended early the plant takes the drive to zero by itself: its ramp belongs into the bag.
 _LONGEST_RAMP = 6.0  # s
@@ -129,7 +129,7 @@ class RecorderNode(BenchNode):
         self._settle_time: float = values["settle_time"]
         self._patience: float = values["patience"]
         self._end_time: float | None = None
-        self._last_time = time.monotonic()
+        self._last_time = self._last_own_time = time.monotonic()
         self._recorder_values = values
         self._announced = RunAnnouncement()
         self._goal = ""  # of the run that the newest bag is for
@@ -212,6 +212,8 @@ class RecorderNode(BenchNode):
                 self.core.callback(topic)(raw)
             except BenchError as error:
                 self._failed(error)
+            if topic != "diagnostics" and not self.core.after_end:
+                self._last_own_time = self._last_time
             if self._end_time is None and self.core.end_sample is not None:
                 self._end_time = time.monotonic()
 
@@ -248,7 +250,11 @@ class RecorderNode(BenchNode):
         if self.core.gaps.reached(self.core.end_sample):
             if since_end < _LONGEST_RAMP and self.core.awaits_ramp and self._plant_is_there:
                 return
-            if silence >= self._settle_time or since_end >= _LONGEST_END:
+            # A source in real time goes on: what is stamped after the end of the run breaks no silence.
+            own_silence = now - self._last_own_time
+            silent = silence >= self._settle_time
+            silent = silent or (own_silence >= self._settle_time and not self.core.awaits_points)
+            if silent or since_end >= _LONGEST_END:
                 self.close("", "done")
         elif silence >= self._patience or since_end >= self._patience + _LONGEST_END:
             self.close(f"blocks up to sample {self.core.end_sample} did not arrive", "incomplete")

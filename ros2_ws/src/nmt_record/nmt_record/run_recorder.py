@@ -72,6 +72,7 @@ class RunRecorder:
         run_id: name of the run as the bag gives it; empty if it gives none.
         begun: whether the run has begun.
         end_sample: sample at which the run ended; None before.
+        after_end: whether the newest message is stamped after the end of the run.
 
     Raises:
         BenchError: a parameter is wrong, or the bag cannot be created.
@@ -92,6 +93,8 @@ class RunRecorder:
         self.malformed = 0
         self.late = 0
         self.end_sample: int | None = None
+        self.after_end = False
+        self._end_stamp: int | None = None
         run_json = described_run(values) if run_json is None else run_json
         self.writer = BagWriter(
             path or str(values["output"]),
@@ -146,6 +149,11 @@ class RunRecorder:
         return self.end_sample is not None and not self._ended_well and not self.drive_at_zero
 
     @property
+    def awaits_points(self) -> bool:
+        """Whether a level that locked has no modal point yet."""
+        return self.writer.counts.get("lock", 0) > self.writer.counts.get("modal_point", 0)
+
+    @property
     def drive_at_zero(self) -> bool:
         """Whether the newest block of the voltage is zero, or there is none."""
         if self._newest_voltage is None:
@@ -189,6 +197,7 @@ class RunRecorder:
         elif self._seen_running or (state.run_id and state.run_id == self.run_id):
             # Otherwise it is the latched end of an earlier run.
             self.end_sample = state.sample
+            self._end_stamp = max(read_stamp(raw), 0)
             self._ended_well = state.result_code == ResultCode.SUCCEEDED
             self._end_reason = state.reason
 
@@ -202,6 +211,7 @@ class RunRecorder:
                 stamp = max(read_stamp(raw), 0)
             except ValueError:
                 self.malformed += 1
+        self.after_end = stamp is not None and self._end_stamp is not None and stamp > self._end_stamp
         self.writer.write(topic, raw, None, stamp)
 
 

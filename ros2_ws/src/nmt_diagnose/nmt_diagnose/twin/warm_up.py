@@ -31,7 +31,7 @@ def warm_up_twin(rig: Rig) -> None:
     level = LockedLevel(0, 0.1, 0.0, 0.0, 22.0, 0.0, 1.0, 0.0, 1)
     tests: tuple[Test, ...] = (
         PhaseResonanceTest("locked", point, "x", both, 3, "voltage", (level,)),
-        RandomTest("noise", point, both, "voltage", np.array([20.0]), 1.0, "none", 0.1, 0.0, 1.0),
+        RandomTest("noise", point, both, "voltage", np.array([20.0, 21.0]), 1.0, "none", 0.1, 0.0, 1.0, 1000.0),
         RingDownTest("decay", point, response, np.array([1e-6]), 22.0),
         RecordTest(
             "record", point, 1000.0, MeasuredChannel("u", Quantity.VOLTAGE, 0), np.ones(8), (response,),
@@ -42,9 +42,10 @@ def warm_up_twin(rig: Rig) -> None:
             np.array([[1e-4 + 0j]]), np.array([0.01]),
         ),
     )  # fmt: skip
-    parts = (Part.LOG_FREQUENCY, Part.LOG_MAGNITUDE, Part.DAMPING, Part.SAMPLE, Part.LOG_MAGNITUDE)
+    parts = (Part.LOG_FREQUENCY, Part.LOG_MAGNITUDE, Part.DAMPING, Part.PHASE, Part.SAMPLE, Part.LOG_MAGNITUDE)
+    of_test = np.array([0, 1, 2, 2, 3, 4])
     zero, none = np.zeros(len(parts), dtype=np.int64), np.zeros(len(parts))
-    rows = Rows(np.arange(len(parts)), zero, zero, zero + 1, np.array([int(part) for part in parts]), none, none, none)
+    rows = Rows(of_test, zero, zero, zero + 1, np.array([int(part) for part in parts]), none, none, none)
     forward = Forward(tests, rows)
     parametrisation = Parametrisation(rig, calibration_parameters(rig)[:1])
     forward.jacobian(parametrisation, parametrisation.zero, forward.predict(rig))

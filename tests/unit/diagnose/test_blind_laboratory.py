@@ -13,12 +13,16 @@ from nmt_blind.campaign.ensemble_sindy import sparse_terms
 from nmt_blind.cases.blind_rigs import BLIND_RIGS, blind_rig
 from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, OPEN
 from nmt_blind.cases.laboratory import record_backbone, record_random
+from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.quiet_tests import play_backbone, play_random
 from nmt_blind.cases.rig_edits import Edit, with_edits
 from nmt_blind.cases.strength import Sensitivity, value_at
 from nmt_blind.cases.strength_table import load_table, table_file
 from nmt_blind.cases.tolerances import TOLERANCES
 from nmt_core.vocabulary import TestKind
+from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest
+from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.observations.read_observations import read_observations
 from nmt_extract.offline import extract_bag
 from nmt_record.bag_reader import Bag
 from nmt_record.segments import read_signals, segments
@@ -95,6 +99,31 @@ def test_a_finer_step_and_mesh_change_less_than_a_test_repeats() -> None:
     finer = play_backbone(MODEL, MODEL, replace(bench, mesh_refinement=5, substeps=8))[0]
     assert fine.frequency_hz == pytest.approx(finer.frequency_hz, rel=1e-5)
     assert np.abs(fine.amplitudes[:, 1]) == pytest.approx(np.abs(finer.amplitudes[:, 1]), rel=2e-4)
+
+
+def test_windows_and_random_tests_refer_to_the_same_recorded_voltage(tmp_path: Path) -> None:
+    """A held drive and filters act on voltage and force alike: the force of an ideal exciter per volt is one number."""
+    rig = blind_rig("modal_beam")
+    model, bench = rig.model(), replace(rig.bench, levels=rig.bench.levels[-2:])
+    converters = Converters(held=True, filtered=True)
+    for record, name in ((record_backbone, "backbone"), (record_random, "random")):
+        record(tmp_path / name, model, model, bench, 5, converters)
+    found = read_observations([tmp_path / "backbone", tmp_path / "random"], model)
+    rows, (locked, random) = found.rows, found.tests
+    assert isinstance(locked, PhaseResonanceTest)
+    assert isinstance(random, RandomTest)
+    assert not locked.commanded
+    for part in (Part.LOG_MAGNITUDE, Part.PHASE):
+        of_force = rows.part == part
+        windows = of_force & (rows.test == 0) & (rows.channel == [c.name for c in locked.channels].index("f3"))
+        lines = of_force & (rows.test == 1) & (rows.channel == [c.name for c in random.channels].index("f3"))
+        lines &= rows.frequency_hz < 400.0
+        # Beside the commanded voltage the force is half a sample late: 73 mrad.
+        mean = float(np.average(found.values[lines], weights=found.std[lines] ** -2.0))
+        windows &= rows.harmonic == 1
+        drives = np.array([level.drive for level in locked.levels])[rows.level[windows]]
+        over_drive = np.log(drives) if part is Part.LOG_MAGNITUDE else 0.0
+        assert found.values[windows] - over_drive == pytest.approx(mean, abs=5e-4)
 
 
 def test_random_responses_differ_by_what_a_gain_says() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from unit.diagnose.twin_observations import chain, observations_of_twin
+from unit.diagnose.twin_observations import chain, observations_of_twin, real
 
 from nmt_diagnose.inference.chain_errors import chain_errors, with_shared
 from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_observations
@@ -24,15 +24,8 @@ LATE_S = 8e-4
 
 def light() -> Rig:
     """Two masses, linear and lightly damped."""
-    structure = {
-        "kind": "chain",
-        "masses_kg": [0.5, 0.3],
-        "springs_n_m": [15000.0],
-        "dampers_ns_m": [0.4],
-        "ground_springs_n_m": [20000.0, 3000.0],
-        "ground_dampers_ns_m": [0.3, 0.1],
-    }
-    return chain(structure=structure, local_elements=[])
+    dampers = {"dampers_ns_m": [0.4], "ground_dampers_ns_m": [0.3, 0.1]}
+    return real(chain(local_elements=[]), structure=dampers)
 
 
 def recorded(late_s: float) -> Observations:

@@ -138,10 +138,8 @@ def lock_slopes(observations: Observations, rig: Rig, prediction: Prediction) ->
         rig: an explanation of it.
         prediction: of that explanation.
     """
-    chains = _chains(observations)
-    if not any(isinstance(observations.tests[number], PhaseResonanceTest) for number in chains):
-        return np.zeros(len(observations.rows))
-    return _Columns(observations, rig, chains).slopes(prediction)
+    own = _columns_with(observations, rig, PhaseResonanceTest)
+    return np.zeros(len(observations.rows)) if own is None else own.slopes(prediction)
 
 
 def sweep_directions(observations: Observations, rig: Rig, prediction: Prediction) -> FloatArray:
@@ -152,10 +150,15 @@ def sweep_directions(observations: Observations, rig: Rig, prediction: Predictio
         rig: an explanation of it.
         prediction: of that explanation.
     """
+    own = _columns_with(observations, rig, SteppedSineTest)
+    return np.zeros((len(observations.rows), len(observations.tests))) if own is None else own.sweeps(prediction)
+
+
+def _columns_with(observations: Observations, rig: Rig, kind: type[Test]) -> _Columns | None:
+    """Directions of the tests that have measuring chains; None where no test of a kind is among them."""
     chains = _chains(observations)
-    if not any(isinstance(observations.tests[number], SteppedSineTest) for number in chains):
-        return np.zeros((len(observations.rows), len(observations.tests)))
-    return _Columns(observations, rig, chains).sweeps(prediction)
+    found = any(isinstance(observations.tests[number], kind) for number in chains)
+    return _Columns(observations, rig, chains) if found else None
 
 
 def _chains(observations: Observations) -> dict[int, MeasuringChain]:

@@ -77,7 +77,8 @@ class LockedWindow:
         referenced: whether phases refer to the drive; else to the force.
         mains: lines of the mains by frequency, Hz, their channels as in ``rows``; those that the window can tell.
         commanded: whether ``drive`` is what was commanded; else it is the recorded voltage.
-        recorded: amplitude of the recorded voltage where phases refer to it; NaN elsewhere.
+        recorded: amplitude of the recorded voltage, V; NaN without one.
+        turned: whether phases refer to the recorded voltage.
         leans: what the ln of each fundamental was off by before a transient was taken out, in the mean.
     """
 
@@ -93,6 +94,7 @@ class LockedWindow:
     mains: Mapping[float, Line]
     commanded: bool
     recorded: float
+    turned: bool
     leans: tuple[float, ...]
 
     def row(self, name: str) -> int:
@@ -179,17 +181,16 @@ def analyse_window(
                 reference = None
     else:
         reference = None if known else rows.index(force.name)
-    recorded = math.nan
+    recorded = math.nan if voltage is None else float(abs(whole[rows.index(voltage.name), 1]))
+    turned = reference is not None and voltage is not None
     if reference is not None:
-        if voltage is not None:
-            recorded = float(abs(whole[reference, 1]))
         whole, without, single = (_turned(part, reference) for part in (whole, without, single))
     frequency = float(cycles[-1] - cycles[0]) / (used - 1) * stretch.sample_rate
     lines = {hz: mains_line(cycles, data, stretch.sample_rate, fitted, hz) for hz in MAINS_HZ}
     mains = {hz: line for hz, line in lines.items() if line is not None}
     return LockedWindow(
         segment, stretch, rows, whole, without, single, frequency, drive, referenced, mains, commanded, recorded,
-        tuple((transient.doubt * transient.leans).tolist()),
+        turned, tuple((transient.doubt * transient.leans).tolist()),
     )  # fmt: skip
 
 
@@ -419,21 +420,12 @@ def _driven_as_recorded(windows: list[LockedWindow]) -> list[LockedWindow]:
     Converters that hold the drive and filter what they record do so to all channels alike: beside the recorded voltage
     forces and responses are what they are in a random test. Beside the commanded one they are half a sample late.
     """
-    if not any(math.isfinite(window.recorded) for window in windows):
+    if not any(window.turned for window in windows):
         return windows
-    result = []
-    for window in windows:
-        if not math.isfinite(window.recorded):
-            # Its voltage is in step with what was commanded, as far as its noise lets see.
-            usable = (
-                c.name for c in window.stretch.channels if c.quantity is Quantity.VOLTAGE and c.name in window.rows
-            )
-            amplitude = max((abs(window.amplitudes[window.row(name), 1]) for name in usable), default=0.0)
-            window = replace(window, recorded=float(amplitude) or math.nan)
-        if math.isfinite(window.recorded):
-            window = replace(window, drive=window.recorded, commanded=False)
-        result.append(window)
-    return result
+    return [
+        replace(window, drive=window.recorded, commanded=False) if math.isfinite(window.recorded) else window
+        for window in windows
+    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,6 +38,7 @@ PACINGS = ("realtime", "lockstep")
 PATIENCE = 180.0  # s of wall time; a run that hangs is a failure, a slow computer is none
 LONGEST = 30.0  # s from a signal to the end of all processes
 MEMORY = Path("/dev/shm")
+BETWEEN_LOOKS = 1.0  # s
 _POLL = 0.02
 
 
@@ -159,13 +160,31 @@ def is_locked(path: Path) -> bool:
     return path.exists()
 
 
-def stays(segments: set[str]) -> list[str]:
-    """What of segments, their locks included, is there and used by nobody."""
+def unused(segments: set[str]) -> dict[str, int]:
+    """What of segments, their locks included, is there and used by nobody: name -> number of the file."""
     segments = {name for name in segments if not name.startswith("lttng-ust-wait")}  # the tracer's, one a computer
-    remains = [path.name for path in MEMORY.iterdir() if any(name in path.name for name in segments)]
+    remains = {}
+    for path in MEMORY.iterdir():
+        with contextlib.suppress(OSError):
+            if any(name in path.name for name in segments):
+                remains[path.name] = path.stat().st_ino
     in_use = shared_memory([int(path.name) for path in Path("/proc").glob("[0-9]*")])
     in_use.update(path.name.removesuffix("_el") for path in MEMORY.glob("*_el") if is_locked(path))
-    return sorted(name for name in remains if not any(used in name or name in used for used in in_use))
+    return {name: file for name, file in remains.items() if not any(used in name or name in used for used in in_use)}
+
+
+def stays(segments: set[str]) -> list[str]:
+    """What of segments is left: the same file, used by nobody in two looks.
+
+    One look does not tell. Benches of other domains take the same ports, and one of them may give a port up after the
+    look at the files and before the look at who uses them.
+    """
+    first = unused(segments)
+    if not first:
+        return []
+    time.sleep(BETWEEN_LOOKS)
+    second = unused(segments)
+    return sorted(name for name, file in first.items() if second.get(name) == file)
 
 
 def voltage_at_the_end(bag: Path) -> float:

@@ -11,7 +11,7 @@ from nmt_blind.cases.injected_effects import INJECTED_EFFECTS
 from nmt_blind.cases.laboratory import BenchSettings
 from nmt_blind.cases.make import Made, make_campaign
 from nmt_blind.cases.operating import Operating
-from nmt_blind.cases.strength import spot_key
+from nmt_blind.cases.strength_curve import spot_key
 from nmt_blind.cases.strength_table import StrengthTable
 
 SHORT = BenchSettings(

@@ -16,7 +16,8 @@ from nmt_blind.cases.laboratory import record_backbone, record_random
 from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.quiet_tests import play_backbone, play_random
 from nmt_blind.cases.rig_edits import Edit, with_edits
-from nmt_blind.cases.strength import Sensitivity, value_at
+from nmt_blind.cases.strength import Sensitivity
+from nmt_blind.cases.strength_curve import value_at
 from nmt_blind.cases.strength_table import load_table, table_file
 from nmt_blind.cases.tolerances import TOLERANCES
 from nmt_core.vocabulary import TestKind

@@ -17,7 +17,7 @@ from nmt_blind.cases.laboratory import record_backbone, record_random
 from nmt_blind.cases.make import bag_hash, make_campaign
 from nmt_blind.cases.priors import LARGEST_SHIFT, parameters
 from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
-from nmt_blind.cases.strength import spot_key
+from nmt_blind.cases.strength_curve import spot_key
 from nmt_core.errors import BenchError
 from nmt_record.bag_reader import Bag
 from nmt_rig.rig import load_rig

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmt_blind.cases import strength
+from nmt_blind.cases import strength, strength_curve
 from nmt_blind.cases.injected_effects import INJECTED_EFFECTS
 from nmt_blind.cases.laboratory import TrialError
 from nmt_blind.cases.strength import Observed, Sensitivity
+from nmt_blind.cases.strength_curve import climbed, curve, value_at
 
 ROWS = 60
 LEVEL = np.repeat(np.arange(12.0), 5)
@@ -64,8 +65,7 @@ def test_what_a_parameter_imitates_costs_its_prior_however_curved(monkeypatch: p
     found = own.sigma_of(play(6.0))
     assert found == pytest.approx(6.0, rel=0.02)
     # A linear estimate would take the curvature for more.
-    linear, _ = own._fitted(play(6.0), own.base.values, np.zeros(3))[1:]
-    assert linear > 1.3 * found
+    assert own.linear(play(6.0))[1] > 1.3 * found
 
 
 def test_a_resonance_that_moved_by_more_than_its_width_is_a_shift_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,62 +82,81 @@ def test_a_resonance_that_moved_by_more_than_its_width_is_a_shift_all_the_same(m
     own.base = play(0.0)
     own._nuisance = ((play(0.01).values - play(-0.01).values) / 0.02)[:, np.newaxis]
     monkeypatch.setattr(own, "observe", play, raising=False)
-    linear = own._fitted(play(0.7), own.base.values, np.zeros(1))[1]
-    assert own.sigma_of(play(0.7)) == pytest.approx(0.7, rel=0.05)
-    assert linear > 100.0
+    assert own.linear(play(0.7))[1] > 100.0
+    rungs, trouble = climbed(own, play, 0.7, 5.0)
+    assert trouble == "as strong as it can be"
+    assert rungs[0].value < 0.05  # it begins where everything is linear
+    assert rungs[-1].value == pytest.approx(5.0)
+    for rung in rungs:
+        assert rung.sigma == pytest.approx(rung.value, rel=0.01)
 
 
-def test_cosines_leave_out_what_parameters_take() -> None:
+def test_products_of_signatures_are_the_generalised_ones_where_all_is_linear(monkeypatch: pytest.MonkeyPatch) -> None:
     own = sensitivity()
-    own_mark, other = _generator.standard_normal((2, ROWS))
-    plain = np.column_stack([own_mark, other])
-    metric = np.linalg.inv(np.eye(ROWS) + (COLUMNS / NOISE[:, None]) @ (COLUMNS / NOISE[:, None]).T)
-    np.testing.assert_allclose(own.products(plain), plain.T @ metric @ plain, rtol=1e-9)
+    monkeypatch.setattr(own, "observe", lambda shift: observed(COLUMNS[:, 0] * shift), raising=False)
+    differences = _generator.standard_normal((2, ROWS))
+    signatures = [
+        own.signature(observed(difference), own.settled(observed(difference), own.shifted(observed(difference))).made)
+        for difference in differences
+    ]
+    metric = np.linalg.inv(np.diag(NOISE**2) + COLUMNS @ COLUMNS.T)
+    gram = np.array([[one @ other for other in signatures] for one in signatures])
+    np.testing.assert_allclose(gram, differences @ metric @ differences.T, rtol=1e-6)
 
 
-def test_a_former_curve_is_where_the_search_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = sensitivity()
-    tried: list[float] = []
+def flat_effect(own: Sensitivity, monkeypatch: pytest.MonkeyPatch, most: float = math.inf) -> Any:
+    """An effect of which a strength of 1 is four standard deviations, half of it a parameter's; tests fail beyond."""
 
-    def sigmas(edits: Any, refine: bool) -> tuple[float, float, Any]:
-        tried.append(edits)
-        # Parameters take half of what a linear estimate says.
-        return (4.0 if refine else 8.0) * float(edits), 8.0 * float(edits), np.array([float(edits)])
+    def played(value: float) -> Observed:
+        if value > most:
+            raise TrialError("only 3 levels locked")
+        values = np.zeros(ROWS)
+        values[7] = 4.0 * NOISE[7] * value
+        return observed(values + COLUMNS[:, 0] * 0.01 * value)
 
-    truth = INJECTED_EFFECTS["response_gain"]
-    monkeypatch.setattr(own, "sigmas", sigmas)
+    monkeypatch.setattr(own, "observe", lambda shift: observed(COLUMNS[:, 0] * shift), raising=False)
+    monkeypatch.setattr(own, "played", played)
     object.__setattr__(own, "operating", None)
-    flat = replace(truth, edits=lambda rig, operating, spot, value: value, guess=lambda *_: 0.001, largest=math.inf)
     own.rig = type("R", (), {"caution": 1.0})()  # type: ignore[assignment]
-    curve, mark = own.curve(flat, None, {"points": [[4.0, 16.0], [16.0, 64.0]], "proportional": True})  # type: ignore[arg-type]
-    assert tried[0] == pytest.approx(16.0)
-    assert curve == {"points": [[2.0, 8.0], [16.0, 64.0], [1024.0, 4096.0]], "proportional": True, "trouble": ""}
-    # The nearest to where signatures are compared; farther ones do only of what grows in proportion.
-    assert mark == pytest.approx([2.0])
-    other = own.curve(replace(flat, proportional=False), None, {"points": [[16.0, 64.0]]})[1]  # type: ignore[arg-type]
-    assert other == pytest.approx([2.0])
-    monkeypatch.setattr(strength, "COMPARED", 1.0)
-    assert own.curve(flat, None, {"points": [[16.0, 64.0]]})[1] == pytest.approx([2.0])  # type: ignore[arg-type]
-    assert own.curve(replace(flat, proportional=False), None, {"points": [[16.0, 64.0]]})[1] is None  # type: ignore[arg-type]
+    truth = INJECTED_EFFECTS["response_gain"]
+    return replace(truth, edits=lambda rig, operating, spot, value: value, guess=lambda *_: 0.001, largest=math.inf)
+
+
+def test_a_curve_goes_from_weak_to_strong(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = sensitivity(1e-3 * COLUMNS)
+    found, signature = curve(own, flat_effect(own, monkeypatch), None, {"points": [[16.0, 64.0]]})  # type: ignore[arg-type]
+    values, sigmas = np.array(found["points"]).T
+    assert found["trouble"] == ""
+    assert sigmas == pytest.approx(4.0 * values, rel=1e-2)
+    assert sigmas[0] <= 12.0
+    assert sigmas[-1] >= 4096.0
+    assert signature is not None
+    assert np.linalg.norm(signature) == pytest.approx(4.0 * found["compared"]["value"], rel=1e-2)
+
+
+def test_only_what_grows_in_proportion_is_compared_from_afar(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = sensitivity(1e-3 * COLUMNS)
+    effect = flat_effect(own, monkeypatch)
+    monkeypatch.setattr(strength_curve, "COMPARED", 0.1)
+    assert curve(own, effect, None)[1] is not None  # type: ignore[arg-type]
+    found, signature = curve(own, replace(effect, proportional=False), None)  # type: ignore[arg-type]
+    assert signature is None
+    assert "compared" not in found
 
 
 def test_a_curve_ends_where_the_tests_end_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = sensitivity()
-
-    def sigmas(edits: Any, refine: bool) -> tuple[float, float, Any]:
-        if edits > 300.0:
-            raise TrialError("only 3 levels locked")
-        return 4.0 * float(edits), 4.0 * float(edits), np.zeros(1)
-
-    truth = INJECTED_EFFECTS["cubic_stiffness"]
-    monkeypatch.setattr(own, "sigmas", sigmas)
-    object.__setattr__(own, "operating", None)
-    flat = replace(truth, edits=lambda rig, operating, spot, value: value, guess=lambda *_: 10.0)
-    own.rig = type("R", (), {"caution": 1.0})()  # type: ignore[assignment]
-    curve, _ = own.curve(flat, None)  # type: ignore[arg-type]
-    assert "only 3 levels locked" in curve["trouble"]
-    values = [value for value, _ in curve["points"]]
-    assert 100.0 < max(values) <= 300.0
+    own = sensitivity(1e-3 * COLUMNS)
+    found, _ = curve(own, flat_effect(own, monkeypatch, most=300.0), None)  # type: ignore[arg-type]
+    assert "only 3 levels locked" in found["trouble"]
+    values = [value for value, _ in found["points"]]
+    assert 200.0 < max(values) <= 300.0
     # What lies beyond is not made up.
-    assert strength.value_at(curve, 4096.0) is None
-    assert strength.value_at(curve, 64.0) == pytest.approx(16.0, rel=0.01)
+    assert value_at(found, 4096.0) is None
+    assert value_at(found, 64.0) == pytest.approx(16.0, rel=0.01)
+
+
+def test_a_rig_that_cannot_be_tested_with_an_effect_has_no_strengths(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = sensitivity(1e-3 * COLUMNS)
+    found, signature = curve(own, flat_effect(own, monkeypatch, most=0.0), None)  # type: ignore[arg-type]
+    assert (found["points"], signature) == ([], None)
+    assert found["trouble"] == "only 3 levels locked"

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_blind.cases.blind_rigs import BlindRig
-from nmt_blind.cases.injected_effects import InjectedEffect, Spot
 from nmt_blind.cases.laboratory import BenchSettings, TrialError
 from nmt_blind.cases.operating import Operating, noise_deviation, operating_point
 from nmt_blind.cases.priors import parameters, shifted
@@ -56,19 +55,13 @@ LINES = 100
 _NEIGHBOURS = 4
 # Small and central: parameters that move a narrow resonance to either side must cancel.
 _STEP = 0.1
-# Size over σ from which a difference counts as imitated by parameters; how often and how far they are shifted then,
-# and what is not worth another turn, prior standard deviations.
-_IMITATED = 5.0
+# How often shifts are improved, and what is not worth another turn, prior standard deviations.
 _TURNS = 12
-_LARGEST_STEP = 1.5
-_LARGEST_TOGETHER = 3.0
-_SMALL_STEP = 0.2
+_SMALL_STEP = 0.05
 # Of the steps, where one made it worse.
 _LEAST_DAMPING, _MORE_DAMPING = 1e-3, 10.0
 # Turns end where one takes less of what is left.
-_WORTH = 0.05
-# Share of a linear estimate that is left after such turns, from which the estimate may stand for the strongest.
-_MOSTLY = 0.5
+_WORTH = 0.02
 _PHASE_STEP = 1e-2
 
 # The loop of a laboratory: the same two.
@@ -76,17 +69,7 @@ LABORATORY_PHASE_AT_LOCK = math.radians(0.25)
 LABORATORY_PHASE_LEAN = math.radians(0.5)
 _CHAIN_STEPS = {"gain": 1e-3, "delay_s": 1e-5, "clock_error": 1e-5}
 
-MIDDLE, STRONGEST, WEAK = 64.0, 4096.0, 8.0
-"""Strengths that are searched for: what parameters or tolerances imitate nearly does not grow in proportion."""
-COMPARED = 16.0
-"""Strength at which signatures are compared, standard deviations."""
-# ln of how far from it a signature may have been taken that does not grow in proportion.
-_ALIKE = math.log(3.0)
-# Between these multiples of a target a strength is near enough: the others follow by interpolation.
-_CLOSE = {MIDDLE: (0.15, 6.0), STRONGEST: (0.7, 4.0), WEAK: (0.4, 2.5)}
-_TRIALS = 4
 _FEWEST_LEVELS = 8
-
 
 BoolArray = NDArray[np.bool_]
 
@@ -101,8 +84,15 @@ class Observed:
 
 
 @dataclass(frozen=True, eq=False)
-class _Shifted:
-    """The model with shifts made, in standard deviations (k,): its observables (m,), their changes, and σ left."""
+class Shifted:
+    """The model with shifts of its parameters and of the measuring chain.
+
+    Attributes:
+        made: shifts that were made, standard deviations, shape (k,).
+        values: its observables, shape (m,).
+        changes: their changes by one standard deviation of each shift, shape (m, k).
+        left: standard deviations that are left of a difference.
+    """
 
     made: FloatArray
     values: FloatArray
@@ -255,61 +245,32 @@ class Sensitivity:
         self._made.append(lambda deviation: Edit(("clock_error",), clock + CLOCK * deviation))
         return columns
 
-    def sigma_of(self, observed: Observed) -> float:
-        """Standard deviations by which observables differ from what the model can be made to say.
+    def shifted(self, observed: Observed, made: FloatArray | None = None, changes: FloatArray | None = None) -> Shifted:
+        """The model with shifts made, and what is left of observables then.
 
-        Where parameters and the measuring chain imitate nearly all of a difference, or would have to be shifted far, a
-        linear estimate leaves its own error: the model is observed again with the shifts made, step by step.
+        Args:
+            observed: of a test.
+            made: shifts, standard deviations (k,); None = none.
+            changes: what they change; None = as measured about the model.
 
         Raises:
             TrialError: too few levels locked, or the shifted model cannot be tested.
         """
-        none = np.zeros(self._nuisance.shape[1])
-        locked = self.base.level >= 0
-        size, found, shifts = self._fitted(observed, self.base.values, none)
-        own = np.array([edit is not None for edit in self._made])
-        own[[number for number, _, _ in self._late]] = True
-        largest = float(np.max(np.abs(shifts[own])))
-        imitated = size > _IMITATED * found
-        if not imitated:
-            windows, rest, _ = self._fitted(observed, self.base.values, none, rows=locked)
-            imitated = windows > _IMITATED * rest
-        if largest < _SMALL_STEP or not (imitated or largest > _LARGEST_STEP):
-            return found
-        start = _Shifted(none, self.base.values, self._nuisance, self._left(observed, self.base.values, none, own))
-        # Locked windows tell by how much a resonance has moved where lines of the random test, further off than its
-        # width, no longer do.
-        by_windows = self._walked(observed, start, own, locked)
-        # Shifts that only cancel together go at one pace; one that asks for too much must not hold up the others.
-        paces = [self._walked(observed, start, own, None, together) for together in (True, False)]
-        return self._settled(observed, min(by_windows, *paces, key=lambda found: found.left), own).left
+        made = np.zeros(self._nuisance.shape[1]) if made is None else made
+        changes = self._nuisance if changes is None else changes
+        values = self._values(made) if made.any() else self.base.values
+        return Shifted(made, values, changes, self._left(observed, values, made))
 
-    def _walked(
-        self, observed: Observed, start: _Shifted, own: BoolArray, rows: BoolArray | None, together: bool = False
-    ) -> _Shifted:
-        """Where σ is least on the way that ``rows`` of the observables ask for, step by step; None = all rows."""
-        best = here = start
-        for _ in range(_TURNS):
-            try:
-                step, moved = self._step(observed, here, own, 0.0, rows, together)
-            except TrialError:
-                if here is start:
-                    raise
-                break  # as far as the shifted model can be tested
-            settled = float(np.max(np.abs(step))) < _SMALL_STEP
-            here = moved
-            if here.left < best.left:
-                best = here
-            if settled:
-                break
-        return best
+    def settled(self, observed: Observed, start: Shifted) -> Shifted:
+        """The best shifts from others on, every step of which leaves less (Levenberg and Marquardt).
 
-    def _settled(self, observed: Observed, start: _Shifted, own: BoolArray) -> _Shifted:
-        """The best shifts from others on, every step of which leaves less (Levenberg and Marquardt)."""
+        It finds the least nearby. About a narrow resonance that has to move by more than its width there are others;
+        `strength_curve` climbs to strong effects from weak ones, where there is one only.
+        """
         best, damping = start, 0.0
         for _ in range(_TURNS):
             try:
-                step, moved = self._step(observed, best, own, damping)
+                step, moved = self._step(observed, best, damping)
             except TrialError:
                 break
             if not moved.left < best.left:
@@ -324,50 +285,65 @@ class Sensitivity:
                 break
         return best
 
-    def _step(
-        self,
-        observed: Observed,
-        here: _Shifted,
-        own: BoolArray,
-        damping: float,
-        rows: BoolArray | None = None,
-        together: bool = False,
-    ) -> tuple[FloatArray, _Shifted]:
-        """The next step, standard deviations (k,), and the model after it.
+    def sigma_of(self, observed: Observed) -> float:
+        """Standard deviations by which observables differ from what the model can be made to say nearby.
 
-        What is too long is shortened: each shift on its own, or all ``together``.
+        Raises:
+            TrialError: too few levels locked.
+        """
+        return self.settled(observed, self.shifted(observed)).left
+
+    def _own(self) -> BoolArray:
+        """Shifts that can be made; others stay linear."""
+        own = np.array([edit is not None for edit in self._made])
+        own[[number for number, _, _ in self._late]] = True
+        return own
+
+    def _values(self, made: FloatArray) -> FloatArray:
+        """Observables of the shifted model, shape (m,).
+
+        Raises:
+            TrialError: it cannot be tested.
+        """
+        try:
+            return self.observe(with_edits(self.model, self._edits(made))).values
+        except BenchError as error:
+            raise TrialError(str(error)) from error
+
+    def _step(self, observed: Observed, here: Shifted, damping: float) -> tuple[FloatArray, Shifted]:
+        """The next step, standard deviations (k,), and the model after it.
 
         Raises:
             TrialError: the shifted model cannot be tested.
         """
-        wanted = self._fitted(observed, here.values, here.made, here.changes, damping, rows)[2]
-        step = np.where(own, wanted - here.made, 0.0)
-        if together:
-            step *= min(1.0, _LARGEST_TOGETHER / max(float(np.max(np.abs(step))), 1e-300))
-        else:
-            step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+        wanted = self.linear(observed, here.values, here.made, here.changes, damping)[2]
+        step = np.where(self._own(), wanted - here.made, 0.0)
         made = here.made + step
-        try:
-            values = self.observe(with_edits(self.model, self._edits(made))).values
-        except BenchError as error:
-            raise TrialError(str(error)) from error
+        values = self._values(made)
         # Along the step the changes are known now (Broyden's update).
         missed = np.nan_to_num(values - here.values - here.changes @ step)
         changes = here.changes + np.outer(missed, step) / max(float(step @ step), 1e-12)
-        return step, _Shifted(made, values, changes, self._left(observed, values, made, own))
+        return step, Shifted(made, values, changes, self._left(observed, values, made))
 
-    def _left(self, observed: Observed, values: FloatArray, made: FloatArray, own: BoolArray) -> float:
+    def _left(self, observed: Observed, values: FloatArray, made: FloatArray) -> float:
         """σ with some shifts made; only changes that cannot be made are fitted."""
+        rest, shifts = self._rest(observed, values, made)
+        return math.sqrt(float(rest @ rest + shifts @ shifts))
+
+    def _rest(self, observed: Observed, values: FloatArray, made: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What is left over the noise, shape (m,), zero where nothing compares, and all shifts, shape (k,)."""
         good, scale = self._good(observed, values)
+        own = self._own()
         d = (observed.values - values)[good] * scale
         c = self._nuisance[good][:, ~own] * scale[:, np.newaxis]
-        shifts = np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, c.T @ d)
-        rest = d - c @ shifts
-        return math.sqrt(float(rest @ rest + shifts @ shifts + made @ made))
+        found = np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, c.T @ d)
+        shifts = made.copy()
+        shifts[~own] += found
+        rest = np.zeros(observed.values.size)
+        rest[good] = d - c @ found
+        return rest, shifts
 
-    def _good(
-        self, observed: Observed, values: FloatArray, rows: BoolArray | None = None
-    ) -> tuple[BoolArray, FloatArray]:
+    def _good(self, observed: Observed, values: FloatArray) -> tuple[BoolArray, FloatArray]:
         """Rows that compare, shape (m,), and one over the noise of each of them.
 
         Raises:
@@ -377,8 +353,6 @@ class Sensitivity:
         levels = np.unique(self.base.level[good & (self.base.level >= 0)]).size
         if levels < min(_FEWEST_LEVELS, len(self.bench.levels)):
             raise TrialError(f"only {levels} levels locked")
-        if rows is not None:
-            good &= rows
         return good, 1.0 / self.base.noise[good]
 
     def _edits(self, shifts: FloatArray) -> list[Edit]:
@@ -392,22 +366,32 @@ class Sensitivity:
             edits.append(Edit(("sensors", sensor, "delay_s"), late))
         return edits
 
-    def _fitted(
+    def linear(
         self,
         observed: Observed,
-        values: FloatArray,
-        shifts: FloatArray,
+        values: FloatArray | None = None,
+        shifts: FloatArray | None = None,
         changes: FloatArray | None = None,
         damping: float = 0.0,
-        rows: BoolArray | None = None,
     ) -> tuple[float, float, FloatArray]:
         """Size of the difference from the plain model, σ after the best shifts about given ones, and these.
 
-        ``damping`` shortens the step to them, most where the observables say most (Marquardt).
+        Args:
+            observed: of a test.
+            values: of the shifted model, shape (m,); None = of the plain one.
+            shifts: that were made, standard deviations (k,); None = none.
+            changes: of the observables by one standard deviation of each, shape (m, k); None = about the plain model.
+            damping: shortens the step to the best shifts, most where the observables say most (Marquardt).
+
+        Raises:
+            TrialError: too few levels locked.
         """
-        good, scale = self._good(observed, values, rows)
+        values = self.base.values if values is None else values
+        changes = self._nuisance if changes is None else changes
+        shifts = np.zeros(changes.shape[1]) if shifts is None else shifts
+        good, scale = self._good(observed, values)
         d = (observed.values - values)[good] * scale
-        c = (self._nuisance if changes is None else changes)[good] * scale[:, np.newaxis]
+        c = changes[good] * scale[:, np.newaxis]
         normal = c.T @ c
         normal = np.eye(c.shape[1]) + normal + damping * np.diag(np.diag(normal))
         step = np.linalg.solve(normal, c.T @ d - shifts)
@@ -415,103 +399,35 @@ class Sensitivity:
         whole = np.nan_to_num((observed.values - self.base.values)[good] * scale)
         return float(np.linalg.norm(whole)), math.sqrt(float(rest @ rest + total @ total)), total
 
-    def signature(self, effect: InjectedEffect, spot: Spot, value: float) -> FloatArray:
-        """What an effect changes over the noise, shape (m,); zero where a level did not lock."""
-        try:
-            observed = self.observe(with_edits(self.model, effect.edits(self.model, self.operating, spot, value)))
-        except (BenchError, TrialError):
-            return np.zeros(self.base.values.size)
-        return self._reduced(observed)
+    def signature(self, observed: Observed, made: FloatArray) -> FloatArray:
+        """What observables say that the model with shifts made does not, and the shifts, shape (m + k,).
 
-    def _reduced(self, observed: Observed) -> FloatArray:
-        """Change of observables over the noise, shape (m,)."""
-        result: FloatArray = np.nan_to_num((observed.values - self.base.values) / self.base.noise)
-        return result
+        The product of two signatures is dᵀ (N + C Cᵀ)⁻¹ d' where everything is linear; σ² is that with itself.
 
-    def products(self, signatures: FloatArray) -> FloatArray:
-        """Products of signatures, shape (m, k), after the model's parameters took their part, shape (k, k)."""
-        c = np.nan_to_num(self._nuisance / self.base.noise[:, np.newaxis])
-        along = c.T @ signatures
-        result: FloatArray = signatures.T @ signatures - along.T @ np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, along)
-        return result
+        Raises:
+            TrialError: too few levels locked, or the shifted model cannot be tested.
+        """
+        values = self._values(made) if made.any() else self.base.values
+        return np.concatenate(self._rest(observed, values, made))
 
     def sigma(self, edits: Sequence[Edit]) -> float:
-        """Standard deviations that changes of the rig file amount to.
+        """Standard deviations that small changes of the rig file amount to.
 
         Raises:
             TrialError: a test cannot be made with them.
         """
-        return self.sigmas(edits, True)[0]
+        return self.sigma_of(self.played(edits))
 
-    def sigmas(self, edits: Sequence[Edit], refine: bool) -> tuple[float, float, FloatArray]:
-        """Standard deviations of changes, as `sigma_of` finds them, by the linear estimate alone, and their signature.
-
-        Args:
-            edits: changes of the rig file.
-            refine: False = the linear estimate for both: one pair of tests.
+    def played(self, edits: Sequence[Edit]) -> Observed:
+        """Both tests on the rig with changes of its file.
 
         Raises:
             TrialError: a test cannot be made with them.
         """
         try:
-            truth = with_edits(self.model, edits)
+            return self.observe(with_edits(self.model, edits))
         except BenchError as error:
             raise TrialError(str(error)) from error
-        observed = self.observe(truth)
-        linear = self._fitted(observed, self.base.values, np.zeros(self._nuisance.shape[1]))[1]
-        return (self.sigma_of(observed) if refine else linear), linear, self._reduced(observed)
-
-    def curve(
-        self, effect: InjectedEffect, spot: Spot, former: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], FloatArray | None]:
-        """Strengths of an effect at a spot with their standard deviations, ascending; up to 4,096 where it gets there.
-
-        Args:
-            effect: the injected effect.
-            spot: where.
-            former: an older curve; the search starts from its strength of 64 standard deviations.
-
-        Returns:
-            ``points``: strength and standard deviations; ``trouble``: why it does not get stronger, empty if it does.
-            And its signature, for what it has in common with others; None where none was near `COMPARED`.
-        """
-        signatures: dict[float, FloatArray] = {}
-        tried: list[tuple[float, float]] = []
-        shares: dict[float, float] = {}
-        trouble = ""
-
-        def trial(value: float, refine: bool) -> None:
-            nonlocal trouble
-            try:
-                found, linear, signature = self.sigmas(effect.edits(self.model, self.operating, spot, value), refine)
-                if refine:
-                    shares[found] = found / linear
-                    signatures[found] = signature
-                else:
-                    # The model's parameters take the same share of the strongest as of what was measured in full.
-                    found = linear * min(shares.items(), default=(0.0, 1.0), key=lambda item: abs(item[0] - MIDDLE))[1]
-            except TrialError as error:
-                trouble = str(error)
-                found = math.nan
-            tried.append((value, found))
-
-        guess = value_at(former, MIDDLE) if former else None
-        if guess is None:
-            guess = self.rig.caution * effect.guess(self.model, self.operating, spot)
-        largest = effect.limit(self.model, self.operating, spot)
-        for target in (MIDDLE, STRONGEST, WEAK):
-            # What is imitated at the middle strength is so at the strongest: there in full, too.
-            refine = target < STRONGEST or min(shares.values(), default=1.0) < _MOSTLY
-            _approach(partial(trial, refine=refine), tried, target, min(guess, largest), largest)
-        points = sorted((value, found) for value, found in tried if math.isfinite(found) and found > 0.0)
-        rounded = [[float(f"{v:.6g}"), float(f"{s:.5g}")] for v, s in points]
-        reached = max((s for _, s in points), default=0.0)
-        limit = "" if reached >= _CLOSE[STRONGEST][0] * STRONGEST else trouble or "as strong as it can be"
-        # What grows in proportion keeps the direction of its signature.
-        farthest = math.inf if effect.proportional else _ALIKE
-        near = min((abs(math.log(max(s, 1e-300) / COMPARED)), s) for s in signatures) if signatures else (math.inf, 0.0)
-        signature = signatures[near[1]] if near[0] < farthest else None
-        return {"points": rounded, "proportional": effect.proportional, "trouble": limit}, signature
 
 
 def _leaning(phase: float) -> Edit:
@@ -527,68 +443,6 @@ def _louder(path: tuple[str | int, ...], gain: float, deviation: float) -> Edit:
 def _leading(path: tuple[str | int, ...], corner: float, deviation: float) -> Edit:
     """A high-pass that leads by so many standard deviations; none leads by less than nothing."""
     return Edit(path, max(corner * deviation, 1e-6 * corner))
-
-
-def _approach(
-    trial: Callable[[float], None], tried: list[tuple[float, float]], target: float, guess: float, largest: float
-) -> None:
-    """Try values until one lies near the target, by interpolation on logarithmic scales."""
-    least, most = (share * target for share in _CLOSE[target])
-    for _ in range(_TRIALS):
-        good = sorted((v, s) for v, s in tried if math.isfinite(s) and s > 0.0)
-        bad = [v for v, s in tried if not math.isfinite(s)]
-        if any(least <= s <= most for _, s in good):
-            return
-        if not good:
-            value = guess if not bad else 0.1 * min(bad)
-        else:
-            below = [pair for pair in good if pair[1] < target]
-            above = [pair for pair in good if pair[1] >= target]
-            if below and above:
-                (v0, s0), (v1, s1) = below[-1], above[0]
-                share = math.log(target / s0) / math.log(s1 / s0)
-                value = v0 * (v1 / v0) ** min(max(share, 0.05), 0.95)
-            else:
-                v, s = (below or above)[-1] if below else above[0]
-                # Beyond what was tried: in proportion, and not too far at once.
-                value = v * min(max(target / s, 0.01), 100.0)
-        value = min(value, largest)
-        if bad:
-            value = min(value, math.sqrt(min(bad) * max((v for v, _ in good), default=0.04 * min(bad))))
-        if any(math.isclose(value, v, rel_tol=0.02) for v, _ in tried):
-            return
-        if bad and good and min(bad) < 1.5 * max(v for v, _ in good):
-            return  # as strong as the tests allow
-        trial(value)
-
-
-def spot_key(effect: InjectedEffect, spot: Spot) -> str:
-    """Key of a curve in a table."""
-    return f"{effect.name}@{spot.label}" if spot.label else effect.name
-
-
-def value_at(curve: dict[str, Any], target: float) -> float | None:
-    """Strength for a number of standard deviations, by interpolation of a curve on logarithmic scales.
-
-    Beyond the weakest point, and a single one, in proportion; None where the curve does not get there.
-    """
-    points = [(float(v), float(s)) for v, s in curve["points"]]
-    rising: list[tuple[float, float]] = []
-    for value, found in points:
-        if not rising or found > rising[-1][1]:
-            rising.append((value, found))
-    if not rising:
-        return None
-    if target > 1.1 * rising[-1][1]:
-        # An effect that grows in proportion may have been left somewhat below the target.
-        near = curve.get("proportional") and target < 3.0 * rising[-1][1]
-        return rising[-1][0] * target / rising[-1][1] if near else None
-    if target <= rising[0][1]:
-        return rising[0][0] * target / rising[0][1]
-    values, founds = np.log(np.array(rising)).T
-    if target >= rising[-1][1]:
-        return rising[-1][0]
-    return float(np.exp(np.interp(math.log(target), founds, values)))
 
 
 def _line_bins(model: Rig, bench: BenchSettings) -> np.ndarray[Any, np.dtype[np.int64]]:

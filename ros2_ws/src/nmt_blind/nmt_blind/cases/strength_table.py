@@ -17,7 +17,6 @@ from nmt_blind.cases.blind_rigs import BlindRig
 from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, InjectedEffect, Spot
 from nmt_blind.cases.operating import Operating
 from nmt_blind.cases.strength import (
-    COMPARED,
     FREQUENCY,
     FUNDAMENTAL,
     HARMONIC,
@@ -26,9 +25,8 @@ from nmt_blind.cases.strength import (
     PHASE_AT_LOCK,
     PHASE_LEAN,
     Sensitivity,
-    spot_key,
-    value_at,
 )
+from nmt_blind.cases.strength_curve import curve, spot_key, value_at
 from nmt_blind.cases.tolerances import (
     CLOCK,
     DELAY_S,
@@ -57,7 +55,8 @@ class StrengthTable:
         rig: name of the rig.
         operating: motion of the rig that sizes refer to.
         curves: by `spot_key`: points (strength, standard deviations), what stopped the search, and competing: by effect
-            the largest cosine between this signature and one of that effect, as far as it is above a half.
+            the largest cosine between this signature and one of that effect, as far as it is above a half; compared:
+            strength at which that signature was taken, and the shifts of the model that imitate the effect there best.
     """
 
     rig: str
@@ -208,8 +207,8 @@ def make_table(
         delayed(_curve)(sensitivity, effect.name, spot, former.get(spot_key(effect, spot))) for effect, spot in todo
     )
     signatures: dict[str, FloatArray] = {}
-    for done, (key, curve, signature) in enumerate(parallel(work), start=1):
-        curves[key] = curve
+    for done, (key, found_curve, signature) in enumerate(parallel(work), start=1):
+        curves[key] = found_curve
         if signature is not None:
             signatures[key] = signature
         keep()
@@ -229,24 +228,27 @@ def _add_competing(
 ) -> None:
     """Cosines between all signatures, the model's parameters projected out; ``signatures`` has some already."""
     reached = [
-        (spot_key(effect, spot), effect, spot, value)
+        (spot_key(effect, spot), effect, spot)
         for effect in INJECTED_EFFECTS.values()
         for spot in effect.spots(sensitivity.model, sensitivity.operating)
-        if spot_key(effect, spot) in curves
-        and (value := value_at(curves[spot_key(effect, spot)], COMPARED)) is not None
+        if "compared" in curves.get(spot_key(effect, spot), {})
     ]
     missing = [item for item in reached if item[0] not in signatures]
-    work = (delayed(_signature)(sensitivity, key, effect.name, spot, value) for key, effect, spot, value in missing)
+    work = (
+        delayed(_signature)(sensitivity, key, effect.name, spot, curves[key]["compared"])
+        for key, effect, spot in missing
+    )
     for done, (key, signature) in enumerate(parallel(work), start=1):
         signatures[key] = signature
         progress(done, len(missing), f"effects that compete with {key}")
     keys = [key for key, *_ in reached]
-    gram = sensitivity.products(np.stack([signatures[key] for key in keys], axis=1))
+    stacked = np.stack([signatures[key] for key in keys], axis=1)
+    gram = stacked.T @ stacked
     sizes = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     cosines = np.abs(gram) / sizes[:, np.newaxis] / sizes
     for row, key in enumerate(keys):
         found: dict[str, float] = {}
-        for column, (_, effect, _, _) in enumerate(reached):
+        for column, (_, effect, _) in enumerate(reached):
             if column != row and cosines[row, column] > 0.5:
                 found[effect.name] = max(found.get(effect.name, 0.0), round(min(1.0, float(cosines[row, column])), 4))
         curves[key]["competing"] = dict(sorted(found.items(), key=lambda item: -item[1]))
@@ -254,15 +256,18 @@ def _add_competing(
         curves[key]["competing"] = {}
 
 
-def _signature(sensitivity: Sensitivity, key: str, name: str, spot: Spot, value: float) -> tuple[str, FloatArray]:
-    return key, sensitivity.signature(INJECTED_EFFECTS[name], spot, value)
+def _signature(
+    sensitivity: Sensitivity, key: str, name: str, spot: Spot, compared: dict[str, Any]
+) -> tuple[str, FloatArray]:
+    edits = INJECTED_EFFECTS[name].edits(sensitivity.model, sensitivity.operating, spot, compared["value"])
+    return key, sensitivity.signature(sensitivity.played(edits), np.array(compared["shifts"]))
 
 
 def _curve(
     sensitivity: Sensitivity, name: str, spot: Spot, former: dict[str, Any] | None
 ) -> tuple[str, dict[str, Any], FloatArray | None]:
     effect = INJECTED_EFFECTS[name]
-    return spot_key(effect, spot), *sensitivity.curve(effect, spot, former)
+    return spot_key(effect, spot), *curve(sensitivity, effect, spot, former)
 
 
 def _text(values: dict[str, Any]) -> str:

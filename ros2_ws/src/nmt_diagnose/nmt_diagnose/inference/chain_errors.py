@@ -653,7 +653,8 @@ class _Columns:
         for number, test in enumerate(self.tests):
             if isinstance(test, PhaseResonanceTest):
                 mine = self.rows.test == number
-                around = 2.0 * float(np.max(size[mine], initial=0.0))
+                # One of the two chains may have filters that keep images out, and the other none.
+                around = float(np.max(size[mine & (self.rows.part == Part.PHASE)], initial=0.0)) / math.sqrt(2.0)
                 found.append(np.hypot(_AIM_STD, around) * (mine & (self.rows.part == Part.PHASE_ERROR)))
         return found
 

@@ -15,12 +15,13 @@ from nmt_blind.cases.draw import MIXTURE, STRENGTHS, draw_cases
 from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, NEAR_TWINS, OPEN, injected_effect_named
 from nmt_blind.cases.laboratory import record_backbone, record_random
 from nmt_blind.cases.make import bag_hash, make_campaign
+from nmt_blind.cases.operating import Operating
 from nmt_blind.cases.priors import LARGEST_SHIFT, parameters
 from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
 from nmt_blind.cases.strength_curve import spot_key
 from nmt_core.errors import BenchError
 from nmt_record.bag_reader import Bag
-from nmt_rig.rig import load_rig
+from nmt_rig.rig import Rig, load_rig
 
 RIG = short_rig()
 MODEL = RIG.model()
@@ -132,6 +133,32 @@ def test_the_mixture_is_as_stated_and_cases_do_not_depend_on_their_number() -> N
     # A flag does not give its case away.
     flagged = [case.kind for case in cases if case.withheld]
     assert {"null", "effect", "withheld"} <= set(flagged)
+
+
+def test_a_gap_is_a_share_of_the_motion_of_the_rig_that_has_it() -> None:
+    table = made_up_table(RIG)
+    own = table.operating
+    half = replace(own, displacement={point: 0.5 * size for point, size in own.displacement.items()})
+    plain = draw_cases(MODEL, table, 300, 6, ("effect",))
+    asked: list[Rig] = []
+
+    def motion(rig: Rig) -> Operating:
+        asked.append(rig)
+        return half
+
+    cases = draw_cases(MODEL, table, 300, 6, ("effect",), motion=motion)
+    compared = 0
+    for case, other in zip(cases, plain, strict=True):
+        assert case.effects[0].value == other.effects[0].value
+        gap = case.effects[0].figures.get("gap")
+        if gap is not None:
+            compared += case.shifted
+            assert gap == pytest.approx((0.5 if case.shifted else 1.0) * other.effects[0].figures["gap"])
+        else:
+            assert case.name == other.name
+    assert compared > 5
+    # It is the shifted rig that is asked for.
+    assert all(rig != MODEL for rig in asked)
 
 
 @pytest.mark.parametrize(

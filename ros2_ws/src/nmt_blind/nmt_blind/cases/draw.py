@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,9 @@ from nmt_blind.cases.injected_effects import (
     figures_of,
     injected_effect_named,
 )
+from nmt_blind.cases.laboratory import TrialError
 from nmt_blind.cases.laboratory_rig import Converters
+from nmt_blind.cases.operating import Operating
 from nmt_blind.cases.priors import draw_shifts
 from nmt_blind.cases.rig_edits import Edit, with_edits
 from nmt_blind.cases.strength_table import StrengthTable
@@ -150,7 +154,13 @@ def check_kinds(kinds: Sequence[str]) -> None:
 
 
 def draw_cases(
-    model: Rig, table: StrengthTable, count: int, seed: int, kinds: Sequence[str] = (), tolerances: str = "none"
+    model: Rig,
+    table: StrengthTable,
+    count: int,
+    seed: int,
+    kinds: Sequence[str] = (),
+    tolerances: str = "none",
+    motion: Callable[[Rig], Operating] | None = None,
 ) -> list[Case]:
     """Draw cases; the first ones are the same whatever the number.
 
@@ -161,6 +171,8 @@ def draw_cases(
         seed: of everything.
         kinds: kinds of case to draw; none = all.
         tolerances: of the measuring chain, ``none`` or ``laboratory``: a healthy one is drawn for every case.
+        motion: how far a rig moves in its tests. Gaps and friction limits are shares of it: a rig that has more
+            damping than its model would not reach a gap of the model's. None = as far as the model.
 
     Raises:
         BenchError: tolerances or a kind that do not exist, or a table without the truths that are needed.
@@ -174,10 +186,10 @@ def draw_cases(
     shifts = {kind: _Deck((True, False), np.random.default_rng([seed, 2, i])) for i, kind in enumerate(MIXTURE)}
     for number in range(1, count + 1):
         kind = mixture.deal()
-        effects, edits, family = draws.effects(kind)
         shifted = bool(shifts[kind].deal())
         own = np.random.default_rng([seed, 3, number])
         moved = draw_shifts(model, own) if shifted else ()
+        effects, edits, family = draws.effects(kind, partial(_own_motion, model, table, moved, motion))
         withheld = ",".join(family) if kind == "withheld" else draws.bystander(effects, own)
         noise_seed = int(own.integers(1, 2**31))
         all_edits, converters = (*moved, *edits), None
@@ -194,6 +206,7 @@ class _Draws:
 
     def __init__(self, model: Rig, table: StrengthTable, seed: int) -> None:
         self.model, self.table = model, table
+        self._motion: Callable[[], Operating] = lambda: table.operating
         self._generator = np.random.default_rng([seed, 4])
         self.known = [truth for truth in KNOWN if self._reach(truth)]
         unknown = [truth for truth in OPEN if self._reach(truth)]
@@ -223,8 +236,11 @@ class _Draws:
                 found.append((spot, value))
         return found
 
-    def effects(self, kind: str) -> tuple[tuple[TrueEffect, ...], tuple[Edit, ...], tuple[str, ...]]:
+    def effects(
+        self, kind: str, motion: Callable[[], Operating]
+    ) -> tuple[tuple[TrueEffect, ...], tuple[Edit, ...], tuple[str, ...]]:
         """Effects of a case of some kind, the edits that make them, and what must be withheld to leave them unnamed."""
+        self._motion = motion
         if kind == "null":
             return (), (), ()
         if kind == "effect":
@@ -259,13 +275,14 @@ class _Draws:
                 )
             if truth.signed and self._generator.random() < 0.5:
                 value = -value
-            edits += truth.edits(self.model, self.table.operating, spot, value)
+            operating = self._motion() if spot.shape else self.table.operating
+            edits += truth.edits(self.model, operating, spot, value)
             place = truth.place_at(self.model, spot)
             alone = round(STRENGTHS[at] * self.table.alone(truth, spot, family), 2)
             effects.append(
                 TrueEffect(
                     truth.name, place, spot.label, STRENGTHS[at], value, truth.unit, truth.known, alone, sigma,
-                    figures_of(truth, self.table.operating, spot, value),
+                    figures_of(truth, operating, spot, value),
                 )
             )  # fmt: skip
         return tuple(effects), tuple(edits), family
@@ -283,6 +300,16 @@ class _Draws:
         ]
         withhold = generator.random() < _OTHERS_WITHHELD
         return others[int(generator.integers(len(others)))] if withhold and others else ""
+
+
+def _own_motion(
+    model: Rig, table: StrengthTable, moved: tuple[Edit, ...], motion: Callable[[Rig], Operating] | None
+) -> Operating:
+    """How far a rig with shifted parameters moves; where it cannot be tested, whoever makes the case says so."""
+    if motion is not None and moved:
+        with contextlib.suppress(TrialError):
+            return motion(with_edits(model, moved))
+    return table.operating
 
 
 def _near(one: str, other: str) -> bool:

@@ -13,6 +13,7 @@ from typing import Any
 from nmt_blind.cases.blind_rigs import BlindRig, blind_rig
 from nmt_blind.cases.draw import Case, check_kinds, draw_cases
 from nmt_blind.cases.laboratory import record_backbone, record_random
+from nmt_blind.cases.operating import operating_point
 from nmt_blind.cases.reduced_tests import record_ring_down, record_tables
 from nmt_blind.cases.rig_edits import with_edits
 from nmt_blind.cases.strength_table import StrengthTable, load_table
@@ -107,7 +108,7 @@ def make_campaign(
     rig = rig or blind_rig(rig_name)
     model = rig.model()
     table = table or _program_table(rig, model, tolerances, sealed)
-    cases = draw_cases(model, table, count, seed, kinds, tolerances)
+    cases = draw_cases(model, table, count, seed, kinds, tolerances, lambda own: operating_point(own, rig.bench))
     truth = json.dumps({
         "format": FORMAT, "rig": rig.name, "seed": seed, "tolerances": tolerances,
         "cases": [case.to_mapping() for case in cases],

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from unit.diagnose.observation_bags import record, rig_with_noise, with_sensor
 
 from nmt_core.blocks import FloatArray
-from nmt_diagnose.observations.plausibility import repeated_share
+from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.observations.repeated_samples import repeated_share
+from nmt_diagnose.twin.forward import Forward
 
 SIZE = 20_000
 
@@ -50,3 +56,20 @@ def test_lost_samples_of_a_random_signal_are_found() -> None:
 )
 def test_what_lost_nothing_is_left_alone(samples: FloatArray) -> None:
     assert repeated_share(samples) == 0.0
+
+
+def test_lost_samples_of_a_bag_are_an_observable_that_a_healthy_model_does_not_explain(tmp_path: Path) -> None:
+    model = rig_with_noise(noise=20.0, overrides=["local_elements=[]"])
+    rig = with_sensor(model, "a2", dropped_fraction=0.02)
+    bag = record(tmp_path / "run", rig, levels=(0.1, 0.2, 0.4), periods=40)
+    observations = read_observations([bag], model)
+    rows, names = observations.rows, [channel.name for channel in observations.tests[0].channels]  # type: ignore[union-attr]
+    seen = rows.part == Part.REPEATS
+    assert set(rows.channel[seen]) == {names.index("a2")}
+    assert set(rows.level[seen]) == {0, 1, 2}
+    assert observations.values[seen] == pytest.approx(0.02, rel=0.5)
+    # All levels together say it once, with ten standard deviations.
+    assert np.linalg.norm(observations.values[seen] / observations.sigma[seen]) == pytest.approx(10.0)
+    forward = Forward(observations.tests, rows)
+    assert np.all(forward.predict(model).values[seen] == 0.0)
+    assert forward.predict(rig).values[seen] == pytest.approx(0.02)

@@ -36,6 +36,7 @@ _PARTS = {
     Part.LINE: "line_amplitude",
     Part.STEP: "converter_step",
     Part.LIMIT: "inverse_clipping_level",
+    Part.REPEATS: "share_of_repeated_samples",
 }
 _FEW_LINES = 12
 _TAU = 2.0 * math.pi

@@ -78,8 +78,9 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
         mine = named_tests(observations, hold_out)
         return [Split(" and ".join(f"the test {PurePath(name).name}" for name in hold_out), ~mine, mine)]
     rows = observations.rows
-    # Where a channel is clipped is read off the few windows that reach the level; no other window predicts it.
-    limits = rows.part == Part.LIMIT
+    # Where a channel is clipped is read off the few windows that reach the level; no other window predicts it. Nor do
+    # the samples that are lost in one window tell of those in others.
+    limits = np.isin(rows.part, (Part.LIMIT, Part.REPEATS))
     result = []
     levelled = np.zeros(len(rows), dtype=bool)
     odd = np.zeros(len(rows), dtype=bool)

@@ -86,6 +86,7 @@ KINDS: tuple[tuple[str, str, float, tuple[Part, ...]], ...] = (
     ("line of the mains in", "", 1.0, (Part.LINE,)),
     ("converter step of", "", 1.0, (Part.STEP,)),
     ("inverse clipping level of", "", 1.0, (Part.LIMIT,)),
+    ("repeated samples of", "% of the samples", 100.0, (Part.REPEATS,)),
     ("record of", "", 1.0, (Part.SAMPLE,)),
 )
 """Kinds of observables: name, unit (empty = that of the channel), factor to that unit, parts of rows."""

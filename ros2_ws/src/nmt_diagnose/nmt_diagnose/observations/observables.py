@@ -31,6 +31,7 @@ class Part(IntEnum):
     LINE = 8  # amplitude of a spectral line at the row's frequency that follows no excitation, in units of the channel
     STEP = 9  # step of the converter that recorded the channel, in its units; 0 where the samples show none
     LIMIT = 10  # one over the level at which the samples of the channel are clipped, in one over its units; 0 = nowhere
+    REPEATS = 11  # share of the samples of the channel that repeat the one before: others were lost
 
 
 @dataclass(frozen=True)

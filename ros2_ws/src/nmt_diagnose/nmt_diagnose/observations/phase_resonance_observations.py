@@ -22,6 +22,7 @@ from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.moderated_variance import moderated
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.repeated_samples import repeated_share
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
 from nmt_diagnose.observations.settling import Settling, settling
 from nmt_diagnose.observations.spectral_lines import MAINS_HZ, Line, mains_line
@@ -53,6 +54,8 @@ _HIDDEN_STEP = 0.3
 _STEP_SHARE = 0.25
 # Standard deviation of a clipping level that all levels of a test show, and what counts as the same, relative.
 _LIMIT_SHARE, _SAME_LIMIT = 0.1, 0.01
+# By how much of it the share of repeated samples may be off, all levels together.
+_REPEATS_SHARE = 0.1
 
 
 def wrapped(angle: FloatArray) -> FloatArray:
@@ -411,6 +414,7 @@ def phase_resonance_observations(
     notes += _mains(run, floors, table)
     notes += _steps(run, cells, view, table)
     _limits(run, view, table)
+    _repeats(run, table)
     return table.observations(test, notes)
 
 
@@ -536,6 +540,22 @@ def _limits(run: _Run, view: ModelView, table: RowTable) -> None:
                 # All levels together say it once.
                 floor = _LIMIT_SHARE / level * math.sqrt(len(found))
                 table.add(Part.LIMIT, 1.0 / level, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
+
+
+def _repeats(run: _Run, table: RowTable) -> None:
+    """Add the share of samples that channels lost, where they did."""
+    for number, channel in enumerate(run.channels):
+        if channel.quantity is Quantity.VOLTAGE:
+            continue
+        theirs = run.recorded[channel.name]
+        found = {
+            k: share
+            for k, window in enumerate(run.windows)
+            if theirs in window.rows and (share := repeated_share(window.stretch.row(theirs))) > 0.0
+        }
+        for k, share in found.items():
+            floor = _REPEATS_SHARE * share * math.sqrt(len(found))
+            table.add(Part.REPEATS, share, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
 
 
 def _response(stretch: Stretch, drive_point: int, wanted: Quantity | None) -> MeasuredChannel | None:

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.bag_samples import Stretch
 from nmt_diagnose.observations.clipping import clipping_level
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
+from nmt_diagnose.observations.repeated_samples import repeated_share
 from nmt_extract.harmonics import harmonic_amplitudes
 
 # No sensor's error makes a channel this many times too large beside the others; a wrong unit does.
@@ -21,9 +22,6 @@ _OUT_OF_SCALE_FORCE = 30.0
 _WRONG_FREQUENCY = 1.6
 # Channels whose response the model puts this far below the largest of their quantity are near a node.
 _NODE = 0.1
-# Fewest repeated samples and their least share; steps of the signal, over the typical one, from which a repeat is none
-# of the signal's own.
-_FEWEST_REPEATS, _REPEATS_SHARE, _STEEP = 5, 1e-3, 0.5
 
 
 def check_frequency(name: str, frequency_hz: Sequence[float], view: ModelView) -> None:
@@ -141,28 +139,6 @@ def clipping_notes(name: str, windows: Sequence[tuple[int, Stretch]]) -> list[st
         "because clipping is one of the effects that are looked for."
         for channel, levels in clipped.items()
     ]
-
-
-def repeated_share(samples: FloatArray) -> float:
-    """Share of steep places at which the sample before was recorded again: values that a converter lost.
-
-    Where the neighbours on both sides differ much, two equal samples are no chance, unless the converter is coarse.
-
-    Args:
-        samples: (n,) of one channel.
-    """
-    steps = np.diff(samples)
-    if steps.size < 3:
-        return 0.0
-    around = np.abs(samples[3:] - samples[:-3])
-    # What a limiter clips stays at its ends.
-    inside = (samples[1:-2] > samples.min()) & (samples[1:-2] < samples.max())
-    steep = inside & (around > _STEEP * float(np.sqrt(np.mean(around**2))))
-    if not steep.any() or np.unique(samples).size < 0.2 * samples.size:
-        return 0.0
-    repeated = int(np.sum(steep & (steps[1:-1] == 0.0)))
-    share = repeated / int(steep.sum())
-    return share if repeated >= _FEWEST_REPEATS and share >= _REPEATS_SHARE else 0.0
 
 
 def repeats_notes(name: str, stretches: Sequence[Stretch]) -> list[str]:

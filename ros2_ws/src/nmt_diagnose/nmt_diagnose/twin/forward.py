@@ -35,7 +35,7 @@ from nmt_rig.rig import Rig, SensorSection
 
 # Relative distance within which a line of the observations is that of the mains.
 LINE_WIDTH = 0.01
-_OF_THE_CHANNEL = (Part.LINE, Part.STEP, Part.LIMIT)
+_OF_THE_CHANNEL = (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS)
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,7 @@ class Forward:
         # Rows that follow no excitation, with the names of their channels.
         self._steps = self._unexcited(Part.STEP, PhaseResonanceTest)
         self._limits = self._unexcited(Part.LIMIT, PhaseResonanceTest)
+        self._repeats = self._unexcited(Part.REPEATS, PhaseResonanceTest)
         self._lines = self._unexcited(Part.LINE, PhaseResonanceTest, RandomTest, RecordTest)
 
         # Tests with one drive point share one linear model.
@@ -178,7 +179,7 @@ class Forward:
         return values
 
     def _add_unexcited(self, rig: Rig, values: FloatArray) -> None:
-        """What follows no excitation: hum at its frequency by the rig's clock, converters' steps and limits."""
+        """What follows no excitation: hum by the rig's clock, steps, limits and lost samples of converters."""
         sensors: dict[str, SensorSection] = {}
         for sensor in rig.sensors:
             sensors.setdefault(rig.sensor_channel(sensor), sensor)
@@ -189,6 +190,9 @@ class Forward:
             own = sensors.get(name)
             levels = [level for level in (own.clip, own.range) if level is not None] if own is not None else []
             values[row] = 1.0 / min(levels) if levels else 0.0
+        for row, name in self._repeats:
+            own = sensors.get(name)
+            values[row] = own.dropped_fraction if own is not None else 0.0
         for row, name in self._lines:
             own = sensors.get(name)
             values[row] = 0.0

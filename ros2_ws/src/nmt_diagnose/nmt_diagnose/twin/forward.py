@@ -190,9 +190,8 @@ class Forward:
             own = sensors.get(name)
             levels = [level for level in (own.clip, own.range) if level is not None] if own is not None else []
             values[row] = 1.0 / min(levels) if levels else 0.0
-        for row, name in self._repeats:
-            own = sensors.get(name)
-            values[row] = own.dropped_fraction if own is not None else 0.0
+        for row, _ in self._repeats:
+            values[row] = 0.0  # a model that loses samples is refused
         for row, name in self._lines:
             own = sensors.get(name)
             values[row] = 0.0

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,8 @@ from unit.extract.synthetic import FREQUENCY, POINTS, RATE, Stream, lock_event
 from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity
 from nmt_core.vocabulary import LoopState
 from nmt_extract.window import SpoiledWindow, Window, WindowAssembler
+from nmt_record.sample_table import SampleTable
+from nmt_record.topic_blocks import TopicBlocks
 
 SAMPLES = round(5 * RATE / FREQUENCY)
 LOCK = lock_event(300, SAMPLES, 5, sample=299)
@@ -272,6 +275,35 @@ def test_the_memory_stays_bounded():
         assembler.add_block("force", replace(block, first_sample=first))
     assert assembler.table.kept[0] == 2
     assert assembler.table.gaps["force"] == 1
+
+
+def test_many_channels_keep_a_shorter_history_but_a_second():
+    data = np.zeros((100, 200))
+    first = Stream([0, 1j], [[0, 1.0]] * 4, samples=200).blocks("force")[0]
+    wide = replace(first, channels=tuple(f"f{k}" for k in range(100)), points=(0,) * 100, data=data)
+    kept = {}
+    for room in (800 * 1000, 800 * 10):
+        table = SampleTable(("force",), require_loop_state=False, history_samples=100_000, history_bytes=room)
+        for index in range(2000):
+            table.add_block("force", replace(wide, first_sample=200 * index))
+        kept[room] = 200 * table.kept[0]
+    second = first.sample_rate
+    assert kept[800 * 1000] == pytest.approx(max(1000, second), abs=400)
+    assert kept[800 * 10] == pytest.approx(second, abs=400)
+
+
+def test_samples_that_are_forgotten_are_let_go_at_once():
+    blocks = TopicBlocks("force")
+    (block,) = Stream([0, 1j], [[0, 1.0]] * 4, samples=200).blocks("force")[:1]
+    held = []
+    for index in range(100):  # too few for the list to be cut
+        own = replace(block, first_sample=200 * index, data=block.data.copy())
+        held.append(weakref.ref(own.data))
+        blocks.add(200 * index, 200 * index + 200, own)
+    del own
+    blocks.forget(200 * 90)
+    assert [reference() is not None for reference in held] == [False] * 90 + [True] * 10
+    assert [record.first for record in blocks.over(0, 200 * 100)] == [200 * index for index in range(90, 100)]
 
 
 def test_several_windows_at_once(stream):

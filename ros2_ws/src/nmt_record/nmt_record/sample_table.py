@@ -32,6 +32,9 @@ from nmt_record.window_policy import (
 # that is many seconds of bench time.
 HISTORY_SAMPLES = 600_000
 PATIENCE_SAMPLES = 1_200_000
+# Of hundreds of channels so many samples would be a gigabyte; a second of them stays in any case.
+HISTORY_BYTES = 100_000_000
+_BYTES_PER_VALUE = 8
 _COMPACT = 256
 
 
@@ -120,6 +123,7 @@ class SampleTable:
         require_loop_state: a window needs loop states up to its end (False for data without a loop).
         minimum_periods: windows of fewer whole periods are rejected.
         history_samples: samples kept of every topic while no window is awaited.
+        history_bytes: what they may take of the memory, where blocks come with their samples; a second stays.
         patience_samples: how far other topics may run ahead before a window that lacks samples is given up.
         maximum_samples: longer windows are rejected, so that the memory stays bounded; None = no limit.
         one_acquisition: what comes after a source has started over cannot be used, as in recordings that are read again
@@ -138,6 +142,7 @@ class SampleTable:
         require_loop_state: bool = True,
         minimum_periods: int = MINIMUM_PERIODS,
         history_samples: int = HISTORY_SAMPLES,
+        history_bytes: int = HISTORY_BYTES,
         patience_samples: int = PATIENCE_SAMPLES,
         maximum_samples: int | None = None,
         one_acquisition: bool = False,
@@ -148,6 +153,7 @@ class SampleTable:
         self._require_loop_state = require_loop_state
         self._minimum_periods = minimum_periods
         self._history = history_samples
+        self._history_bytes, self._width = history_bytes, 0
         self._patience = patience_samples
         self._maximum = maximum_samples
         self._blocks: dict[str, TopicBlocks] = {
@@ -177,8 +183,8 @@ class SampleTable:
         if blocks is None:
             return
         end = first_sample + samples
-        if blocks.reached is None and math.isnan(self.sample_rate):
-            self.sample_rate = float(payload.sample_rate)
+        if blocks.reached is None:
+            self._see(payload)
         known = blocks.set_back
         anew = blocks.add(first_sample, end, payload)
         if anew:
@@ -187,6 +193,16 @@ class SampleTable:
             self._check()
         elif not self._pending:
             blocks.forget(end - self._history)
+
+    def _see(self, payload: Any) -> None:
+        """The first block of a topic."""
+        if math.isnan(self.sample_rate):
+            self.sample_rate = float(payload.sample_rate)
+        data = getattr(payload, "data", None)
+        if data is not None:
+            self._width += _BYTES_PER_VALUE * len(data)
+            room = max(self._history_bytes // self._width, math.ceil(self.sample_rate))
+            self._history = min(self._history, room)
 
     def add_state(self, last_sample: int, state: int, reason: str = "") -> None:
         """Take the loop's state after one block."""

@@ -26,6 +26,9 @@ class BlockRecord(NamedTuple):
     payload: Any
 
 
+_FORGOTTEN = BlockRecord(0, 0, None)
+
+
 class TopicBlocks:
     """The newest blocks of one topic, in the order in which they came.
 
@@ -106,7 +109,10 @@ class TopicBlocks:
 
     def forget(self, oldest: int) -> None:
         """Drop what ends at or before a sample."""
-        self._start = bisect_right(self._reached, oldest, self._start)
+        start = bisect_right(self._reached, oldest, self._start)
+        for index in range(self._start, start):
+            self._records[index] = _FORGOTTEN  # its samples go now, its place when many have gone
+        self._start = start
         if self._start > _COMPACT and 2 * self._start > len(self._records):
             del self._records[: self._start], self._reached[: self._start]
             self._start = 0

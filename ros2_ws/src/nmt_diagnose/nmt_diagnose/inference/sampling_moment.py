@@ -34,11 +34,14 @@ def with_better_moment(problem: Problem, found: Fit) -> Observations | None:
     for number, test in enumerate(problem.observations.tests):
         if isinstance(test, RandomTest) and test.sampled_at is not None:
             best, least = None, math.inf
-            for own, steps in [*((own, _STEPS) for own in _groups(test)), *_beside_the_step(test)]:
-                options = [moved(test, own, float(step)) for step in steps]
-                left = _left(problem, found, number, options)
+            searches = [*((own, _STEPS) for own in _groups(test)), *_beside_the_step(test)]
+            # What a channel sees depends on its own moment only: all of them together are moved once for all searches.
+            grids = {steps.size: steps for _, steps in searches}
+            together = {size: _predicted(problem, found, number, test, steps) for size, steps in grids.items()}
+            for own, steps in searches:
+                left = _left(problem, found, number, own, together[steps.size])
                 if float(left.min()) < min(least, float(left[steps.size // 2]) - _FALL):
-                    best, least = options[int(np.argmin(left))], float(left.min())
+                    best, least = moved(test, own, float(steps[np.argmin(left)])), float(left.min())
             if best is not None:
                 return _with(problem.observations, number, best)
     return None
@@ -81,20 +84,38 @@ def _with(observations: Observations, number: int, test: RandomTest) -> Observat
     return replace(observations, tests=tests)
 
 
-def _left(problem: Problem, found: Fit, number: int, options: list[RandomTest]) -> FloatArray:
-    """χ² and prior of the fit with its parameters following in proportion, for each of some options, (options,)."""
+def _predicted(problem: Problem, found: Fit, number: int, test: RandomTest, steps: FloatArray) -> FloatArray:
+    """Rows of a test with all of its channels sampled later by some steps, (steps, rows)."""
     rows = problem.observations.rows
     mine = rows.test == number
     own = rows.take(mine)
     own = replace(own, test=np.zeros_like(own.test))
     rig = found.parametrisation.rig(found.theta)
+    prediction = found.prediction
+    state = Prediction(prediction.values[mine], prediction.converged[mine], (), (prediction.states[number],))
+    everywhere = np.ones(len(test.channels), dtype=bool)
+    options = (moved(test, everywhere, float(step)) for step in steps)
+    return np.stack([Forward((option,), own).predict(rig, state).values for option in options])
+
+
+def _left(problem: Problem, found: Fit, number: int, channels: BoolArray, together: FloatArray) -> FloatArray:
+    """χ² and prior of the fit with its parameters following in proportion, for each of some steps, (steps,).
+
+    Args:
+        problem, found: as for `with_better_moment`.
+        number: of the test.
+        channels: that are moved, shape (channels,).
+        together: rows of the test with all channels moved, shape (steps, rows).
+    """
+    rows = problem.observations.rows
+    mine = np.flatnonzero(rows.test == number)
+    theirs = channels[rows.channel[mine]]
     jacobian, prior = found.jacobian[found.used], found.parametrisation.prior_std
     information = jacobian.T @ jacobian + np.diag(prior**-2.0)
     values = found.prediction.values.copy()
-    state = Prediction(values[mine], found.prediction.converged[mine], (), (found.prediction.states[number],))
-    result = np.empty(len(options))
-    for k, test in enumerate(options):
-        values[mine] = Forward((test,), own).predict(rig, state).values
+    result = np.empty(len(together))
+    for k, predicted in enumerate(together):
+        values[mine[theirs]] = predicted[theirs]
         residual = problem.whitened(problem.difference(values))[found.used]
         residual = np.where(np.isfinite(residual), residual, 0.0)
         gradient = jacobian.T @ residual - found.theta / prior**2

@@ -45,6 +45,7 @@ _BEYOND = 3.0
 # Rms of what a fit leaves, in standard deviations, from which it is tried from other shapes, and how many of the best.
 _LEAVES, _RESHAPED = 1.5, 2
 _AT_ONCE = 2  # other shapes
+_RESTARTED = 2  # explanations, the best ones
 _LOWEST = 0.25  # of the levels, which are nearly linear
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
 # Explanations that begin where natural frequencies suit the responses' peaks.
@@ -417,10 +418,14 @@ class ModelComparison:
                 return found
             found = trial
 
-    def polished(self, fitted_model: FittedModel) -> FittedModel:
+    def polished(self, fitted_model: FittedModel, restarts: bool = True) -> FittedModel:
         """The same fit with sensitivities at its estimate, for uncertainties that are reported.
 
         One that stops before its optimum goes on from where it stands, as long as that helps.
+
+        Args:
+            fitted_model: the fit.
+            restarts: False = it does not start again from the parameters as given.
         """
         best = self._finished(fitted_model.fit)
         try:
@@ -429,9 +434,14 @@ class ModelComparison:
             wider = best
         if wider is not best:
             best = self._finished(wider)
-        if self.settings.restarts and fitted_model.candidates and (not best.converged or _incredible(best)):
+        if restarts and self._wants_restart(best):
             best = self._restarted(best)
         return FittedModel(fitted_model.candidates, best, fitted_model.score)
+
+    def _wants_restart(self, found: Fit) -> bool:
+        """Whether a fit stands where no step leads on, or where nobody believes its parameters."""
+        stuck = not found.converged or _incredible(found)
+        return self.settings.restarts and bool(found.parametrisation.candidates) and stuck
 
     def _finished(self, best: Fit) -> Fit:
         """The fit gone on with from where it stands, as long as it has not reached its optimum and that helps."""
@@ -475,7 +485,10 @@ class ModelComparison:
         return best
 
     def refit(self, fitted_model: FittedModel, used: BoolArray) -> FittedModel | None:
-        """The same explanation fitted to other rows; None where that fails."""
+        """The same explanation fitted to other rows; None where that fails.
+
+        One that leaves much of all rows is not what they are made of; its estimate counts as it is then.
+        """
         start = fitted_model.fit
         try:
             result = fit(
@@ -484,9 +497,9 @@ class ModelComparison:
             )  # fmt: skip
         except FitError:
             return None
-        return FittedModel(
-            fitted_model.candidates, result if result.converged else self._finished(result), fitted_model.score
-        )
+        if not result.converged and _leaves(start) <= _LEAVES:
+            result = self._finished(result)
+        return FittedModel(fitted_model.candidates, result, fitted_model.score)
 
     def all_refits(self, wanted: Sequence[tuple[FittedModel, BoolArray]]) -> list[FittedModel | None]:
         """``refit`` of several explanations to rows of their own."""
@@ -637,8 +650,11 @@ class ModelComparison:
         limit = ordered[0].fit.log_evidence - self.settings.close
         near = [own for own in ordered[: self.settings.settled] if own.fit.log_evidence >= limit]
         self._progress(Told(f"fitting the best {len(near)} to the end", ranking=self._standing(ordered)))
-        result = self.workers.map(_polished, self, near) + ordered[len(near) :]
-        result = sorted(result, key=lambda fitted_model: -fitted_model.fit.log_evidence)
+        ended = sorted(self.workers.map(_ended, self, near), key=lambda own: -own.fit.log_evidence)
+        # Starting again takes longest, and the last of them would have to overtake all others by it.
+        again = [own for own in ended[:_RESTARTED] if self._wants_restart(own.fit)]
+        ended = self.workers.map(_polished, self, again) + [own for own in ended if own not in again]
+        result = sorted(ended + ordered[len(near) :], key=lambda fitted_model: -fitted_model.fit.log_evidence)
         self._progress(Told(f"so far the best is {result[0].explanation.label}", ranking=self._standing(result)))
         return result
 
@@ -778,6 +794,10 @@ def _continued(comparison: ModelComparison, fitted_model: FittedModel) -> Fitted
 
 def _polished(comparison: ModelComparison, fitted_model: FittedModel) -> FittedModel:
     return comparison.polished(fitted_model)
+
+
+def _ended(comparison: ModelComparison, fitted_model: FittedModel) -> FittedModel:
+    return comparison.polished(fitted_model, restarts=False)
 
 
 def _reshaped(comparison: ModelComparison, item: tuple[FittedModel, FloatArray]) -> FittedModel | None:

@@ -29,13 +29,14 @@ _LINEAR = 60.0
 _NEAR = (0.2, 2.0)
 _LOOKS = 10
 _FARTHEST = 100.0
-# From one strength to the next: where parameters imitate the effect, and where it is its own.
-_SHORT, _LONG = 2.0, 8.0
+# From one strength to the next: where parameters imitate the effect, at first, and at most. Each step that was not too
+# long is followed by one that is longer by a factor.
+_SHORT, _LONG, _GROWTH = 2.0, 8.0, 1.5
 _IMITATED = 5.0
 _AGREES = 0.1
 _MOST_RUNGS = 40
 # What is left grows faster than this times the strength: shifts were continued too far. Least ratio of two strengths.
-_JUMP = 2.0
+_JUMP = 3.0
 _SHORTEST = 1.1
 # Continued shifts that leave at most this times what is left in proportion are good ones.
 _EXPECTED = 1.1
@@ -116,7 +117,7 @@ def climbed(
     except TrialError as error:
         return [], str(error)
     rungs = [first]
-    value, failed, ratio = first.value, math.inf, 0.0
+    value, failed, ratio = first.value, math.inf, _SHORT
     for _ in range(_MOST_RUNGS):
         last = rungs[-1]
         if last.sigma >= STRONGEST:
@@ -125,8 +126,7 @@ def climbed(
             return rungs, trouble or "as strong as it can be"
         if failed < _CLOSE * last.value:
             return rungs, trouble
-        ratio = min(_SHORT if last.imitated else _LONG, ratio**2 or math.inf)
-        value = min(last.value * ratio, largest, math.sqrt(failed * last.value))
+        value = min(last.value * (ratio if last.imitated else _LONG), largest, math.sqrt(failed * last.value))
         try:
             rung = _rung(sensitivity, play(value), value, rungs)
             while (
@@ -137,7 +137,7 @@ def climbed(
                 value = math.sqrt(value * last.value)
                 rung = _rung(sensitivity, play(value), value, rungs)
             rungs.append(rung)
-            ratio = value / last.value
+            ratio = min(_GROWTH * value / last.value, _LONG)
         except TrialError as error:
             trouble, failed = str(error), value
     return rungs, trouble or f"{_MOST_RUNGS} strengths tried"

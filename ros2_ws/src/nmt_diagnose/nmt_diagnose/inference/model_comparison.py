@@ -268,7 +268,8 @@ class ModelComparison:
             rows = wanted & (~levelled | (rank < share))
             if np.any(rows != before):
                 before = rows
-                found = fit(self.problem, parametrisation, theta, rows)
+                # On the way nothing has to be at its optimum: whoever takes the last one goes on from there.
+                found = fit(self.problem, parametrisation, theta, rows, exact=False, refreshes=_REFRESHES)
                 theta = found.theta
         return found
 
@@ -443,9 +444,9 @@ class ModelComparison:
         stuck = not found.converged or _incredible(found)
         return self.settings.restarts and bool(found.parametrisation.candidates) and stuck
 
-    def _finished(self, best: Fit) -> Fit:
+    def _finished(self, best: Fit, rounds: int | None = None) -> Fit:
         """The fit gone on with from where it stands, as long as it has not reached its optimum and that helps."""
-        for _ in range(self.settings.rounds):
+        for _ in range(self.settings.rounds if rounds is None else rounds):
             try:
                 result = fit(
                     self.problem, best.parametrisation, best.theta, best.used, best.prediction,
@@ -485,10 +486,7 @@ class ModelComparison:
         return best
 
     def refit(self, fitted_model: FittedModel, used: BoolArray) -> FittedModel | None:
-        """The same explanation fitted to other rows; None where that fails.
-
-        One that leaves much of all rows is not what they are made of; its estimate counts as it is then.
-        """
+        """The same explanation fitted to other rows; None where that fails."""
         start = fitted_model.fit
         try:
             result = fit(
@@ -497,8 +495,10 @@ class ModelComparison:
             )  # fmt: skip
         except FitError:
             return None
-        if not result.converged and _leaves(start) <= _LEAVES:
-            result = self._finished(result)
+        # One that has not reached its optimum with all rows need not reach that of some of them.
+        rounds = self.settings.rounds if start.converged else 1
+        if not result.converged:
+            result = self._finished(result, rounds)
         return FittedModel(fitted_model.candidates, result, fitted_model.score)
 
     def all_refits(self, wanted: Sequence[tuple[FittedModel, BoolArray]]) -> list[FittedModel | None]:

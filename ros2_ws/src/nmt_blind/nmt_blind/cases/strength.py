@@ -361,6 +361,8 @@ class Sensitivity:
         delays: dict[int, float] = {}
         for number, sensor, size in self._late:
             delays[sensor] = delays.get(sensor, 0.0) + size * float(shifts[number])
+        if not delays:
+            return edits
         clock = next((edit.value for edit in edits if edit.path == ("clock_error",)), self.model.clock_error)
         most = LEAST_LEAD / (self.model.sample_rate_hz * (1.0 + clock))
         for sensor, delay in delays.items():

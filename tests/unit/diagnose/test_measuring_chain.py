@@ -194,6 +194,35 @@ def test_images_in_a_fundamental_change_the_harmonics_over_it() -> None:
                 assert own[over] == pytest.approx(-z.real * base.values[over], rel=1e-6)
 
 
+def test_a_loop_leans_by_an_image_of_the_phase_and_not_by_one_of_a_small_harmonic() -> None:
+    """Of images, those of the fundamentals' phases tell by how much a loop with filters stands elsewhere."""
+    model = chain()
+    observations = observations_of_twin(model, random=False)
+    rows = observations.rows
+    held = rows.part == Part.PHASE_ERROR
+    forward = Forward(observations.tests, rows)
+    base = forward.predict(model)
+
+    def lean(hold_hz: float) -> float:
+        tolerant = replace(observations, chains=(MeasuringChain(hold_hz=hold_hz),))
+        columns = chain_errors(Problem(tolerant, forward), model, base)[1]
+        (own,) = (c for c in columns.T if np.abs(c[held]).min() > 0.01 and not c[~held].any())
+        return float(own[held][0])
+
+    assert lean(math.inf) == pytest.approx(math.radians(1.0))
+    test = observations.tests[0]
+    assert isinstance(test, PhaseResonanceTest)
+    view = ModelView.of(model, test.drive_point)
+    frequency = rows.frequency_hz[np.flatnonzero(rows.part == Part.PHASE)]
+    plain = view.responses(test.channels, frequency)
+    images = sum(
+        np.abs(zero_order_images(view, test.channels, frequency, 250.0, (order,)) / plain)
+        for order in (-1, 1, -2, 2, -3, 3, -4, 4)
+    )
+    # One image each of two chains, of which one may have filters.
+    assert math.radians(1.0) < lean(250.0) <= math.hypot(math.radians(1.0), float(images.max()) / math.sqrt(2.0))
+
+
 def test_a_high_pass_within_the_tolerance_is_noise_and_beyond_it_is_not() -> None:
     """The corner of a conditioner at which a channel leads by 0.2° at resonance, and by more below it."""
     model = chain()

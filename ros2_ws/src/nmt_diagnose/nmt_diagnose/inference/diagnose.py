@@ -73,6 +73,7 @@ from nmt_rig.rig import Rig, load_rig
 _MOMENTS = 8
 _RANKED = 8
 _JUDGED = 3
+_HARDLY_NAMED = 0.97
 _HELPS = 2.0
 _CHANCE = 1.0
 # ln of the evidence from which an effect moves the solution so far that errors of the measuring chain act otherwise.
@@ -254,10 +255,11 @@ class _Diagnoser:
         chance = min((test.p_holm for test in residual_tests(self.observations, left.residual, left.used)), default=1.0)
         judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.confidence, top, chance)
         as_given = self.judged.residual(given)
-        held = self._held(null, [group.head for group in judgement.classes[:_JUDGED]])
-        without = self._left_out(null, [group.head for group in judgement.classes[:_JUDGED]])
-        heads = [group.head.explanation for group in judgement.classes[:_JUDGED]]
-        shares = {explanation: held.closed(explanation) for explanation in heads}
+        # Where nothing named is likely only the nearest may still explain most of the gap.
+        judged = [group.head for group in judgement.classes[: 1 if judgement.unknown > _HARDLY_NAMED else _JUDGED]]
+        held = self._held(null, judged)
+        without = self._left_out(null, judged)
+        shares = {head.explanation: held.closed(head.explanation) for head in judged}
         judgement = with_held_out(judgement, held.worse(shares, 1.0 - self.confidence.explained))
         best_share = shares.get(judgement.classes[0].head.explanation) if judgement.classes else None
         tolerated = self._tolerated(best_share)
@@ -277,7 +279,7 @@ class _Diagnoser:
         final = null if verdict is not Verdict.EFFECT else best
         model = self.rig if verdict is Verdict.NONE else final.fit.parametrisation.rig(final.fit.theta)
         warnings = warned(verdict, best, calibration, gap, accepted.members if accepted is not None else ())
-        together = min(rms_left(own) for own in (null, *(group.head for group in judgement.classes[:_JUDGED])))
+        together = min(rms_left(own) for own in (null, *judged))
         warnings += tuple(filter(None, [contradiction(without, together)]))
         diagnosis = Diagnosis(
             verdict=verdict,

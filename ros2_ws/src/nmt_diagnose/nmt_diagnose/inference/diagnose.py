@@ -73,6 +73,7 @@ from nmt_rig.rig import Rig, load_rig
 _MOMENTS = 8
 _RANKED = 8
 _JUDGED = 3
+# Probability of something unnamed from which other than the nearest explanations are not fitted to held-out data.
 _HARDLY_NAMED = 0.97
 _HELPS = 2.0
 _CHANCE = 1.0
@@ -255,7 +256,6 @@ class _Diagnoser:
         chance = min((test.p_holm for test in residual_tests(self.observations, left.residual, left.used)), default=1.0)
         judgement = judge(null, singles, pairs, sources, leftovers, self.candidates, self.confidence, top, chance)
         as_given = self.judged.residual(given)
-        # Where nothing named is likely only the nearest may still explain most of the gap.
         judged = [group.head for group in judgement.classes[: 1 if judgement.unknown > _HARDLY_NAMED else _JUDGED]]
         held = self._held(null, judged)
         without = self._left_out(null, judged)

@@ -58,6 +58,20 @@ def test_what_lost_nothing_is_left_alone(samples: FloatArray) -> None:
     assert repeated_share(samples) == 0.0
 
 
+@pytest.mark.parametrize("noise", [0.2, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("amplitude", [3.0, 10.0, 30.0, 100.0, 1000.0])
+def test_steps_of_a_converter_lose_nothing(amplitude: float, noise: float) -> None:
+    """Amplitudes and noise in steps: what noise repeats at steep places it also moves by one step."""
+    for seed in range(20):
+        samples = amplitude * _tone(0.0) + noise * np.random.default_rng(seed).standard_normal(SIZE)
+        assert repeated_share(np.round(samples)) == 0.0
+
+
+def test_samples_that_a_converter_with_steps_lost_are_found() -> None:
+    samples = np.round(20_000.0 * _tone())
+    assert repeated_share(_losing(samples, 0.005)) == pytest.approx(0.005, rel=0.35)
+
+
 def test_lost_samples_of_a_bag_are_an_observable_that_a_healthy_model_does_not_explain(tmp_path: Path) -> None:
     model = rig_with_noise(noise=20.0, overrides=["local_elements=[]"])
     rig = with_sensor(model, "a2", dropped_fraction=0.02)

@@ -268,8 +268,7 @@ class ModelComparison:
             rows = wanted & (~levelled | (rank < share))
             if np.any(rows != before):
                 before = rows
-                # On the way nothing has to be at its optimum: whoever takes the last one goes on from there.
-                found = fit(self.problem, parametrisation, theta, rows, exact=False, refreshes=_REFRESHES)
+                found = fit(self.problem, parametrisation, theta, rows)
                 theta = found.theta
         return found
 
@@ -652,8 +651,10 @@ class ModelComparison:
         self._progress(Told(f"fitting the best {len(near)} to the end", ranking=self._standing(ordered)))
         ended = sorted(self.workers.map(_ended, self, near), key=lambda own: -own.fit.log_evidence)
         # Starting again takes longest, and the last of them would have to overtake all others by it.
-        again = [own for own in ended[:_RESTARTED] if self._wants_restart(own.fit)]
-        ended = self.workers.map(_polished, self, again) + [own for own in ended if own not in again]
+        stuck = [number for number, own in enumerate(ended[:_RESTARTED]) if self._wants_restart(own.fit)]
+        again = self.workers.map(_polished, self, [ended[number] for number in stuck])
+        for number, own in zip(stuck, again, strict=True):
+            ended[number] = own
         result = sorted(ended + ordered[len(near) :], key=lambda fitted_model: -fitted_model.fit.log_evidence)
         self._progress(Told(f"so far the best is {result[0].explanation.label}", ranking=self._standing(result)))
         return result

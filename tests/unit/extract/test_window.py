@@ -292,6 +292,17 @@ def test_many_channels_keep_a_shorter_history_but_a_second():
     assert kept[800 * 10] == pytest.approx(second, abs=400)
 
 
+@pytest.mark.parametrize("rate", [math.nan, math.inf, 0.0, -1.0, 1e300])
+def test_the_history_stands_blocks_of_any_rate(rate):
+    (block,) = Stream([0, 1j], [[0, 1.0]] * 4, samples=200).blocks("force")[:1]
+    table = SampleTable(("force", "displacement"), require_loop_state=False, history_samples=1000)
+    empty = replace(block, channels=(), points=(), data=np.zeros((0, 200)))
+    for index in range(20):
+        table.add_block("force", replace(block, sample_rate=rate, first_sample=200 * index))
+        table.add_block("displacement", replace(empty, sample_rate=rate, first_sample=200 * index))
+    assert table.kept[0] <= 12
+
+
 def test_samples_that_are_forgotten_are_let_go_at_once():
     blocks = TopicBlocks("force")
     (block,) = Stream([0, 1j], [[0, 1.0]] * 4, samples=200).blocks("force")[:1]

@@ -199,10 +199,10 @@ class SampleTable:
         if math.isnan(self.sample_rate):
             self.sample_rate = float(payload.sample_rate)
         data = getattr(payload, "data", None)
-        if data is not None:
+        if data is not None and len(data):
             self._width += _BYTES_PER_VALUE * len(data)
-            room = max(self._history_bytes // self._width, math.ceil(self.sample_rate))
-            self._history = min(self._history, room)
+            second = self.sample_rate if math.isfinite(self.sample_rate) else 0.0  # blocks come from anywhere
+            self._history = min(self._history, max(self._history_bytes // self._width, math.ceil(second)))
 
     def add_state(self, last_sample: int, state: int, reason: str = "") -> None:
         """Take the loop's state after one block."""

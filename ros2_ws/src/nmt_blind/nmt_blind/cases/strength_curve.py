@@ -50,7 +50,14 @@ _ALIKE = math.log(3.0)
 
 @dataclass(frozen=True, eq=False)
 class Rung:
-    """One strength of an effect, its tests, and the model that imitates them best."""
+    """One strength of an effect.
+
+    Attributes:
+        value: the strength, in the unit of the effect.
+        observed: tests with it.
+        best: the model that imitates them best.
+        imitated: whether parameters or the measuring chain take a good part of it.
+    """
 
     value: float
     observed: Observed
@@ -78,6 +85,9 @@ def curve(
         ``points``: strength and standard deviations; ``trouble``: why it does not get stronger, empty if it does;
         ``compared``: strength and shifts at which its signature was taken. And that signature, for what it has in
         common with others; None where no strength was near `COMPARED`.
+
+    Raises:
+        TrialError: the model cannot be tested with the shifts at which the signature is taken.
     """
 
     def play(value: float) -> Observed:

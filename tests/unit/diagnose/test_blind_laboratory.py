@@ -12,7 +12,7 @@ import pytest
 from nmt_blind.campaign.ensemble_sindy import sparse_terms
 from nmt_blind.cases.blind_rigs import BLIND_RIGS, blind_rig
 from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, OPEN
-from nmt_blind.cases.laboratory import record_backbone, record_random
+from nmt_blind.cases.laboratory import TrialError, record_backbone, record_random
 from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.quiet_tests import play_backbone, play_random
 from nmt_blind.cases.rig_edits import Edit, with_edits
@@ -134,6 +134,14 @@ def test_random_responses_differ_by_what_a_gain_says() -> None:
     row = plain.channels.index("x4")
     assert changed.data[row] == pytest.approx(1.02 * plain.data[row])
     assert np.array_equal(np.delete(changed.data, row, 0), np.delete(plain.data, row, 0))
+
+
+def test_a_rig_that_cannot_be_integrated_is_a_test_that_cannot_be_made() -> None:
+    inductance = MODEL.model_dump()["exciter"]["inductance_h"]
+    truth = with_edits(MODEL, (Edit(("exciter", "inductance_h"), 1e-44 / inductance, "scale"),))
+    for played in (play_backbone, play_random):
+        with pytest.raises(TrialError, match="not finite"):
+            played(truth, MODEL, FEW)
 
 
 def test_strengths_count_what_the_model_cannot_take() -> None:

@@ -16,6 +16,7 @@ from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import ResultCode, TestKind
 from nmt_plant.simulated_rig import SimulatedRig
+from nmt_rig.model.time_integration import IntegrationError
 from nmt_rig.rig import BeamSection, Rig
 from nmt_session import RunResult, Session, TestPlan
 from nmt_session.session import Listener
@@ -169,15 +170,20 @@ def play(built: Rig, test: PlannedTest, listener: Listener) -> RunResult:
     Raises:
         TrialError: the motion is not finite any more.
     """
-    with Session(
+    session = Session(
         test.plan,
         device=SimulatedRig(built),
         loop_values=test.loop_values,
         record=False,
         extract=False,
         listener=listener,
-    ) as session:
-        result = session.run()
+    )
+    try:
+        with session:
+            result = session.run()
+    except IntegrationError as error:
+        # A rig that leaves its rest by itself is found out before the first block.
+        raise TrialError(str(error)) from error
     if result.code == ResultCode.NODE_LOST:
         raise TrialError(result.message)
     return result

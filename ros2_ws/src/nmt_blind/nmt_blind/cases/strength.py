@@ -307,7 +307,7 @@ class Sensitivity:
         """
         try:
             return self.observe(with_edits(self.model, self._edits(made))).values
-        except BenchError as error:
+        except (BenchError, OverflowError) as error:
             raise TrialError(str(error)) from error
 
     def _step(self, observed: Observed, here: Shifted, damping: float) -> tuple[FloatArray, Shifted]:

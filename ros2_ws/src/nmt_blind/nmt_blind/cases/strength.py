@@ -60,6 +60,12 @@ _TURNS = 12
 _SMALL_STEP = 0.05
 # Of the steps, where one made it worse.
 _LEAST_DAMPING, _MORE_DAMPING = 1e-3, 10.0
+# How often changes by shifts are measured anew, of how many shifts, from what size of theirs over the noise, and by what
+# step in prior standard deviations.
+_RENEWALS = 3
+_RENEWED = 6
+_LEAST_RENEWED = 30.0
+_RENEWAL_STEP = 0.02
 # Turns end where one takes less of what is left.
 _WORTH = 0.02
 _PHASE_STEP = 1e-2
@@ -121,6 +127,8 @@ class Sensitivity:
         self._made: list[Callable[[float], Edit] | None] = []
         # What a standard deviation of a change adds to the delay of sensors: number of the change, sensor, s.
         self._late: list[tuple[int, int, float]] = []
+        # Changes that stay linear and turn or stretch what a channel says: in proportion to it.
+        self._relative: list[int] = []
         self._nuisance = self._nuisances()
 
     def observe(self, truth: Rig) -> Observed:
@@ -217,6 +225,7 @@ class Sensitivity:
             if sensor.quantity == "voltage":
                 # The random responses are referred to it.
                 columns.append(GAIN * np.where(self.base.level < 0, self.base.values, 0.0))
+                self._relative.append(len(self._made))
                 self._made.append(None)
                 continue
             step = _CHAIN_STEPS["gain"]
@@ -233,7 +242,9 @@ class Sensitivity:
                 lead = math.radians(PHASE_DEG)
                 corner = self.operating.omega / (2.0 * math.pi) * math.tan(lead)
                 columns.append(self._change(Edit((*path, "high_pass_hz"), corner)))
-                self._made.append(partial(_leading, (*path, "high_pass_hz"), corner))
+                # A healthy channel leads by something already, so this may be less as well as more.
+                self._relative.append(len(self._made))
+                self._made.append(None)
         shared = SHARED_DELAY_S / math.sqrt(3.0)
         for members, late in kinds.values():
             columns.append(shared * late)
@@ -267,6 +278,40 @@ class Sensitivity:
         It finds the least nearby. About a narrow resonance that has to move by more than its width there are others;
         `strength_curve` climbs to strong effects from weak ones, where there is one only.
         """
+        best = self._descended(observed, start)
+        for _ in range(_RENEWALS):
+            try:
+                found = self._descended(observed, replace(best, changes=self._renewed(best)))
+            except TrialError:
+                break
+            enough = found.left > (1.0 - _WORTH) * best.left
+            best = found if found.left < best.left else best
+            if enough:
+                break
+        return best
+
+    def _renewed(self, here: Shifted) -> FloatArray:
+        """Changes of the observables by one standard deviation of each shift, (m, k).
+
+        Those of the shifts that do most are measured anew: what steps taught of them is true along the steps only, and
+        about the model a narrow resonance moved otherwise.
+
+        Raises:
+            TrialError: the shifted model cannot be tested.
+        """
+        changes = self._nuisance.copy()
+        scale = np.where(np.isfinite(self.base.noise), 1.0 / self.base.noise, 0.0)[:, np.newaxis]
+        size = np.abs(here.made) * np.linalg.norm(changes * scale, axis=0) * self._own()
+        for column in np.argsort(-size)[:_RENEWED]:
+            if size[column] < _LEAST_RENEWED:
+                break
+            moved = here.made.copy()
+            moved[column] += _RENEWAL_STEP
+            changes[:, column] = np.nan_to_num(self._values(moved) - here.values) / _RENEWAL_STEP
+        return changes
+
+    def _descended(self, observed: Observed, start: Shifted) -> Shifted:
+        """The best shifts that steps with changes corrected on the way lead to."""
         best, damping = start, 0.0
         for _ in range(_TURNS):
             try:
@@ -335,13 +380,43 @@ class Sensitivity:
         good, scale = self._good(observed, values)
         own = self._own()
         d = (observed.values - values)[good] * scale
-        c = self._nuisance[good][:, ~own] * scale[:, np.newaxis]
+        c = self._about(values)[good][:, ~own] * scale[:, np.newaxis]
         found = np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, c.T @ d)
         shifts = made.copy()
         shifts[~own] += found
         rest = np.zeros(observed.values.size)
         rest[good] = d - c @ found
         return rest, shifts
+
+    def _about(self, values: FloatArray) -> FloatArray:
+        """Changes about other observables (m,) than those of the model: what is relative goes with them, (m, k)."""
+        changes = self._nuisance.copy()
+        if not self._relative:
+            return changes
+        real, imaginary = self._pairs()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = (values[real] + 1j * values[imaginary]) / (
+                self.base.values[real] + 1j * self.base.values[imaginary]
+            )
+        ratio[~np.isfinite(ratio)] = 1.0
+        for column in self._relative:
+            turned = (changes[real, column] + 1j * changes[imaginary, column]) * ratio
+            changes[real, column], changes[imaginary, column] = turned.real, turned.imag
+        return changes
+
+    def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rows of the real and imaginary parts of all fundamentals and of the random test's responses."""
+        channels = sum(sensor.quantity != "voltage" for sensor in self.model.sensors)
+        window = 1 + channels * (2 * len(ORDERS) + 2)
+        levels = len(self.bench.levels)
+        first = 1 + np.arange(channels) * (2 * len(ORDERS) + 2) + 2 * list(ORDERS).index(1)
+        fundamentals = (np.arange(levels)[:, np.newaxis] * window + first).ravel()
+        start = levels * window
+        random = np.arange((self.base.values.size - start) // 2)
+        return (
+            np.concatenate([fundamentals, start + random]),
+            np.concatenate([fundamentals + 1, start + random.size + random]),
+        )
 
     def _good(self, observed: Observed, values: FloatArray) -> tuple[BoolArray, FloatArray]:
         """Rows that compare, shape (m,), and one over the noise of each of them.
@@ -442,11 +517,6 @@ def _leaning(phase: float) -> Edit:
 def _louder(path: tuple[str | int, ...], gain: float, deviation: float) -> Edit:
     """A gain that is off by so many standard deviations."""
     return Edit(path, gain * (1.0 + GAIN * deviation))
-
-
-def _leading(path: tuple[str | int, ...], corner: float, deviation: float) -> Edit:
-    """A high-pass that leads by so many standard deviations; none leads by less than nothing."""
-    return Edit(path, max(corner * deviation, 1e-6 * corner))
 
 
 def _line_bins(model: Rig, bench: BenchSettings) -> np.ndarray[Any, np.dtype[np.int64]]:

@@ -10,6 +10,7 @@ fit tells how large they are.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,46 +34,162 @@ ORDER = 4
 """Degree of the local polynomials."""
 REACH = 10
 """Lines on either side that a local fit uses."""
+OFFSETS = np.arange(-REACH, REACH + 1)
+_PLACE = OFFSETS / REACH
+_POWERS = _PLACE[:, np.newaxis] ** np.arange(ORDER + 1)
+# A resonance is there where it raises the log-likelihood of the lines around it by so much.
+_SURE = 15.0
+# How often its place is improved, and how many of these steps are linear.
+_POLE_TURNS, _LINEAR_TURNS = 8, 3
 _FEWEST_LINES = 200
 _DRIVEN = 0.25
 _HIGHEST = 0.4
 
 
+@dataclass(frozen=True, eq=False)
+class LocalResponses:
+    """Frequency responses at some lines of a Fourier transform.
+
+    Attributes:
+        estimate: responses, shape (channels, lines).
+        noise: variance of the noise in the responses' lines, same shape.
+        factor: from there to the variance of the estimate, shape (lines,).
+        resonance: variance that the uncertain place of a resonance adds, shape (channels, lines).
+        resonant: lines that have a resonance nearby, shape (lines,).
+        degrees_of_freedom: of ``noise``.
+    """
+
+    estimate: ComplexArray
+    noise: FloatArray
+    factor: FloatArray
+    resonance: FloatArray
+    resonant: NDArray[np.bool_]
+    degrees_of_freedom: int
+
+
 def local_responses(
-    reference: FloatArray, responses: FloatArray, bins: IndexArray
-) -> tuple[ComplexArray, FloatArray, FloatArray, int]:
+    reference: FloatArray, responses: FloatArray, bins: IndexArray, resonant: NDArray[np.bool_] | None = None
+) -> LocalResponses:
     """Frequency responses at some lines of the Fourier transform.
 
     Args:
         reference: samples of the reference, shape (n,).
         responses: samples of the responses, shape (channels, n).
         bins: lines, each at least ``REACH`` from the ends of the transform.
-
-    Returns:
-        Responses, shape (channels, lines); variance of the noise in the responses' lines, same shape; factor from there
-        to the variance of the estimate, shape (lines,); degrees of freedom of that variance.
+        resonant: lines that have a resonance nearby, shape (lines,); None = those where the responses show one.
     """
     u = np.fft.rfft(reference)
     y = np.fft.rfft(responses, axis=-1)
-    offsets = np.arange(-REACH, REACH + 1)
-    powers = (offsets[:, np.newaxis] / REACH) ** np.arange(ORDER + 1)
-    estimate = np.empty((responses.shape[0], bins.size), dtype=np.complex128)
-    noise = np.empty((responses.shape[0], bins.size))
-    factor = np.empty(bins.size)
-    degrees_of_freedom = offsets.size - 2 * (ORDER + 1)
-    for number, line in enumerate(bins):
-        near = line + offsets
-        design = np.concatenate((u[near, np.newaxis] * powers, powers), axis=1)
+    near = bins[:, np.newaxis] + OFFSETS
+    return local_fits(u[near], np.moveaxis(y[:, near], 0, -1), resonant)
+
+
+def local_fits(u: ComplexArray, y: ComplexArray, resonant: NDArray[np.bool_] | None = None) -> LocalResponses:
+    """Frequency responses from what lies around some lines.
+
+    Args:
+        u: lines of the reference about each of them, shape (lines, 2 REACH + 1).
+        y: lines of the responses, shape (lines, 2 REACH + 1, channels).
+        resonant: as for `local_responses`.
+    """
+    lines, _, channels = y.shape
+    found = LocalResponses(
+        np.empty((channels, lines), dtype=np.complex128),
+        np.empty((channels, lines)),
+        np.empty(lines),
+        np.zeros((channels, lines)),
+        np.zeros(lines, dtype=np.bool_),
+        2 * (OFFSETS.size - 2 * (ORDER + 1)),
+    )
+    for number in range(lines):
+        own = _LocalFit(u[number], y[number], 0j)
+        if resonant is None or resonant[number]:
+            pole = _resonance(own)
+            if resonant is not None or pole.log_likelihood > own.log_likelihood + _SURE:
+                own = pole
+                found.resonant[number] = True
+                found.resonance[:, number] = own.resonance_variance()
+        found.estimate[:, number] = own.coefficients[0]
+        found.noise[:, number] = own.noise
+        found.factor[number] = own.factor
+    return found
+
+
+class _LocalFit:
+    """Least-squares fit about one line: (H U + T) / A, with H and T polynomials and A = 1 + a x.
+
+    Args:
+        u: reference, shape (n,).
+        y: responses, shape (n, channels).
+        a: coefficient of the resonance; 0 = none.
+    """
+
+    def __init__(self, u: ComplexArray, y: ComplexArray, a: complex) -> None:
+        self.u, self.y, self.a = u, y, a
+        self._below = 1.0 + a * _PLACE
+        design = np.concatenate((u[:, np.newaxis] * _POWERS, _POWERS), axis=1) / self._below[:, np.newaxis]
         scale = np.linalg.norm(design, axis=0)
-        q, r = np.linalg.qr(design / scale)
-        right = y[:, near].T
-        projected = np.conj(q.T) @ right
-        inverse = np.linalg.inv(r)
-        estimate[:, number] = (inverse[0] @ projected) / scale[0]
-        residual = right - q @ projected
-        noise[:, number] = (np.abs(residual) ** 2).sum(axis=0) / degrees_of_freedom
-        factor[number] = float((np.abs(inverse[0]) ** 2).sum()) / scale[0] ** 2
-    return estimate, noise, factor, 2 * degrees_of_freedom
+        self._q, r = np.linalg.qr(design / scale)
+        self._back = np.linalg.inv(r) / scale[:, np.newaxis]
+        projected = np.conj(self._q.T) @ y
+        self.coefficients = self._back @ projected
+        self._fitted = self._q @ projected
+        self._residual = y - self._fitted
+        squares = np.maximum((np.abs(self._residual) ** 2).sum(axis=0), 1e-300)
+        left = u.size - 2 * (ORDER + 1)
+        self.noise = squares / (left - (1.0 / y.shape[1] if a else 0.0))
+        self.factor = float((np.abs(self._back[0]) ** 2).sum())
+        self.log_likelihood = -left * float(np.log(squares).sum())
+
+    def _across(self, column: ComplexArray) -> ComplexArray:
+        """What the polynomials cannot make of columns, shape (n, channels)."""
+        return column - self._q @ (np.conj(self._q.T) @ column)
+
+    def linear_pole(self) -> complex:
+        """The coefficient that leaves least of A Y − H U − T, over the present A (Sanathanan and Koerner)."""
+        rest = self._across(self.y / self._below[:, np.newaxis])
+        slope = self._across(self.y * (_PLACE / self._below)[:, np.newaxis])
+        return -self._along(slope, rest)[0]
+
+    def better_pole(self) -> complex:
+        """The coefficient after a step of Gauss and Newton."""
+        return self.a + self._along(self._slope(), -self._residual)[0]
+
+    def resonance_variance(self) -> FloatArray:
+        """Variance of the responses at the line that comes from that of the resonance, shape (channels,)."""
+        _, information = self._along(self._slope(), self._residual)
+        moved = self._back[0] @ (np.conj(self._q.T) @ self._moved())
+        result: FloatArray = np.abs(moved) ** 2 / max(information, 1e-300)
+        return result
+
+    def _moved(self) -> ComplexArray:
+        """Minus the change of the fit by a, its polynomials kept, shape (n, channels)."""
+        return self._fitted * (_PLACE / self._below)[:, np.newaxis]
+
+    def _slope(self) -> ComplexArray:
+        """Minus the change of the fit by a, shape (n, channels)."""
+        return self._across(self._moved())
+
+    def _along(self, slope: ComplexArray, rest: ComplexArray) -> tuple[complex, float]:
+        """Weighted least-squares coefficient of a slope in what is left, and the information on it."""
+        weights = 1.0 / np.maximum(self.noise, 1e-300)
+        information = float((weights * (np.abs(slope) ** 2).sum(axis=0)).sum())
+        product = complex((weights * (np.conj(slope) * rest).sum(axis=0)).sum())
+        return product / max(information, 1e-300), information
+
+
+def _resonance(plain: _LocalFit) -> _LocalFit:
+    """The fit with the resonance that suits all responses best."""
+    best = plain
+    for turn in range(_POLE_TURNS):
+        linear = turn < _LINEAR_TURNS
+        found = _LocalFit(plain.u, plain.y, best.linear_pole() if linear else best.better_pole())
+        if not np.isfinite(found.log_likelihood) or found.log_likelihood <= best.log_likelihood:
+            if linear:
+                continue
+            break
+        best = found
+    return best
 
 
 def choose_bins(reference: FloatArray, response: FloatArray, sample_rate: float, wanted: int) -> IndexArray:
@@ -184,15 +301,16 @@ def random_observations(
     if bins.size == 0:
         return empty((*notes, f"{name}: the random test is left out: it has no driven band."))
     lines = bins * stretch.sample_rate / input_samples.size
-    estimate, noise, factor, degrees_of_freedom = local_responses(input_samples - input_samples.mean(), outputs, bins)
-    variance = np.empty_like(noise)
-    for row in range(noise.shape[0]):
-        drawn, degrees = moderated(noise[row], float(degrees_of_freedom))
-        variance[row] = drawn * factor * degrees / (degrees - 2.0)
+    found = local_responses(input_samples - input_samples.mean(), outputs, bins)
+    estimate = found.estimate
+    variance = found.resonance.copy()
+    for row in range(variance.shape[0]):
+        drawn, degrees = moderated(found.noise[row], float(found.degrees_of_freedom))
+        variance[row] += drawn * found.factor * degrees / (degrees - 2.0)
     table = RowTable()
     drive_rms = float(np.std(input_samples))
     middle = 0.5 * (stretch.start_s + stretch.stop_s)
-    bias = _bias(view, present, input_samples, reference, bins, stretch.sample_rate)
+    bias = _bias(view, present, input_samples, reference, bins, stretch.sample_rate, found.resonant)
     held = reference.quantity is Quantity.VOLTAGE
     images = np.abs(image_responses(view, present, lines, hold_rate_hz if held else math.inf))
     believed = _believed(view, present, reference, lines, estimate)
@@ -256,22 +374,16 @@ def _bias(
     source: MeasuredChannel,
     bins: IndexArray,
     sample_rate: float,
+    resonant: NDArray[np.bool_],
 ) -> FloatArray:
-    """Relative error that the local polynomials make on the model's own response, shape (channels, lines)."""
-    offsets = np.arange(-REACH, REACH + 1)
-    unique, inverse = np.unique(bins[:, np.newaxis] + offsets, return_inverse=True)
+    """Relative error that the local fits make on the model's own response, shape (channels, lines)."""
+    unique, inverse = np.unique(bins[:, np.newaxis] + OFFSETS, return_inverse=True)
     frequency = unique * sample_rate / reference.size
     responses = view.responses([*channels, source], frequency)
-    exact = (responses[:-1] / responses[-1])[:, inverse.reshape(bins.size, offsets.size)]
-    u = np.fft.rfft(reference - reference.mean())
-    powers = (offsets[:, np.newaxis] / REACH) ** np.arange(ORDER + 1)
-    result = np.zeros((len(channels), bins.size))
-    for number, line in enumerate(bins):
-        near = u[line + offsets]
-        design = np.concatenate((near[:, np.newaxis] * powers, powers * np.abs(near).mean()), axis=1)
-        fitted = np.linalg.lstsq(design, (exact[:, number] * near).T, rcond=None)[0][0]
-        result[:, number] = np.abs(fitted / exact[:, number, REACH] - 1.0)
-    return np.nan_to_num(result)
+    exact = (responses[:-1] / responses[-1])[:, inverse.reshape(bins.size, OFFSETS.size)]
+    u = np.fft.rfft(reference - reference.mean())[bins[:, np.newaxis] + OFFSETS]
+    fitted = local_fits(u, np.moveaxis(exact * u, 0, -1), resonant).estimate
+    return np.nan_to_num(np.abs(fitted / exact[:, :, REACH] - 1.0))
 
 
 def _clean_part(stretch: Stretch) -> slice:

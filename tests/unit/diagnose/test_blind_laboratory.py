@@ -19,7 +19,7 @@ from nmt_blind.cases.rig_edits import Edit, with_edits
 from nmt_blind.cases.strength import Sensitivity
 from nmt_blind.cases.strength_curve import value_at
 from nmt_blind.cases.strength_table import load_table, table_file
-from nmt_blind.cases.tolerances import TOLERANCES
+from nmt_blind.cases.tolerances import CLOCK, DELAY_S, GAIN, TOLERANCES
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest
 from nmt_diagnose.observations.observables import Part
@@ -159,6 +159,34 @@ def test_strengths_count_what_the_model_cannot_take() -> None:
     assert gain[0] > 3.0
     assert gain[1] == pytest.approx(2.0 * gain[0], rel=0.05)
     assert sensitivity.sigma(()) == 0.0
+
+
+def test_what_every_laboratory_has_is_no_effect() -> None:
+    """One standard deviation to either side of each tolerance, of leads too, and of a shifted resonance as well."""
+    rig = blind_rig("modal_beam")
+    levels = rig.bench.levels[-2:]
+    sensitivity = Sensitivity(replace(rig, bench=replace(rig.bench, levels=levels, window_periods=20, duration=2.0)),
+                              "laboratory")  # fmt: skip
+    leads = sensitivity.relative
+    assert len(leads) == 5
+    sensor = next(k for k, own in enumerate(sensitivity.model.sensors) if own.quantity == "acceleration")
+    for edits in (
+        (Edit(("clock_error",), CLOCK),),
+        (Edit(("clock_error",), -CLOCK),),
+        (Edit(("sensors", sensor, "delay_s"), DELAY_S),),
+        (Edit(("sensors", sensor, "delay_s"), -DELAY_S),),
+        (Edit(("sensors", sensor, "gain"), 1.0 - GAIN),),
+    ):
+        assert sensitivity.sigma(edits) < 1.1
+    damped = (Edit(("structure", "modes", 0, "damping_ratio"), 1.3, "scale"),)
+    for observed in (sensitivity.base, sensitivity.played(damped)):
+        best = sensitivity.settled(observed, sensitivity.shifted(observed))
+        about = sensitivity.changes_about(observed.values)
+        for column in leads:
+            for sign in (1.0, -1.0):
+                both = replace(observed, values=observed.values + sign * about[:, column])
+                found = sensitivity.settled(both, sensitivity.shifted(both, best.made, best.changes))
+                assert found.left < math.hypot(best.left, 1.0) + 0.1
 
 
 def test_values_between_points_of_a_curve() -> None:

@@ -227,26 +227,77 @@ def test_random_responses_of_a_linear_rig_are_normally_distributed(tmp_path: Pat
     assert np.mean(np.concatenate(squares)) == pytest.approx(1.0, abs=0.1)
 
 
-def test_local_polynomials_have_no_leakage() -> None:
+def resonator(u: np.ndarray, pole: complex, state: complex = 0j) -> np.ndarray:
+    """Real part of a difference equation with one pole."""
+    y = np.empty(u.size)
+    for k in range(u.size):
+        y[k] = state.real
+        state = pole * state + u[k]
+    return y
+
+
+def exact_response(pole: complex, lines: np.ndarray, size: int) -> np.ndarray:
+    """Its frequency response at lines of a Fourier transform."""
+    z = np.exp(2j * np.pi * lines / size)
+    return 0.5 * (1.0 / (z - pole) + 1.0 / (z - np.conj(pole)))
+
+
+def test_local_fits_have_no_leakage() -> None:
     generator = np.random.default_rng(3)
     size, rate, decay, omega = 16384, 1000.0, 2.0, 2.0 * np.pi * 80.0
     u = generator.standard_normal(size)
-    # Two poles, sampled: the exact response of the difference equation, with a start that is not at rest.
+    # Two poles, sampled, with a start that is not at rest.
     pole = np.exp((-decay + 1j * omega) / rate)
-    state, y = 5.0 + 3.0j, np.empty(size)
-    for k in range(size):
-        y[k] = state.real
-        state = pole * state + u[k]
-    lines = np.array([700, 1100, 1290, 1311, 1330, 2000, 5000])
-    estimate, noise, factor, degrees_of_freedom = local_responses(u, y[np.newaxis], lines)
-    z = np.exp(2j * np.pi * lines / size)
-    exact = 0.5 * (1.0 / (z - pole) + 1.0 / (z - np.conj(pole)))
-    far = np.array([True, True, False, False, False, True, True])
-    assert np.abs(estimate[0] / exact - 1.0)[far].max() < 1e-6
+    y = resonator(u, pole, 5.0 + 3.0j)
+    lines = np.array([700, 1100, 1290, 1300, 1306, 1311, 1316, 1330, 2000, 5000])
+    exact = exact_response(pole, lines, size)
+    found = local_responses(u, y[np.newaxis], lines)
     # The reach of ten lines is the whole half-power band here: the worst that may happen.
-    assert np.abs(estimate[0] / exact - 1.0).max() < 0.1
-    assert degrees_of_freedom == 2 * (2 * REACH + 1 - 10)
-    assert (noise[0][far] * factor[far] < 1e-10 * np.abs(exact[far]) ** 2).all()
+    near = np.abs(lines - 80.0 * size / rate) < 11
+    assert near.sum() == 4
+    assert found.resonant[near].all()
+    assert np.abs(found.estimate[0] / exact - 1.0).max() < 1e-6
+    assert found.degrees_of_freedom == 2 * (2 * REACH + 1 - 10)
+    assert (found.noise[0] * found.factor < 1e-10 * np.abs(exact) ** 2).all()
+    plain = local_responses(u, y[np.newaxis], lines, np.zeros(lines.size, dtype=bool))
+    assert np.abs(plain.estimate[0] / exact - 1.0)[near].max() > 1e-3
+    far = np.abs(lines - 80.0 * size / rate) > 200
+    assert np.abs(plain.estimate[0] / exact - 1.0)[far].max() < 1e-6
+
+
+def test_uncertainties_of_local_fits_cover_noise_at_a_resonance() -> None:
+    generator = np.random.default_rng(5)
+    size, rate = 16384, 1000.0
+    pole = np.exp((-1.0 + 2j * np.pi * 80.0) / rate)
+    lines = np.arange(1256, 1370, 11)
+    exact = exact_response(pole, lines, size)
+    squares, errors = [], []
+    for _ in range(40):
+        u = generator.standard_normal(size)
+        y = resonator(u, pole)
+        both = np.stack([y, -0.4 * y]) + np.std(y) * 1e-2 * generator.standard_normal((2, size))
+        found = local_responses(u, both, lines)
+        degrees = found.degrees_of_freedom
+        variance = found.noise * found.factor * degrees / (degrees - 2.0) + found.resonance
+        error = found.estimate / (exact * np.array([[1.0], [-0.4]])) - 1.0
+        errors.append(error)
+        squares.append(np.abs(error * exact * np.array([[1.0], [-0.4]])) ** 2 / variance)
+    # Of a complex number over its standard deviation, by lines: off the resonance, on its flanks and at its top.
+    mean = np.mean(squares, axis=(0, 1))
+    assert (mean > 0.6).all()
+    assert (mean < 1.5).all()
+    # What noise leaves is no offset of the estimates.
+    offset = np.abs(np.mean(errors, axis=0)) / (np.std(errors, axis=0) / np.sqrt(40.0))
+    assert offset.max() < 4.0
+
+
+def test_noise_alone_has_no_resonance() -> None:
+    generator = np.random.default_rng(6)
+    u = generator.standard_normal(40_000)
+    lines = np.arange(100, 19_000, 21)
+    found = local_responses(u, u + generator.standard_normal((3, u.size)), lines)
+    assert found.resonant.sum() <= 1
+    assert np.mean(np.abs(found.estimate - 1.0) ** 2 / (found.noise * found.factor)) == pytest.approx(1.1, abs=0.15)
 
 
 def test_lines_gather_where_the_phase_turns() -> None:

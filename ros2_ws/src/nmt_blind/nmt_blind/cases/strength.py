@@ -60,8 +60,8 @@ _TURNS = 12
 _SMALL_STEP = 0.05
 # Of the steps, where one made it worse.
 _LEAST_DAMPING, _MORE_DAMPING = 1e-3, 10.0
-# How often changes by shifts are measured anew, of how many shifts, from what size of theirs over the noise, and by what
-# step in prior standard deviations.
+# How often changes by shifts are measured anew, of how many shifts, from what size of theirs over the noise on, and by
+# what step in prior standard deviations.
 _RENEWALS = 3
 _RENEWED = 6
 _LEAST_RENEWED = 30.0
@@ -128,7 +128,7 @@ class Sensitivity:
         # What a standard deviation of a change adds to the delay of sensors: number of the change, sensor, s.
         self._late: list[tuple[int, int, float]] = []
         # Changes that stay linear and turn or stretch what a channel says: in proportion to it.
-        self._relative: list[int] = []
+        self.relative: list[int] = []
         self._nuisance = self._nuisances()
 
     def observe(self, truth: Rig) -> Observed:
@@ -225,7 +225,7 @@ class Sensitivity:
             if sensor.quantity == "voltage":
                 # The random responses are referred to it.
                 columns.append(GAIN * np.where(self.base.level < 0, self.base.values, 0.0))
-                self._relative.append(len(self._made))
+                self.relative.append(len(self._made))
                 self._made.append(None)
                 continue
             step = _CHAIN_STEPS["gain"]
@@ -243,7 +243,7 @@ class Sensitivity:
                 corner = self.operating.omega / (2.0 * math.pi) * math.tan(lead)
                 columns.append(self._change(Edit((*path, "high_pass_hz"), corner)))
                 # A healthy channel leads by something already, so this may be less as well as more.
-                self._relative.append(len(self._made))
+                self.relative.append(len(self._made))
                 self._made.append(None)
         shared = SHARED_DELAY_S / math.sqrt(3.0)
         for members, late in kinds.values():
@@ -361,7 +361,9 @@ class Sensitivity:
         Raises:
             TrialError: the shifted model cannot be tested.
         """
-        wanted = self.linear(observed, here.values, here.made, here.changes, damping)[2]
+        changes = here.changes.copy()
+        changes[:, self.relative] = self.changes_about(here.values)[:, self.relative]
+        wanted = self.linear(observed, here.values, here.made, changes, damping)[2]
         step = np.where(self._own(), wanted - here.made, 0.0)
         made = here.made + step
         values = self._values(made)
@@ -380,7 +382,7 @@ class Sensitivity:
         good, scale = self._good(observed, values)
         own = self._own()
         d = (observed.values - values)[good] * scale
-        c = self._about(values)[good][:, ~own] * scale[:, np.newaxis]
+        c = self.changes_about(values)[good][:, ~own] * scale[:, np.newaxis]
         found = np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, c.T @ d)
         shifts = made.copy()
         shifts[~own] += found
@@ -388,10 +390,14 @@ class Sensitivity:
         rest[good] = d - c @ found
         return rest, shifts
 
-    def _about(self, values: FloatArray) -> FloatArray:
-        """Changes about other observables (m,) than those of the model: what is relative goes with them, (m, k)."""
+    def changes_about(self, values: FloatArray) -> FloatArray:
+        """Changes of observables by one standard deviation of each shift, (m, k).
+
+        Args:
+            values: observables of the model with some shifts, (m,); what is relative goes with them.
+        """
         changes = self._nuisance.copy()
-        if not self._relative:
+        if not self.relative:
             return changes
         real, imaginary = self._pairs()
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -399,7 +405,7 @@ class Sensitivity:
                 self.base.values[real] + 1j * self.base.values[imaginary]
             )
         ratio[~np.isfinite(ratio)] = 1.0
-        for column in self._relative:
+        for column in self.relative:
             turned = (changes[real, column] + 1j * changes[imaginary, column]) * ratio
             changes[real, column], changes[imaginary, column] = turned.real, turned.imag
         return changes

@@ -412,10 +412,13 @@ class _Diagnoser:
                 null = self._under(options[0], null)
             elif options and last:
                 # Both nearly suit the responses line by line: the better fit of all tests decides, if it is good.
-                fits = [self._under(option, null) for option in options]
+                fits = []
+                for number, option in enumerate(options):
+                    fits.append(self._with_better_moment(self._under(option, null)))
+                    options = (*options[:number], self.plain.observations, *options[number + 1 :])
                 best = int(np.argmax([found.fit.log_evidence for found in fits]))
                 chosen = options[best] if rms_left(fits[best]) < _GOOD else observations
-                null = self._under(chosen, null)
+                null = self._under(chosen, fits[best] if chosen is options[best] else null)
             elif not last:
                 # The nearer the model is, the clearer they show it.
                 null = self._under(observations, null)

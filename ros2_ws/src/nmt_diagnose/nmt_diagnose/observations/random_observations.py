@@ -2,9 +2,11 @@
 
 Around each line response and reference are fitted with H(f) U + T(f), where the frequency response H and the leakage T
 are polynomials over a few neighbouring lines of one Fourier transform of the whole window (local polynomial method:
-R. Pintelon, J. Schoukens, 2012, System Identification, 2nd ed., section 7.2). Averaged spectra would leave leakage as
-noise that all channels share; here sensor noise and nonlinear distortions are what remains, and the residual of the
-fit tells how large they are.
+R. Pintelon, J. Schoukens, 2012, System Identification, 2nd ed., section 7.2). On a resonance that is narrower than these
+lines polynomials are wrong by percents. Where the responses of all channels show one, both are divided by 1 + a x, with x
+the place among the lines and the same a for all channels (local rational method: T. McKelvey, G. Guérin, 2012, IFAC
+Proceedings Volumes 45, 16, 716-721). Averaged spectra would leave leakage as noise that all channels share; here sensor
+noise and nonlinear distortions are what remains, and the residual of the fit tells how large they are.
 """
 
 from __future__ import annotations
@@ -143,7 +145,7 @@ class _LocalFit:
 
     def _across(self, column: ComplexArray) -> ComplexArray:
         """What the polynomials cannot make of columns, shape (n, channels)."""
-        return column - self._q @ (np.conj(self._q.T) @ column)
+        return np.asarray(column - self._q @ (np.conj(self._q.T) @ column))
 
     def linear_pole(self) -> complex:
         """The coefficient that leaves least of A Y − H U − T, over the present A (Sanathanan and Koerner)."""
@@ -164,7 +166,7 @@ class _LocalFit:
 
     def _moved(self) -> ComplexArray:
         """Minus the change of the fit by a, its polynomials kept, shape (n, channels)."""
-        return self._fitted * (_PLACE / self._below)[:, np.newaxis]
+        return np.asarray(self._fitted * (_PLACE / self._below)[:, np.newaxis])
 
     def _slope(self) -> ComplexArray:
         """Minus the change of the fit by a, shape (n, channels)."""
@@ -383,7 +385,7 @@ def _bias(
     exact = (responses[:-1] / responses[-1])[:, inverse.reshape(bins.size, OFFSETS.size)]
     u = np.fft.rfft(reference - reference.mean())[bins[:, np.newaxis] + OFFSETS]
     fitted = local_fits(u, np.moveaxis(exact * u, 0, -1), resonant).estimate
-    return np.nan_to_num(np.abs(fitted / exact[:, :, REACH] - 1.0))
+    return np.asarray(np.nan_to_num(np.abs(fitted / exact[:, :, REACH] - 1.0)))
 
 
 def _clean_part(stretch: Stretch) -> slice:

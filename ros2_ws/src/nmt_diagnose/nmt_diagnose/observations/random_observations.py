@@ -1,11 +1,11 @@
 """Observables of random tests: frequency responses at chosen lines, free of leakage.
 
 Around each line response and reference are fitted with H(f) U + T(f), where the frequency response H and the leakage T
-are polynomials over a few neighbouring lines of one Fourier transform of the whole window (local polynomial method:
-R. Pintelon, J. Schoukens, 2012, System Identification, 2nd ed., section 7.2). On a resonance that is narrower than these
-lines polynomials are wrong by percents. Where the responses of all channels show one, both are divided by 1 + a x, with x
-the place among the lines and the same a for all channels (local rational method: T. McKelvey, G. Guérin, 2012, IFAC
-Proceedings Volumes 45, 16, 716-721). Averaged spectra would leave leakage as noise that all channels share; here sensor
+are polynomials over a few neighbouring lines of one Fourier transform of the whole window (local polynomial method: R.
+Pintelon, J. Schoukens, 2012, System Identification, 2nd ed., section 7.2). On a resonance that is narrower than these
+lines polynomials are wrong by percents. Where the responses of all channels show one, both are over 1 + a x, with x the
+place among the lines and the same a for all channels (local rational method: T. McKelvey, G. Guérin, 2012, 16th IFAC
+Symposium on System Identification). Averaged spectra would leave leakage as noise that all channels share; here sensor
 noise and nonlinear distortions are what remains, and the residual of the fit tells how large they are.
 """
 

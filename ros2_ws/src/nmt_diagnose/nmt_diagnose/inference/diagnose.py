@@ -36,7 +36,13 @@ from nmt_diagnose.inference.discrepancy import measured_elsewhere, smooth_errors
 from nmt_diagnose.inference.fit import Fit, FitError, fit
 from nmt_diagnose.inference.gap import Closed, rms
 from nmt_diagnose.inference.generic_source import SourceScore
-from nmt_diagnose.inference.held_images import may_hold_images, same_images, with_detected_images
+from nmt_diagnose.inference.held_images import (
+    ImageOptions,
+    image_options,
+    may_hold_images,
+    same_images,
+    with_detected_images,
+)
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.held_out_comparison import HeldOut, Refits
 from nmt_diagnose.inference.hypotheses import NULL
@@ -208,6 +214,7 @@ class _Diagnoser:
         self.forward = Forward(observations.tests, observations.rows)
         self.given = self.forward.predict(rig)
         self.plain = self._plain(self.given)
+        self._undetected = self.plain.observations
         self.problem = with_chain_errors(self.plain, rig, self.given)
         self.judged = self.problem
         self.observations = self.problem.observations
@@ -327,7 +334,8 @@ class _Diagnoser:
             null = self.comparison.polished(self.comparison.null())
         except FitError as error:
             raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
-        null = self._with_true_phases(self._with_detected_images(null))
+        # At other phases than they were told locked windows contradict a random test, with images or without.
+        null = self._with_true_phases(self._with_detected_images(self._with_true_phases(null)))
         self.progress(f"scanning {len(self.candidates)} candidates")
         known = self.comparison.from_below(null)
         scan = self.comparison.scan(null)
@@ -400,29 +408,36 @@ class _Diagnoser:
 
     def _with_detected_images(self, null: FittedModel) -> FittedModel:
         """The model alone after random tests showed whether images of a held drive are in them."""
-        self._undetected = self.plain.observations
         for last in (False, True):
             observations = self.plain.observations
             if not any(
                 may_hold_images(test, own) for test, own in zip(observations.tests, observations.chains, strict=False)
             ):
                 break
-            options = with_detected_images(observations, null.fit.parametrisation.rig(null.fit.theta))
-            if len(options) == 1:
-                null = self._under(options[0], null)
-            elif options and last:
-                # Both nearly suit the responses line by line: the better fit of all tests decides, if it is good.
-                fits = []
-                for number, option in enumerate(options):
-                    fits.append(self._with_better_moment(self._under(option, null)))
-                    options = (*options[:number], self.plain.observations, *options[number + 1 :])
-                best = int(np.argmax([found.fit.log_evidence for found in fits]))
-                chosen = options[best] if rms_left(fits[best]) < _GOOD else observations
-                null = self._under(chosen, fits[best] if chosen is options[best] else null)
+            found = image_options(observations, null.fit.parametrisation.rig(null.fit.theta))
+            if found.options and (found.sure or last):
+                null = self._better_of(found, null)
             elif not last:
                 # The nearer the model is, the clearer they show it.
                 null = self._under(observations, null)
         return self._with_better_moment(null)
+
+    def _better_of(self, found: ImageOptions, null: FittedModel) -> FittedModel:
+        """The model alone under the observations, with images or without, that it fits better, if it fits one well.
+
+        If it does not, the more credible observations count where that is clear, and those before where it is not.
+        """
+        before, told = self.plain.observations, list(found.options)
+        fits = []
+        for number, option in enumerate(found.options):
+            fits.append(self._with_better_moment(self._under(option, null)))
+            told[number] = self.plain.observations
+        best = int(np.argmax([own.fit.log_evidence for own in fits]))
+        if not rms_left(fits[best]) < _GOOD:
+            if not found.sure:
+                return self._under(before, null)
+            best = 0
+        return self._under(told[best], fits[best])
 
     def _with_better_moment(self, null: FittedModel) -> FittedModel:
         """The model alone where held random tests are taken as sampled at the moment that leaves least."""

@@ -73,8 +73,30 @@ class DetectedImages(NamedTuple):
     sampled_at: tuple[float, ...]
 
 
+class ImageOptions(NamedTuple):
+    """The observations as they are if images of a held drive are in them, and if they are not.
+
+    Attributes:
+        options: the more credible one first; empty where images hardly matter.
+        sure: whether the first is much more credible.
+    """
+
+    options: tuple[Observations, ...]
+    sure: bool
+
+
 def with_detected_images(observations: Observations, rig: Rig) -> tuple[Observations, ...]:
-    """The observations with what its first random test shows of a held drive.
+    """The observations with what its first random test shows of a held drive; arguments as for `image_options`.
+
+    Returns:
+        One; two, with images and without, where that is not clear; none where images hardly matter.
+    """
+    found = image_options(observations, rig)
+    return found.options[:1] if found.sure else found.options
+
+
+def image_options(observations: Observations, rig: Rig) -> ImageOptions:
+    """What the first random test shows of a held drive.
 
     Without images none are looked for in any test of that rate. Images that are there become part of what the model
     predicts for that random test.
@@ -82,9 +104,6 @@ def with_detected_images(observations: Observations, rig: Rig) -> tuple[Observat
     Args:
         observations: the real side.
         rig: the model, near enough to the rig.
-
-    Returns:
-        One; two, with images and without, where that is not clear; none where images hardly matter.
     """
     for number, test in enumerate(observations.tests):
         chain = observations.chains[number] if number < len(observations.chains) else None
@@ -111,8 +130,9 @@ def with_detected_images(observations: Observations, rig: Rig) -> tuple[Observat
             for own in observations.chains
         )
         without = replace(observations, chains=chains)
-        return (with_images, without) if found.there is None else (with_images if found.there else without,)
-    return ()
+        options = (without, with_images) if found.there is False else (with_images, without)
+        return ImageOptions(options, found.there is not None)
+    return ImageOptions((), False)
 
 
 def same_images(one: Observations, other: Observations) -> bool:

@@ -1,0 +1,43 @@
+"""Channels that are late by what their conditioners take, behind a held drive: healthy, with filters and without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from nmt_blind.cases.blind_rigs import blind_rig
+from nmt_blind.cases.laboratory import record_backbone, record_random
+from nmt_blind.cases.laboratory_rig import Converters
+from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
+from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
+from nmt_diagnose.inference.diagnosis import Verdict
+
+# Delays against the drive (s) and gains by kind of sensor.
+LATE = {"acceleration": 85e-6, "force": -23e-6, "displacement": 31e-6}
+GAINS = {"acceleration": 0.99, "force": 1.01, "displacement": 1.006}
+
+
+@pytest.mark.parametrize("filtered", [True, False])
+def test_late_channels_are_no_gap(tmp_path: Path, filtered: bool) -> None:
+    """On top of its resonance a random test tells damping to 1e-3: windows at a wrong phase contradict it."""
+    rig = blind_rig("modal_beam")
+    model, bench = rig.model(), replace(rig.bench, levels=rig.bench.levels[::2])
+    edits = [
+        Edit(("sensors", number, key), values[sensor.quantity])
+        for number, sensor in enumerate(model.sensors)
+        for key, values in (("delay_s", LATE), ("gain", GAINS))
+        if sensor.quantity in values
+    ]
+    truth = with_edits(model, edits)
+    converters = Converters(held=True, filtered=filtered)
+    record_backbone(tmp_path / "backbone", truth, model, bench, 3, converters)
+    record_random(tmp_path / "random", truth, model, bench, 3, converters)
+    (tmp_path / "model.yaml").write_text(rig_yaml(model), encoding="utf-8")
+    bags = [tmp_path / "backbone", tmp_path / "random"]
+    found = diagnose_bags(tmp_path / "model.yaml", bags, settings=DiagnosisSettings(look_ahead=False)).diagnosis
+    assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+    rows = found.features["rows"]
+    assert rows is not None
+    assert found.features["chi_square_null"] < 1.2 * rows

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
@@ -85,6 +85,7 @@ _HELPS = 2.0
 _CHANCE = 1.0
 # ln of the evidence from which an effect moves the solution so far that errors of the measuring chain act otherwise.
 _MOVES = 50.0
+_OF_OBSERVATIONS = ("forward", "given", "plain", "problem", "observations", "judged", "comparison")
 _GOOD = 1.5  # rms of residuals of a model that may tell whether images of a held drive are there
 _PHASES = 3  # most times that the phases of locked windows are corrected
 _NOISE = 1.05  # rms of residuals that may be noise
@@ -413,31 +414,39 @@ class _Diagnoser:
             if not any(
                 may_hold_images(test, own) for test, own in zip(observations.tests, observations.chains, strict=False)
             ):
-                break
+                return null
             found = image_options(observations, null.fit.parametrisation.rig(null.fit.theta))
             if found.options and (found.sure or last):
                 null = self._better_of(found, null)
             elif not last:
                 # The nearer the model is, the clearer they show it.
                 null = self._under(observations, null)
-        return self._with_better_moment(null)
+        return null
 
     def _better_of(self, found: ImageOptions, null: FittedModel) -> FittedModel:
         """The model alone under the observations, with images or without, that it fits better, if it fits one well.
 
         If it does not, the more credible observations count where that is clear, and those before where it is not.
         """
-        before, told = self.plain.observations, list(found.options)
-        fits = []
-        for number, option in enumerate(found.options):
+        before, fits, states = self.plain.observations, [], []
+        for option in found.options:
             fits.append(self._with_better_moment(self._under(option, null)))
-            told[number] = self.plain.observations
+            states.append(self._state())
         best = int(np.argmax([own.fit.log_evidence for own in fits]))
         if not rms_left(fits[best]) < _GOOD:
             if not found.sure:
                 return self._under(before, null)
             best = 0
-        return self._under(told[best], fits[best])
+        self._return_to(states[best])
+        return fits[best]
+
+    def _state(self) -> dict[str, Any]:
+        """What taking other observations changes."""
+        return {name: getattr(self, name) for name in _OF_OBSERVATIONS}
+
+    def _return_to(self, state: Mapping[str, Any]) -> None:
+        for name, value in state.items():
+            setattr(self, name, value)
 
     def _with_better_moment(self, null: FittedModel) -> FittedModel:
         """The model alone where held random tests are taken as sampled at the moment that leaves least."""
@@ -445,7 +454,7 @@ class _Diagnoser:
             moved = with_better_moment(self.problem, null.fit)
             if moved is None:
                 break
-            null = self._under(moved, null)
+            null = self._under(moved, null, near=True)
         return null
 
     def _with_true_phases(self, null: FittedModel) -> FittedModel:
@@ -515,12 +524,15 @@ class _Diagnoser:
         self.given = self.forward.predict(self.rig, self.given)
         self.plain = replace(self.plain, observations=observations, forward=self.forward)
 
-    def _under(self, observations: Observations, null: FittedModel) -> FittedModel:
-        """The model alone, re-fitted to observations of other chains, its errors traced about what it was."""
+    def _under(self, observations: Observations, null: FittedModel, near: bool = False) -> FittedModel:
+        """The model alone, re-fitted to observations of other chains, its errors traced about what it was.
+
+        Where it is ``near`` the new optimum the fit goes on from it.
+        """
         self._observe(observations)
         self._trace(null.fit, np.zeros(len(observations.rows)), 0.0)
         self.judged, self.comparison = self.problem, self._comparison()
-        return self.comparison.polished(self.comparison.null())
+        return self.comparison.polished(self.comparison.null(start=null.fit if near else None))
 
     @property
     def _amplitudes_measured(self) -> bool:

@@ -176,15 +176,23 @@ class ModelComparison:
         """What another process needs to fit; it asks nobody for help and reports no progress."""
         return {**self.__dict__, "_progress": _silent, "_plain_directions": [], "workers": None}
 
-    def null(self, used: BoolArray | None = None) -> FittedModel:
+    def null(self, used: BoolArray | None = None, start: Fit | None = None) -> FittedModel:
         """The model with its own parameters re-fitted.
+
+        Args:
+            used: rows, shape (m,); None = those of the comparison.
+            start: a fit of it to nearly the same; None = the model as given.
 
         Raises:
             FitError: the model as given has no solution for any observable.
         """
         parametrisation = Parametrisation(self.rig, self.calibration)
         rows = self._used(used)
-        best = fit(self.problem, parametrisation, parametrisation.zero, rows)
+        if start is None:
+            best = fit(self.problem, parametrisation, parametrisation.zero, rows)
+        else:
+            near = self.problem.forward.predict(parametrisation.rig(start.theta), start.prediction)
+            best = fit(self.problem, parametrisation, start.theta, rows, near)
         if _incredible(best):
             with suppress(FitError):
                 climbed = self._climbed(parametrisation, rows, parametrisation.zero)

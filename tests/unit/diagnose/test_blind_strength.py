@@ -33,7 +33,7 @@ def sensitivity(columns: np.ndarray = COLUMNS) -> Sensitivity:
     own.model = None  # type: ignore[assignment]
     # The first column is a parameter of the model, in prior standard deviations; the others are of the lock.
     own._made = [lambda deviation: deviation, *[None] * (columns.shape[1] - 1)]  # type: ignore[list-item, return-value]
-    own._late, own.relative = [], []
+    own._late, own.relative, own._leads = [], [], []
     own.bench = type("Bench", (), {"levels": tuple(range(12))})()  # type: ignore[assignment]
     return own
 

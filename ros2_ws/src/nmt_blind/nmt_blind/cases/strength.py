@@ -127,8 +127,9 @@ class Sensitivity:
         self._made: list[Callable[[float], Edit] | None] = []
         # What a standard deviation of a change adds to the delay of sensors: number of the change, sensor, s.
         self._late: list[tuple[int, int, float]] = []
-        # Changes that stay linear and turn or stretch what a channel says: in proportion to it.
+        # Changes that turn or stretch what a channel says, in proportion to it; those of them that are leads.
         self.relative: list[int] = []
+        self._leads: list[int] = []
         self._nuisance = self._nuisances()
 
     def observe(self, truth: Rig) -> Observed:
@@ -242,9 +243,9 @@ class Sensitivity:
                 lead = math.radians(PHASE_DEG)
                 corner = self.operating.omega / (2.0 * math.pi) * math.tan(lead)
                 columns.append(self._change(Edit((*path, "high_pass_hz"), corner)))
-                # A healthy channel leads by something already, so this may be less as well as more.
                 self.relative.append(len(self._made))
-                self._made.append(None)
+                self._leads.append(len(self._made))
+                self._made.append(partial(_leading, (*path, "high_pass_hz"), corner))
         shared = SHARED_DELAY_S / math.sqrt(3.0)
         for members, late in kinds.values():
             columns.append(shared * late)
@@ -351,9 +352,12 @@ class Sensitivity:
             TrialError: it cannot be tested.
         """
         try:
-            return self.observe(with_edits(self.model, self._edits(made))).values
+            values = self.observe(with_edits(self.model, self._edits(made))).values
         except (BenchError, OverflowError) as error:
             raise TrialError(str(error)) from error
+        # A healthy channel leads by something already, so it may lead by less as well as by more.
+        less = [lead for lead in self._leads if made[lead] < 0.0]
+        return values + self.changes_about(values)[:, less] @ made[less] if less else values
 
     def _step(self, observed: Observed, here: Shifted, damping: float) -> tuple[FloatArray, Shifted]:
         """The next step, standard deviations (k,), and the model after it.
@@ -523,6 +527,11 @@ def _leaning(phase: float) -> Edit:
 def _louder(path: tuple[str | int, ...], gain: float, deviation: float) -> Edit:
     """A gain that is off by so many standard deviations."""
     return Edit(path, gain * (1.0 + GAIN * deviation))
+
+
+def _leading(path: tuple[str | int, ...], corner: float, deviation: float) -> Edit:
+    """A high-pass that leads by so many standard deviations; none leads by less than nothing."""
+    return Edit(path, max(corner * deviation, 1e-6 * corner))
 
 
 def _line_bins(model: Rig, bench: BenchSettings) -> np.ndarray[Any, np.dtype[np.int64]]:

@@ -27,6 +27,7 @@ from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ORDER, ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction
+from nmt_diagnose.twin.held_steps import LEAST_RISE
 from nmt_diagnose.twin.stepped_sine_twin import gain_error
 from nmt_rig.rig import ModalSection, Rig, SensorSection
 
@@ -43,9 +44,9 @@ _IMAGE_ORDERS = tuple((order,) for order in (-1, 1, -2, 2, -3, 3, -4, 4))
 # noise of each line it must be larger by the root of their number not to count for more than it is. The share of it
 # that differs from level to level.
 _IMAGE_FLOOR, _SAME_FOR_LEVELS = 1.0, 0.2
-# Samples about the step of a held drive in which it is on the way, time constants of that, and what is left of a
-# response at most, relative.
-_JUMP, _SMOOTH, _SMOOTHER, _JUMP_FLOOR = 0.15, 0.03, 0.1, 1e-3
+# Samples about the step of a held drive in which it is on the way, time constants of that, what is left of the step,
+# relative, and of a response at most.
+_JUMP, _SMOOTH, _SMOOTHER, _JUMP_SHARE, _JUMP_FLOOR = 0.15, 0.03, 0.1, 0.05, 1e-3
 # Time that such a drive takes to move on, samples; what images that are part of the model may be off by, relative.
 _RISE, _KNOWN_IMAGES = 0.05, 0.01
 # What the model's response to a harmonic of the drive may be off by, relative.
@@ -618,8 +619,44 @@ class _Columns:
         return found
 
     def _without_images(self, base: Prediction) -> FloatArray:
-        """Change of the rows if images that are part of the model were not there."""
-        return self._other_steps(base, sampled_at=None, drive_hold_hz=math.inf)
+        """Change of the rows if images that are part of the model were not there, and the drive held all the same."""
+        change = self._other_steps(base, sampled_at=None, drive_hold_hz=math.inf)
+        for number, test in enumerate(self.tests):
+            if not isinstance(test, RandomTest) or test.sampled_at is None:
+                continue
+            mine = self._linear_rows(number)
+            share = self.rows.frequency_hz / test.drive_hold_hz
+            held = np.log(np.abs(np.sinc(share) * np.sinc(share * test.rise)) + 1e-300)
+            late = np.pi * share * (2.0 * test.sampled_at - 1.0)
+            turned = self.rows.part == Part.PHASE
+            change = change + mine * np.where(turned, late, held)
+            change[mine & turned] = (change[mine & turned] + np.pi) % (2.0 * np.pi) - np.pi
+        return change
+
+    def _jumps(self, base: Prediction) -> FloatArray:
+        """Change of the rows of channels that are sampled near the step of a held drive from before it to after it."""
+        result = np.zeros(len(self.rows))
+        for number, test in enumerate(self.tests):
+            if not isinstance(test, RandomTest) or test.sampled_at is None:
+                continue
+            for k, channel in enumerate(test.channels):
+                if not _near_step(test, channel.name):
+                    continue
+                moment = test.sampled_at + (test.late_s[k] * test.drive_hold_hz if test.late_s else 0.0)
+                sides = []
+                for side in (-0.5 * LEAST_RISE, 0.5 * LEAST_RISE):
+                    there = test.sampled_at + round(moment) + side - moment
+                    moved = tuple(
+                        replace(test, sampled_at=there, rise=LEAST_RISE) if own is test else own for own in self.tests
+                    )
+                    sides.append(np.nan_to_num(self._moved(moved, base)))
+                change = sides[1] - sides[0]
+                turned = self.rows.part == Part.PHASE
+                change -= turned * 2.0 * np.pi * self.rows.frequency_hz / test.drive_hold_hz * LEAST_RISE
+                size = np.hypot(change, change[self._other_part()])
+                mine = (self.rows.channel == k) & self._linear_rows(number)
+                result[mine] = size[mine]
+        return result
 
     def _other_part(self) -> IntArray:
         """Of each row that is a magnitude or phase, the row of the other of the two; of others the row itself."""
@@ -682,11 +719,7 @@ class _Columns:
         for number, test in enumerate(self.tests):
             if isinstance(test, PhaseResonanceTest):
                 result[(self.rows.test == number) & self._linear_rows(number)] *= _SAME_FOR_LEVELS
-        for number, test in enumerate(self.tests):
-            if isinstance(test, RandomTest) and test.sampled_at is not None:
-                for k, channel in enumerate(test.channels):
-                    mine = (self.rows.channel == k) & self._linear_rows(number)
-                    result[mine] += _JUMP_FLOOR * _near_step(test, channel.name)
+        result += np.minimum(_JUMP_SHARE * self._jumps(self._start(prediction)), _JUMP_FLOOR)
         result += _KNOWN_IMAGES * np.abs(self._without_images(self._start(prediction)))
         # Near zeros of a response images are as large as the response: there ln(1 + z) is far from z.
         result += 0.5 * size**2

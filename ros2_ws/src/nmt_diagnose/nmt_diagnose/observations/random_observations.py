@@ -312,7 +312,7 @@ def random_observations(
     table = RowTable()
     drive_rms = float(np.std(input_samples))
     middle = 0.5 * (stretch.start_s + stretch.stop_s)
-    bias = _bias(view, present, input_samples, reference, bins, stretch.sample_rate, found.resonant)
+    bias = _bias(view, present, input_samples, reference, bins, stretch.sample_rate)
     held = reference.quantity is Quantity.VOLTAGE
     images = np.abs(image_responses(view, present, lines, hold_rate_hz if held else math.inf))
     believed = _believed(view, present, reference, lines, estimate)
@@ -376,7 +376,6 @@ def _bias(
     source: MeasuredChannel,
     bins: IndexArray,
     sample_rate: float,
-    resonant: NDArray[np.bool_],
 ) -> FloatArray:
     """Relative error that the local fits make on the model's own response, shape (channels, lines)."""
     unique, inverse = np.unique(bins[:, np.newaxis] + OFFSETS, return_inverse=True)
@@ -384,7 +383,7 @@ def _bias(
     responses = view.responses([*channels, source], frequency)
     exact = (responses[:-1] / responses[-1])[:, inverse.reshape(bins.size, OFFSETS.size)]
     u = np.fft.rfft(reference - reference.mean())[bins[:, np.newaxis] + OFFSETS]
-    fitted = local_fits(u, np.moveaxis(exact * u, 0, -1), resonant).estimate
+    fitted = local_fits(u, np.moveaxis(exact * u, 0, -1)).estimate
     return np.asarray(np.nan_to_num(np.abs(fitted / exact[:, :, REACH] - 1.0)))
 
 

@@ -205,6 +205,9 @@ def test_a_share_of_the_images_that_a_channel_is_off_by_is_one_error(turn: compl
     base = forward.predict(MODEL)
     smooth = Forward((replace(seen.tests[0], sampled_at=None, drive_hold_hz=np.inf),), seen.rows).predict(MODEL)
     change = forward.difference(smooth.values, base.values)
+    # The held tone itself is smaller and later than that of the samples, without any image.
+    share, at = rows.frequency_hz / RATE, seen.tests[0].sampled_at
+    change += np.where(rows.part == Part.PHASE, np.pi * share * (2.0 * at - 1.0), np.log(np.sinc(share)))
     images = np.zeros((test.lines_hz.size, len(test.channels)), dtype=complex)
     for part, factor in ((Part.LOG_MAGNITUDE, 1.0), (Part.PHASE, 1j)):
         mine = rows.part == part

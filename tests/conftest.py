@@ -82,16 +82,6 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(Stopwatch())
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Before what a file's fixtures make."""
-    worker = getattr(item.config, "workerinput", {}).get("workerid", "")
-    if worker:
-        from worker_schedule import take_turns
-
-        take_turns(worker, item.nodeid.partition("::")[0])
-
-
 def pytest_unconfigure(config: pytest.Config) -> None:
     folder = config.stash.get(_LOG_FOLDER, None)
     if folder is not None:

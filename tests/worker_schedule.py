@@ -4,9 +4,8 @@
 what its fixtures make; where it says *apart* they share nothing, and each goes wherever there is room. What is
 *punctual* keeps to the clock, and a neighbour can make it late: all of it is done by the first worker, one after the
 other. The other workers stand back for it, and those beyond the number of cores begin after it. What is *alone* loses
-samples for good when it is late: the first worker begins with it, and before it is done the others do only what is
-*patient*: that computes, with as much of the processors as nobody else wants (SCHED_IDLE), and does not mind how long
-it takes. A file without a line counts as short: that costs time and nothing else.
+samples for good when it is late: the first worker begins with it, and no other begins before it is done. A file without
+a line counts as short: that costs time and nothing else.
 
     ./nmt test --write-seconds
 
@@ -16,7 +15,6 @@ measures them anew.
 from __future__ import annotations
 
 import os
-import resource
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -30,9 +28,8 @@ TABLE = Path(__file__).with_name("seconds.txt")
 LEAST = 1.0  # s; shorter files are not in the table
 FIRST = "gw0"
 _NICE = 5
-_EVERY_NICE = 20  # of RLIMIT_NICE: nice 0 may be had again
 _TIMED = ("alone", "punctual")
-_HEAD = "# Seconds of each test file; 'apart', 'punctual', 'patient': see worker_schedule.py.\n"
+_HEAD = "# Seconds of each test file; 'apart', 'punctual': see worker_schedule.py.\n"
 
 
 @dataclass(frozen=True)
@@ -42,14 +39,11 @@ class Cost:
     Attributes:
         seconds: of all its tests, with what their fixtures make.
         word: ``apart``, its tests can be on different workers at no cost; ``punctual``, they are in real time;
-            ``alone``, nothing but patient ones may run beside them; ``patient``; several of these; or none.
+            ``alone``, nothing may run beside them; or none.
     """
 
     seconds: float = 0.0
     word: str = ""
-
-    def __contains__(self, word: str) -> bool:
-        return word in self.word.split()
 
 
 def read_costs(path: Path = TABLE) -> dict[str, Cost]:
@@ -85,27 +79,6 @@ def stand_back(worker: str) -> None:
         os.nice(_NICE)
 
 
-def may_be_patient() -> bool:
-    """Whether a process may go where it gets only what nobody else wants, and come back from there."""
-    if not hasattr(os, "SCHED_IDLE"):
-        return False
-    return os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_NICE)[0] >= _EVERY_NICE
-
-
-def take_turns(worker: str, file: str) -> None:
-    """Let a worker have the processors that a file of tests may have: those that nobody else wants, or its share.
-
-    Args:
-        worker: its name; the first one, and a test run without workers, always have their share.
-        file: of the test that is next, as pytest names it.
-    """
-    if worker in ("", FIRST) or not may_be_patient():
-        return
-    policy = os.SCHED_IDLE if "patient" in read_costs().get(file, Cost()) else os.SCHED_OTHER
-    if os.sched_getscheduler(0) != policy:
-        os.sched_setscheduler(0, policy, os.sched_param(0))
-
-
 class LongestFirst(LoadScopeScheduling):
     """Gives a worker that has nothing to do the longest of what is left.
 
@@ -114,7 +87,6 @@ class LongestFirst(LoadScopeScheduling):
         log: of xdist.
         costs: by file; default those of the table.
         cores: of the computer; default those that may be used.
-        patient: whether patient tests may run beside what is alone; default where processes may be patient.
     """
 
     def __init__(
@@ -123,10 +95,8 @@ class LongestFirst(LoadScopeScheduling):
         log: Any = None,
         costs: Mapping[str, Cost] | None = None,
         cores: int | None = None,
-        patient: bool | None = None,
     ) -> None:
         super().__init__(config, log)
-        self._patient = may_be_patient() if patient is None else patient
         self._costs = read_costs() if costs is None else costs
         self._cores = len(os.sched_getaffinity(0)) if cores is None else cores
         self._tests: Counter[str] = Counter()
@@ -135,7 +105,7 @@ class LongestFirst(LoadScopeScheduling):
     def _split_scope(self, nodeid: str) -> str:
         """Name of the unit that a test belongs to: itself, or its file."""
         file = nodeid.partition("::")[0]
-        return nodeid if "apart" in self._costs.get(file, Cost()) else file
+        return nodeid if self._costs.get(file, Cost()).word == "apart" else file
 
     def schedule(self) -> None:
         """Distribute what was collected."""
@@ -152,39 +122,34 @@ class LongestFirst(LoadScopeScheduling):
             for other in self.nodes:
                 self._reschedule(other)
 
-    def _is(self, unit: str, word: str) -> bool:
-        return word in self._costs.get(unit.partition("::")[0], Cost())
+    def _word(self, unit: str) -> str:
+        return self._costs.get(unit, Cost()).word
 
     def _workers_beside(self) -> int:
         """How many workers may work now."""
         if self._all_may:
             return len(self.assigned_work)
         begun = (item for units in self.assigned_work.values() for item in units.items())
-        left = [*self.workqueue, *(unit for unit, tests in begun if not all(tests.values()))]
-        if any(self._is(unit, "alone") for unit in left):
+        left = {self._word(unit) for unit in self.workqueue}
+        left |= {self._word(unit) for unit, tests in begun if not all(tests.values())}
+        if "alone" in left:
             return 1
-        if any(self._is(unit, "punctual") for unit in left):
+        if "punctual" in left:
             return max(self._cores, 1)
         self._all_may = self.collection is not None
         return len(self.assigned_work)
 
     def _assign_work_unit(self, node: Any) -> None:
         """Let a worker have the longest unit that is left; the first one what keeps to the clock, before all else."""
-        timed = [unit for unit in self.workqueue if any(self._is(unit, word) for word in _TIMED)]
+        timed = [unit for unit in self.workqueue if self._word(unit) in _TIMED]
         others = [unit for unit in self.workqueue if unit not in timed]
         # A worker that died has a successor of another name.
         names = sorted((worker.gateway.id for worker in self.assigned_work), key=lambda name: (len(name), name))
         place = names.index(node.gateway.id)
-        beside = self._workers_beside()
-        if place >= beside:
-            # Only while something is alone fewer may work than there are cores: but for those that do not mind.
-            spare = self._patient and place < self._cores
-            mine = [unit for unit in others if spare and self._is(unit, "patient")]
-            if not mine:
-                return
-        else:
-            alone = [unit for unit in timed if self._is(unit, "alone")]
-            mine = alone or timed or others if place == 0 else others
+        if place >= self._workers_beside():
+            return
+        alone = [unit for unit in timed if self._word(unit) == "alone"]
+        mine = alone or timed or others if place == 0 else others
         if not mine:  # what is left is for the first
             node.shutdown()
             return

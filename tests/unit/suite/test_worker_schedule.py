@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,8 +11,7 @@ import pytest
 
 pytest.importorskip("xdist")
 
-import worker_schedule
-from worker_schedule import TABLE, Cost, LongestFirst, may_be_patient, read_costs, take_turns, write_costs
+from worker_schedule import TABLE, Cost, LongestFirst, read_costs, write_costs
 
 ROOT = Path(__file__).resolve().parents[3]
 TESTS = [
@@ -47,11 +45,11 @@ class Worker:
 
 
 def scheduled(
-    workers: int, tests: Sequence[str] = TESTS, costs: Mapping[str, Cost] = COSTS, cores: int = 8, patient: bool = True
+    workers: int, tests: Sequence[str] = TESTS, costs: Mapping[str, Cost] = COSTS, cores: int = 8
 ) -> tuple[LongestFirst, list[Worker]]:
     option: Any = SimpleNamespace(loadscopereorder=True, tx=["popen"] * workers, maxprocesses=None)
     config: Any = SimpleNamespace(option=option, getvalue=lambda name: getattr(option, name))
-    schedule = LongestFirst(config, costs=costs, cores=cores, patient=patient)
+    schedule = LongestFirst(config, costs=costs, cores=cores)
     made = [Worker(f"gw{number}") for number in range(workers)]
     for worker in reversed(made):  # they report in any order
         schedule.add_node(worker)  # type: ignore[arg-type]
@@ -139,44 +137,6 @@ def test_no_worker_begins_before_what_is_alone_is_done() -> None:
     assert tests[made[0].given[2]] == "clock.py::a"
     schedule.mark_test_complete(made[0], 2)  # type: ignore[arg-type]
     assert made[2].given
-
-
-@pytest.mark.parametrize("patient", [True, False])
-def test_what_is_patient_runs_beside_what_is_alone(patient: bool) -> None:
-    tests = ["late.py::a", "late.py::b", "slow.py::a", "slow.py::b", "sums.py::a", "sums.py::b", "new.py::a"]
-    costs = {"late.py": Cost(5.0, "alone"), "slow.py": Cost(9.0, "apart patient"), "sums.py": Cost(2.0, "patient")}
-    schedule, made = scheduled(3, tests, costs, cores=2, patient=patient)
-    for index in (0, 1):
-        beside = [tests[given] for given in made[1].given]
-        assert beside == (["slow.py::a", "slow.py::b", "sums.py::a", "sums.py::b"][: len(beside)] if patient else [])
-        assert bool(beside) == patient
-        assert not made[2].given
-        schedule.mark_test_complete(made[0], index)  # type: ignore[arg-type]
-    assert made[0].given[2:]
-
-
-@pytest.mark.parametrize("workers", [1, 2, 3])
-def test_every_test_runs_once_where_some_are_patient(workers: int) -> None:
-    costs = {**COSTS, "short.py": Cost(2.0, "alone"), "apart.py": Cost(80.0, "apart patient")}
-    assert sorted(work_off(*scheduled(workers, costs=costs, cores=2))) == sorted(TESTS)
-
-
-@pytest.mark.skipif(not may_be_patient(), reason="a process may not come back from SCHED_IDLE here")
-def test_a_worker_waits_for_all_others_during_what_is_patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    costs = {"sums.py": Cost(2.0, "patient")}
-    monkeypatch.setattr(worker_schedule, "read_costs", lambda: costs)
-    before = os.sched_getscheduler(0)
-    try:
-        for worker, file, policy in (
-            ("gw1", "sums.py", os.SCHED_IDLE),
-            ("gw1", "new.py", os.SCHED_OTHER),
-            ("gw0", "sums.py", os.SCHED_OTHER),
-            ("", "sums.py", os.SCHED_OTHER),
-        ):
-            take_turns(worker, file)
-            assert os.sched_getscheduler(0) == policy
-    finally:
-        os.sched_setscheduler(0, before, os.sched_param(0))
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3])

@@ -47,6 +47,8 @@ _IMAGE_FLOOR, _SAME_FOR_LEVELS = 1.0, 0.2
 # Samples about the step of a held drive in which it is on the way, time constants of that, what is left of the step,
 # relative, and of a response at most.
 _JUMP, _SMOOTH, _SMOOTHER, _JUMP_SHARE, _JUMP_FLOOR = 0.15, 0.03, 0.1, 0.05, 1e-3
+# No sensor's response is flatter than this, relative: lines on top of a resonance have less noise.
+_FLAT = 5e-4
 # Time that such a drive takes to move on, samples; what images that are part of the model may be off by, relative.
 _RISE, _KNOWN_IMAGES = 0.05, 0.01
 # What the model's response to a harmonic of the drive may be off by, relative.
@@ -720,6 +722,10 @@ class _Columns:
             if isinstance(test, PhaseResonanceTest):
                 result[(self.rows.test == number) & self._linear_rows(number)] *= _SAME_FOR_LEVELS
         result += np.minimum(_JUMP_SHARE * self._jumps(self._start(prediction)), _JUMP_FLOOR)
+        for number, test in enumerate(self.tests):
+            if isinstance(test, RandomTest):
+                mine = self._linear_rows(number)
+                result[mine] = np.hypot(result[mine], _FLAT)
         result += _KNOWN_IMAGES * np.abs(self._without_images(self._start(prediction)))
         # Near zeros of a response images are as large as the response: there ln(1 + z) is far from z.
         result += 0.5 * size**2

@@ -112,6 +112,9 @@ class Sensitivity:
     Args:
         rig: the blind rig.
         tolerances: of the measuring chain, ``none`` or ``laboratory``.
+
+    Attributes:
+        relative: numbers of the shifts that turn or stretch what a channel says, in proportion to it.
     """
 
     def __init__(self, rig: BlindRig, tolerances: str = "none") -> None:

@@ -119,6 +119,28 @@ def test_a_pair_with_a_member_at_zero_is_no_pair() -> None:
     assert own.pruned(singles, [pair])[0][0] is singles[0]
 
 
+def test_a_single_fit_that_stopped_far_away_goes_on_from_a_pair_with_a_weak_member() -> None:
+    truth = real(
+        MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}],
+        pll={"phase_offset_rad": 0.1 * OFFSET},
+    )  # fmt: skip
+    own = comparison(observations_of_twin(truth, seed=7, drives=LEVELS))
+    null = own.null()
+    singles = own.singles(null, own.scan(null))
+    weak = next(s for s in own.scan(singles[0]) if own.candidates[s.direction.candidate].label == "phase_offset")
+    pair = own.add(singles[0], weak)
+    assert pair is not None
+    assert 1.0 < pair.strength(1) < 5.0
+    # The pair stays, and beside it stands what its strong member explains alone, wherever that fit had stopped.
+    far = replace(singles[0], fit=replace(singles[0].fit, log_evidence=singles[0].fit.log_evidence - 1e4))
+    better, kept = own.pruned([far, *singles[1:]], [pair])
+    assert kept == [pair]
+    assert better[0].explanation == singles[0].explanation
+    assert better[0].fit.log_evidence == pytest.approx(singles[0].fit.log_evidence, abs=0.5)
+    # One that had not stopped stays as it is.
+    assert own.pruned(singles, [pair])[0][0] is singles[0]
+
+
 def test_a_strong_stop_is_fitted_to_its_optimum() -> None:
     """Gap and stiffness bend the model's own parameters first; the truth is reached from the parameters as given."""
     stop = {"kind": "two_sided_gap", "point": 2, "stiffness_n_m": 20000.0, "gap_m": 1.5e-4}

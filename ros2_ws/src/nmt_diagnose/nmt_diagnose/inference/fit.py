@@ -130,6 +130,7 @@ def fit(
     exact: bool = True,
     refreshes: int = _STEPS,
     known: FloatArray | None = None,
+    only: bool = False,
 ) -> Fit:
     """Fit by Levenberg's damping, within bounds.
 
@@ -148,6 +149,7 @@ def fit(
         exact: compute the sensitivities anew at the estimate.
         refreshes: how often sensitivities may be computed anew on the way; a fit that needs more ends unconverged.
         known: whitened sensitivities at ``theta`` itself, shape (m, n), so that they need not be computed there.
+        only: the estimate is all that is wanted: rows that are not used are not predicted.
 
     Raises:
         FitError: the model cannot be solved at the start.
@@ -155,17 +157,21 @@ def fit(
     rows = np.ones(problem.size, dtype=bool) if used is None else used
     theta = np.maximum(np.asarray(theta, dtype=np.float64), parametrisation.lower)
     std, lower = parametrisation.prior_std, parametrisation.lower
-    prediction = _predicted(problem, parametrisation, theta, start)
+    unasked = ~rows if only else None
+    prediction = _predicted(problem, parametrisation, theta, start, left=unasked)
     if prediction is None:
         raise FitError("the rig at the start of the fit cannot be built")
     if start is None and jacobian is None and steps > 0:
-        theta, prediction = _approached(problem, parametrisation, theta, rows, prediction)
+        theta, prediction = _approached(problem, parametrisation, theta, rows, prediction, unasked)
     residual = problem.residual(prediction)
     # Levels that have no solution even here cannot be compared; they are left out of this fit as a whole.
     solvable = np.isfinite(residual)
     if not np.any(solvable & rows):
         raise FitError("the model has no solution for any of the observables")
     rows = rows & solvable
+    # What has no solution here is not asked for again on the way: every attempt would try all ways to it.
+    unasked = ~rows if only else ~solvable
+    begun = theta
     damping = 1e-4
     cost = _cost(residual, rows, theta, std)
     fresh = jacobian is None
@@ -191,14 +197,14 @@ def fit(
                 # Damping holds most what the observations tell least; the whole step may promise more.
                 damped, damping = False, 0.0
                 continue
-            trial = _predicted(problem, parametrisation, moved, prediction)
+            trial = _predicted(problem, parametrisation, moved, prediction, rows, unasked)
             if trial is not None:
                 trial_residual = problem.residual(trial)
                 trial_cost = _cost(trial_residual, rows, moved, std)
                 if trial_cost <= cost:
                     break
                 back = _back_into_valley(
-                    problem, parametrisation, moved, rows, trial, trial_residual, used_jacobian, normal, cost
+                    problem, parametrisation, moved, rows, unasked, trial, trial_residual, used_jacobian, normal, cost
                 )
                 if back is not None:
                     moved, trial, trial_residual, trial_cost = back
@@ -223,6 +229,10 @@ def fit(
         if not kept and refreshes > 0:
             jacobian, fresh = _whitened_jacobian(problem, parametrisation, theta, prediction), True
             refreshes -= 1
+    if theta is not begun and not only and np.any(unasked):
+        whole = _predicted(problem, parametrisation, theta, prediction)
+        if whole is not None:
+            prediction, residual = whole, problem.residual(whole)
     if exact and not fresh:
         jacobian = _whitened_jacobian(problem, parametrisation, theta, prediction) if known is None else known
     return _finished(problem, parametrisation, theta, rows, prediction, residual, jacobian, fresh or exact)
@@ -233,6 +243,7 @@ def _back_into_valley(
     parametrisation: Parametrisation,
     theta: FloatArray,
     rows: BoolArray,
+    unasked: BoolArray,
     prediction: Prediction,
     residual: FloatArray,
     jacobian: FloatArray,
@@ -249,6 +260,7 @@ def _back_into_valley(
     Args:
         theta, prediction, residual: where the step ended, and what the model gives there.
         rows: rows that count.
+        unasked: rows that are not predicted.
         jacobian, normal: whitened sensitivities of those rows where the step began, and their normal matrix.
         limit: cost that has to be reached.
 
@@ -269,7 +281,7 @@ def _back_into_valley(
         if before - slope @ (slope / values[steep]) > limit:
             return None  # it promises too little
         theta = np.maximum(theta + across @ (slope / values[steep]), lower)
-        moved = _predicted(problem, parametrisation, theta, prediction)
+        moved = _predicted(problem, parametrisation, theta, prediction, rows, unasked)
         if moved is None:
             return None
         prediction, residual = moved, problem.residual(moved)
@@ -288,6 +300,7 @@ def _approached(
     theta: FloatArray,
     rows: BoolArray,
     prediction: Prediction,
+    unasked: BoolArray | None,
 ) -> tuple[FloatArray, Prediction]:
     """Parameters near the optimum, from a start that may be thousands of σ away.
 
@@ -312,7 +325,7 @@ def _approached(
         normal = jacobian.T @ jacobian / inflation + np.diag(std**-2.0)
         gradient = jacobian.T @ residual[rows] / inflation - theta / std**2
         moved = np.maximum(theta + _bounded_step(normal, gradient, 0.0, theta, lower), lower)
-        trial = _predicted(problem, parametrisation, moved, prediction)
+        trial = _predicted(problem, parametrisation, moved, prediction, rows, unasked)
         if trial is None:
             break
         trial_residual = problem.residual(trial)
@@ -360,11 +373,19 @@ def _finished(
 
 
 def _predicted(
-    problem: Problem, parametrisation: Parametrisation, theta: FloatArray, start: Prediction | None
+    problem: Problem,
+    parametrisation: Parametrisation,
+    theta: FloatArray,
+    start: Prediction | None,
+    needed: BoolArray | None = None,
+    left: BoolArray | None = None,
 ) -> Prediction | None:
-    """The model's prediction; None where the parameters make no rig (a mass below zero, for example)."""
+    """The model's prediction; None where the parameters make no rig (a mass below zero, for example).
+
+    It is None as well where a row that is needed has no solution.
+    """
     try:
-        return problem.forward.predict(parametrisation.rig(theta), start)
+        return problem.forward.predict(parametrisation.rig(theta), start, None, needed, left)
     except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
         return None
 

@@ -38,6 +38,8 @@ _INCREDIBLE = 2.0
 _REFRESHES = 3
 # Strength in standard deviations below which a member of a pair does nothing.
 _NOTHING = 1.0
+# Below this it is fitted without that member, too: fits of the other alone may have stopped on the way to it.
+_DOUBTED = 5.0
 # Prior standard deviations of a strength from which a wider part of its prior is tried.
 _WIDER = 2.5
 # Standard deviations beyond what physics allows from which an effect is not built upon.
@@ -169,6 +171,8 @@ class ModelComparison:
         self.settings = settings or ComparisonSettings()
         self._progress = progress or _silent
         self._found: dict[str, float] = {}
+        # Explanations that started again from the parameters as given and came no further.
+        self._in_vain: set[Explanation] = set()
         self._plain_directions: list[Direction] = []
         self.workers = Workers() if workers is None else workers
 
@@ -272,13 +276,12 @@ class ModelComparison:
         levelled, rank = self._ranks()
         wanted = np.ones(self.problem.size, dtype=bool) if used is None else used
         before = np.zeros_like(wanted)
-        for share in _CLIMB:
+        for share in _CLIMB[:-1]:
             rows = wanted & (~levelled | (rank < share))
-            if np.any(rows != before):
+            if np.any(rows != before) and np.any(rows != wanted):
                 before = rows
-                found = fit(self.problem, parametrisation, theta, rows)
-                theta = found.theta
-        return found
+                theta = fit(self.problem, parametrisation, theta, rows, only=True).theta
+        return fit(self.problem, parametrisation, theta, wanted)
 
     def _used(self, rows: BoolArray | None) -> BoolArray | None:
         return self.rows if rows is None else rows
@@ -577,7 +580,7 @@ class ModelComparison:
         """Singles and pairs without members that do nothing, best evidence first.
 
         A pair with a member at zero says nothing but that its other member can be fitted better: the single one goes
-        on from there.
+        on from there. With a weak member it may say the same, which the evidence of both decides.
         """
         kept: list[FittedModel] = []
         better = list(singles)
@@ -585,19 +588,21 @@ class ModelComparison:
             weakest = min(range(len(pair.candidates)), key=pair.strength)
             if pair.strength(weakest) >= _NOTHING:
                 kept.append(pair)
+            if pair.strength(weakest) >= _DOUBTED:
                 continue
+            rest = Explanation(tuple(candidate.cause for candidate in _others(pair, weakest)))
+            known = max((own.fit.log_evidence for own in better if own.explanation == rest), default=-np.inf)
+            if pair.strength(weakest) >= _NOTHING and known > pair.fit.log_evidence - _DOUBTED**2:
+                continue  # as good as without the member it can be
             alone = self._without(pair, weakest)
-            if alone is None:
-                continue
-            competing = [own for own in better if own.explanation == alone.explanation]
-            if all(alone.fit.log_evidence > own.fit.log_evidence + 0.5 for own in competing):
+            if alone is not None and alone.fit.log_evidence > known + 0.5:
                 better = [own for own in better if own.explanation != alone.explanation] + [alone]
         return sorted(better, key=lambda own: -own.fit.log_evidence), kept
 
     def _without(self, fitted_model: FittedModel, member: int) -> FittedModel | None:
         """The explanation fitted without one of its effects, from where it stands; None where that fails."""
         before = fitted_model.fit
-        rest = tuple(c for k, c in enumerate(fitted_model.candidates) if k != member)
+        rest = _others(fitted_model, member)
         spreads = tuple(before.parametrisation.spread(k) for k in range(len(fitted_model.candidates)) if k != member)
         parametrisation = Parametrisation(self.rig, self.calibration, rest, spreads)
         theta = np.delete(before.theta, np.r_[before.parametrisation.index_of(member)])
@@ -659,9 +664,15 @@ class ModelComparison:
         self._progress(Told(f"fitting the best {len(near)} to the end", ranking=self._standing(ordered)))
         ended = sorted(self.workers.map(_ended, self, near), key=lambda own: -own.fit.log_evidence)
         # Starting again takes longest, and the last of them would have to overtake all others by it.
-        stuck = [number for number, own in enumerate(ended[:_RESTARTED]) if self._wants_restart(own.fit)]
+        stuck = [
+            number
+            for number, own in enumerate(ended[:_RESTARTED])
+            if self._wants_restart(own.fit) and own.explanation not in self._in_vain
+        ]
         again = self.workers.map(_polished, self, [ended[number] for number in stuck])
         for number, own in zip(stuck, again, strict=True):
+            if own.fit.log_evidence <= ended[number].fit.log_evidence + 0.5:
+                self._in_vain.add(own.explanation)
             ended[number] = own
         result = sorted(ended + ordered[len(near) :], key=lambda fitted_model: -fitted_model.fit.log_evidence)
         self._progress(Told(f"so far the best is {result[0].explanation.label}", ranking=self._standing(result)))
@@ -689,7 +700,12 @@ class ModelComparison:
                     break
             if best is not own:
                 better[own.explanation] = best
-        ended = {own.explanation: own for own in self.workers.map(_polished, self, list(better.values()))}
+        # Starting again takes longest; what another shape left far behind the best need not.
+        limit = max((own.fit.log_evidence for own in (*found, *better.values())), default=0.0) - self.settings.close
+        near = [own for own in better.values() if own.fit.log_evidence >= limit]
+        far = [own for own in better.values() if own.fit.log_evidence < limit]
+        again = [*self.workers.map(_polished, self, near), *self.workers.map(_ended, self, far)]
+        ended = {own.explanation: own for own in again}
         kept = [own for own in found if own.explanation not in ended]
         return sorted((*ended.values(), *kept), key=lambda fitted_model: -fitted_model.fit.log_evidence)
 
@@ -761,6 +777,11 @@ class ModelComparison:
                     best = max(best, fitted_model.fit.log_evidence)
             heads.update(single.effects)
         return self._settled(_united(result, going))
+
+
+def _others(fitted_model: FittedModel, member: int) -> tuple[Candidate, ...]:
+    """Effects of an explanation but for one."""
+    return tuple(c for k, c in enumerate(fitted_model.candidates) if k != member)
 
 
 def _hopeless(single: FittedModel, score: Score, best: float) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.observations.conditions import BackboneTable, LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.twin.demand import Demand
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin, Tangent
 from nmt_diagnose.twin.rig_parts import RigParts
@@ -59,9 +60,19 @@ class BackboneTwin:
         """Given amplitudes."""
         return self.inner.levels
 
-    def solve(self, rig: Rig, cache: PartsCache, start: tuple[PeriodicState | None, ...] | None) -> list[Any]:
-        """One state per amplitude; None where there is no solution."""
-        return self.inner.solve(rig, cache, start)
+    def solve(
+        self,
+        rig: Rig,
+        cache: PartsCache,
+        start: tuple[PeriodicState | None, ...] | None,
+        demand: Demand | None = None,
+    ) -> list[Any]:
+        """One state per amplitude; None where there is no solution.
+
+        Raises:
+            UnsolvedError: an amplitude that is needed has none.
+        """
+        return self.inner.solve(rig, cache, start, demand)
 
     def stepped(
         self, rig: Rig, cache: PartsCache, states: tuple[PeriodicState | None, ...]

@@ -23,6 +23,7 @@ from nmt_diagnose.observations.conditions import (
 )
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.backbone_twin import BackboneTwin
+from nmt_diagnose.twin.demand import BoolArray, Demand
 from nmt_diagnose.twin.influence import Source, SourceColumn, random_influence, resonance_influence
 from nmt_diagnose.twin.parts_cache import PartsCache, joint_setup
 from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
@@ -116,13 +117,29 @@ class Forward:
                 found.append((int(row), test.channels[self.rows.channel[row]].name))
         return found
 
-    def predict(self, rig: Rig, start: Prediction | None = None, near: Rig | None = None) -> Prediction:
+    def predict(
+        self,
+        rig: Rig,
+        start: Prediction | None = None,
+        near: Rig | None = None,
+        needed: BoolArray | None = None,
+        left: BoolArray | None = None,
+    ) -> Prediction:
         """Observables of a rig; ``start`` is a prediction for a similar one.
 
         Where ``near``, the rig of ``start``, differs in converters alone, its solutions are those of the rig.
 
+        Args:
+            rig: the rig.
+            start: solutions to start from.
+            near: rig of ``start``.
+            needed: (m,) rows without which the prediction is worth nothing; None = none.
+            left: (m,) rows that nobody asks for: NaN, and their levels keep the solutions that they start from, unless
+                other rows of theirs are asked for; None = none.
+
         Raises:
             BenchError: the rig does not fit the tests, or has something the twin does not cover.
+            UnsolvedError: a level of a needed row has no solution.
         """
         if start is not None and near is not None and _same_but_converters(rig, near):
             return self._converted(rig, start)
@@ -133,7 +150,7 @@ class Forward:
         for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
             before = start.states[index] if start is not None else None
             if hasattr(twin, "solve"):
-                solved = twin.solve(rig, cache, before)
+                solved = twin.solve(rig, cache, before, self._demand(index, before, needed, left))
                 values[where] = twin.values(rig, cache, solved)
                 states.append(tuple(solved))
                 reasons += _unsolved(twin, solved)
@@ -141,7 +158,26 @@ class Forward:
                 values[where] = twin.values(rig, cache)
                 states.append(None)
         self._add_unexcited(rig, values)
+        if left is not None:
+            values[left] = np.nan
         return Prediction(values, np.isfinite(values), tuple(reasons), tuple(states))
+
+    def _demand(
+        self, test: int, before: Sequence[Any] | None, needed: BoolArray | None, left: BoolArray | None
+    ) -> Demand:
+        """What rows ask of the levels or lines of a test; of what had no solution before, nothing is needed."""
+        where = self._where[test]
+        level, count = self.rows.level[where], level_count(self.tests[test])
+        here = ~np.isin(self.rows.part[where], _OF_THE_CHANNEL)
+        none = np.zeros(count, dtype=bool)
+
+        def marked(rows: BoolArray | None) -> BoolArray:
+            return none if rows is None else np.bincount(level[rows[where] & here], minlength=count)[:count] > 0
+
+        return Demand(
+            marked(needed) & _known(self.tests[test], before),
+            marked(left) & ~marked(None if left is None else ~left),
+        )
 
     def _converted(self, rig: Rig, solved: Prediction) -> Prediction:
         """Observables of a rig that has the solutions of a prediction."""
@@ -355,6 +391,24 @@ def _shared(columns: FloatArray, labels: Sequence[SourceColumn]) -> tuple[FloatA
     names = list(dict.fromkeys(keys))
     picks = [[i for i, key in enumerate(keys) if key == name] for name in names]
     return np.stack([columns[:, pick].sum(axis=1) for pick in picks], axis=1), names
+
+
+def level_count(test: Test) -> int:
+    """Levels, amplitudes or lines that a test's model solves for one by one; 0 where it does not."""
+    if isinstance(test, PhaseResonanceTest):
+        return len(test.levels)
+    if isinstance(test, SteppedSineTest):
+        return int(test.lines_hz.size)
+    return int(test.amplitudes.size) if isinstance(test, BackboneTable | RingDownTest) else 0
+
+
+def _known(test: Test, before: Sequence[Any] | None) -> BoolArray:
+    """Which levels or lines of a test were solved before."""
+    if before is None or (isinstance(test, SteppedSineTest) and before[0] is None):
+        return np.zeros(level_count(test), dtype=bool)
+    if isinstance(test, SteppedSineTest):
+        return np.asarray(np.isfinite(before[0].z[:, 0]))
+    return np.array([state is not None for state in before], dtype=bool)
 
 
 def _unsolved(twin: Any, states: Sequence[Any]) -> list[str]:

@@ -16,6 +16,7 @@ from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonance
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.converter import recorded_harmonics
 from nmt_diagnose.twin.linear_model import ComplexArray
+from nmt_diagnose.twin.demand import Demand, UnsolvedError, nothing_needed
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import (
     DRIVE_GIVEN,
@@ -167,16 +168,32 @@ class PhaseResonanceTwin:
             given, amplitude, level.phase_error, frequency, middle, level.cycles_before, level.drive_harmonics
         )  # fmt: skip
 
-    def solve(self, rig: Rig, cache: PartsCache, start: tuple[PeriodicState | None, ...] | None) -> list[Any]:
-        """One state per level; None where a level has no solution."""
+    def solve(
+        self,
+        rig: Rig,
+        cache: PartsCache,
+        start: tuple[PeriodicState | None, ...] | None,
+        demand: Demand | None = None,
+    ) -> list[Any]:
+        """One state per level; None where a level has no solution.
+
+        Raises:
+            UnsolvedError: a level that is needed has none.
+        """
+        demand = nothing_needed(len(self.levels)) if demand is None else demand
         order = np.argsort([level.amplitude for level in self.levels], kind="stable")
         states: list[PeriodicState | None] = [None] * len(self.levels)
         last: PeriodicState | None = None
         for position in order:
             level = self.levels[position]
-            parts = self.parts(rig, cache, level)
             first = None if start is None else start[position]
+            if demand.left[position]:
+                states[position] = first
+                continue
+            parts = self.parts(rig, cache, level)
             states[position] = self._level(parts, level, first, last)
+            if states[position] is None and demand.needed[position]:
+                raise UnsolvedError(f"level {position} has no solution")
             last = states[position] if states[position] is not None else last
         return states
 

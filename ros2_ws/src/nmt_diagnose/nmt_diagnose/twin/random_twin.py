@@ -28,6 +28,8 @@ HANN = np.array([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])
 # Orders of the drive's images: the armature's resonance may amplify high ones.
 IMAGES = tuple(order for n in range(1, 7) for order in (-n, n))
 IMAGE_NODES = 12
+# Moments of a test at which a rig that drifts is taken, of −1 to 1 (Gauss–Legendre), and their weights.
+_MOMENTS, _SHARES = np.polynomial.legendre.leggauss(5)
 
 
 @dataclass(frozen=True)
@@ -132,11 +134,9 @@ class RandomTwin:
     def responses(self, rig: Rig, cache: PartsCache) -> ComplexArray:
         """Expected estimates (lines, channels)."""
         parts = cache.parts(rig, self.setup, self.seconds)
-        fractions = parts.linear.partial_fractions(
-            np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
-        )
+        fractions = self._fractions(parts)
         local = self._local(parts, fractions)
-        result = self._smoothed(parts, local, fractions)
+        result = self._smoothed(rig, cache, parts, local, fractions)
         if self._late.any():
             # A channel that is sampled later is ahead of one whose signal is late.
             result = result * np.exp(2j * np.pi * np.outer(self.test.lines_hz, self._late))
@@ -178,12 +178,37 @@ class RandomTwin:
         return np.asarray(folding.between @ total)
 
     def _smoothed(
-        self, parts: RigParts, local: tuple[FloatArray, FloatArray], fractions: tuple[FloatArray, ...]
+        self,
+        rig: Rig,
+        cache: PartsCache,
+        parts: RigParts,
+        local: tuple[FloatArray, FloatArray],
+        fractions: tuple[FloatArray, ...],
     ) -> ComplexArray:
-        """Responses over the reference, as the estimator's window mixes neighbouring lines (lines, channels)."""
-        h = self._plain(parts, local, self.frequencies, fractions)
-        result: ComplexArray = windowed(h, self.index, self.weights)
+        """Responses over the reference, as the estimator mixes neighbouring lines and moments (lines, channels).
+
+        The estimate is the cross-spectrum over the whole test by the power of the reference. Of a rig that drifts
+        slowly, at each moment with the response that it has then, both are means over the test.
+        """
+        half = 0.5 * (self.test.stop_s - self.test.start_s)
+        if not half > 0.0 or (rig.drift.stiffness_per_s == 0.0 and rig.drift.slip_force_per_s == 0.0):
+            h = self._plain(parts, local, self.frequencies, fractions)
+            plain: ComplexArray = windowed(h, self.index, self.weights)
+            return plain
+        every = []
+        for moment in self.seconds + half * _MOMENTS:
+            parts = cache.parts(rig, self.setup, float(moment))
+            fractions = self._fractions(parts)
+            every.append(self._plain(parts, self._local(parts, fractions), self.frequencies, fractions))
+        index = np.hstack([self.index + k * self.frequencies.size for k in range(_MOMENTS.size)])
+        result: ComplexArray = windowed(np.concatenate(every), index, np.outer(_SHARES, self.weights).ravel())
         return result
+
+    def _fractions(self, parts: RigParts) -> tuple[FloatArray, ...]:
+        """Partial fractions of the local coordinates and of the test's channels."""
+        return parts.linear.partial_fractions(
+            np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
+        )
 
     def _plain(
         self,

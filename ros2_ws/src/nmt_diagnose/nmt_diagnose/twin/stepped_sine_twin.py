@@ -32,6 +32,7 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.twin.demand import Demand, UnsolvedError, nothing_needed
 from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines, step_more_lines
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
@@ -121,12 +122,21 @@ class SteppedSineTwin:
         return cache.parts(rig, self.setup)
 
     def solve(
-        self, rig: Rig, cache: PartsCache, start: tuple[SteppedSineState | None, ...] | None
+        self,
+        rig: Rig,
+        cache: PartsCache,
+        start: tuple[SteppedSineState | None, ...] | None,
+        demand: Demand | None = None,
     ) -> list[SteppedSineState | None]:
-        """One state for all lines."""
+        """One state for all lines.
+
+        Raises:
+            UnsolvedError: a line that is needed has no solution.
+        """
         parts = self.parts(rig, cache)
         before = start[0] if start else None
         lines = self.amplitudes.size
+        demand = nothing_needed(lines) if demand is None else demand
         size = parts.coordinates * parts.basis.size + 2
         if before is not None and before.keys == parts.keys:
             known = np.isfinite(before.z[:, 0])
@@ -134,10 +144,14 @@ class SteppedSineTwin:
         else:
             known, first = np.zeros(lines, dtype=bool), np.zeros((lines, size))
         good, z, forces, inverses, values, slopes = solve_lines(
-            first, known, *self._given(parts), *parts.resting, *_model(parts),
+            first, known, demand.needed, demand.left, *self._given(parts), *parts.resting, *_model(parts),
             self.settings.iterations, self.settings.tolerance,
         )  # fmt: skip
+        if not np.all(good[demand.needed]):
+            raise UnsolvedError(f"a line of {self.test.name} has no solution")
         z[~good] = np.nan
+        if demand.left.any():
+            z[demand.left & known] = first[demand.left & known]
         responses, reference = self._over_reference(parts, z, values)
         # The closure's rows are its real and imaginary part: one of the real one is the change by s.
         local = size - 2

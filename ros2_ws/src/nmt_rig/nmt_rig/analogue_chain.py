@@ -19,13 +19,13 @@ from nmt_rig.model.local_elements import compiled
 NODES = 6
 
 
-def lagrange_weights(position: float, count: int = NODES) -> FloatArray:
-    """(count,) weights of samples k, k - 1, … for the value at k - position (in samples)."""
+def lagrange_weights(positions: FloatArray, count: int = NODES) -> FloatArray:
+    """(p, count) weights of samples k, k - 1, … for the values at k - positions (p,), in samples."""
     nodes = np.arange(count, dtype=np.float64)
-    weights = np.ones(count)
+    weights = np.ones((positions.size, count))
     for j in range(count):
         others = np.delete(nodes, j)
-        weights[j] = np.prod((position - others) / (nodes[j] - others))
+        weights[:, j] = np.prod((positions[:, None] - others) / (nodes[j] - others), axis=1)
     return weights
 
 
@@ -45,7 +45,7 @@ def low_pass_weights(rate: float, interval: float, count: int = NODES) -> tuple[
     # Time before the newest sample, in samples.
     before = 0.5 * (1.0 - nodes)
     kernel = 0.5 * shares * rate * interval * np.exp(-rate * interval * before)
-    weights = np.array([lagrange_weights(float(position), count) for position in before]).T @ kernel
+    weights = lagrange_weights(before, count).T @ kernel
     # A constant is to pass unchanged, whatever the quadrature.
     return weights * ((1.0 - decay) / weights.sum()), decay
 
@@ -124,7 +124,7 @@ class AnalogueChain:
         if delay != 0.0:
             # Between the two middle nodes where the history allows it.
             whole = max(math.floor(samples) - (count // 2 - 1), 0)
-            weights = np.concatenate([np.zeros(whole), lagrange_weights(samples - whole, count)])
+            weights = np.concatenate([np.zeros(whole), lagrange_weights(np.array([samples - whole]), count)[0]])
             self._delay = Filter(weights)
         self.plain = self._low is None and self._high is None and self._delay is None
 

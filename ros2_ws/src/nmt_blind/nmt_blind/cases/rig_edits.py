@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import yaml
 
+from nmt_core.yaml_text import yaml_text
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 
@@ -45,7 +45,7 @@ def rig_values(rig: Rig) -> dict[str, Any]:
 
 def rig_yaml(rig: Rig) -> str:
     """Text of a rig file that loads to the same rig."""
-    return yaml.safe_dump(rig_values(rig), sort_keys=False, allow_unicode=True)
+    return yaml_text(rig_values(rig))
 
 
 def with_edits(rig: Rig, edits: Sequence[Edit]) -> Rig:

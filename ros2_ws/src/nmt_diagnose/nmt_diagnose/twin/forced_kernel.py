@@ -527,6 +527,8 @@ def step_more_lines(
         for k in range(c):
             for b in range(step.size):
                 y[k] += slopes[line, k, b] * step[b]
-        moved[line] = here
-        values[line] = y
+        for k in range(here.size):
+            moved[line, k] = here[k]
+        for k in range(c):
+            values[line, k] = y[k]
     return moved, values

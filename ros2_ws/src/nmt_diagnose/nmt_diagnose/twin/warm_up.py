@@ -7,6 +7,7 @@ import numpy as np
 from nmt_core.blocks import Quantity
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.effects.rig_edit import with_element
 from nmt_diagnose.observations.conditions import (
     LockedLevel,
     MeasuredChannel,
@@ -19,7 +20,7 @@ from nmt_diagnose.observations.conditions import (
 )
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.forward import Forward
-from nmt_rig.rig import Rig
+from nmt_rig.rig import CubicSpringSection, Rig
 
 
 def warm_up_twin(rig: Rig) -> None:
@@ -48,4 +49,10 @@ def warm_up_twin(rig: Rig) -> None:
     rows = Rows(of_test, zero, zero, zero + 1, np.array([int(part) for part in parts]), none, none, none)
     forward = Forward(tests, rows)
     parametrisation = Parametrisation(rig, calibration_parameters(rig)[:1])
-    forward.jacobian(parametrisation, parametrisation.zero, forward.predict(rig))
+    solved = forward.predict(rig)
+    forward.jacobian(parametrisation, parametrisation.zero, solved)
+    # An element at a coordinate that the rig has no force at.
+    taken = {element.point for element in rig.local_elements}
+    free = next((p for p in rig.structure.points if p not in taken), point)
+    more = with_element(rig, CubicSpringSection(kind="cubic_spring", point=free, stiffness_n_m3=1.0))
+    forward.jacobian(Parametrisation(more, calibration_parameters(more)[:1]), parametrisation.zero, solved)

@@ -1,0 +1,38 @@
+"""No first diagnosis waits for a compiler: the warm-up uses every kernel of the twin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from nmt_diagnose.twin import phase_resonance_twin, random_twin, record_twin, stepped_sine_twin
+from nmt_diagnose.twin.warm_up import warm_up_twin
+from nmt_rig.rig import load_rig
+
+# The kernels that the modules of the twin call; what those call in turn compiles with them.
+KERNELS = [
+    (phase_resonance_twin, "newton"),
+    (phase_resonance_twin, "residuals"),
+    (random_twin, "linear_responses"),
+    (random_twin, "windowed"),
+    (stepped_sine_twin, "solve_lines"),
+    (stepped_sine_twin, "step_lines"),
+    (stepped_sine_twin, "step_more_lines"),
+    (record_twin, "step_through"),
+]
+
+
+@pytest.mark.parametrize(("module", "name"), KERNELS, ids=[name for _, name in KERNELS])
+def test_the_warm_up_uses_a_kernel(module: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    kernel: Callable[..., Any] = getattr(module, name)
+    calls = []
+
+    def counted(*values: Any) -> Any:
+        calls.append(values)
+        return kernel(*values)
+
+    monkeypatch.setattr(module, name, counted)
+    warm_up_twin(load_rig("beam"))
+    assert calls

@@ -51,6 +51,23 @@ def test_a_sign_never_counts_against_what_it_stands_for() -> None:
     assert learn(GAP, cases).weights["log_odds"] == 0.0
 
 
+def test_what_was_learned_before_is_kept_as_firmly_as_asked() -> None:
+    cases, before = gap_cases(100, 1.3, 0.6), np.array([0.2, 0.4])
+    alone = learn(GAP, cases)
+    strict = learn(GAP, cases, before, 1e9)
+    assert (strict.bias, strict.weights["log_odds"]) == pytest.approx((0.2, 0.4), abs=1e-6)
+    away = [abs(learn(GAP, cases, before, keep).weights["log_odds"] - 0.4) for keep in (0.5, 20.0, 1e3)]
+    assert away == sorted(away, reverse=True)
+    assert learn(GAP, cases, np.zeros(2), 1e-3).weights["log_odds"] == pytest.approx(
+        alone.weights["log_odds"], abs=0.15
+    )
+
+
+def test_a_gap_without_any_named_explanation_teaches_nothing_about_names() -> None:
+    nameless = case("open", {}, "lugre_joint", verdict="unknown")
+    assert UNNAMED.answer(nameless) is None
+
+
 def test_infinite_odds_are_the_lowest_of_their_range() -> None:
     cases = gap_cases(200, 1.3, 0.6)
     plain = learn(GAP, [*cases, case("null", {"log_odds": -3.0})])
@@ -71,6 +88,12 @@ def test_questions_ask_the_cases_they_are_about() -> None:
 def test_too_few_cases_are_refused() -> None:
     with pytest.raises(BenchError, match="Only 3 development cases"):
         learn(GAP, gap_cases(3, 1.0, 0.0))
+
+
+@pytest.mark.parametrize("keep", [-1.0, float("nan")])
+def test_a_negative_firmness_is_refused(tmp_path: Path, keep: float) -> None:
+    with pytest.raises(BenchError, match="give 0 or more"):
+        calibrate([], CONFIDENCE_FILE, tmp_path / "confidence.json", keep)
 
 
 def test_sealed_campaigns_teach_nothing(tmp_path: Path) -> None:

@@ -103,6 +103,13 @@ def _add_calibrate(parts: Subparsers) -> None:
     )
     part.add_argument("campaigns", metavar="DIR", nargs="+", type=Path, help="folders of development campaigns")
     part.add_argument("--out", metavar="FILE", type=Path, required=True, help="calibration to write, confidence.json")
+    part.add_argument(
+        "--keep",
+        metavar="K",
+        type=float,
+        default=0.0,
+        help="how firmly the present weights are kept, as the inverse variance of a prior about them (default: 0)",
+    )
 
 
 def _add_strengths(parts: Subparsers) -> None:
@@ -222,7 +229,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     from nmt_blind.campaign.calibrate import calibrate
     from nmt_diagnose.inference.confidence import CONFIDENCE_FILE
 
-    for item in calibrate(arguments.campaigns, CONFIDENCE_FILE, arguments.out):
+    for item in calibrate(arguments.campaigns, CONFIDENCE_FILE, arguments.out, arguments.keep):
         weights = ", ".join(f"{name} {weight:+.3f}" for name, weight in item.weights.items())
         _console().print(
             f"{item.name}: {item.cases} cases, {100 * item.share:.0f} % yes; bias {item.bias:+.3f}, {weights}; "

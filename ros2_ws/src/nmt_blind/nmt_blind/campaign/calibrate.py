@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -71,7 +72,9 @@ def _gap(case: ScoredCase) -> bool | None:
 
 
 def _unnamed(case: ScoredCase) -> bool | None:
-    return case.unknown if case.kind != "null" and case.answer.alarm else None
+    # Where no named explanation was fitted a gap has no name whatever the features say.
+    asked = case.kind != "null" and case.answer.alarm and case.answer.ranking
+    return case.unknown if asked else None
 
 
 def _first(case: ScoredCase) -> bool | None:
@@ -87,23 +90,27 @@ QUESTIONS = (
 )
 
 
-def calibrate(folders: Sequence[Path], file: Path, target: Path) -> tuple[Learned, ...]:
+def calibrate(folders: Sequence[Path], file: Path, target: Path, keep: float = 0.0) -> tuple[Learned, ...]:
     """Learn all reliabilities and write them into a copy of a calibration.
 
     Args:
         folders: diagnosed development campaigns.
         file: the calibration whose priors and thresholds are kept.
         target: file to write.
+        keep: how firmly its weights are kept, as the inverse variance of a normal prior about them; 0 = these cases
+            alone count.
 
     Raises:
-        BenchError: no development campaign, or too few cases.
+        BenchError: no development campaign, too few cases, or a negative ``keep``.
     """
+    if not keep >= 0.0:
+        raise BenchError(f"Present weights cannot be kept {keep:g} firmly; give 0 or more.")
     cases = [case for folder in folders for case in development_cases(folder) if case.details.get("features")]
     try:
         values = read_json(file, "calibration")
     except BenchError as error:
         raise BenchError(f"The calibration {file} cannot be read ({error}).") from error
-    learned = tuple(learn(question, cases) for question in QUESTIONS)
+    learned = tuple(learn(q, cases, _before(values, q) if keep > 0.0 else None, keep) for q in QUESTIONS)
     for item in learned:
         weights = {name: round(weight, 4) for name, weight in item.weights.items()}
         values[item.name] = {"bias": round(item.bias, 4), "weights": weights}
@@ -111,8 +118,22 @@ def calibrate(folders: Sequence[Path], file: Path, target: Path) -> tuple[Learne
     return learned
 
 
-def learn(question: Question, cases: Sequence[ScoredCase]) -> Learned:
-    """Logistic regression with a small ridge.
+def _before(values: dict[str, Any], question: Question) -> FloatArray:
+    """Bias and weights of a question in a calibration, (1 + features,)."""
+    own = values[question.name]
+    return np.array([float(own["bias"]), *(float(own["weights"].get(name, 0.0)) for name in question.features)])
+
+
+def learn(
+    question: Question, cases: Sequence[ScoredCase], before: FloatArray | None = None, keep: float = 0.0
+) -> Learned:
+    """Logistic regression with a small ridge, or with a normal prior about weights that were learned before.
+
+    Args:
+        question: what is learned.
+        cases: whose truth is known.
+        before: bias and weights, (1 + features,); None = none.
+        keep: inverse variance of that prior.
 
     Raises:
         BenchError: too few cases that the question is about.
@@ -126,12 +147,12 @@ def learn(question: Question, cases: Sequence[ScoredCase]) -> Learned:
         )
     x = np.array([_row(case, question) for case in asked])
     limits = [_LIMITS[sign] for sign in question.features.values()]
-    weights = _fitted(x, y, limits)
+    weights = _fitted(x, y, limits, before, keep)
     # Each tenth judged by what the others teach.
     stated = np.empty(y.size)
     for part in np.array_split(np.random.default_rng(0).permutation(y.size), 10):
         others = np.setdiff1d(np.arange(y.size), part)
-        stated[part] = _probability(x[part], _fitted(x[others], y[others], limits))
+        stated[part] = _probability(x[part], _fitted(x[others], y[others], limits, before, keep))
     found: ReliabilityDiagram = reliability(list(stated), [bool(value) for value in y], equal=True)
     area = area_under_roc(list(stated[y > 0.5]), list(stated[y < 0.5]))
     named = dict(zip(question.features, (float(w) for w in weights[1:]), strict=True))
@@ -150,14 +171,18 @@ def _probability(x: FloatArray, weights: FloatArray) -> FloatArray:
     return result
 
 
-def _fitted(x: FloatArray, y: FloatArray, limits: Sequence[_Limits]) -> FloatArray:
+def _fitted(
+    x: FloatArray, y: FloatArray, limits: Sequence[_Limits], before: FloatArray | None = None, keep: float = 0.0
+) -> FloatArray:
+    start = np.zeros(x.shape[1] + 1) if before is None else before
+    ridge = np.append(0.0, np.full(x.shape[1], _RIDGE)) if before is None else np.full(x.shape[1] + 1, keep)
+
     def loss(weights: FloatArray) -> tuple[float, FloatArray]:
         p = np.clip(_probability(x, weights), 1e-12, 1.0 - 1e-12)
-        value = -float(y @ np.log(p) + (1.0 - y) @ np.log(1.0 - p)) + 0.5 * _RIDGE * float(weights[1:] @ weights[1:])
-        gradient = np.append((p - y).sum(), x.T @ (p - y) + _RIDGE * weights[1:])
-        return value, gradient
+        away = ridge * (weights - start)
+        value = -float(y @ np.log(p) + (1.0 - y) @ np.log(1.0 - p)) + 0.5 * float((weights - start) @ away)
+        return value, np.append((p - y).sum(), x.T @ (p - y)) + away
 
-    start = np.zeros(x.shape[1] + 1)
     bounds = [_LIMITS[0], *limits]
-    result: FloatArray = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x
+    result: FloatArray = minimize(loss, start.copy(), jac=True, method="L-BFGS-B", bounds=bounds).x
     return result

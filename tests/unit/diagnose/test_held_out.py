@@ -8,10 +8,10 @@ from unit.diagnose.linear_problem import observations_of
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.placement import Placement
+from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.gap import closed, noise_floor, rms
 from nmt_diagnose.inference.held_out import Split, splits
 from nmt_diagnose.inference.held_out_comparison import HeldOut, determined
-from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.observations.observables import joined
 
 

@@ -16,9 +16,9 @@ from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.confidence import RANGES, Confidence, Reliability, bounded
 from nmt_diagnose.inference.confidence import confidence as frozen
 from nmt_diagnose.inference.fit import fit
+from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.judgement import Judgement, judge, with_held_out, with_share_left
-from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.scan import Direction, Score

@@ -15,7 +15,8 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.inference.model_comparison import FittedModel, ModelComparison
+from nmt_diagnose.inference.fitted_model import FittedModel
+from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.twin.forward import Forward

@@ -13,7 +13,8 @@ from unit.diagnose.twin_observations import chain, observations_of_twin, real
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.inference.diagnosis import LeftOut
-from nmt_diagnose.inference.leave_one_out import contradiction, left_out, recordings, rms_left
+from nmt_diagnose.inference.fitted_model import rms_left
+from nmt_diagnose.inference.leave_one_out import contradiction, left_out, recordings
 from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.observations.observables import Observations, joined

@@ -12,7 +12,8 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.fit import fit
-from nmt_diagnose.inference.model_comparison import FittedModel, ModelComparison
+from nmt_diagnose.inference.fitted_model import FittedModel
+from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.twin.forward import Forward

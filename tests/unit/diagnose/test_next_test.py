@@ -13,8 +13,8 @@ from unit.diagnose.twin_tests import chain
 
 from nmt_diagnose.inference import next_test
 from nmt_diagnose.inference.fit import fit
+from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.judgement import ExplanationClass
-from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.inference.next_test import Proposal, next_tests
 from nmt_diagnose.inference.problem import Problem
 

@@ -14,7 +14,7 @@ from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.inference.model_comparison import FittedModel
+from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.warnings import warned
 
 GAP = Gap(20.0, 1.1, 1.0, 30.0, 0.99, 0.98, 1.0, {"run: frequency": {"after": 1.1}}, ("every second level",))

@@ -12,7 +12,8 @@ from unit.diagnose.twin_observations import chain, observations_of_twin, real
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
-from nmt_diagnose.inference.model_comparison import FittedModel, ModelComparison
+from nmt_diagnose.inference.fitted_model import FittedModel
+from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.twin.forward import Forward

@@ -34,6 +34,7 @@ from nmt_diagnose.inference.diagnosis import (
 )
 from nmt_diagnose.inference.discrepancy import measured_elsewhere, smooth_errors
 from nmt_diagnose.inference.fit import Fit, FitError, fit
+from nmt_diagnose.inference.fitted_model import FittedModel, rms_left
 from nmt_diagnose.inference.gap import Closed, rms
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.held_images import (
@@ -47,9 +48,9 @@ from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.held_out_comparison import HeldOut, Refits
 from nmt_diagnose.inference.hypotheses import NULL
 from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, with_held_out, with_share_left
-from nmt_diagnose.inference.leave_one_out import contradiction, left_out, recordings, rms_left
+from nmt_diagnose.inference.leave_one_out import contradiction, left_out, recordings
 from nmt_diagnose.inference.lock_noise import lock_nuisances
-from nmt_diagnose.inference.model_comparison import ComparisonSettings, FittedModel, ModelComparison
+from nmt_diagnose.inference.model_comparison import ComparisonSettings, ModelComparison
 from nmt_diagnose.inference.motion_scale import covariance_with_scale
 from nmt_diagnose.inference.next_test import next_tests
 from nmt_diagnose.inference.problem import Problem

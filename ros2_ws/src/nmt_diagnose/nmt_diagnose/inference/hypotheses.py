@@ -11,7 +11,7 @@ import numpy as np
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.fit import Fit
-from nmt_diagnose.inference.model_comparison import FittedModel
+from nmt_diagnose.inference.fitted_model import FittedModel
 
 NULL, UNKNOWN, OTHER = "none", "unknown", "other"
 """Keys of ``diagnosis.json`` beside the labels of explanations: none, something unnamed, named ones not competing."""

@@ -12,9 +12,9 @@ from nmt_core.blocks import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.placement import Explanation, Placement
 from nmt_diagnose.inference.confidence import Confidence
+from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN, Hypothesis, Kind, equivalence_classes, probabilities
-from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.inference.physical_limits import beyond_limits
 
 _UNLIKELY = math.log(1e5)

@@ -10,8 +10,8 @@ import numpy as np
 
 from nmt_diagnose.effects.placement import joined
 from nmt_diagnose.inference.diagnosis import LeftOut
+from nmt_diagnose.inference.fitted_model import FittedModel, rms_left
 from nmt_diagnose.inference.hypotheses import NULL
-from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.inference.problem import BoolArray
 from nmt_diagnose.observations.observables import Observations
 
@@ -76,11 +76,6 @@ def left_out(recording: Recording, refits: Sequence[FittedModel | None]) -> Left
         rms_left(leader),
         closed,
     )
-
-
-def rms_left(fitted_model: FittedModel) -> float:
-    """Rms of what a fit leaves of the rows that it used, in standard deviations."""
-    return math.sqrt(fitted_model.fit.chi_square / max(1, int(fitted_model.fit.used.sum())))
 
 
 def contradiction(found: Sequence[LeftOut], together: float) -> str:

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import count, product
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,29 @@ import numpy as np
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import CalibrationParameter
-from nmt_diagnose.effects.effect import Candidate, EffectParameter
-from nmt_diagnose.effects.parametrisation import SPREADS, Parametrisation
+from nmt_diagnose.effects.effect import Candidate
+from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.placement import Explanation
+from nmt_diagnose.inference.candidate_starts import (
+    at_strength,
+    at_zero,
+    other_shapes,
+    starts_of,
+    strength_parameter,
+    strength_position,
+)
 from nmt_diagnose.inference.fit import Fit, FitError, fit
+from nmt_diagnose.inference.fitted_model import (
+    FittedModel,
+    best_by_effect,
+    held_back,
+    is_incredible,
+    refitted_whole,
+    rms_left,
+    united,
+    wider_spread,
+    without_member,
+)
 from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
 from nmt_diagnose.inference.problem import BoolArray, Problem
 from nmt_diagnose.inference.progress import Told
@@ -30,18 +48,12 @@ from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.observations.conditions import PhaseResonanceTest
 from nmt_rig.rig import Rig
 
-_SHAPE_STARTS = (0.5, 1.0, 2.0)
-# Penalty of the prior for each parameter from which a fit of the model alone is doubted; shares of the levels that it
-# is led over then.
-_INCREDIBLE = 2.0
 # Sensitivities of a first fit of a candidate; those that come near the best are fitted to the end.
 _REFRESHES = 3
 # Strength in standard deviations below which a member of a pair does nothing.
 _NOTHING = 1.0
 # Below this it is fitted without that member, too: fits of the other alone may have stopped on the way to it.
 _DOUBTED = 5.0
-# Prior standard deviations of a strength from which a wider part of its prior is tried.
-_WIDER = 2.5
 # Standard deviations beyond what physics allows from which an effect is not built upon.
 _BEYOND = 3.0
 # Rms of what a fit leaves, in standard deviations, from which it is tried from other shapes, and how many of the best.
@@ -49,6 +61,7 @@ _LEAVES, _RESHAPED = 1.5, 2
 _AT_ONCE = 2  # other shapes
 _RESTARTED = 2  # explanations, the best ones
 _LOWEST = 0.25  # of the levels, which are nearly linear
+# Shares of the levels that a doubted fit is led over.
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
 # Explanations that begin where natural frequencies suit the responses' peaks.
 _FROM_RESONANCES = 6
@@ -96,46 +109,6 @@ class ComparisonSettings:
     close: float = 60.0
     rounds: int = 4
     restarts: bool = True
-
-
-@dataclass(frozen=True)
-class FittedModel:
-    """A fitted explanation.
-
-    Attributes:
-        candidates: its effects at their places; empty for the model with only its parameters re-fitted.
-        fit: the fit.
-        score: its score in the scan; None for the model without effect.
-    """
-
-    candidates: tuple[Candidate, ...]
-    fit: Fit
-    score: Score | None = None
-
-    @cached_property
-    def explanation(self) -> Explanation:
-        """Its effects at their places as values that compare."""
-        return Explanation(tuple(candidate.cause for candidate in self.candidates))
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Names of its effects, sorted."""
-        return self.explanation.effects
-
-    @property
-    def sigmas(self) -> float:
-        """Strength of its weakest effect over its standard uncertainty; 0 without effects."""
-        return min((self.strength(member) for member in range(len(self.candidates))), default=0.0)
-
-    def strength(self, member: int) -> float:
-        """Strength of one of its effects over its standard uncertainty."""
-        own = self.fit.parametrisation.index_of(member)
-        strengths = [
-            abs(float(self.fit.theta[own][k])) / float(self.fit.std[own][k])
-            for k, parameter in enumerate(self.candidates[member].effect.parameters)
-            if parameter.kind == "strength"
-        ]
-        return max(strengths, default=0.0)
 
 
 class ModelComparison:
@@ -197,7 +170,7 @@ class ModelComparison:
         else:
             near = self.problem.forward.predict(parametrisation.rig(start.theta), start.prediction)
             best = fit(self.problem, parametrisation, start.theta, rows, near)
-        if _incredible(best):
+        if is_incredible(best):
             with suppress(FitError):
                 climbed = self._climbed(parametrisation, rows, parametrisation.zero)
                 best = max(best, climbed, key=lambda found: found.log_evidence)
@@ -209,7 +182,7 @@ class ModelComparison:
         Where the real structure is far from any linear one, the model without effect that is fitted to all levels has
         parameters that mean nothing, and so have directions about it. The lowest levels are nearly linear.
         """
-        if not _incredible(null.fit):
+        if not is_incredible(null.fit):
             return []
         own, (levelled, rank), used = null.fit.parametrisation, self._ranks(), null.fit.used
         lowest = used & (~levelled | (rank < _LOWEST))
@@ -217,7 +190,7 @@ class ModelComparison:
             return self._from_resonances(null)
         try:
             below = fit(self.problem, own, own.zero, lowest)
-            if _incredible(below):
+            if is_incredible(below):
                 return []
             base = FittedModel((), fit(self.problem, own, below.theta, used, below.prediction, steps=0))
         except FitError:
@@ -228,14 +201,14 @@ class ModelComparison:
         """Explanations by one effect, from where it brings natural frequencies to where responses peak; best first."""
         own = null.fit.parametrisation
         alone = [Parametrisation(self.rig, self.calibration, (candidate,)) for candidate in self.candidates]
-        first = [_starts(candidate)[0] for candidate in self.candidates]
+        first = [starts_of(candidate)[0] for candidate in self.candidates]
 
         def changed(number: int, strength: float) -> Rig:
-            start = _at(self.candidates[number], first[number], strength)
+            start = at_strength(self.candidates[number], first[number], strength)
             return alone[number].rig(np.concatenate([own.zero, start]))
 
         spreads = [
-            (float(each.prior_std[own.zero.size + _strength(candidate)]), _parameter(candidate).signed)
+            (float(each.prior_std[own.zero.size + strength_position(candidate)]), strength_parameter(candidate).signed)
             for each, candidate in zip(alone, self.candidates, strict=True)
         ]
         starts = resonance_starts(self.problem.observations, self.rig, spreads, changed, _FROM_RESONANCES)
@@ -249,8 +222,8 @@ class ModelComparison:
         for number, strength in starts:
             candidate = self.candidates[number]
             nothing = np.zeros(self.problem.size)
-            start = _at(candidate, first[number], strength)
-            direction = Direction(number, start, nothing, _parameter(candidate).signed)
+            start = at_strength(candidate, first[number], strength)
+            direction = Direction(number, start, nothing, strength_parameter(candidate).signed)
             wanted.append((base, Score(direction, strength, 0.0, 0.0, 0.0)))
         added = [found for found in self._all_added(wanted) if found is not None]
         return sorted(added, key=lambda found: -found.fit.log_evidence)
@@ -323,7 +296,7 @@ class ModelComparison:
         """Directions of all candidates that the fitted model does not have yet."""
         taken = set(base.explanation.causes)
         numbers = [k for k, candidate in enumerate(self.candidates) if candidate.cause not in taken]
-        starts = {k: _starts(self.candidates[k]) for k in numbers}
+        starts = {k: starts_of(self.candidates[k]) for k in numbers}
         pieces: list[tuple[list[int], list[FloatArray]]] = []
         for turn in range(max((len(values) for values in starts.values()), default=0)):
             chosen = [k for k in numbers if len(starts[k]) > turn]
@@ -339,13 +312,13 @@ class ModelComparison:
         parametrisation = Parametrisation(self.rig, self.calibration, base.candidates + added)
         first = base.fit.theta.size
         theta = np.concatenate(
-            [base.fit.theta, *[_at_zero(self.candidates[k], s) for k, s in zip(chosen, starts, strict=True)]]
+            [base.fit.theta, *[at_zero(self.candidates[k], s) for k, s in zip(chosen, starts, strict=True)]]
         )
         offset, columns = first, []
         for k in chosen:
-            columns.append(offset + _strength(self.candidates[k]))
+            columns.append(offset + strength_position(self.candidates[k]))
             offset += len(self.candidates[k].effect.parameters)
-        smooth = [i for i, start in enumerate(starts) if start[_strength(self.candidates[chosen[i]])] == 0.0]
+        smooth = [i for i, start in enumerate(starts) if start[strength_position(self.candidates[chosen[i]])] == 0.0]
         result: list[Direction] = []
         shown: set[int] = set()
         if smooth:
@@ -354,16 +327,16 @@ class ModelComparison:
                 self.problem.forward.jacobian(parametrisation, theta, base.fit.prediction, which)
             )
             for position, i in enumerate(smooth):
-                parameter, column = _parameter(self.candidates[chosen[i]]), jacobian[:, position]
+                parameter, column = strength_parameter(self.candidates[chosen[i]]), jacobian[:, position]
                 if parameter.even and not np.linalg.norm(np.nan_to_num(column)) > _SHOWN:
-                    starts[i] = _at(self.candidates[chosen[i]], starts[i], parameter.even)
+                    starts[i] = at_strength(self.candidates[chosen[i]], starts[i], parameter.even)
                 else:
                     shown.add(i)
                     result.append(Direction(chosen[i], starts[i], column, parameter.signed))
         plain = base.fit.parametrisation.rig(base.fit.theta)
         for i in sorted(set(range(len(chosen))) - shown):
             start = starts[i]
-            strength = float(start[_strength(self.candidates[chosen[i]])])
+            strength = float(start[strength_position(self.candidates[chosen[i]])])
             own = Parametrisation(self.rig, self.calibration, (*base.candidates, self.candidates[chosen[i]]))
             try:
                 rig = own.rig(np.concatenate([base.fit.theta, start]))
@@ -371,7 +344,7 @@ class ModelComparison:
             except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
                 continue  # no rig there
             change = base.fit.residual - self.problem.residual(moved)
-            parameter = _parameter(self.candidates[chosen[i]])
+            parameter = strength_parameter(self.candidates[chosen[i]])
             # What does not show to first order goes with the square: the same way for either sign.
             signed = parameter.signed and not parameter.even
             result.append(Direction(chosen[i], start, change / strength, signed))
@@ -383,7 +356,7 @@ class ModelComparison:
         spreads = tuple(base.fit.parametrisation.spread(index) for index in range(len(base.candidates)))
         parametrisation = Parametrisation(self.rig, self.calibration, (*base.candidates, candidate), spreads)
         start = np.array(score.direction.start, dtype=np.float64)
-        position = _strength(candidate)
+        position = strength_position(candidate)
         if start[position] == 0.0:
             # Half of what the scan says: a step too far may leave the range where the level has a solution.
             limit = 2.0 * parametrisation.prior_std[base.fit.theta.size + position]
@@ -415,7 +388,7 @@ class ModelComparison:
         while True:
             own = found.parametrisation
             spreads = tuple(
-                _wider(own.spread(index)) if _held_back(found, index) else own.spread(index)
+                wider_spread(own.spread(index)) if held_back(found, index) else own.spread(index)
                 for index in range(len(own.candidates))
             )
             if spreads == tuple(own.spread(index) for index in range(len(own.candidates))):
@@ -451,7 +424,7 @@ class ModelComparison:
 
     def _wants_restart(self, found: Fit) -> bool:
         """Whether a fit stands where no step leads on, or where nobody believes its parameters."""
-        stuck = not found.converged or _incredible(found)
+        stuck = not found.converged or is_incredible(found)
         return self.settings.restarts and bool(found.parametrisation.candidates) and stuck
 
     def _finished(self, best: Fit, rounds: int | None = None) -> Fit:
@@ -542,7 +515,7 @@ class ModelComparison:
                 chosen[name].append(score)
         every = [score for mine in chosen.values() for score in mine]
         added = [own for own in self._all_added([(base, score) for score in every]) if own is not None]
-        return self._with_other_shapes(self._settled(_united(added, going)))
+        return self._with_other_shapes(self._settled(united(added, going)))
 
     def _going_on(self, known: Sequence[FittedModel]) -> list[FittedModel]:
         """The best known explanations gone on from where they stand."""
@@ -559,7 +532,7 @@ class ModelComparison:
             )  # fmt: skip
         except FitError:
             return None
-        return _refitted_whole(fitted_model, found)
+        return refitted_whole(fitted_model, found)
 
     def _all_added(self, wanted: Sequence[tuple[FittedModel, Score]]) -> list[FittedModel | None]:
         """Candidates fitted on top of fitted models; None where the model cannot be solved with one."""
@@ -590,7 +563,7 @@ class ModelComparison:
                 kept.append(pair)
             if pair.strength(weakest) >= _DOUBTED:
                 continue
-            rest = Explanation(tuple(candidate.cause for candidate in _others(pair, weakest)))
+            rest = Explanation(tuple(candidate.cause for candidate in without_member(pair, weakest)))
             known = max((own.fit.log_evidence for own in better if own.explanation == rest), default=-np.inf)
             if pair.strength(weakest) >= _NOTHING and known > pair.fit.log_evidence - _DOUBTED**2:
                 continue  # as good as without the member it can be
@@ -602,7 +575,7 @@ class ModelComparison:
     def _without(self, fitted_model: FittedModel, member: int) -> FittedModel | None:
         """The explanation fitted without one of its effects, from where it stands; None where that fails."""
         before = fitted_model.fit
-        rest = _others(fitted_model, member)
+        rest = without_member(fitted_model, member)
         spreads = tuple(before.parametrisation.spread(k) for k in range(len(fitted_model.candidates)) if k != member)
         parametrisation = Parametrisation(self.rig, self.calibration, rest, spreads)
         theta = np.delete(before.theta, np.r_[before.parametrisation.index_of(member)])
@@ -627,7 +600,7 @@ class ModelComparison:
                     continue
                 if (own.site.point, own.site.other_point) != (other.site.point, other.site.other_point):
                     continue
-                start = np.concatenate([_at_zero(own, _starts(own)[0]), _at_zero(other, _starts(other)[0])])
+                start = np.concatenate([at_zero(own, starts_of(own)[0]), at_zero(other, starts_of(other)[0])])
                 both = Explanation((own.cause, other.cause))
                 if both not in skipped:
                     wanted.setdefault(both, ((own, other), (spread, 1.0), start))
@@ -685,8 +658,8 @@ class ModelComparison:
         fit has no slope there that would lead it back.
         """
         better: dict[Explanation, FittedModel] = {}
-        for own in _best_by_effect(found)[:_RESHAPED]:
-            starts = _other_shapes(own) if _leaves(own.fit) > _LEAVES else []
+        for own in best_by_effect(found)[:_RESHAPED]:
+            starts = other_shapes(own) if rms_left(own) > _LEAVES else []
             if starts:
                 self._progress(Told(f"trying {own.explanation.label} from other shapes"))
             best = own
@@ -696,7 +669,7 @@ class ModelComparison:
                 for trial in tried:
                     if trial is not None and trial.fit.log_evidence > best.fit.log_evidence + 0.5:
                         best = trial
-                if _leaves(best.fit) <= _LEAVES:
+                if rms_left(best) <= _LEAVES:
                     break
             if best is not own:
                 better[own.explanation] = best
@@ -719,7 +692,7 @@ class ModelComparison:
             )  # fmt: skip
         except FitError:
             return None
-        return _refitted_whole(fitted_model, found)
+        return refitted_whole(fitted_model, found)
 
     def _standing(self, found: Sequence[FittedModel]) -> list[tuple[str, float]]:
         """All explanations since the last scan of the model itself, and how far each lies behind the best."""
@@ -742,11 +715,11 @@ class ModelComparison:
         going = self._going_on(known)
         if settings.partners:
             skipped = {own.explanation for own in known}
-            smooth = [single for single in _best_by_effect(possible) if single.candidates[0].effect.force]
+            smooth = [single for single in best_by_effect(possible) if single.candidates[0].effect.force]
             result = self._with_partners(smooth[: settings.partners], skipped)
         tried = {own.explanation for own in (*result, *going)}
         best = max([best, *(own.fit.log_evidence for own in (*result, *going))])
-        for rank, single in enumerate(_best_by_effect(possible)[: settings.first_of_pairs]):
+        for rank, single in enumerate(best_by_effect(possible)[: settings.first_of_pairs]):
             found = self.scan(single)
             if rank == 0 and (not found or found[0].gain < settings.pair_gain):
                 break  # the best single explanation leaves nothing for a second one
@@ -776,24 +749,12 @@ class ModelComparison:
                     result.append(fitted_model)
                     best = max(best, fitted_model.fit.log_evidence)
             heads.update(single.effects)
-        return self._settled(_united(result, going))
-
-
-def _others(fitted_model: FittedModel, member: int) -> tuple[Candidate, ...]:
-    """Effects of an explanation but for one."""
-    return tuple(c for k, c in enumerate(fitted_model.candidates) if k != member)
+        return self._settled(united(result, going))
 
 
 def _hopeless(single: FittedModel, score: Score, best: float) -> bool:
     """Even what the scan promises would not make a pair better than the best explanation."""
     return single.fit.log_evidence + 0.5 * score.gain < best
-
-
-def _refitted_whole(before: FittedModel, found: Fit) -> FittedModel | None:
-    """An explanation with a new fit; None where that leaves out rows which it explained before."""
-    if np.any(before.fit.used & ~found.used):
-        return None
-    return FittedModel(before.candidates, found, before.score)
 
 
 def _restarted_from(shared: tuple[ModelComparison, FittedModel], other: FittedModel) -> Fit | None:
@@ -846,86 +807,3 @@ def _labour(item: tuple[FittedModel, BoolArray]) -> float:
 
 def _silent(_: str) -> None:
     """Report nothing."""
-
-
-def _united(added: list[FittedModel], known: Sequence[FittedModel]) -> list[FittedModel]:
-    """Fits, and known ones where they are better than the same explanation fitted anew."""
-    for own in known:
-        competing = [other for other in added if other.explanation == own.explanation]
-        if all(own.fit.log_evidence > other.fit.log_evidence + 0.5 for other in competing):
-            added = [other for other in added if other.explanation != own.explanation] + [own]
-    return added
-
-
-def _held_back(found: Fit, candidate: int) -> bool:
-    """Whether the prior holds a strength of a candidate back."""
-    own = found.parametrisation.index_of(candidate)
-    share = np.abs(found.theta[own]) / found.parametrisation.prior_std[own]
-    strengths = [p.kind == "strength" for p in found.parametrisation.candidates[candidate].effect.parameters]
-    return bool(np.any(share[strengths] > _WIDER))
-
-
-def _wider(spread: float) -> float:
-    return next((value for value in SPREADS if value > spread), spread)
-
-
-def _leaves(found: Fit) -> float:
-    """Rms of what a fit leaves, in standard deviations."""
-    return float(np.sqrt(found.chi_square / max(1, int(found.used.sum()))))
-
-
-def _other_shapes(fitted_model: FittedModel) -> list[FloatArray]:
-    """θ with the shapes of one effect after another at each combination of its grid."""
-    result = []
-    for number, candidate in enumerate(fitted_model.candidates):
-        shapes = [k for k, parameter in enumerate(candidate.effect.parameters) if parameter.kind == "shape"]
-        own = np.arange(fitted_model.fit.theta.size)[fitted_model.fit.parametrisation.index_of(number)][shapes]
-        for start in {tuple(start[shapes]) for start in _starts(candidate)} if shapes else ():
-            theta = fitted_model.fit.theta.copy()
-            theta[own] = start
-            result.append(theta)
-    return sorted(result, key=lambda theta: tuple(theta))
-
-
-def _incredible(found: Fit) -> bool:
-    return found.penalty > _INCREDIBLE * max(1, found.theta.size)
-
-
-def _best_by_effect(fitted_models: Sequence[FittedModel]) -> list[FittedModel]:
-    seen: set[tuple[str, ...]] = set()
-    result = []
-    for fitted_model in fitted_models:
-        if fitted_model.effects not in seen:
-            seen.add(fitted_model.effects)
-            result.append(fitted_model)
-    return result
-
-
-def _strength(candidate: Candidate) -> int:
-    """Position of the strength among the parameters of a candidate."""
-    return next(k for k, p in enumerate(candidate.effect.parameters) if p.kind == "strength")
-
-
-def _parameter(candidate: Candidate) -> EffectParameter:
-    return candidate.effect.parameters[_strength(candidate)]
-
-
-def _at(candidate: Candidate, start: FloatArray, strength: float) -> FloatArray:
-    result = start.copy()
-    result[_strength(candidate)] = strength
-    return result
-
-
-def _at_zero(candidate: Candidate, start: FloatArray) -> FloatArray:
-    return _at(candidate, start, 0.0)
-
-
-def _starts(candidate: Candidate) -> list[FloatArray]:
-    """Dimensionless parameters to look at: all combinations of the grids; a strength without grid at zero."""
-    grids: list[tuple[float, ...]] = []
-    for parameter in candidate.effect.parameters:
-        if parameter.kind == "shape":
-            grids.append(tuple(float(np.log(value)) for value in parameter.grid or _SHAPE_STARTS))
-        else:
-            grids.append(parameter.grid or (0.0,))
-    return [np.array(values) for values in product(*grids)]

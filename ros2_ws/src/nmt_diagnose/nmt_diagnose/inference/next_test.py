@@ -23,9 +23,9 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.placement import joined
 from nmt_diagnose.inference.diagnosis import NextTest
+from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.hypotheses import NULL
 from nmt_diagnose.inference.judgement import ExplanationClass
-from nmt_diagnose.inference.model_comparison import FittedModel
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.scan import Projector
 from nmt_diagnose.inference.workers import Workers

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.inference.model_comparison import FittedModel
+from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.physical_limits import beyond_limits
 
 # Standard deviations of its prior beyond which a parameter is not what a data sheet or a ruler leaves open.

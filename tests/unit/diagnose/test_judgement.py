@@ -18,7 +18,7 @@ from nmt_diagnose.inference.confidence import confidence as frozen
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.generic_source import SourceScore
-from nmt_diagnose.inference.judgement import Judgement, judge, with_held_out, with_share_left
+from nmt_diagnose.inference.judgement import Judgement, judge, with_held_out, with_share_left, with_share_unexplained
 from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.scan import Direction, Score
@@ -185,6 +185,18 @@ def test_what_little_is_left_of_a_gap_is_all_that_can_be_unnamed() -> None:
     assert found.classes[0].probability / plain.classes[0].probability == pytest.approx(
         named / (1.0 - plain.none - plain.unknown)
     )
+
+
+def test_what_is_left_of_a_clear_gap_is_unnamed_at_least_in_proportion() -> None:
+    source = (SourceScore(JOINT, 60.0, 9.0, 2.0),)
+    plain = judged(1.0 * A + NOISE, source, replace(PLAIN, unnamed=Reliability(-1.0, {})))
+    given_gap = plain.unknown / (1.0 - plain.none)
+    assert with_share_unexplained(plain, 0.5 * given_gap) is plain
+    found = with_share_unexplained(plain, 0.9)
+    assert found.unknown == pytest.approx(0.9 * (1.0 - plain.none))
+    assert found.none == plain.none
+    assert sum(found.by_label.values()) == pytest.approx(1.0)
+    assert found.classes[0].probability < plain.classes[0].probability
 
 
 def test_the_prior_of_a_pair_is_that_of_two_draws_in_any_order() -> None:

@@ -47,7 +47,14 @@ from nmt_diagnose.inference.held_images import (
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.held_out_comparison import HeldOut, Refits
 from nmt_diagnose.inference.hypotheses import NULL
-from nmt_diagnose.inference.judgement import ExplanationClass, Judgement, judge, with_held_out, with_share_left
+from nmt_diagnose.inference.judgement import (
+    ExplanationClass,
+    Judgement,
+    judge,
+    with_held_out,
+    with_share_left,
+    with_share_unexplained,
+)
 from nmt_diagnose.inference.leave_one_out import contradiction, left_out, recordings
 from nmt_diagnose.inference.lock_noise import lock_nuisances
 from nmt_diagnose.inference.model_comparison import ComparisonSettings, ModelComparison
@@ -99,6 +106,8 @@ _SECONDS = 6
 _PARTNERS = 1
 # Gap over the noise (rms) from which what is left of it is a share of the effect rather than an effect of its own.
 _STRONG = 10.0
+# From here on the share of it that an explanation closes says whether that is what the gap is made of.
+_CLEAR = 2.0
 _SECOND = 8.0  # ln of what a second effect costs in prior, among some hundred candidates
 
 
@@ -275,6 +284,8 @@ class _Diagnoser:
         mostly = best_share is not None and best_share.low > 1.0 - _UNSURE * tolerated
         if best_share is not None and mostly and best_share.value >= 1.0 - tolerated:
             judgement = with_share_left(judgement, min(max(1.0 - best_share.value, 0.0), 1.0))
+        elif best_share is not None and best_share.before > _CLEAR * max(best_share.floor, 1.0):
+            judgement = with_share_unexplained(judgement, min(max(1.0 - best_share.high, 0.0), 1.0))
         accepted = self._accepted(judgement, shares)
         verdict = self._verdict(judgement, accepted, self._recalibrated(null, as_given, held))
         best = self.comparison.polished(accepted.head) if accepted is not None and verdict is Verdict.EFFECT else null

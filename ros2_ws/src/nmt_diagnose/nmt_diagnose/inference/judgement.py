@@ -258,7 +258,25 @@ def with_share_left(judgement: Judgement, left: float) -> Judgement:
         judgement: without regard to unseen data.
         left: share of the gap that is left, 0 to 1.
     """
-    unknown = judgement.unknown * left
+    return _with_unknown(judgement, judgement.unknown * left)
+
+
+def with_share_unexplained(judgement: Judgement, left: float) -> Judgement:
+    """The judgement where the best named explanation leaves a share of a clear gap on data it has not seen.
+
+    Something unnamed is at least as probable then as the share is large: what explains less than half of a gap is not
+    what the gap is made of, however much better it fits than its competitors.
+
+    Args:
+        judgement: without regard to unseen data.
+        left: share of the gap that is left at least, 0 to 1.
+    """
+    least = left * (1.0 - judgement.none)
+    return judgement if judgement.unknown >= least else _with_unknown(judgement, least)
+
+
+def _with_unknown(judgement: Judgement, unknown: float) -> Judgement:
+    """The judgement with another probability of something unnamed; named explanations share the rest as before."""
     named = 1.0 - judgement.none - judgement.unknown
     factor = (1.0 - judgement.none - unknown) / named if named > 0.0 else 1.0
     by_explanation = {explanation: value * factor for explanation, value in judgement.named.items()}

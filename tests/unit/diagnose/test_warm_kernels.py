@@ -1,4 +1,4 @@
-"""No first diagnosis waits for a compiler: the warm-up uses every kernel of the twin."""
+"""No first diagnosis waits for a compiler: the warm-up uses the kernels that take long to compile."""
 
 from __future__ import annotations
 

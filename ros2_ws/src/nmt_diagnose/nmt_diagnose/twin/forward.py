@@ -167,7 +167,7 @@ class Forward:
     ) -> Demand:
         """What rows ask of the levels or lines of a test; of what had no solution before, nothing is needed."""
         where = self._where[test]
-        level, count = self.rows.level[where], level_count(self.tests[test])
+        level, count = self.rows.level[where], _level_count(self.tests[test])
         here = ~np.isin(self.rows.part[where], _OF_THE_CHANNEL)
         none = np.zeros(count, dtype=bool)
 
@@ -393,7 +393,7 @@ def _shared(columns: FloatArray, labels: Sequence[SourceColumn]) -> tuple[FloatA
     return np.stack([columns[:, pick].sum(axis=1) for pick in picks], axis=1), names
 
 
-def level_count(test: Test) -> int:
+def _level_count(test: Test) -> int:
     """Levels, amplitudes or lines that a test's model solves for one by one; 0 where it does not."""
     if isinstance(test, PhaseResonanceTest):
         return len(test.levels)
@@ -405,7 +405,7 @@ def level_count(test: Test) -> int:
 def _known(test: Test, before: Sequence[Any] | None) -> BoolArray:
     """Which levels or lines of a test were solved before."""
     if before is None or (isinstance(test, SteppedSineTest) and before[0] is None):
-        return np.zeros(level_count(test), dtype=bool)
+        return np.zeros(_level_count(test), dtype=bool)
     if isinstance(test, SteppedSineTest):
         return np.asarray(np.isfinite(before[0].z[:, 0]))
     return np.array([state is not None for state in before], dtype=bool)

@@ -18,7 +18,14 @@ from nmt_diagnose.inference.confidence import confidence as frozen
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.generic_source import SourceScore
-from nmt_diagnose.inference.judgement import Judgement, judge, with_held_out, with_share_left, with_share_unexplained
+from nmt_diagnose.inference.judgement import (
+    Judgement,
+    judge,
+    with_held_out,
+    with_prior_conflict,
+    with_share_left,
+    with_share_unexplained,
+)
 from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.scan import Direction, Score
@@ -197,6 +204,22 @@ def test_what_is_left_of_a_clear_gap_is_unnamed_at_least_in_proportion() -> None
     assert found.none == plain.none
     assert sum(found.by_label.values()) == pytest.approx(1.0)
     assert found.classes[0].probability < plain.classes[0].probability
+
+
+def test_parameters_that_nobody_believes_raise_the_alarm_where_nothing_else_does() -> None:
+    confidence = replace(PLAIN, alarm=2.5)
+    weak, strong = judged(0.1 * A + 0.2 * NOISE, confidence=confidence), judged(2.0 * A + NOISE, confidence=confidence)
+    assert weak.log_odds < confidence.alarm < strong.log_odds
+    assert with_prior_conflict(strong, 50.0, confidence) is strong
+    assert with_prior_conflict(weak, 0.0, confidence) is weak
+    found = with_prior_conflict(weak, 20.0, confidence)
+    own = 20.0 + np.log(confidence.prior_unknown / confidence.prior_none)
+    assert found.log_odds == pytest.approx(np.logaddexp(weak.log_odds, own))
+    assert found.log_odds > confidence.alarm
+    assert found.unknown > 0.99
+    assert found.strained
+    assert found.places == {}
+    assert sum(found.by_label.values()) == pytest.approx(1.0)
 
 
 def test_the_prior_of_a_pair_is_that_of_two_draws_in_any_order() -> None:

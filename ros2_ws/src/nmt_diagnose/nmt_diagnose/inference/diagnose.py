@@ -52,6 +52,7 @@ from nmt_diagnose.inference.judgement import (
     Judgement,
     judge,
     with_held_out,
+    with_prior_conflict,
     with_share_left,
     with_share_unexplained,
 )
@@ -60,6 +61,7 @@ from nmt_diagnose.inference.lock_noise import lock_nuisances
 from nmt_diagnose.inference.model_comparison import ComparisonSettings, ModelComparison
 from nmt_diagnose.inference.motion_scale import covariance_with_scale
 from nmt_diagnose.inference.next_test import next_tests
+from nmt_diagnose.inference.prior_conflict import prior_conflict
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.progress import Progress
 from nmt_diagnose.inference.remainder import remainder
@@ -286,10 +288,11 @@ class _Diagnoser:
             judgement = with_share_left(judgement, min(max(1.0 - best_share.value, 0.0), 1.0))
         elif best_share is not None and best_share.before > _CLEAR * max(best_share.floor, 1.0):
             judgement = with_share_unexplained(judgement, min(max(1.0 - best_share.high, 0.0), 1.0))
+        judgement = with_prior_conflict(judgement, prior_conflict(null), self.confidence)
         accepted = self._accepted(judgement, shares)
         verdict = self._verdict(judgement, accepted, self._recalibrated(null, as_given, held))
         best = self.comparison.polished(accepted.head) if accepted is not None and verdict is Verdict.EFFECT else null
-        gap, rest = self._gap(verdict, null, best, as_given, held)
+        gap, rest = self._gap(verdict, null, best, as_given, held, judgement.strained)
         ranking = self._ranking(judgement, shares)
         where = self._where(judgement, sources, verdict)
         self.progress("looking for the test that would decide")
@@ -304,7 +307,9 @@ class _Diagnoser:
         diagnosis = Diagnosis(
             verdict=verdict,
             sentences=(
-                *sentences(verdict, where, ranking, judgement.classes, gap, ahead, calibration, rest),
+                *sentences(
+                    verdict, where, ranking, judgement.classes, gap, ahead, calibration, rest, judgement.strained
+                ),
                 *warnings,
             ),
             where=where,
@@ -644,7 +649,7 @@ class _Diagnoser:
         if judgement.log_odds < self.confidence.alarm:
             return Verdict.CALIBRATION if recalibrated else Verdict.NONE
         given_gap = judgement.unknown / max(1e-300, 1.0 - judgement.none)
-        if accepted is None:
+        if accepted is None or judgement.unknown > accepted.probability:
             return Verdict.UNKNOWN
         return Verdict.UNKNOWN if given_gap > self.confidence.unknown else Verdict.EFFECT
 
@@ -657,10 +662,16 @@ class _Diagnoser:
         return fall > self.confidence.recalibration and not unseen < 0.0
 
     def _gap(
-        self, verdict: Verdict, null: FittedModel, best: FittedModel, as_given: FloatArray, held: HeldOut
+        self,
+        verdict: Verdict,
+        null: FittedModel,
+        best: FittedModel,
+        as_given: FloatArray,
+        held: HeldOut,
+        strained: bool,
     ) -> tuple[Gap, Remainder | None]:
-        """The gap, and what an accepted explanation leaves of it."""
-        given = verdict is Verdict.CALIBRATION
+        """The gap, and what an accepted explanation, or the model's own parameters, leave of it."""
+        given = verdict is Verdict.CALIBRATION or (verdict is Verdict.UNKNOWN and strained)
         whole = held.closed(best.explanation, as_given if given else None)
         rows, start, after = held.pooled(null, best, as_given if given else None)
         # Without a split that tells the explanation, by the fits themselves.
@@ -823,6 +834,7 @@ class _Diagnoser:
             "chi_square_given": float(as_given[used] @ as_given[used]),
             "chi_square_null": null.fit.chi_square,
             "penalty_null": null.fit.penalty,
+            "prior_conflict": prior_conflict(null),
             "chi_square_best": best.chi_square,
             "log_evidence_best": best.log_evidence - null.fit.log_evidence,
             "log_evidence_second": singles[1].fit.log_evidence - null.fit.log_evidence if len(singles) > 1 else 0.0,

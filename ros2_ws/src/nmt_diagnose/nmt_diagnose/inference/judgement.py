@@ -58,6 +58,7 @@ class Judgement:
         named: probability of each explanation that competed.
         other: probability of a named one that was not among them.
         features: what the probabilities follow from, see :data:`nmt_diagnose.inference.confidence.RANGES`.
+        strained: what speaks for a gap is only that the model's own parameters are hard to believe.
     """
 
     none: float
@@ -67,6 +68,7 @@ class Judgement:
     named: dict[Explanation, float]
     other: float
     features: dict[str, float]
+    strained: bool = False
 
     @property
     def log_odds(self) -> float:
@@ -275,13 +277,44 @@ def with_share_unexplained(judgement: Judgement, left: float) -> Judgement:
     return judgement if judgement.unknown >= least else _with_unknown(judgement, least)
 
 
+def with_prior_conflict(judgement: Judgement, conflict: float, confidence: Confidence) -> Judgement:
+    """The judgement where the model closes the gap with parameters that are hard to believe, and nothing else does.
+
+    What moved them has neither name nor place then. Where an explanation raises the alarm by itself, nothing changes:
+    it may stand beside beliefs that are too narrow.
+
+    Args:
+        judgement: without regard to it.
+        conflict: evidence for wider beliefs, see `prior_conflict`.
+        confidence: priors and reliabilities.
+    """
+    own = conflict + math.log(confidence.prior_unknown / confidence.prior_none)
+    odds = float(np.logaddexp(judgement.log_odds, own))
+    if judgement.log_odds >= confidence.alarm or odds < confidence.alarm:
+        return judgement
+    features = {**judgement.features, "log_odds": odds}
+    none = 1.0 - confidence.gap.probability(features)
+    before = 1.0 - judgement.none
+    factor = (1.0 - none) / before if before > 0.0 else 0.0
+    unknown = judgement.unknown * factor
+    scaled = replace(
+        _shared(judgement, factor), none=none, unknown=unknown, places={}, features=features, strained=True
+    )
+    return _with_unknown(scaled, max(unknown, math.exp(own - odds) * (1.0 - none)))
+
+
 def _with_unknown(judgement: Judgement, unknown: float) -> Judgement:
     """The judgement with another probability of something unnamed; named explanations share the rest as before."""
     named = 1.0 - judgement.none - judgement.unknown
     factor = (1.0 - judgement.none - unknown) / named if named > 0.0 else 1.0
+    return replace(_shared(judgement, factor), unknown=unknown)
+
+
+def _shared(judgement: Judgement, factor: float) -> Judgement:
+    """The judgement with the probabilities of all named explanations multiplied by one factor."""
     by_explanation = {explanation: value * factor for explanation, value in judgement.named.items()}
     classes = tuple(replace(group, probability=group.probability * factor) for group in judgement.classes)
-    return replace(judgement, unknown=unknown, classes=classes, named=by_explanation, other=judgement.other * factor)
+    return replace(judgement, classes=classes, named=by_explanation, other=judgement.other * factor)
 
 
 def with_held_out(judgement: Judgement, worse: Mapping[Explanation, float]) -> Judgement:

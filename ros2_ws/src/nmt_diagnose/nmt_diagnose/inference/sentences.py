@@ -34,10 +34,12 @@ def sentences(
     ahead: Sequence[NextTest],
     calibration: Sequence[Recalibrated],
     remainder: Remainder | None = None,
+    strained: bool = False,
 ) -> tuple[str, ...]:
     """Where, which, how far; and what would settle the rest if something is left open.
 
-    ``ranking`` is what ``diagnosis.json`` says of ``classes``, in their order.
+    ``ranking`` is what ``diagnosis.json`` says of ``classes``, in their order; ``strained`` says that only parameters
+    which are hard to believe tell of a gap.
     """
     if verdict is Verdict.NONE:
         return (
@@ -57,6 +59,15 @@ def sentences(
             _how_far(gap, "Re-fitting them"),
         )
     place = _where(where)
+    if verdict is Verdict.UNKNOWN and strained:
+        return (
+            "Where the gap lies cannot be told: the model's own parameters take it, but several of them lie far from "
+            "what is believed of them then.",
+            "Nothing in the library explains it: either the model file is wrong in all of these, or something without "
+            "a name changes them together.",
+            _how_far(gap, "Re-fitting them"),
+            *_ahead(ahead),
+        )
     if verdict is Verdict.UNKNOWN:
         best = (
             f"; the nearest named effect is {_title(ranking[0].effect)}{_at(classes[0].head.explanation)}"

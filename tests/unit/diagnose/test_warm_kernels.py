@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from nmt_diagnose.twin import phase_resonance_twin, random_twin, record_twin, stepped_sine_twin
+from nmt_diagnose.twin import phase_resonance_twin, random_twin, record_kernel, stepped_sine_twin
 from nmt_diagnose.twin.warm_up import warm_up_twin
 from nmt_rig.rig import load_rig
 
@@ -20,7 +20,8 @@ KERNELS = [
     (stepped_sine_twin, "solve_lines"),
     (stepped_sine_twin, "step_lines"),
     (stepped_sine_twin, "step_more_lines"),
-    (record_twin, "step_through"),
+    (record_kernel, "_step_all"),
+    (record_kernel, "_step_one"),
 ]
 
 

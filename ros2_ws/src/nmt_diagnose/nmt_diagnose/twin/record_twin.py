@@ -12,7 +12,6 @@ import math
 from collections import OrderedDict
 
 import numpy as np
-from numba import njit
 from scipy.signal import resample_poly
 
 from nmt_core.blocks import FloatArray, Quantity
@@ -21,17 +20,14 @@ from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.converter import expected_quantised
 from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
+from nmt_diagnose.twin.record_kernel import step_through
 from nmt_diagnose.twin.rig_parts import RigParts
 from nmt_diagnose.twin.twin_settings import TwinSettings
-from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.local_elements import element_response
 from nmt_rig.rig import Rig
 
 STEPS_PER_PERIOD = 60.0
 MOST_SUBSTEPS = 32
-ITERATIONS = 12
-TOLERANCE = 1e-7  # of the largest force so far
 REMEMBERED = 3
 
 
@@ -173,157 +169,3 @@ def stepped_model(parts: RigParts, rows: np.ndarray, step: float) -> SteppedMode
         np.ascontiguousarray(model.displacement[:r, keep] * poles * weight),
         np.ascontiguousarray(direct.real),
     )
-
-
-@njit(cache=True)
-def coordinate_forces(
-    w: FloatArray,
-    v: FloatArray,
-    sliders: FloatArray,
-    moved: FloatArray,
-    factor: FloatArray,
-    tables: LocalTables,
-    g: FloatArray,
-    by_displacement: FloatArray,
-    by_velocity: FloatArray,
-) -> None:
-    """Forces (r,) of the coordinates and their tangents (r, r), written to the last three arguments; ``moved`` gets the
-    sliders after the step."""
-    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = tables[3:10]
-    elements = jenkins_start.size - 1
-    by_displacement[:] = 0.0
-    by_velocity[:] = 0.0
-    for i in range(elements):
-        force = 0.0
-        stiffness = 0.0
-        damping = 0.0
-        for e in range(jenkins_start[i], jenkins_start[i + 1]):
-            own, k, _, slider = element_response(1, jenkins[e], w[i], v[i], sliders[e])
-            moved[e] = slider
-            force += own
-            stiffness += k
-        for e in range(contacts_start[i], contacts_start[i + 1]):
-            side = contacts[e, 2]
-            overlap = side * w[i] - contacts[e, 1]
-            if overlap > 0.0:
-                force += side * contacts[e, 0] * overlap
-                stiffness += contacts[e, 0]
-        for e in range(sampled_start[i], sampled_start[i + 1]):
-            own, k, c, _ = element_response(kinds[e], parameters[e], w[i], v[i], 0.0)
-            force += own
-            stiffness += k
-            damping += c
-        g[i] = force
-        by_displacement[i, i] = stiffness
-        by_velocity[i, i] = damping
-    r = g.size
-    if r > elements:
-        x, current = w[r - 2], w[r - 1]
-        f = factor[1] * x + factor[2] * x * x
-        slope = factor[1] + 2.0 * factor[2] * x
-        g[r - 2] = -f * current
-        by_displacement[r - 2, r - 2] = -slope * current
-        by_displacement[r - 2, r - 1] = -f
-        g[r - 1] = f * v[r - 2]
-        by_displacement[r - 1, r - 2] = slope * v[r - 2]
-        by_velocity[r - 1, r - 2] = f
-
-
-@njit(cache=True)
-def step_through(
-    drive: FloatArray,
-    substeps: int,
-    r: int,
-    decay: ComplexArray,
-    early: ComplexArray,
-    late: ComplexArray,
-    outputs: ComplexArray,
-    velocities: ComplexArray,
-    direct: FloatArray,
-    factor: FloatArray,
-    tables: LocalTables,
-) -> FloatArray:
-    """Channels (c, samples) from rest; see ``stepped_model``."""
-    count = decay.size
-    c = outputs.shape[0] - r
-    samples = drive.size // substeps
-    result = np.empty((c, samples))
-    state = np.zeros(count, dtype=np.complex128)
-    sliders = np.zeros(tables[3].shape[0])
-    moved = np.zeros(tables[3].shape[0])
-    g = np.zeros(r)
-    trial = np.zeros(r)
-    w = np.zeros(r)
-    v = np.zeros(r)
-    free_w = np.zeros(r)
-    free_v = np.zeros(r)
-    kw = np.zeros((r, r))
-    kv = np.zeros((r, r))
-    # What a force at the end of a step does to displacement and velocity there.
-    dw = np.zeros((r, r))
-    dv = np.zeros((r, r))
-    for i in range(r):
-        for j in range(r):
-            for k in range(count):
-                dw[i, j] += (outputs[i, k] * late[k, j]).real
-                dv[i, j] += (velocities[i, k] * late[k, j]).real
-    free = tables[3].shape[0] + tables[5].shape[0] + tables[7].shape[0] == 0 and tables[4].size - 1 == r
-    before = np.zeros(r)
-    largest = 1e-300
-    previous = 0.0
-    for n in range(drive.size):
-        u = drive[n]
-        for k in range(count):
-            x = decay[k] * state[k] + early[k, r] * previous + late[k, r] * u
-            if not free:
-                for j in range(r):
-                    x -= early[k, j] * g[j]
-            state[k] = x
-        previous = u
-        for i in range(0 if free else r):
-            a = 0.0
-            b = 0.0
-            for k in range(count):
-                a += (outputs[i, k] * state[k]).real
-                b += (velocities[i, k] * state[k]).real
-            free_w[i] = a
-            free_v[i] = b
-            # Where the force seems to go: a step of the iteration saved.
-            trial[i] = 2.0 * g[i] - before[i]
-            before[i] = g[i]
-        for _ in range(0 if free else ITERATIONS):
-            for i in range(r):
-                w[i] = free_w[i]
-                v[i] = free_v[i]
-                for j in range(r):
-                    w[i] -= dw[i, j] * trial[j]
-                    v[i] -= dv[i, j] * trial[j]
-            coordinate_forces(w, v, sliders, moved, factor, tables, g, kw, kv)
-            error = 0.0
-            size = largest
-            for i in range(r):
-                error = max(error, abs(g[i] - trial[i]))
-                size = max(size, abs(g[i]))
-            if error <= TOLERANCE * size:
-                break
-            if r == 1:
-                trial[0] += (g[0] - trial[0]) / (1.0 + kw[0, 0] * dw[0, 0] + kv[0, 0] * dv[0, 0])
-            else:
-                system = np.eye(r) + kw @ dw + kv @ dv
-                trial += np.linalg.solve(system, g - trial)
-        for e in range(sliders.size):
-            sliders[e] = moved[e]
-        if not free:
-            for j in range(r):
-                largest = max(largest, abs(g[j]))
-                for k in range(count):
-                    state[k] -= late[k, j] * g[j]
-        if n % substeps == 0:
-            for o in range(c):
-                y = direct[r + o, r] * u
-                for j in range(r):
-                    y -= direct[r + o, j] * g[j]
-                for k in range(count):
-                    y += (outputs[r + o, k] * state[k]).real
-                result[o, n // substeps] = y
-    return result

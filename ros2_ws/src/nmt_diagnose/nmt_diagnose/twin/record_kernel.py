@@ -1,0 +1,317 @@
+"""Compiled stepping of a rig through a record: exact recursion of its poles, local forces by Newton's method."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray
+from nmt_diagnose.twin.linear_model import ComplexArray
+from nmt_rig.model.aft import LocalTables
+from nmt_rig.model.local_elements import element_response
+
+ITERATIONS = 12
+TOLERANCE = 1e-7  # of the largest force so far
+
+IntArray = NDArray[np.int64]
+
+
+@njit(cache=True)
+def _coordinate_forces(
+    w: FloatArray,
+    v: FloatArray,
+    sliders: FloatArray,
+    moved: FloatArray,
+    factor: FloatArray,
+    jenkins: FloatArray,
+    jenkins_start: IntArray,
+    contacts: FloatArray,
+    contacts_start: IntArray,
+    kinds: IntArray,
+    parameters: FloatArray,
+    sampled_start: IntArray,
+    g: FloatArray,
+    by_displacement: FloatArray,
+    by_velocity: FloatArray,
+) -> None:
+    """Forces (r,) of the coordinates and their tangents (r, r), written to the last three arguments; ``moved`` gets the
+    sliders after the step."""
+    elements = jenkins_start.size - 1
+    by_displacement[:] = 0.0
+    by_velocity[:] = 0.0
+    for i in range(elements):
+        force = 0.0
+        stiffness = 0.0
+        damping = 0.0
+        for e in range(jenkins_start[i], jenkins_start[i + 1]):
+            own, k, _, slider = element_response(1, jenkins[e], w[i], v[i], sliders[e])
+            moved[e] = slider
+            force += own
+            stiffness += k
+        for e in range(contacts_start[i], contacts_start[i + 1]):
+            side = contacts[e, 2]
+            overlap = side * w[i] - contacts[e, 1]
+            if overlap > 0.0:
+                force += side * contacts[e, 0] * overlap
+                stiffness += contacts[e, 0]
+        for e in range(sampled_start[i], sampled_start[i + 1]):
+            own, k, c, _ = element_response(kinds[e], parameters[e], w[i], v[i], 0.0)
+            force += own
+            stiffness += k
+            damping += c
+        g[i] = force
+        by_displacement[i, i] = stiffness
+        by_velocity[i, i] = damping
+    r = g.size
+    if r > elements:
+        x, current = w[r - 2], w[r - 1]
+        f = factor[1] * x + factor[2] * x * x
+        slope = factor[1] + 2.0 * factor[2] * x
+        g[r - 2] = -f * current
+        by_displacement[r - 2, r - 2] = -slope * current
+        by_displacement[r - 2, r - 1] = -f
+        g[r - 1] = f * v[r - 2]
+        by_displacement[r - 1, r - 2] = slope * v[r - 2]
+        by_velocity[r - 1, r - 2] = f
+
+
+@njit(cache=True)
+def _step_all(
+    drive: FloatArray,
+    substeps: int,
+    r: int,
+    decay: ComplexArray,
+    early: ComplexArray,
+    late: ComplexArray,
+    outputs: ComplexArray,
+    velocities: ComplexArray,
+    direct: FloatArray,
+    factor: FloatArray,
+    jenkins: FloatArray,
+    jenkins_start: IntArray,
+    contacts: FloatArray,
+    contacts_start: IntArray,
+    kinds: IntArray,
+    parameters: FloatArray,
+    sampled_start: IntArray,
+) -> FloatArray:
+    """Channels (c, samples) of any number of coordinates."""
+    count = decay.size
+    c = outputs.shape[0] - r
+    samples = drive.size // substeps
+    result = np.empty((c, samples))
+    state = np.zeros(count, dtype=np.complex128)
+    sliders = np.zeros(jenkins.shape[0])
+    moved = np.zeros(jenkins.shape[0])
+    g = np.zeros(r)
+    trial = np.zeros(r)
+    w = np.zeros(r)
+    v = np.zeros(r)
+    free_w = np.zeros(r)
+    free_v = np.zeros(r)
+    kw = np.zeros((r, r))
+    kv = np.zeros((r, r))
+    # What a force at the end of a step does to displacement and velocity there.
+    dw = np.zeros((r, r))
+    dv = np.zeros((r, r))
+    for i in range(r):
+        for j in range(r):
+            for k in range(count):
+                dw[i, j] += (outputs[i, k] * late[k, j]).real
+                dv[i, j] += (velocities[i, k] * late[k, j]).real
+    free = jenkins.shape[0] + contacts.shape[0] + kinds.size == 0 and jenkins_start.size - 1 == r
+    before = np.zeros(r)
+    largest = 1e-300
+    previous = 0.0
+    for n in range(drive.size):
+        u = drive[n]
+        for k in range(count):
+            x = decay[k] * state[k] + early[k, r] * previous + late[k, r] * u
+            if not free:
+                for j in range(r):
+                    x -= early[k, j] * g[j]
+            state[k] = x
+        previous = u
+        for i in range(0 if free else r):
+            a = 0.0
+            b = 0.0
+            for k in range(count):
+                a += (outputs[i, k] * state[k]).real
+                b += (velocities[i, k] * state[k]).real
+            free_w[i] = a
+            free_v[i] = b
+            # Where the force seems to go: a step of the iteration saved.
+            trial[i] = 2.0 * g[i] - before[i]
+            before[i] = g[i]
+        for _ in range(0 if free else ITERATIONS):
+            for i in range(r):
+                w[i] = free_w[i]
+                v[i] = free_v[i]
+                for j in range(r):
+                    w[i] -= dw[i, j] * trial[j]
+                    v[i] -= dv[i, j] * trial[j]
+            _coordinate_forces(
+                w, v, sliders, moved, factor, jenkins, jenkins_start, contacts, contacts_start, kinds, parameters,
+                sampled_start, g, kw, kv,
+            )  # fmt: skip
+            error = 0.0
+            size = largest
+            for i in range(r):
+                error = max(error, abs(g[i] - trial[i]))
+                size = max(size, abs(g[i]))
+            if error <= TOLERANCE * size:
+                break
+            if r == 1:
+                trial[0] += (g[0] - trial[0]) / (1.0 + kw[0, 0] * dw[0, 0] + kv[0, 0] * dv[0, 0])
+            else:
+                system = np.eye(r) + kw @ dw + kv @ dv
+                trial += np.linalg.solve(system, g - trial)
+        for e in range(sliders.size):
+            sliders[e] = moved[e]
+        if not free:
+            for j in range(r):
+                largest = max(largest, abs(g[j]))
+                for k in range(count):
+                    state[k] -= late[k, j] * g[j]
+        if n % substeps == 0:
+            for o in range(c):
+                y = direct[r + o, r] * u
+                for j in range(r):
+                    y -= direct[r + o, j] * g[j]
+                for k in range(count):
+                    y += (outputs[r + o, k] * state[k]).real
+                result[o, n // substeps] = y
+    return result
+
+
+@njit(cache=True)
+def _step_one(
+    drive: FloatArray,
+    substeps: int,
+    decay: ComplexArray,
+    early: ComplexArray,
+    late: ComplexArray,
+    outputs: ComplexArray,
+    velocities: ComplexArray,
+    direct: FloatArray,
+    jenkins: FloatArray,
+    contacts: FloatArray,
+    kinds: IntArray,
+    parameters: FloatArray,
+) -> FloatArray:
+    """Channels (c, samples) of one coordinate without force factor: the same steps, without arrays in the loop."""
+    count = decay.size
+    c = outputs.shape[0] - 1
+    result = np.empty((c, drive.size // substeps))
+    state = np.zeros(count, dtype=np.complex128)
+    sliders = np.zeros(jenkins.shape[0])
+    moved = np.zeros(jenkins.shape[0])
+    dw = 0.0
+    dv = 0.0
+    for k in range(count):
+        dw += (outputs[0, k] * late[k, 0]).real
+        dv += (velocities[0, k] * late[k, 0]).real
+    g = 0.0
+    before = 0.0
+    largest = 1e-300
+    previous = 0.0
+    for n in range(drive.size):
+        u = drive[n]
+        free_w = 0.0
+        free_v = 0.0
+        for k in range(count):
+            x = decay[k] * state[k] + early[k, 1] * previous + late[k, 1] * u
+            x -= early[k, 0] * g
+            state[k] = x
+            free_w += (outputs[0, k] * x).real
+            free_v += (velocities[0, k] * x).real
+        previous = u
+        # Where the force seems to go: a step of the iteration saved.
+        trial = 2.0 * g - before
+        before = g
+        for _ in range(ITERATIONS):
+            w = free_w - dw * trial
+            v = free_v - dv * trial
+            g = 0.0
+            by_displacement = 0.0
+            by_velocity = 0.0
+            for e in range(jenkins.shape[0]):
+                stiffness, slip = jenkins[e, 0], jenkins[e, 1]
+                own = stiffness * (w - sliders[e])
+                if own > slip:
+                    g += slip
+                    moved[e] = w - slip / stiffness
+                elif own < -slip:
+                    g -= slip
+                    moved[e] = w + slip / stiffness
+                else:
+                    g += own
+                    by_displacement += stiffness
+                    moved[e] = sliders[e]
+            for e in range(contacts.shape[0]):
+                side = contacts[e, 2]
+                overlap = side * w - contacts[e, 1]
+                if overlap > 0.0:
+                    g += side * contacts[e, 0] * overlap
+                    by_displacement += contacts[e, 0]
+            for e in range(kinds.size):
+                own, stiffness, damping, _ = element_response(kinds[e], parameters[e], w, v, 0.0)
+                g += own
+                by_displacement += stiffness
+                by_velocity += damping
+            if abs(g - trial) <= TOLERANCE * max(largest, abs(g)):
+                break
+            trial += (g - trial) / (1.0 + by_displacement * dw + by_velocity * dv)
+        for e in range(sliders.size):
+            sliders[e] = moved[e]
+        largest = max(largest, abs(g))
+        for k in range(count):
+            state[k] -= late[k, 0] * g
+        if n % substeps == 0:
+            for o in range(c):
+                y = direct[1 + o, 1] * u
+                y -= direct[1 + o, 0] * g
+                for k in range(count):
+                    y += (outputs[1 + o, k] * state[k]).real
+                result[o, n // substeps] = y
+    return result
+
+
+def step_through(
+    drive: FloatArray,
+    substeps: int,
+    r: int,
+    decay: ComplexArray,
+    early: ComplexArray,
+    late: ComplexArray,
+    outputs: ComplexArray,
+    velocities: ComplexArray,
+    direct: FloatArray,
+    factor: FloatArray,
+    tables: LocalTables,
+) -> FloatArray:
+    """Channels from rest, shape (c, samples).
+
+    Args:
+        drive: input at the steps, shape (samples · substeps,).
+        substeps: steps per sample.
+        r: number of coordinates.
+        decay, early, late, outputs, velocities, direct: of `stepped_model`.
+        factor: force factor and its dependence on displacement.
+        tables: local elements by coordinate.
+    """
+    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = tables[3:10]
+    elements = jenkins.shape[0] + contacts.shape[0] + kinds.size
+    found: FloatArray
+    # A tuple of arrays that is handed on costs more than a step: each array of it is counted in and out.
+    if r == 1 and jenkins_start.size == 2 and elements:
+        found = _step_one(
+            drive, substeps, decay, early, late, outputs, velocities, direct, jenkins, contacts, kinds, parameters
+        )
+    else:
+        found = _step_all(
+            drive, substeps, r, decay, early, late, outputs, velocities, direct, factor, jenkins, jenkins_start,
+            contacts, contacts_start, kinds, parameters, sampled_start,
+        )  # fmt: skip
+    return found

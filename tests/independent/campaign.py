@@ -18,8 +18,9 @@ from pathlib import Path
 from independent.laboratory import Chain, MeasuringChain, record
 
 from nmt_bench.data_import import import_data
-from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
+from nmt_diagnose.inference.diagnose import diagnose_bags
 from nmt_diagnose.inference.diagnosis import Diagnosis
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 
 START_HZ = 96.9676
 SEED = 101

@@ -15,8 +15,9 @@ from unit.diagnose.twin_tests import chain
 from nmt_core.blocks import Quantity
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_observations
+from nmt_diagnose.inference.diagnose import diagnose_observations
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.motion_scale import covariance_with_scale
 from nmt_diagnose.inference.problem import Problem

@@ -11,8 +11,9 @@ import pytest
 from unit.diagnose.twin_observations import chain, observations_of_twin, real
 
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.diagnose import DiagnosisOutcome, DiagnosisSettings, diagnose_observations
+from nmt_diagnose.inference.diagnose import DiagnosisOutcome, diagnose_observations
 from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_rig.rig import Rig
 
 MODEL = chain()

@@ -9,7 +9,8 @@ from unit.diagnose.twin_observations import chain, observations_of_twin, real
 
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_observations
+from nmt_diagnose.inference.diagnose import diagnose_observations
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.observations.observables import joined
 

@@ -13,8 +13,9 @@ import yaml
 from nmt_bench.data_import import import_data
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates
-from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
+from nmt_diagnose.inference.diagnose import diagnose_bags
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem

@@ -25,7 +25,10 @@ ELEMENTS: dict[str, tuple[LocalElement, ...]] = {
     "cubic": (CubicSpring(ONE, stiffness=2e9),),
     "stop": (UnilateralStop(ONE, stiffness=3e4, gap=1e-3),),
     "gap": (TwoSidedGap(ONE, stiffness=3e4, gap=1e-3),),
-    "Jenkins": (Jenkins(ONE, tangential_stiffness=2e4, slip_force=5.0), Jenkins(ONE, tangential_stiffness=1e4, slip_force=12.0)),
+    "Jenkins": (
+        Jenkins(ONE, tangential_stiffness=2e4, slip_force=5.0),
+        Jenkins(ONE, tangential_stiffness=1e4, slip_force=12.0),
+    ),
     "friction": (TanhFriction(ONE, slip_force=3.0, reference_velocity=0.05),),
     "power law": (PowerLawDamper(ONE, coefficient=8.0, exponent=1.6),),
     "many": (

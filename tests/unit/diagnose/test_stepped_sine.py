@@ -14,8 +14,9 @@ from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_observations
+from nmt_diagnose.inference.diagnose import diagnose_observations
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part, Rows

@@ -16,8 +16,9 @@ from unit.diagnose.test_stepped_sine import (
 )
 
 from nmt_diagnose.inference.chain_errors import sweep_directions
-from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_observations
+from nmt_diagnose.inference.diagnose import diagnose_observations
 from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.sweep_drift import sweep_drift
 from nmt_diagnose.observations.conditions import SteppedSineTest

@@ -10,7 +10,8 @@ import pytest
 from unit.diagnose.twin_observations import chain, observations_of_twin, real
 
 from nmt_diagnose.inference.chain_errors import chain_errors, with_shared
-from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_observations
+from nmt_diagnose.inference.diagnose import diagnose_observations
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.true_phase import LEAST_CHANGE, at_true_phases, chain_share, phase_offset
 from nmt_diagnose.observations.conditions import PhaseResonanceTest

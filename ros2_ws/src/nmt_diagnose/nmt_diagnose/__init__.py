@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 from nmt_core.public_names import loaded
 
 if TYPE_CHECKING:
-    from nmt_diagnose.inference.diagnose import DiagnosisOutcome, DiagnosisSettings, diagnose_bags
+    from nmt_diagnose.inference.diagnose import DiagnosisOutcome, diagnose_bags
     from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+    from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 
 _HOMES = {
     "Diagnosis": "nmt_diagnose.inference.diagnosis",
-    "DiagnosisSettings": "nmt_diagnose.inference.diagnose",
+    "DiagnosisSettings": "nmt_diagnose.inference.diagnosis_settings",
     "DiagnosisOutcome": "nmt_diagnose.inference.diagnose",
     "Verdict": "nmt_diagnose.inference.diagnosis",
     "diagnose_bags": "nmt_diagnose.inference.diagnose",

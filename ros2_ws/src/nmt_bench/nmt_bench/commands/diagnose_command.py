@@ -118,7 +118,8 @@ def run(arguments: argparse.Namespace) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.page.task_feed import task_page
     from nmt_diagnose.effects.library import effect_named
-    from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
+    from nmt_diagnose.inference.diagnose import diagnose_bags
+    from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
     from nmt_record.calibration_file import read_calibration
     from nmt_report.diagnosis_files import write_diagnosis
     from nmt_rig.rig import load_rig

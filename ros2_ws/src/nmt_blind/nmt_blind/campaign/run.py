@@ -53,7 +53,8 @@ class CampaignRun:
 def diagnose_case(model: Path, bags: Sequence[Path], withheld: str) -> dict[str, Any]:
     """The diagnosis that ``./nmt diagnose`` makes, without looking for the next test, and a baseline's answer."""
     from nmt_blind.campaign.ensemble_sindy import sparse_terms
-    from nmt_diagnose.inference.diagnose import DiagnosisSettings, diagnose_bags
+    from nmt_diagnose.inference.diagnose import diagnose_bags
+    from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 
     settings = DiagnosisSettings(withheld=tuple(withheld.split(",")) if withheld else (), look_ahead=False)
     result = diagnose_bags(model, bags, settings=settings).diagnosis.to_mapping()

@@ -35,6 +35,11 @@ def measured_elsewhere(observations: Observations, number: int) -> bool:
     return chained or isinstance(observations.tests[number], BackboneTable)
 
 
+def elsewhere(observations: Observations) -> bool:
+    """Whether any test was not made by the bench's own simulator."""
+    return any(measured_elsewhere(observations, number) for number in range(len(observations.tests)))
+
+
 def smooth_errors(observations: Observations, difference: FloatArray, effect: FloatArray) -> FloatArray:
     """What one standard deviation of each smooth error adds to the observables, shape (m, r); r = 0 without any.
 

@@ -1,0 +1,34 @@
+"""What a diagnosis is asked to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from nmt_diagnose.inference.model_comparison import ComparisonSettings
+from nmt_record.calibration_file import CalibrationSheet
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """How a diagnosis goes about.
+
+    Attributes:
+        withheld: effects that are left out of the library.
+        comparison: how far the comparison of explanations goes.
+        seed: of the bootstrap.
+        look_ahead: whether tests that would decide between what is left are sought.
+        hold_out: names of tests (or of their bags) that no fit sees and the gap is judged by; empty = levels and whole
+            tests in turn.
+        jobs: processes that share the work; the result is the same for any number.
+        allow_own_model: take recordings that the model itself made for a real side, too.
+        calibration: sheet of the measuring chain of the real side; None = what its bags say.
+    """
+
+    withheld: tuple[str, ...] = ()
+    comparison: ComparisonSettings = field(default_factory=ComparisonSettings)
+    seed: int = 0
+    look_ahead: bool = True
+    hold_out: tuple[str, ...] = ()
+    jobs: int = 1
+    allow_own_model: bool = False
+    calibration: CalibrationSheet | None = None

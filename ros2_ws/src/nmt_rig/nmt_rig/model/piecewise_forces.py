@@ -25,14 +25,20 @@ def evaluate(coefficients: FloatArray, orders: IntArray, offsets: IntArray, angl
     value = 0.0
     slope = 0.0
     curvature = 0.0
+    c1 = np.cos(angle)
+    s1 = np.sin(angle)
+    cosine = 1.0
+    sine = 0.0
+    reached = 0
     for position in range(orders.size):
         n = orders[position]
         offset = offsets[position]
         if n == 0:
             value += coefficients[offset]
             continue
-        cosine = np.cos(n * angle)
-        sine = np.sin(n * angle)
+        for _ in range(n - reached):
+            cosine, sine = cosine * c1 - sine * s1, sine * c1 + cosine * s1
+        reached = n
         c = coefficients[offset]
         s = coefficients[offset + 1]
         even = c * cosine + s * sine
@@ -92,13 +98,17 @@ def level_crossing(
     offsets: IntArray,
     left: float,
     right: float,
-    rising: bool,
+    first: float,
+    last: float,
     level: float,
 ) -> float:
-    """Angle in [left, right] where the monotone w reaches ``level`` (which it does within the bracket)."""
+    """Angle in [left, right] where the monotone w, which goes from ``first`` to ``last``, reaches ``level``."""
     low = left
     high = right
-    angle = 0.5 * (left + right)
+    # As half a cosine goes from one turning point to the next.
+    share = (level - first) / (last - first) if last != first else 0.5
+    angle = left + (right - left) * np.arccos(1.0 - 2.0 * min(max(share, 0.0), 1.0)) / np.pi
+    rising = last > first
     for _ in range(80):
         value, slope, _ = evaluate(coefficients, orders, offsets, angle)
         excess = value - level
@@ -138,25 +148,28 @@ def add_interval(cosines: FloatArray, sines: FloatArray, left: float, right: flo
 
 
 @njit(cache=True)
+def turn(angle: float, cosines: FloatArray, sines: FloatArray) -> None:
+    """cos(kθ) and sin(kθ) at one angle (rad) for k = 0 … size − 1, written to the last two."""
+    c1 = np.cos(angle)
+    s1 = np.sin(angle)
+    cosine = 1.0
+    sine = 0.0
+    for k in range(cosines.size):
+        cosines[k] = cosine
+        sines[k] = sine
+        cosine, sine = cosine * c1 - sine * s1, sine * c1 + cosine * s1
+
+
+@njit(cache=True)
 def basis_integrals(
     cosines: FloatArray, sines: FloatArray, orders: IntArray, offsets: IntArray, integrals: FloatArray
 ) -> None:
-    """∫ of every basis function, picked from the integrals of cos(kθ), sin(kθ)."""
+    """Every basis function, or its integral, picked from those of cos(kθ), sin(kθ)."""
     for position in range(orders.size):
         n = orders[position]
         integrals[offsets[position]] = cosines[n]
         if n > 0:
             integrals[offsets[position] + 1] = sines[n]
-
-
-@njit(cache=True)
-def basis_at(angle: float, orders: IntArray, offsets: IntArray, values: FloatArray) -> None:
-    """Basis functions at one angle (rad)."""
-    for position in range(orders.size):
-        n = orders[position]
-        values[offsets[position]] = np.cos(n * angle)
-        if n > 0:
-            values[offsets[position] + 1] = np.sin(n * angle)
 
 
 @njit(cache=True)
@@ -223,22 +236,22 @@ def jenkins_phases(
     corner_values: FloatArray,
     stiffness: float,
     limit: float,
-) -> FloatArray:
+    phases: FloatArray,
+) -> None:
     """Stick and slip of one Jenkins element between successive turning points of the periodic motion.
 
-    Returns:
-        (count, 4) per piece: angle at which slip starts (the right end if it sticks), slip force ±μN (0 if
-        it sticks), turning point at which the present sticking began (NaN: never slipped), and the force
-        offset g − k_t w while it sticks, N.
+    Args:
+        phases: (count, 4) overwritten, per piece: angle at which slip starts (the right end if it sticks), slip force
+            ±μN (0 if it sticks), number of the turning point at which the present sticking began (−1: it never
+            slipped), and the force offset g − k_t w while it sticks, N.
     """
     count = corner_angles.size - 1
-    phases = np.zeros((count, 4))
     current = stiffness * corner_values[0]
-    anchor = np.nan
+    anchor = -1.0
     offset_force = 0.0
     if abs(current) > limit:
         current = limit if current > 0.0 else -limit
-        anchor = corner_angles[0]
+        anchor = 0.0
         offset_force = current - stiffness * corner_values[0]
     for period in range(2):
         for p in range(count):
@@ -252,13 +265,20 @@ def jenkins_phases(
                 continue
             slip_force = limit if trial > 0.0 else -limit
             if period == 1:
-                rising = corner_values[p + 1] > corner_values[p]
                 level = (slip_force - offset_force) / stiffness
-                phases[p, 0] = level_crossing(coefficients, orders, offsets, corner_angles[p], right, rising, level)
+                phases[p, 0] = level_crossing(
+                    coefficients,
+                    orders,
+                    offsets,
+                    corner_angles[p],
+                    right,
+                    corner_values[p],
+                    corner_values[p + 1],
+                    level,
+                )
             phases[p, 1] = slip_force
-            anchor = right
+            anchor = p + 1.0
             offset_force = slip_force - stiffness * corner_values[p + 1]
-    return phases
 
 
 @njit(cache=True)
@@ -322,39 +342,68 @@ def add_piecewise_forces(
     if pending:
         corner_angles, corner_values = corners(coefficients, orders, offsets, slope_basis)
         count = corner_angles.size - 1
+        slipping = False
+        for e in range(jenkins.shape[0]):
+            slipping = slipping or jenkins[e, 0] * amplitude > jenkins[e, 1]
+        # Integrals of what does not go with w, and by the turning point whose displacement it goes with.
+        rest_cosines = np.zeros(tables)
+        rest_sines = np.zeros(tables)
+        anchored_cosines = np.zeros((count + 1 if slipping else 0, tables))
+        anchored_sines = np.zeros((count + 1 if slipping else 0, tables))
+        corner_cosines = np.empty((count + 1 if slipping else 0, tables))
+        corner_sines = np.empty((count + 1 if slipping else 0, tables))
+        slip_cosines = np.empty(tables)
+        slip_sines = np.empty(tables)
+        phases = np.empty((count, 4))
+        for p in range(corner_cosines.shape[0]):
+            turn(corner_angles[p], corner_cosines[p], corner_sines[p])
         for e in range(jenkins.shape[0]):
             stiffness = jenkins[e, 0]
             limit = jenkins[e, 1]
             if stiffness * amplitude <= limit:
                 continue
-            phases = jenkins_phases(coefficients, orders, offsets, corner_angles, corner_values, stiffness, limit)
+            jenkins_phases(coefficients, orders, offsets, corner_angles, corner_values, stiffness, limit, phases)
             for p in range(count):
-                left = corner_angles[p]
-                right = corner_angles[p + 1]
                 slip_from = phases[p, 0]
                 slip_force = phases[p, 1]
-                anchor = phases[p, 2]
+                anchor = int(phases[p, 2])
                 offset_force = phases[p, 3]
-                add_interval(cosines, sines, left, slip_from, stiffness)
-                if not np.isnan(anchor):
-                    piece_cosines[:] = 0.0
-                    piece_sines[:] = 0.0
-                    add_interval(piece_cosines, piece_sines, left, slip_from, 1.0)
-                    basis_integrals(piece_cosines, piece_sines, orders, offsets, integrals)
-                    for i in range(size):
-                        raw_force[i] += offset_force * integrals[i]
-                    if wanted:
-                        basis_at(anchor, orders, offsets, anchor_basis)
-                    for i in range(size if wanted else 0):
-                        for j in range(size):
-                            raw_derivative[i, j] -= stiffness * integrals[i] * anchor_basis[j]
                 if slip_force != 0.0:
-                    piece_cosines[:] = 0.0
-                    piece_sines[:] = 0.0
-                    add_interval(piece_cosines, piece_sines, slip_from, right, slip_force)
-                    basis_integrals(piece_cosines, piece_sines, orders, offsets, integrals)
-                    for i in range(size):
-                        raw_force[i] += integrals[i]
+                    turn(slip_from, slip_cosines, slip_sines)
+                    rest_cosines[0] += slip_force * (corner_angles[p + 1] - slip_from)
+                    for k in range(1, tables):
+                        rest_cosines[k] += slip_force * (corner_sines[p + 1, k] - slip_sines[k]) / k
+                        rest_sines[k] += slip_force * (slip_cosines[k] - corner_cosines[p + 1, k]) / k
+                else:
+                    for k in range(tables):
+                        slip_cosines[k] = corner_cosines[p + 1, k]
+                        slip_sines[k] = corner_sines[p + 1, k]
+                # From here on the integrals over the sticking part.
+                width = slip_from - corner_angles[p]
+                cosines[0] += stiffness * width
+                if anchor >= 0:
+                    rest_cosines[0] += offset_force * width
+                    anchored_cosines[anchor, 0] += stiffness * width
+                for k in range(1, tables):
+                    even = (slip_sines[k] - corner_sines[p, k]) / k
+                    odd = (corner_cosines[p, k] - slip_cosines[k]) / k
+                    cosines[k] += stiffness * even
+                    sines[k] += stiffness * odd
+                    if anchor >= 0:
+                        rest_cosines[k] += offset_force * even
+                        rest_sines[k] += offset_force * odd
+                        anchored_cosines[anchor, k] += stiffness * even
+                        anchored_sines[anchor, k] += stiffness * odd
+        if slipping:
+            basis_integrals(rest_cosines, rest_sines, orders, offsets, integrals)
+            for i in range(size):
+                raw_force[i] += integrals[i]
+        for p in range(anchored_cosines.shape[0] if wanted else 0):
+            basis_integrals(anchored_cosines[p], anchored_sines[p], orders, offsets, integrals)
+            basis_integrals(corner_cosines[p], corner_sines[p], orders, offsets, anchor_basis)
+            for i in range(size):
+                for j in range(size):
+                    raw_derivative[i, j] -= integrals[i] * anchor_basis[j]
 
         for e in range(contacts.shape[0]):
             stiffness = contacts[e, 0]
@@ -370,8 +419,9 @@ def add_piecewise_forces(
                 if before <= 0.0 and after <= 0.0:
                     continue
                 if before < 0.0 or after < 0.0:
-                    rising = corner_values[p + 1] > corner_values[p]
-                    crossing = level_crossing(coefficients, orders, offsets, left, right, rising, side * gap)
+                    crossing = level_crossing(
+                        coefficients, orders, offsets, left, right, corner_values[p], corner_values[p + 1], side * gap
+                    )
                     if before < 0.0:
                         left = crossing
                     else:

@@ -37,6 +37,16 @@ def test_the_share_of_lost_samples_is_found(share: float) -> None:
     assert repeated_share(_losing(_tone(), share)) == pytest.approx(share, rel=0.35)
 
 
+def test_a_few_lost_samples_show_over_all_windows() -> None:
+    whole = _losing(_tone(), 0.0006)
+    windows = np.split(whole[: 10 * (SIZE // 10)], 10)
+    assert repeated_share(*windows) == pytest.approx(0.0006, rel=0.6)
+    assert max(repeated_share(window) for window in windows[:3]) < 0.01
+    healthy = np.split(_tone()[: 10 * (SIZE // 10)], 10)
+    assert repeated_share(*healthy) == 0.0
+    assert repeated_share(*healthy[:9], _losing(healthy[9], 0.05)) == 0.0, "one window alone"
+
+
 def test_lost_samples_of_a_random_signal_are_found() -> None:
     samples = np.random.default_rng(6).standard_normal(SIZE)
     assert repeated_share(_losing(samples, 0.01)) == pytest.approx(0.01, rel=0.35)

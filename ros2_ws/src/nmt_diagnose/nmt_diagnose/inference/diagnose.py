@@ -286,11 +286,14 @@ class _Diagnoser:
     def _accepted(self, judgement: Judgement, shares: dict[Explanation, Closed]) -> ExplanationClass | None:
         """The most probable explanation that predicts held-out data no worse than the model without it.
 
-        A little worse by chance is not worse: the blocks that are held out tell how much chance there is.
+        A little worse by chance is not worse: the blocks that are held out tell how much chance there is. Nor is what
+        is worse by a small share of the gap: where held-out data hardly show it, any difference is that.
         """
         for group in judgement.classes[:_JUDGED]:
             share = shares.get(group.head.explanation)
             if share is None or not math.isfinite(share.gain) or share.gain >= -_CHANCE:
+                return group
+            if share.value >= self.confidence.explained - 1.0:
                 return group
         return None
 

@@ -39,6 +39,7 @@ from nmt_diagnose.inference.fitted_model import (
     wider_spread,
     without_member,
 )
+from nmt_diagnose.inference.late_starts import DELAYS, late_starts
 from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
 from nmt_diagnose.inference.problem import BoolArray, Problem
 from nmt_diagnose.inference.progress import Told
@@ -65,6 +66,8 @@ _LOWEST = 0.25  # of the levels, which are nearly linear
 _CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
 # Explanations that begin where natural frequencies suit the responses' peaks.
 _FROM_RESONANCES = 6
+# Late channels that begin where phases tell it.
+_FROM_DELAYS = 3
 # Known explanations that go on under other noise; share of what the best of them explains that a scan has to promise.
 _CARRIED, _ENOUGH = 3, 0.5
 # Standard deviations by which a strength of one scale has to show to first order.
@@ -218,12 +221,32 @@ class ModelComparison:
             base = FittedModel((), fit(self.problem, own, own.zero, null.fit.used, steps=0))
         except FitError:
             return []
+        return self._added_at(base, starts)
+
+    def from_delays(self, null: FittedModel) -> list[FittedModel]:
+        """Explanations by late channels, added to the model as given where their phases tell it; best first."""
+        if not is_incredible(null.fit):
+            return []
+        late = [k for k, candidate in enumerate(self.candidates) if candidate.effect.name in DELAYS]
+        own = null.fit.parametrisation
+        try:
+            base = FittedModel((), fit(self.problem, own, own.zero, null.fit.used, steps=0))
+        except FitError:
+            return []
+        with_all = Parametrisation(self.rig, self.calibration, tuple(self.candidates[k] for k in late))
+        columns = range(own.zero.size, own.zero.size + len(late))
+        slopes = self.problem.forward.jacobian(with_all, with_all.zero, base.fit.prediction, columns)
+        difference = self.problem.difference(base.fit.prediction.values)
+        starts = late_starts(self.problem.observations, difference, list(slopes.T), _FROM_DELAYS)
+        return self._added_at(base, [(late[number], strength) for number, strength in starts])
+
+    def _added_at(self, base: FittedModel, starts: Sequence[tuple[int, float]]) -> list[FittedModel]:
+        """Candidates of given numbers, each fitted from a strength on top of a model; best first."""
         wanted = []
         for number, strength in starts:
             candidate = self.candidates[number]
-            nothing = np.zeros(self.problem.size)
-            start = at_strength(candidate, first[number], strength)
-            direction = Direction(number, start, nothing, strength_parameter(candidate).signed)
+            start = at_strength(candidate, starts_of(candidate)[0], strength)
+            direction = Direction(number, start, np.zeros(self.problem.size), strength_parameter(candidate).signed)
             wanted.append((base, Score(direction, strength, 0.0, 0.0, 0.0)))
         added = [found for found in self._all_added(wanted) if found is not None]
         return sorted(added, key=lambda found: -found.fit.log_evidence)

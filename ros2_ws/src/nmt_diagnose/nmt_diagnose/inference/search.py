@@ -143,7 +143,8 @@ class Search:
         # At other phases than they were told locked windows contradict a random test, with images or without.
         null = self._with_true_phases(self._with_detected_images(self._with_true_phases(null)))
         self.progress(f"scanning {len(self.candidates)} candidates")
-        known = self.comparison.from_below(null)
+        known = [*self.comparison.from_delays(null), *self.comparison.from_below(null)]
+        known.sort(key=lambda found: -found.fit.log_evidence)
         scan = self.comparison.scan(null)
         singles, pairs = self.comparison.singles(null, scan, known), list[FittedModel]()
         better = self.comparison.restarted(null, singles[:2])

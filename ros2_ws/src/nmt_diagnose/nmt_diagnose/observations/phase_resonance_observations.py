@@ -543,21 +543,16 @@ def _limits(run: _Run, view: ModelView, table: RowTable) -> None:
 
 
 def _repeats(run: _Run, table: RowTable) -> None:
-    """Add the share of samples that channels lost, where most windows show that they did."""
+    """Add the share of samples that channels lost, where the windows show that they did."""
     for number, channel in enumerate(run.channels):
         if channel.quantity is Quantity.VOLTAGE:
             continue
         theirs = run.recorded[channel.name]
-        shares = {
-            k: repeated_share(window.stretch.row(theirs))
-            for k, window in enumerate(run.windows)
-            if theirs in window.rows
-        }
-        found = {k: share for k, share in shares.items() if share > 0.0}
-        if 2 * len(found) <= len(shares):
-            continue
-        for k, share in found.items():
-            floor = _REPEATS_SHARE * share * math.sqrt(len(found))
+        own = {k: window.stretch.row(theirs) for k, window in enumerate(run.windows) if theirs in window.rows}
+        share = repeated_share(*own.values())
+        for k in own if share > 0.0 else ():
+            # All levels together say it once.
+            floor = _REPEATS_SHARE * share * math.sqrt(len(own))
             table.add(Part.REPEATS, share, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
 
 

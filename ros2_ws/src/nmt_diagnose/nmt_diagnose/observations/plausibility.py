@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nmt_core.blocks import Quantity
+from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.bag_samples import Stretch
 from nmt_diagnose.observations.clipping import clipping_level
@@ -143,14 +143,15 @@ def clipping_notes(name: str, windows: Sequence[tuple[int, Stretch]]) -> list[st
 
 def repeats_notes(name: str, stretches: Sequence[Stretch]) -> list[str]:
     """Sentences on channels in which samples were lost and the ones before recorded again."""
-    found: dict[str, list[float]] = {}
+    found: dict[str, list[FloatArray]] = {}
     for stretch in stretches:
         for channel in stretch.channels:
             if channel.name not in stretch.faults and channel.quantity is not Quantity.VOLTAGE:
-                found.setdefault(channel.name, []).append(repeated_share(stretch.row(channel.name)))
+                found.setdefault(channel.name, []).append(stretch.row(channel.name))
+    shares = {channel: repeated_share(*windows) for channel, windows in found.items()}
     return [
-        f"{name}: channel {channel} repeats the sample before at {100.0 * max(shares):.2g} % of the times; samples are "
+        f"{name}: channel {channel} repeats the sample before at {100.0 * share:.2g} % of the times; samples are "
         "lost on the way, so check its converter, driver and cable."
-        for channel, shares in found.items()
-        if max(shares) > 0.0
+        for channel, share in shares.items()
+        if share > 0.0
     ]

@@ -173,7 +173,15 @@ def _weak(sensitivity: Sensitivity, play: Callable[[float], Observed], guess: fl
             break
         observed = None
         value = min(value * min(max(_LINEAR / max(size, 1e-300), 1.0 / _FARTHEST), _FARTHEST), largest)
-    rung = _rung(sensitivity, observed or play(value), value, [])
+    observed = play(value) if observed is None else observed
+    # Where everything is linear one step to the best shifts tells how much too strong it is: no search is needed yet.
+    for _ in range(_LOOKS):
+        left = sensitivity.linear(observed)[1]
+        if left <= _WEAK_ENOUGH * WEAK:
+            break
+        value *= max(WEAK / left, 1.0 / _FARTHEST)
+        observed = play(value)
+    rung = _rung(sensitivity, observed, value, [])
     for _ in range(_LOOKS):
         if rung.sigma <= _WEAK_ENOUGH * WEAK:
             break

@@ -107,7 +107,7 @@ def level_crossing(
     high = right
     # As half a cosine goes from one turning point to the next.
     share = (level - first) / (last - first) if last != first else 0.5
-    angle = left + (right - left) * np.arccos(1.0 - 2.0 * min(max(share, 0.0), 1.0)) / np.pi
+    angle: float = left + (right - left) * np.arccos(1.0 - 2.0 * min(max(share, 0.0), 1.0)) / np.pi
     rising = last > first
     for _ in range(80):
         value, slope, _ = evaluate(coefficients, orders, offsets, angle)

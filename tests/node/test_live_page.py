@@ -107,7 +107,7 @@ def test_a_person_starts_watches_steers_and_stops(tmp_path: Path) -> None:
 
     async def second_run(browser: Browser) -> None:
         await browser.until("!document.getElementById('start').hidden")
-        await browser.value("document.getElementById('start-levels').value = '0.2'")
+        await browser.value("document.getElementById('start-levels').value = '0.2:0.2:40'")
         await browser.submit("start")
         loop = SHOWN.format("loop")
         await browser.until(f"{phase} === 'running' && ({loop} === 'acquiring' || {loop} === 'locked')", 60.0)

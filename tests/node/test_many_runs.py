@@ -10,6 +10,7 @@ import pytest
 from rclpy.action import ActionClient
 
 from nmt_bench.harness import Bench
+from nmt_core.command_judge import LONGEST_AHEAD
 from nmt_core.vocabulary import ResultCode
 from nmt_core.wire import MODAL_POINT
 from nmt_extract.offline import extract_bag
@@ -68,6 +69,26 @@ def test_three_goals_give_three_bags_that_extract_bit_for_bit(pacing: str, tmp_p
         assert not blocks[-1].data.any()
     if pacing == "realtime":
         assert len(names) == 3
+
+
+def test_a_run_begins_on_nodes_that_have_worked_for_long(tmp_path: Path) -> None:
+    """Longer than a message may name a sample ahead: that is counted from where the run before has ended."""
+    with Bench("beam", [0.1], out=tmp_path / "out") as bench:
+        assert send(bench, levels=[0.1], window_periods=1600).result_code == ResultCode.SUCCEEDED
+        device = bench.nodes["plant"].device
+        assert device.next_sample > LONGEST_AHEAD * device.sample_rate
+        assert send(bench, levels=[0.2], window_periods=5).result_code == ResultCode.SUCCEEDED
+
+
+def test_a_run_that_stands_still_ends_and_says_so(tmp_path: Path) -> None:
+    """All nodes are alive, but the loop's states are not taken: nobody else would notice."""
+    values = {"node_values": {"sequencer": {"stall_timeout": 1.0}}}
+    with Bench("beam", [0.1], out=tmp_path / "out", **values) as bench:
+        bench.nodes["sequencer"].core.judge.horizon = 1
+        result = send(bench, levels=[0.1], window_periods=5)
+    assert result.result_code == ResultCode.NODE_LOST
+    assert "No block after sample 0 was answered for 1 s" in result.message
+    assert "Refused last: it claims to be based on sample" in result.message
 
 
 def test_a_run_that_cannot_be_recorded_does_not_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

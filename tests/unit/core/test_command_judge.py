@@ -103,6 +103,17 @@ def test_without_samples_of_its_own_the_last_accepted_message_is_the_present() -
     assert judge.judge("pll", based_on=399, apply_at=100_199) == ""
 
 
+def test_a_released_judge_still_knows_the_present_sample() -> None:
+    """The next run on the same nodes begins where the one before has ended, however late that is."""
+    judge = fresh()
+    for n in range(1, 2000):
+        assert judge.judge("pll", based_on=n * BLOCK - 1) == ""
+    judge.release()
+    present = 1999 * BLOCK - 1
+    assert f"ahead of sample {present}" in judge.judge("pll", based_on=present + 501 * BLOCK)
+    assert judge.judge("next pll", based_on=present + 2 * BLOCK, apply_at=present + HORIZON) == ""
+
+
 def test_a_random_storm_moves_an_accepted_run_by_nothing() -> None:
     """Whatever is thrown in between, the accepted sequence is the one that was sent."""
     rng = np.random.default_rng(8)

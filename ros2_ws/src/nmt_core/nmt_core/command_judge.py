@@ -77,6 +77,7 @@ class CommandJudge:
     refused: Counter[Refusal] = field(default_factory=Counter, init=False)
     strangers: Counter[Hashable] = field(default_factory=Counter, init=False)
     latest: str = field(default="", init=False)
+    _present: int = field(default=0, init=False)  # as `last`, but kept for the next run: samples are never counted anew
 
     def __post_init__(self) -> None:
         if self.block_samples < 1 or self.horizon < 1 or self.most_missing < 0:
@@ -98,8 +99,8 @@ class CommandJudge:
 
         Args:
             source: who sent it: any token that stays the same, such as the publisher's GID.
-            next_sample: first sample that has not been measured yet; None = not known here, then what accepted
-                messages were based on stands for it.
+            next_sample: first sample that has not been measured yet; None = not known here, then what the newest
+                accepted message was based on stands for it, also that of a run before.
             based_on: last sample the message was computed from; None = it names none.
             apply_at: sample it takes effect at; None = it names none.
             values: its numbers by name.
@@ -117,7 +118,7 @@ class CommandJudge:
         if based_on is not None:
             if self.last is not None:
                 self.missing += (based_on - self.last) // self.block_samples - 1
-            self.last = based_on
+            self.last = self._present = based_on
         return ""
 
     def _refusal(
@@ -142,10 +143,10 @@ class CommandJudge:
             found = self._refusal_of_base(based_on, next_sample)
             if found is not None:
                 return found
-        present = next_sample if next_sample is not None else self.last
-        if apply_at is not None and apply_at > (present or 0) + self.horizon:
+        present = next_sample if next_sample is not None else self._present
+        if apply_at is not None and apply_at > present + self.horizon:
             return Refusal.AHEAD, (
-                f"it is for sample {apply_at}, more than {self.horizon} samples ahead of sample {present or 0}."
+                f"it is for sample {apply_at}, more than {self.horizon} samples ahead of sample {present}."
             )
         return None
 
@@ -155,10 +156,10 @@ class CommandJudge:
                 f"it claims to be based on sample {based_on}, which has not been measured; the next sample is "
                 f"{next_sample}."
             )
-        if next_sample is None and based_on > (self.last or 0) + self.horizon:
+        if next_sample is None and based_on > self._present + self.horizon:
             return Refusal.AHEAD, (
                 f"it claims to be based on sample {based_on}, more than {self.horizon} samples ahead of sample "
-                f"{self.last or 0}."
+                f"{self._present}."
             )
         if (based_on + 1) % self.block_samples:
             return Refusal.NOT_A_BLOCK, (
@@ -183,7 +184,10 @@ class CommandJudge:
         return ", ".join(str(source) for source in self.strangers)
 
     def release(self) -> None:
-        """Accept any source and any first sample again, for a new run; the counts stay, the strangers are forgotten."""
+        """Accept any source and any first sample near the present one again, for a new run.
+
+        The counts stay, the strangers are forgotten.
+        """
         self.source = None
         self.strangers.clear()
         self.last = None

@@ -56,6 +56,8 @@ class SequencerNode(BenchNode):
         self._done_since: float | None = None
         self._stopping_since: float | None = None
         self._newest_wall = 0.0
+        self._still_for = 0.0  # s in which this node was awake and bench time stood still
+        self._guarded = time.monotonic()
         self._plant = ""
         self._plant_said: dict[str, str] | None = None
         self._timing: dict[str, dict[str, str]] = {}
@@ -177,6 +179,7 @@ class SequencerNode(BenchNode):
             self._pending = None
             self.forget_failures()
             self._told = ""
+            self._still_for = 0.0
             self.core.start(plan)
             self._publish_all()
         elif time.monotonic() - since > float(self.values["ready_timeout"]):
@@ -233,6 +236,7 @@ class SequencerNode(BenchNode):
             self.get_logger().error(f"Loop state refused: {why}", throttle_duration_sec=1.0)
         if self.machine.newest > newest:
             self._newest_wall = time.monotonic()
+            self._still_for = 0.0
         self._publish_all()
 
     def _stop_for_failures(self) -> None:
@@ -370,6 +374,7 @@ class SequencerNode(BenchNode):
             if unattended:
                 machine.stop(ResultCode.NODE_LOST, unattended)
             self._stop_for_second()
+            self._stop_for_standstill(now)
             if machine.phase == RunPhase.STOPPING or machine.stop_request is not None:
                 self._stopping_since = self._stopping_since or now
                 limit = _QUIET_TIMEOUT + (0.0 if machine.pacing.lockstep else machine.pacing.quiet_ramp + 1.0)
@@ -384,6 +389,25 @@ class SequencerNode(BenchNode):
             gone = self.silent_node() or self.failed_node()[0]  # nobody is left to send them
             if overdue or gone or not self.core.missing_points:
                 self._finish()
+        self._guarded = now
+
+    def _stop_for_standstill(self, now: float) -> None:
+        """End a run none of whose blocks is answered although every node is alive, as when messages are refused."""
+        machine = self.machine
+        if machine.phase != RunPhase.RUNNING:
+            self._still_for = 0.0
+            return
+        # A machine that was suspended, or had no processor, has not stood still for so long.
+        self._still_for += min(now - self._guarded, 2.0 * _GUARD_PERIOD)
+        limit = float(self.values["stall_timeout"])
+        if self._still_for <= limit:
+            return
+        refused = f" Refused last: {self.core.judge.latest}" if self.core.judge.latest else ""
+        machine.stop(
+            ResultCode.NODE_LOST,
+            f"No block after sample {max(machine.newest, 0)} was answered for {limit:g} s; the logs of plant and pll "
+            f"say what they refuse, and new nodes begin anew.{refused}",
+        )
 
     def _on_diagnostics(self, message: Any) -> None:
         super()._on_diagnostics(message)

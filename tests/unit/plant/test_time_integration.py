@@ -307,6 +307,20 @@ def test_motion_that_blows_up_is_reported():
         integrator.advance(np.full(5001, 500.0))
 
 
+@pytest.mark.parametrize("damping", [-1e3, -1e5, -1e7, -1e9])
+@pytest.mark.parametrize("element", [one(CubicSpring, 1e9), one(Jenkins, 2e4, 5.0), one(QuadraticDrag, 5.0)])
+def test_negative_damping_that_nothing_bounds_is_reported(element, damping):
+    """Also where the motion of one sample is beyond all numbers."""
+    integrator = TimeIntegrator(single_mass(element, one(LinearDamper, damping)), RATE, [])
+    try:
+        integrator.advance(np.full(5001, 500.0))
+    except IntegrationError as error:
+        assert "not finite" in str(error)
+    else:
+        assert np.isfinite(integrator.physical_state).all()
+        assert isinstance(element, QuadraticDrag), "drag bounds what grows"
+
+
 def test_bad_inputs_are_refused(beam_system):
     with pytest.raises(ValueError, match="sample_rate"):
         TimeIntegrator(beam_system, 0.0, [])

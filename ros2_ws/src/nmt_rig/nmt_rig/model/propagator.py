@@ -292,7 +292,8 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
     weights = [np.zeros((levels + 1, size, 1 + ports)) for _ in range(6)]
     if modal:
         steps = step / 2.0 ** np.arange(levels + 1)
-        phi_of_levels = phi_functions(np.asarray(values * steps[:, None], dtype=complex), 4)
+        with np.errstate(over="ignore", invalid="ignore"):  # what grows without bound is refused when it moves
+            phi_of_levels = phi_functions(np.asarray(values * steps[:, None], dtype=complex), 4)
     for level in range(levels + 1):
         h = step / 2.0**level
         if modal:

@@ -272,17 +272,20 @@ class TimeIntegrator:
                 self._due, self._way, self._c, self._d_ports, self._d_input, result,
             )  # fmt: skip
             return self._moved(n, good, result)
-        good = integrate_coupled(
-            p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input, p.compliance, self._kinds,
-            self._parameters, self._space.element_port, self._coupling_kinds, self._coupling_parameters,
-            self._levels, self.substeps, inputs, self._state, *self._memory, self._c, self._d_ports,
-            self._d_input, result,
-        ) if self._space.couplings else integrate(
-            p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input,
-            p.port_feedthrough, p.compliance, self._kinds, self._parameters, self._space.element_port,
-            self._affine, self._levels, self.substeps, inputs, self._state, *self._memory, self._c,
-            self._d_ports, self._d_input, self._history, self._force_history, result,
-        )  # fmt: skip
+        try:
+            good = integrate_coupled(
+                p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input, p.compliance, self._kinds,
+                self._parameters, self._space.element_port, self._coupling_kinds, self._coupling_parameters,
+                self._levels, self.substeps, inputs, self._state, *self._memory, self._c, self._d_ports,
+                self._d_input, result,
+            ) if self._space.couplings else integrate(
+                p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input,
+                p.port_feedthrough, p.compliance, self._kinds, self._parameters, self._space.element_port,
+                self._affine, self._levels, self.substeps, inputs, self._state, *self._memory, self._c,
+                self._d_ports, self._d_input, self._history, self._force_history, result,
+            )  # fmt: skip
+        except ZeroDivisionError:  # a force without bound has no slope
+            good = False
         return self._moved(n, good, result)
 
     def _moved(self, samples: int, good: bool, result: Array) -> Array:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rclpy.action import ActionClient
 
 from nmt_bench.harness import Bench
 from nmt_core.command_judge import LONGEST_AHEAD
+from nmt_core.errors import BenchError
 from nmt_core.vocabulary import ResultCode
 from nmt_core.wire import MODAL_POINT
 from nmt_extract.offline import extract_bag
@@ -21,21 +21,31 @@ from nmt_record.run_recorder import free_path
 
 def send(bench: Bench, **goal: Any) -> Any:
     """Send a goal as an operator does, and wait for its result."""
-    client = ActionClient(bench.client, RunLevels, "run_levels")
-    try:
-        bench._spin_until(client.server_is_ready, 20.0, "the action server")
-        handle = bench._await(client.send_goal_async(RunLevels.Goal(**goal)), 20.0, "the answer")
-        assert handle.accepted
-        answer = handle.get_result_async()
-        # Not spin_once, which does not rest while the sequencer awaits the end of its run.
-        bench.executor.spin_until_future_complete(answer, timeout_sec=60.0)
-        return answer.result().result
-    finally:
-        client.destroy()
+    client = bench.client._client
+    bench._spin_until(client.server_is_ready, 20.0, "the action server")
+    handle = bench._await(client.send_goal_async(RunLevels.Goal(**goal)), 20.0, "the answer")
+    assert handle.accepted
+    answer = handle.get_result_async()
+    # Not spin_once, which does not rest while the sequencer awaits the end of its run.
+    bench.executor.spin_until_future_complete(answer, timeout_sec=60.0)
+    return answer.result().result
 
 
 def wait_for_bag(bench: Bench) -> None:
     bench._spin_until(lambda: bench.nodes["recorder"].state == "closed", 20.0, "the bag")
+
+
+def wait_for_closed(bench: Bench, folder: Path) -> Bag:
+    """The bag of a recorder in a process of its own, once it is closed."""
+
+    def closed() -> bool:
+        try:
+            return Bag.open(folder).run_stop is not None
+        except BenchError:
+            return False
+
+    bench._spin_until(closed, 20.0, f"the bag {folder.name}")
+    return Bag.open(folder)
 
 
 @pytest.mark.parametrize("pacing", ["lockstep", "realtime"])
@@ -78,6 +88,26 @@ def test_a_run_begins_on_nodes_that_have_worked_for_long(tmp_path: Path) -> None
         device = bench.nodes["plant"].device
         assert device.next_sample > LONGEST_AHEAD * device.sample_rate
         assert send(bench, levels=[0.2], window_periods=5).result_code == ResultCode.SUCCEEDED
+
+
+def test_nodes_may_be_started_again_between_runs(tmp_path: Path) -> None:
+    """The others go on from where they are; a plant that is new counts its samples from zero."""
+    out = tmp_path / "out"
+    with Bench("beam", [0.1], out=out, window_periods=5, processes=True) as bench:
+        assert bench.processes is not None
+        assert send(bench, levels=[0.3], window_periods=5).result_code == ResultCode.SUCCEEDED
+        for number, name in enumerate(["sequencer", "plant", "pll", "plant", "sequencer"], start=2):
+            before = bench.processes.pids[name]
+            bench.processes.restart(name)
+            assert bench.processes.pids[name] != before
+            result = send(bench, levels=[0.2, 0.4], window_periods=5)
+            assert (result.result_code, result.levels_locked) == (ResultCode.SUCCEEDED, 2), (name, result.message)
+            bag = wait_for_closed(bench, out / f"bag-{number}")
+            assert bag.run_stop is not None
+            assert all(counts["gaps"] == 0 for counts in bag.run_stop["gaps"].values()), name
+            live = list(bag.records("modal_point", MODAL_POINT))
+            assert [point.level for point in live] == pytest.approx([0.2, 0.4])
+            assert all(a.identical(b) for a, b in zip(extract_bag(bag.path).points, live, strict=True))
 
 
 def test_a_run_that_stands_still_ends_and_says_so(tmp_path: Path) -> None:

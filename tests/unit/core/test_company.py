@@ -80,3 +80,27 @@ def test_a_heartbeat_in_the_own_name_from_another_process_is_a_second_one() -> N
     assert others.twice(0.4) == f"node sequencer is there twice: {A} and {B}"
     others.hear("stranger", B, READY, False, 0.5)
     assert "stranger" not in others.twice(0.6)
+
+
+def test_a_node_that_was_started_again_is_noted_until_the_next_run() -> None:
+    others = company()
+    others.hear("pll", A, READY, False, 0.0)
+    others.hear("plant", A, READY, False, 0.0)
+    assert not others.restarted
+    others.hear("plant", B, READY, False, 1.0)
+    assert others.restarted == {"plant"}
+    assert others.unheard_since(0.5) == ["pll"]
+    assert others.unheard_since(0.0) == []
+
+
+def test_a_run_gives_everybody_time_to_be_heard_again() -> None:
+    others = company()
+    others.hear("pll", A, READY, False, 0.0)
+    for now in (0.9, 1.8, 2.7, 3.6):
+        others.listened(now)
+    assert others.silent(3.6) == "pll"
+    others.meet_again(3.6)
+    assert others.silent(3.7) == ""
+    for now in (4.5, 5.4, 5.7):
+        others.listened(now)
+    assert others.silent(5.7) == "pll"

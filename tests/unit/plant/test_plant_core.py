@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -127,6 +129,29 @@ def test_a_new_run_accepts_a_loop_that_was_started_again() -> None:
     core.take_state(state(RunPhase.RUNNING))
     assert core.second_source == ""
     assert core.take_drive(sine(2 * BLOCK - 1), STRANGER) == ""
+
+
+def test_a_new_run_does_not_wait_for_an_answer_that_went_with_the_loop() -> None:
+    core = running()
+    produce(core)
+    assert not core.due
+    core.take_state(state(RunPhase.DONE))
+    core.take_state(state(RunPhase.RUNNING, horizon=3 * BLOCK))
+    assert core.due
+    produce(core)
+    assert not core.due, "in the run every block waits for its answer"
+
+
+def test_a_plant_that_was_started_again_does_not_go_on_with_the_run_of_the_one_before() -> None:
+    core = PlantCore(LoopbackDevice(RATE, BLOCK))
+    assert not core.take_state(replace(state(RunPhase.RUNNING), sample=5000))
+    assert not core.running
+    core.take_state(replace(state(RunPhase.DONE), sample=5000))
+    assert core.take_state(state(RunPhase.RUNNING, horizon=BLOCK))
+    assert core.due
+    produce(core)
+    core.take_drive(sine(BLOCK - 1), LOOP)
+    assert not core.due, "the horizon of the run before is forgotten"
 
 
 def replace_base(command: DriveCommand, based_on: int) -> DriveCommand:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 from scipy.integrate import simpson, solve_ivp
@@ -312,13 +314,10 @@ def test_motion_that_blows_up_is_reported():
 def test_negative_damping_that_nothing_bounds_is_reported(element, damping):
     """Also where the motion of one sample is beyond all numbers."""
     integrator = TimeIntegrator(single_mass(element, one(LinearDamper, damping)), RATE, [])
-    try:
+    bounded = isinstance(element, QuadraticDrag) and damping > -1e7
+    with contextlib.nullcontext() if bounded else pytest.raises(IntegrationError, match="not finite"):
         integrator.advance(np.full(5001, 500.0))
-    except IntegrationError as error:
-        assert "not finite" in str(error)
-    else:
-        assert np.isfinite(integrator.physical_state).all()
-        assert isinstance(element, QuadraticDrag), "drag bounds what grows"
+    assert not bounded or np.isfinite(integrator.physical_state).all()
 
 
 def test_bad_inputs_are_refused(beam_system):

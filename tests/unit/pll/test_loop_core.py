@@ -74,6 +74,27 @@ def test_a_late_level_is_acknowledged_at_once_and_counted() -> None:
     assert loop.counters["late_levels"] == 1
 
 
+def test_a_sequencer_that_was_started_again_counts_its_levels_from_one() -> None:
+    loop = core()
+    feed(loop, 0, 3)
+    loop.take_level(replace(LEVEL, sequence=17, amplitude=0.0), "before")
+    assert feed(loop, 3, 6)[-1].statuses[-1].level_sequence == 17
+    loop.judge.release()
+    loop.take_level(replace(LEVEL, sequence=1, apply_at_sample=10 * SIZE), "again")
+    assert feed(loop, 6, 9)[-1].statuses[-1].level_sequence == 0
+    assert feed(loop, 9, 11)[-1].statuses[-1].level_sequence == 1
+
+
+def test_the_samples_of_a_plant_that_was_started_again_are_taken() -> None:
+    loop = core()
+    feed(loop, 100, 103)
+    assert not feed(loop, 0, 1)
+    assert loop.counters["refused"] == 1
+    loop.forget_samples()
+    (answer,) = feed(loop, 0, 1)
+    assert answer.statuses[-1].last_sample == SIZE - 1
+
+
 def test_a_level_that_cannot_be_done_is_answered_by_a_lost_lock() -> None:
     told: list[str] = []
     loop = LoopCore(check_values(PARAMETERS, VALUES, "pll"), lambda sentence, _: told.append(sentence))

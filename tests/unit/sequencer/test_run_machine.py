@@ -463,6 +463,24 @@ def test_a_run_after_an_abandoned_one_does_not_wait_for_the_old_lock(pacing):
     assert bench.machine.reason == "1 of 1 levels locked."
 
 
+@PACINGS
+@pytest.mark.parametrize("stands_at", [0, 1000 * BLOCK])
+def test_a_run_begins_where_a_new_plant_stands(pacing, stands_at):
+    """Also where that is before or far behind what the machine has driven so far."""
+    bench = finished([Fate()], pacing, levels=(1.0,))
+    bench.machine.join(stands_at)
+    assert bench.machine.newest == stands_at - 1
+    bench.produced, bench.plant_horizon, bench.horizons = stands_at, stands_at, []
+    bench.loop.newest = None
+    bench.start(plan((5.0,)))
+    assert stands_at <= bench.orders[-1].apply_at_sample <= stands_at + 2 * pacing.tick
+    bench.run()
+    assert bench.machine.reason == "1 of 1 levels locked."
+    bench.machine.phase = RunPhase.RUNNING
+    with pytest.raises(BenchError, match="A run is active"):
+        bench.machine.join(0)
+
+
 def test_only_one_run_at_a_time():
     machine = RunMachine(PACING)
     machine.start(plan())

@@ -303,8 +303,9 @@ class BenchNode(Node):  # type: ignore[misc]
         return self.company.silent(time.monotonic())
 
     def forget_failures(self) -> None:
-        """Start over: what a watched node reported before a run does not end it."""
+        """Start over: what a watched node reported before a run, or its new start, does not end it."""
         self.company.failures.clear()
+        self.company.restarted.clear()
 
     def failed_node(self) -> tuple[str, str]:
         """A watched node that reports an error, and its words; empty if none does."""

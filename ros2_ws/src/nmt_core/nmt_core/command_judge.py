@@ -183,11 +183,16 @@ class CommandJudge:
         """The sources refused, by name; empty while one source only has sent."""
         return ", ".join(str(source) for source in self.strangers)
 
-    def release(self) -> None:
+    def release(self, present: int | None = None) -> None:
         """Accept any source and any first sample near the present one again, for a new run.
 
         The counts stay, the strangers are forgotten.
+
+        Args:
+            present: the present sample where the plant's count is another than before; None = as before.
         """
+        if present is not None:
+            self._present = present
         self.source = None
         self.strangers.clear()
         self.last = None

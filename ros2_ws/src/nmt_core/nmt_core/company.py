@@ -45,11 +45,13 @@ class Company:
 
     Attributes:
         failures: errors that watched nodes have reported, by name.
+        restarted: watched nodes that were started again.
     """
 
     def __init__(self, watched: Sequence[str], silence_timeout: float, own: str = "", own_instance: str = "") -> None:
         self.watched = tuple(watched)
         self.failures: dict[str, str] = {}
+        self.restarted: set[str] = set()
         self._silence = silence_timeout
         self._own, self._own_instance = own, own_instance
         self._heard: dict[str, _Heard] = {}
@@ -82,6 +84,8 @@ class Company:
             if instance == heard.before:
                 heard.twice = now
             heard.before, heard.instance = heard.instance, instance
+            if name in self.watched:
+                self.restarted.add(name)
         heard.time, heard.message = now, message
         if failed and name in self.watched:
             self.failures[name] = message
@@ -105,6 +109,15 @@ class Company:
     def unheard(self) -> list[str]:
         """Watched nodes of which no heartbeat has come yet."""
         return [name for name in self.watched if name not in self._heard]
+
+    def meet_again(self, now: float) -> None:
+        """A run begins (at ``now``, s): who was started again since the last one may be discovered a little later."""
+        for heard in self._heard.values():
+            heard.time = max(heard.time, now)
+
+    def unheard_since(self, time: float) -> list[str]:
+        """Watched nodes of which no heartbeat has come since a time, s."""
+        return [name for name in self.watched if name not in self._heard or self._heard[name].time < time]
 
     def unready(self, now: float) -> dict[str, str]:
         """Watched nodes that have not called themselves ready, each with what it waits for."""

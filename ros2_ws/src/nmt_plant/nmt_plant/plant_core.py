@@ -58,8 +58,13 @@ class PlantCore:
 
     def take_state(self, state: RunState) -> bool:
         """Take the state of the run; True if the run begins with it."""
+        if self.phase == RunPhase.UNKNOWN and state.phase in _ACTIVE and state.sample > self.device.next_sample:
+            return False  # a run of the plant before this one
         if state.phase == RunPhase.RUNNING and self.phase not in (*_ACTIVE[:-1], RunPhase.UNKNOWN):
-            self.judge.release()  # the loop may have been started again since the last run
+            # The loop may have been started again since the last run, with a block of that run unanswered.
+            self.judge.release()
+            self._gate.answered = max(self._gate.answered, self.device.next_sample - 1)
+            self._gate.horizon = 0
         self.phase = state.phase
         if self.lockstep and state.phase in _ACTIVE:
             self._gate.horizon = max(self._gate.horizon, state.horizon_sample)

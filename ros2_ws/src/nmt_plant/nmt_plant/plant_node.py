@@ -231,8 +231,11 @@ class PlantNode(BenchNode):
         except ValueError as error:
             self.get_logger().error(f"Run state refused: {error}", throttle_duration_sec=1.0)
             return
+        rested = not self.core.in_run
         if self.core.take_state(state):
             self._begin()
+        if rested and self.core.in_run:
+            self.company.meet_again(time.monotonic())
         self._advance()
 
     def _begin(self) -> None:

@@ -181,6 +181,7 @@ class LoopCore:
         self._sequence = 0
         self._unacknowledged: list[LevelCommand] = []
         self._status: LoopStatus | None = None
+        self._orders_from: Hashable = None
         self._warm_up()
 
     def _make_loops(self) -> dict[TestKind, LevelLoop]:
@@ -244,6 +245,11 @@ class LoopCore:
         self.counters["refused"] += 1
         self._complain(sentence, often)
 
+    def forget_samples(self) -> None:
+        """Another plant is there, which counts its samples anew; what waits for its sample stays."""
+        self._next_sample = self._status = None
+        self._waiting.clear()
+
     @property
     def second_source(self) -> str:
         """A sentence that names who else has sent levels; empty if nobody has."""
@@ -270,6 +276,8 @@ class LoopCore:
         if why:
             self.refuse(f"Level refused: {why}", often=False)
             return ()
+        if level.amplitude != 0.0 and source != self._orders_from:
+            self._orders_from, self._sequence = source, 0  # another sequencer counts its levels from one
         if level.control == ControlKind.UNKNOWN:
             level = replace(level, control=ControlKind.VOLTAGE)
         newest = max([self._sequence, *(item.sequence for item in self._unacknowledged)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -53,7 +54,18 @@ class PllNode(BenchNode):
             for topic, take in self._inputs.items():
                 self.bench_subscription(msg.SampleBlock, topic, take, SAMPLES_QOS, raw=True)
         self._reported = ""
+        self._plant_instance = ""
         self.steady_timer(0.25, self._guard)
+
+    def _on_diagnostics(self, message: Any) -> None:
+        super()._on_diagnostics(message)
+        own = self.heartbeat_name.rpartition("/")[0]
+        for status in message.status:
+            if status.name.rpartition("/")[0] != own or all(item.key != "drive_at_zero" for item in status.values):
+                continue
+            if self._plant_instance and status.hardware_id != self._plant_instance and not self.core.at_work:
+                self.core.forget_samples()
+            self._plant_instance = status.hardware_id
 
     def _complain(self, sentence: str, often: bool) -> None:
         if often:
@@ -96,6 +108,8 @@ class PllNode(BenchNode):
         except (BenchError, ValueError) as error:
             self.core.refuse(f"Level refused: {error}", often=False)
             return
+        if not self.core.at_work:
+            self.company.meet_again(time.monotonic())
         self._publish_statuses(self.core.take_level(level, source))
         if self.core.second_source:
             self._report(self.core.second_source)

@@ -135,6 +135,11 @@ class RunCore:
         }
         return RunAnnouncement(goal, plan.run_id, described)
 
+    def join(self, next_sample: int) -> None:
+        """Go on from where another plant stands, see :meth:`nmt_sequencer.run_machine.RunMachine.join`."""
+        self.machine.join(next_sample)
+        self.judge.release(max(next_sample - 1, 0))
+
     def start(self, plan: RunPlan) -> None:
         """Begin a plan.
 

@@ -218,6 +218,21 @@ class RunMachine:
         self._begin_level(begin + tick if self.pacing.lockstep else self._soon())
         self._advance_horizon()
 
+    def join(self, next_sample: int) -> None:
+        """Go on from where a plant stands that this machine has not driven yet: one of them was started again.
+
+        Args:
+            next_sample: the first one that the plant has not produced.
+
+        Raises:
+            BenchError: a run is active.
+        """
+        if self.active:
+            raise BenchError("A run is active; its samples cannot be counted anew.")
+        self.newest, self.report = next_sample - 1, None
+        if self.pacing.lockstep:
+            self.horizon = next_sample
+
     def stop(self, code: ResultCode, reason: str) -> None:
         """End the run early: the drive is ramped to zero at the next tick."""
         if self.active and self.phase != RunPhase.STOPPING and self.stop_request is None:

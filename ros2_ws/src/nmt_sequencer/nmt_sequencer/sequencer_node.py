@@ -60,6 +60,8 @@ class SequencerNode(BenchNode):
         self._guarded = time.monotonic()
         self._plant = ""
         self._plant_said: dict[str, str] | None = None
+        self._plant_instance = self._joined = ""
+        self._joined_publishers: set[bytes] = set()
         self._timing: dict[str, dict[str, str]] = {}
         self._phase = RunPhase.UNKNOWN
         self._last_feedback = 0.0
@@ -165,6 +167,8 @@ class SequencerNode(BenchNode):
             return
         goal_handle, plan, since = self._pending
         missing = self.unready_nodes()
+        if self._joined:  # a run before: since then a node may have gone, and its last heartbeat is not old yet
+            missing |= dict.fromkeys(self.company.unheard_since(since), "silent since the goal")
         own = self.missing_peers()
         second = self.second_publisher()
         recorded = self._bag_is_open
@@ -175,7 +179,7 @@ class SequencerNode(BenchNode):
             self._refuse(plan, ResultCode.REFUSED, f"The run would not be recorded: {why}.")
         elif not missing and self._other_timing():
             self._refuse(plan, ResultCode.REFUSED, self._other_timing())
-        elif not missing and not own and not second and recorded:
+        elif not missing and not own and not second and recorded and self._join_plant():
             self._pending = None
             self.forget_failures()
             self._told = ""
@@ -193,6 +197,24 @@ class SequencerNode(BenchNode):
                 f"Not ready within {self.values['ready_timeout']:g} s: {', '.join(what)}; start the missing "
                 "nodes and end those that do not belong here.",
             )
+
+    def _join_plant(self) -> bool:
+        """Take the count of a plant that was started since the run before, or that was there before this node.
+
+        False while the newest heartbeat is still that of the plant before.
+        """
+        found = self.get_publishers_info_by_topic(self.resolve_topic_name("drive_stop"))
+        publishers = {bytes(info.endpoint_gid) for info in found}
+        if self._plant_said is None or publishers <= self._joined_publishers:
+            return True
+        if self._plant_instance == self._joined:
+            return False
+        next_sample = int(self._plant_said.get("next_sample", "0"))
+        if not self._joined:  # the loop's states may tell of later samples than the heartbeat
+            next_sample = max(next_sample, self.machine.newest + 1)
+        self._joined, self._joined_publishers = self._plant_instance, publishers
+        self.core.join(next_sample)
+        return True
 
     def _other_timing(self) -> str:
         """Which node works with other blocks than this one, as a sentence; empty where none says so."""
@@ -370,6 +392,8 @@ class SequencerNode(BenchNode):
             if silent:
                 machine.stop(ResultCode.NODE_LOST, f"Node {silent} has fallen silent.")
             self._stop_for_failures()
+            for name in sorted(self.company.restarted):
+                machine.stop(ResultCode.NODE_LOST, f"Node {name} was started again during the run.")
             unattended = self._launcher.complaint(now)
             if unattended:
                 machine.stop(ResultCode.NODE_LOST, unattended)
@@ -415,7 +439,7 @@ class SequencerNode(BenchNode):
             if status.name in self.watched_nodes:
                 self._timing[status.name] = {item.key: item.value for item in status.values if item.key in _TIMING}
             if status.name in self.watched_nodes and any(item.key == "drive_at_zero" for item in status.values):
-                self._plant = status.name
+                self._plant, self._plant_instance = status.name, status.hardware_id
                 self._plant_said = {item.key: item.value for item in status.values}
 
     def _drive_sentence(self) -> str:

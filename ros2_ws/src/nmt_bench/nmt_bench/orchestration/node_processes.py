@@ -52,11 +52,7 @@ class NodeProcesses:
         self._log.mkdir(parents=True, exist_ok=True)
         self._plan.write_parameters(self._parameters)
         self._environment.setdefault("ROS_LOG_DIR", str(self._log))
-        commands = {}
-        for name in self._plan.values:
-            package, executable, _ = NODES[name]
-            path = str(find_executable(package, executable))
-            commands[name] = [path, "--ros-args", "--params-file", str(self._parameters)]
+        commands = {name: self._command(name) for name in self._plan.values}
         with contextlib.ExitStack() as stack:
             logs = {name: stack.enter_context(open(self._log / f"{name}.log", "wb")) for name in commands}
             if self._loader is not None and self._loader.can_fork():
@@ -64,6 +60,22 @@ class NodeProcesses:
                 return
             for name, command in commands.items():
                 self._start_alone(name, command, logs[name])
+
+    def restart(self, name: str) -> None:
+        """End a node and start it again, as a person does between two runs; its log is continued.
+
+        Raises:
+            BenchError: it cannot be started.
+        """
+        process = self._processes[name]
+        process.send_signal(signal.SIGTERM)
+        process.wait(_GRACE)
+        with open(self._log / f"{name}.log", "ab") as log:
+            self._start_alone(name, self._command(name), log)
+
+    def _command(self, name: str) -> list[str]:
+        package, executable, _ = NODES[name]
+        return [str(find_executable(package, executable)), "--ros-args", "--params-file", str(self._parameters)]
 
     def _fork(self, loader: NodeLoader, commands: Mapping[str, list[str]], logs: Mapping[str, IO[bytes]]) -> None:
         nodes = [NodeCommand(command, self._environment, logs[name].fileno()) for name, command in commands.items()]

@@ -15,7 +15,8 @@ from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
 from nmt_diagnose.inference.fitted_model import FittedModel
-from nmt_diagnose.inference.warnings import warned
+from nmt_diagnose.inference.warnings import warned, without_observables
+from nmt_diagnose.observations.origin import Origin
 
 GAP = Gap(20.0, 1.1, 1.0, 30.0, 0.99, 0.98, 1.0, {"run: frequency": {"after": 1.1}}, ("every second level",))
 MASS = Recalibrated("structure.masses_kg.0", 0.5, 0.52, 1e-3, "kg", 0.01, 4.0)
@@ -69,3 +70,17 @@ def test_drag_that_no_air_has_is_told_beside_what_looks_alike() -> None:
     assert warned(Verdict.UNKNOWN, best(), (MASS,), GAP, (best(), fitted)) == ()
     within = replace(fitted, candidates=(replace(drag, site=replace(drag.site, limits={"c2": 10.0})),))
     assert warned(Verdict.EFFECT, best(), (MASS,), GAP, (best(), within)) == ()
+
+
+def test_a_recording_of_which_nothing_can_be_compared() -> None:
+    tests = tuple(SimpleNamespace(name=name) for name in ("backbone/decay", "random"))
+    bags = (("runs/backbone", "1"), ("runs/random", "2"), ("runs/unlocked", "3"))
+    origins = tuple(Origin("simulated", tests=names) for names in (("backbone/decay",), ("random",), ()))
+    rows = SimpleNamespace(test=np.array([0, 0, 1]))
+    found = SimpleNamespace(tests=tests, rows=rows, inputs=bags, origins=origins)
+    (sentence,) = without_observables(found)  # type: ignore[arg-type]
+    assert sentence.startswith("Nothing of runs/unlocked could be compared")
+    found.rows = SimpleNamespace(test=np.array([1, 1]))
+    assert "runs/backbone and runs/unlocked" in without_observables(found)[0]  # type: ignore[arg-type]
+    found.origins, found.inputs = (origins[1], Origin("simulated", tests=("floor",))), bags[1:]
+    assert without_observables(found) == ()  # type: ignore[arg-type]

@@ -54,7 +54,7 @@ from nmt_diagnose.inference.result_tables import (
 from nmt_diagnose.inference.search import Search
 from nmt_diagnose.inference.sentences import sentences
 from nmt_diagnose.inference.sources import generic_sources, places
-from nmt_diagnose.inference.warnings import warned
+from nmt_diagnose.inference.warnings import warned, without_observables
 from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -205,6 +205,7 @@ class _Diagnoser:
         warnings = warned(verdict, best, calibration, gap, accepted.members if accepted is not None else ())
         together = min(rms_left(own) for own in (null, *judged))
         warnings += tuple(filter(None, [contradiction(without, together)]))
+        warnings += without_observables(self.observations)
         diagnosis = Diagnosis(
             verdict=verdict,
             sentences=(

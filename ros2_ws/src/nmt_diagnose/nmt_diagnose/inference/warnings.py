@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
 from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.physical_limits import beyond_limits
+from nmt_diagnose.observations.observables import Observations
 
 # Standard deviations of its prior beyond which a parameter is not what a data sheet or a ruler leaves open.
 _CREDIBLE = 3.0
@@ -53,6 +56,22 @@ def warned(
             "whole of the gap."
         )
     return tuple(found)
+
+
+def without_observables(observations: Observations) -> tuple[str, ...]:
+    """Sentences on recordings of which nothing could be compared: the verdict is about the others only."""
+    compared = {test.name: bool(np.any(observations.rows.test == n)) for n, test in enumerate(observations.tests)}
+    silent = []
+    for (path, _), origin in zip(observations.inputs, observations.origins, strict=True):
+        # The tests of a floor bag are not among those that are compared.
+        if not any(compared.get(test, True) for test in origin.tests):
+            silent.append(str(path))
+    if not silent:
+        return ()
+    return (
+        f"Nothing of {' and '.join(silent)} could be compared, so the verdict says nothing of it; the notes say why. "
+        "Where the model locks and the rig does not, that is a gap by itself.",
+    )
 
 
 def _beyond_physics(fitted_model: FittedModel) -> list[str]:

@@ -1,0 +1,192 @@
+"""Tests whose measuring chains have tolerances: their rows, and how other conditions move them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.blocks import FloatArray, Quantity
+from nmt_diagnose.inference.problem import BoolArray
+from nmt_diagnose.observations.conditions import (
+    MeasuredChannel,
+    PhaseResonanceTest,
+    RandomTest,
+    Test,
+)
+from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.twin.forward import Forward, Prediction
+from nmt_rig.rig import Rig, SensorSection
+
+ComplexArray = NDArray[np.complex128]
+IntArray = NDArray[np.intp]
+
+FUNDAMENTAL = (Part.LOG_MAGNITUDE, Part.PHASE)
+DELAY_STEP_S = 1e-6
+_PHASE_STEP = 1e-4
+
+
+class ChainTests:
+    """The tests of a set of observations that have measuring chains; a sensor is the same in all of them.
+
+    Args:
+        observations: the real side.
+        rig: the model.
+        chains: measuring chains, by number of the test.
+
+    Attributes:
+        mine: rows of these tests among all, shape (m,).
+        numbers: of the tests among all.
+        rows: of these tests, which are numbered anew, (n,).
+        tests: the tests.
+        own: their measuring chains.
+        forward: predicts their rows.
+        channels: their sensors by name; the drive's voltage is none.
+    """
+
+    def __init__(self, observations: Observations, rig: Rig, chains: dict[int, MeasuringChain]) -> None:
+        self.observations, self.rig = observations, rig
+        rows = observations.rows
+        self.mine = np.isin(rows.test, list(chains))
+        self.numbers = sorted(chains)
+        renumbered = np.zeros(max(self.numbers) + 1, dtype=np.int64)
+        renumbered[self.numbers] = np.arange(len(self.numbers))
+        part = rows.take(self.mine)
+        self.rows = replace(part, test=renumbered[part.test])
+        self.tests = tuple(observations.tests[number] for number in self.numbers)
+        self.forward = Forward(self.tests, self.rows)
+        self.own = tuple(chains[number] for number in self.numbers)
+        self.channels = {
+            c.name: c
+            for test in self.tests
+            for c in getattr(test, "channels", ())
+            if c.quantity is not Quantity.VOLTAGE
+        }
+        for test in self.tests:
+            if isinstance(test, RandomTest) and test.reference == "force":
+                name = f"f{test.drive_point}"
+                self.channels.setdefault(name, MeasuredChannel(name, Quantity.FORCE, test.drive_point))
+
+    def full(self, values: FloatArray) -> FloatArray:
+        """Values of these rows among all, zero elsewhere, shape (m,)."""
+        result = np.zeros(len(self.observations.rows))
+        result[self.mine] = values
+        return result
+
+    def start(self, prediction: Prediction) -> Prediction:
+        """The part of a prediction of all observations that belongs to these tests."""
+        states = tuple(prediction.states[number] for number in self.numbers)
+        return Prediction(prediction.values[self.mine], prediction.converged[self.mine], (), states)
+
+    def moved(self, tests: tuple[Test, ...], base: Prediction) -> FloatArray:
+        """Change of the rows under other conditions; tests that stay the same object are not predicted again."""
+        others = [number for number, (test, own) in enumerate(zip(tests, self.tests, strict=True)) if test is not own]
+        result = np.zeros(len(self.rows))
+        if not others:
+            return result
+        mine = np.isin(self.rows.test, others)
+        part = self.rows.take(mine)
+        rows = replace(part, test=np.searchsorted(others, part.test))
+        start = Prediction(base.values[mine], base.converged[mine], (), tuple(base.states[number] for number in others))
+        forward = Forward([tests[number] for number in others], rows)
+        result[mine] = forward.difference(forward.predict(self.rig, start).values, base.values[mine])
+        return result
+
+    def slopes(self, base: Prediction) -> FloatArray:
+        """Change of the rows over that of the phase at which each level truly stood."""
+        moved = tuple(
+            replace(t, levels=tuple(replace(level, phase_error=level.phase_error + _PHASE_STEP) for level in t.levels))
+            if isinstance(t, PhaseResonanceTest)
+            else t
+            for t in self.tests
+        )
+        return np.nan_to_num(self.moved(moved, base) / _PHASE_STEP)
+
+    def rows_of(self, channel: str) -> BoolArray:
+        """Rows of a channel, in whatever test."""
+        own = np.zeros(len(self.rows), dtype=bool)
+        for number, test in enumerate(self.tests):
+            names = [c.name for c in getattr(test, "channels", ())]
+            if channel in names:
+                own |= (self.rows.test == number) & (self.rows.channel == names.index(channel))
+        return own
+
+    def linear_rows(self, number: int) -> BoolArray:
+        """Rows of a test that are the fundamental or a frequency response of a channel."""
+        own = np.isin(self.rows.part, FUNDAMENTAL) & (self.rows.channel >= 0) & (self.rows.test == number)
+        return np.asarray(own)
+
+    def parts(self, values: ComplexArray) -> FloatArray:
+        """Change of ln of a response as change of its magnitude and phase rows."""
+        phase = self.rows.part == Part.PHASE
+        return np.where(phase, values.imag, values.real)
+
+    def harmonics(self) -> dict[tuple[int, ...], list[int]]:
+        """Rows of the real and imaginary part of each harmonic above the first."""
+        rows = self.rows
+        found: dict[tuple[int, ...], list[int]] = {}
+        for row in np.flatnonzero(np.isin(rows.part, (Part.REAL, Part.IMAG)) & (rows.harmonic > 1)):
+            key = (int(rows.test[row]), int(rows.level[row]), int(rows.channel[row]), int(rows.harmonic[row]))
+            found.setdefault(key, []).append(int(row))
+        return found
+
+    def over_fundamental(self) -> list[tuple[int, IntArray]]:
+        """Of each channel at each level, the row of its fundamental's magnitude, and its harmonics, divided by that."""
+        rows, found = self.rows, []
+        for row in np.flatnonzero(rows.part == Part.LOG_MAGNITUDE):
+            if isinstance(self.tests[int(rows.test[row])], PhaseResonanceTest):
+                same = (rows.test == rows.test[row]) & (rows.level == rows.level[row])
+                same &= (rows.channel == rows.channel[row]) & np.isin(rows.part, (Part.REAL, Part.IMAG))
+                found.append((int(row), np.flatnonzero(same)))
+        return found
+
+    def other_part(self) -> IntArray:
+        """Of each row that is a magnitude or phase, the row of the other of the two; of others the row itself."""
+        rows, result = self.rows, np.arange(len(self.rows))
+        pairs: dict[tuple[int, int, int, int, float], list[int]] = {}
+        for row in np.flatnonzero(np.isin(rows.part, FUNDAMENTAL)):
+            key = (rows.test[row], rows.level[row], rows.channel[row], rows.harmonic[row], rows.frequency_hz[row])
+            pairs.setdefault(key, []).append(int(row))
+        for pair in pairs.values():
+            result[pair] = pair[::-1]
+        return result
+
+    def referred(self) -> list[int]:
+        """Tests whose observables refer to the voltage."""
+        return [
+            number
+            for number, test in enumerate(self.tests)
+            if (isinstance(test, PhaseResonanceTest) and test.held == "voltage")
+            or (isinstance(test, RandomTest) and test.reference == "voltage")
+        ]
+
+    def tested(self) -> float:
+        """Frequency at which the phase of a channel is stated: that of the locked windows, Hz."""
+        locked = [number for number, test in enumerate(self.tests) if isinstance(test, PhaseResonanceTest)]
+        mine = np.isin(self.rows.test, locked) & (self.rows.frequency_hz > 0.0)
+        return float(np.median(self.rows.frequency_hz[mine])) if mine.any() else self.resonance()
+
+    def resonance(self) -> float:
+        """First frequency of the model, Hz."""
+        return ModelView.of(self.rig, self.tests[0].drive_point).frequencies_hz[0]
+
+
+def edited(rig: Rig, channel: MeasuredChannel, change: Callable[[SensorSection], SensorSection]) -> Rig:
+    """The rig with the sensor of one channel changed; where it has none, an ideal one is meant."""
+    sensors = list(rig.sensors)
+    if all(rig.sensor_channel(s) != channel.name for s in sensors):
+        place: Any = "drive" if channel.quantity is Quantity.FORCE else channel.point
+        values = {"quantity": channel.quantity.name.lower(), "point": place, "channel": channel.name}
+        sensors.append(SensorSection.model_validate(values))
+    changed = [change(s) if rig.sensor_channel(s) == channel.name else s for s in sensors]
+    return rig.model_copy(update={"sensors": changed})
+
+
+def later(sensor: SensorSection, seconds: float = DELAY_STEP_S) -> SensorSection:
+    """The sensor with more delay, s."""
+    return sensor.model_copy(update={"delay_s": sensor.delay_s + seconds})

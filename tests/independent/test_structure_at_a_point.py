@@ -273,3 +273,16 @@ def test_locked_windows_of_a_linear_beam_have_no_effect(tmp_path: Path) -> None:
     structure = Structure((133.1, 364.0), (0.0035, 0.003), (1.0, -0.6))
     found = of_windows(tmp_path, structure, (131.5, 0.003), np.geomspace(0.1, 3.0, 8), 5)
     assert found["verdict"] in ("none", "calibration")
+
+
+def test_a_decay_with_a_cubic_spring_and_damping_that_grows_names_both(tmp_path: Path) -> None:
+    """Alone another damping fits better, and what is wrong with that is not what the cubic spring lacks."""
+    cubic, factor = 7.46e11, 2.155e8
+    structure = Structure((46.37,), (0.0034,), cubic=cubic, square_damping=factor)
+    found = of_decay(tmp_path, structure, (46.2, 0.0036), 1.8, 4.0, 2048.0, 7)
+    first = found["ranking"][0]
+    assert found["verdict"] == "effect"
+    assert first["effect"] == "cubic_stiffness + amplitude_damping"
+    assert off(first["parameters"]["cubic_stiffness@1.k"], cubic) < 3.0
+    assert off(first["parameters"]["amplitude_damping@1.c"], factor) < 3.0
+    assert found["gap"]["closed"] > 0.9

@@ -609,15 +609,28 @@ class ModelComparison:
         return FittedModel(rest, found, fitted_model.score)
 
     def _with_partners(self, singles: Sequence[FittedModel], skipped: Collection[Explanation]) -> list[FittedModel]:
-        """Elastic effects with dissipative ones at the same point and the other way round, best evidence first.
+        """Elastic effects with dissipative ones at the same point and the other way round.
 
         A structure that stretches or yields mostly has both. Each alone is fitted in vain by what the other does, and a
-        scan about that fit need not show the other; both are fitted together, from the model as given.
+        scan about that fit need not show the other; both are fitted together, from the model as given. The partner
+        of the best such pair, if both are needed, is then tried with all of the other kind: which of those is the best
+        alone says little.
         """
+        found = self._partners_of([_member(single, 0) for single in singles], skipped)
+        if not found:
+            return []
+        leader = max(found, key=lambda own: own.fit.log_evidence)
+        alone = max(single.fit.log_evidence for single in singles)
+        if leader.fit.log_evidence < alone + 0.5 * self.settings.pair_gain:
+            return found
+        return found + self._partners_of([_member(leader, 1)], {*skipped, *(own.explanation for own in found)})
+
+    def _partners_of(
+        self, heads: Sequence[tuple[Candidate, float]], skipped: Collection[Explanation]
+    ) -> list[FittedModel]:
+        """Effects, each with the spread of its strength, with all of the other kind at the same point."""
         wanted: dict[Explanation, tuple[tuple[Candidate, ...], tuple[float, ...], FloatArray]] = {}
-        for single in singles:
-            (own,) = single.candidates
-            spread = single.fit.parametrisation.spread(0)
+        for own, spread in heads:
             for other in self.candidates:
                 if {own.effect.force, other.effect.force} != {"elastic", "dissipative"}:
                     continue
@@ -773,6 +786,11 @@ class ModelComparison:
                     best = max(best, fitted_model.fit.log_evidence)
             heads.update(single.effects)
         return self._settled(united(result, going))
+
+
+def _member(fitted_model: FittedModel, member: int) -> tuple[Candidate, float]:
+    """One effect of an explanation, and the spread of its strength."""
+    return fitted_model.candidates[member], fitted_model.fit.parametrisation.spread(member)
 
 
 def _hopeless(single: FittedModel, score: Score, best: float) -> bool:

@@ -86,9 +86,22 @@ def test_a_node_that_was_started_again_is_noted_until_the_next_run() -> None:
     others = company()
     others.hear("pll", A, READY, False, 0.0)
     others.hear("plant", A, READY, False, 0.0)
-    assert not others.restarted
     others.hear("plant", B, READY, False, 1.0)
-    assert others.restarted == {"plant"}
+    assert others.restarted(1.5) == [], "the one before may be there still"
+    assert others.restarted(2.1) == ["plant"]
+    others.hear("plant", A, READY, False, 2.2)
+    assert others.restarted(3.5) == []
+    assert others.twice(3.5)
+    others.hear("plant", B, READY, False, 9.0)
+    assert others.restarted(11.1) == ["plant"]
+    others.meet_again(11.2)
+    assert others.restarted(20.0) == []
+
+
+def test_who_was_not_heard_since() -> None:
+    others = company()
+    others.hear("pll", A, READY, False, 0.0)
+    others.hear("plant", A, READY, False, 1.0)
     assert others.unheard_since(0.5) == ["pll"]
     assert others.unheard_since(0.0) == []
 

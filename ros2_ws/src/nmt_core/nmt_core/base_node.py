@@ -305,7 +305,7 @@ class BenchNode(Node):  # type: ignore[misc]
     def forget_failures(self) -> None:
         """Start over: what a watched node reported before a run, or its new start, does not end it."""
         self.company.failures.clear()
-        self.company.restarted.clear()
+        self.company.meet_again(time.monotonic())
 
     def failed_node(self) -> tuple[str, str]:
         """A watched node that reports an error, and its words; empty if none does."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 READY = "ready"
 HUNG = "hung"
+_FOR_GOOD = 1.0  # s without the process before, which beats four times a second
 _DEAF = 1.0  # s without listening after which nobody else is to blame for the silence
 
 
@@ -22,6 +23,7 @@ class _Heard:
         instance: the process it came from.
         before: the process that used the name before.
         twice: when two processes were last heard in turn, s.
+        since: when the process took over from another one, s.
     """
 
     time: float
@@ -29,6 +31,7 @@ class _Heard:
     instance: str
     before: str = ""
     twice: float = -1.0e9
+    since: float = -1.0e9
 
 
 class Company:
@@ -45,13 +48,12 @@ class Company:
 
     Attributes:
         failures: errors that watched nodes have reported, by name.
-        restarted: watched nodes that were started again.
     """
 
     def __init__(self, watched: Sequence[str], silence_timeout: float, own: str = "", own_instance: str = "") -> None:
         self.watched = tuple(watched)
         self.failures: dict[str, str] = {}
-        self.restarted: set[str] = set()
+        self._met = -1.0e9
         self._silence = silence_timeout
         self._own, self._own_instance = own, own_instance
         self._heard: dict[str, _Heard] = {}
@@ -83,9 +85,7 @@ class Company:
         elif name != self._own and instance != heard.instance:
             if instance == heard.before:
                 heard.twice = now
-            heard.before, heard.instance = heard.instance, instance
-            if name in self.watched:
-                self.restarted.add(name)
+            heard.before, heard.instance, heard.since = heard.instance, instance, now
         heard.time, heard.message = now, message
         if failed and name in self.watched:
             self.failures[name] = message
@@ -112,8 +112,19 @@ class Company:
 
     def meet_again(self, now: float) -> None:
         """A run begins (at ``now``, s): who was started again since the last one may be discovered a little later."""
+        self._met = now
         for heard in self._heard.values():
             heard.time = max(heard.time, now)
+
+    def restarted(self, now: float) -> list[str]:
+        """Watched nodes whose process took over from another one since the run began, and for good."""
+        return [
+            name
+            for name in self.watched
+            if (heard := self._heard.get(name)) is not None
+            and self._met < heard.since < now - _FOR_GOOD
+            and now - heard.twice > self._silence
+        ]
 
     def unheard_since(self, time: float) -> list[str]:
         """Watched nodes of which no heartbeat has come since a time, s."""

@@ -392,7 +392,7 @@ class SequencerNode(BenchNode):
             if silent:
                 machine.stop(ResultCode.NODE_LOST, f"Node {silent} has fallen silent.")
             self._stop_for_failures()
-            for name in sorted(self.company.restarted):
+            for name in self.company.restarted(now):
                 machine.stop(ResultCode.NODE_LOST, f"Node {name} was started again during the run.")
             unattended = self._launcher.complaint(now)
             if unattended:
@@ -430,7 +430,7 @@ class SequencerNode(BenchNode):
         machine.stop(
             ResultCode.NODE_LOST,
             f"No block after sample {max(machine.newest, 0)} was answered for {limit:g} s; the logs of plant and pll "
-            f"say what they refuse, and new nodes begin anew.{refused}",
+            f"say what they refuse. If in doubt, end all nodes and start them again.{refused}",
         )
 
     def _on_diagnostics(self, message: Any) -> None:

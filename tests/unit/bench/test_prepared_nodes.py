@@ -22,6 +22,7 @@ import pytest
 
 from nmt_bench.orchestration import adopted_process, node_loader, prepared_nodes
 from nmt_bench.orchestration.adopted_process import AdoptedProcess, adopted_orphans, can_adopt
+from nmt_bench.orchestration.bench_domain import BenchDomain, domains_in_use
 from nmt_bench.orchestration.node_processes import NodeProcesses
 from nmt_bench.orchestration.prepared_nodes import NodeCommand, NodeLoader, nodes_ahead, take_loader
 from nmt_core.errors import BenchError
@@ -115,7 +116,8 @@ def a_bench(folder: Path, monkeypatch: pytest.MonkeyPatch, **texts: str) -> Call
         script(folder / "prefix" / "lib" / packages[name] / name, text)
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(folder / "prefix"))
     plan: Any = SimpleNamespace(values=dict.fromkeys(texts), write_parameters=lambda path: path.write_text("{}"))
-    return lambda loader: NodeProcesses(plan, folder / "out", {"ROS_DOMAIN_ID": "77", "HERE": "a b\nc"}, loader)
+    environment = {"ROS_DOMAIN_ID": "77", "HERE": "a b\nc"}
+    return lambda loader, held=None: NodeProcesses(plan, folder / "out", environment, loader, held)
 
 
 def test_a_forked_node_finds_what_one_of_its_own_finds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -305,6 +307,29 @@ def test_nodes_end_with_a_killed_launcher(moment: str, tmp_path: Path) -> None:
     wait_until(lambda: all(map(has_ended, processes)))
     if moment != "importing":
         assert log.read_text().count("told to end") == (3 if moment == "begun" else 0)
+
+
+@pytest.mark.parametrize("forks", [True, False])
+def test_nodes_hold_the_domain_for_as_long_as_they_live(
+    forks: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nodes of a launcher that was killed take their run to an end; nobody else may be in their domain meanwhile."""
+    loader = NodeLoader() if forks else None
+    domain = BenchDomain()
+    nodes = a_bench(tmp_path, monkeypatch, plant=LONG, pll=LONG)(loader, domain.descriptor)
+    try:
+        nodes.start()
+        assert isinstance(nodes._processes["plant"], AdoptedProcess) == forks
+        if loader is not None:
+            loader.close()
+        domain.close()  # as the system does it for a launcher that is killed
+        assert domain.id in domains_in_use()
+        with pytest.raises(BenchError, match="in use by another bench"):
+            BenchDomain(domain.id)
+    finally:
+        nodes.end()
+    wait_until(lambda: domain.id not in domains_in_use())
+    BenchDomain(domain.id).close()
 
 
 def test_libraries_with_threads_are_not_forked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -231,7 +231,7 @@ class Bench:
         self.executor = EventsExecutor(context=self.context)
         self._cleanup.callback(self._shut_executor)
         if self.use_processes:
-            self.processes = NodeProcesses(self.plan, self.out, environment, loader)
+            self.processes = NodeProcesses(self.plan, self.out, environment, loader, domain.descriptor)
             self._cleanup.callback(self.processes.end)
             self.processes.start()
         else:

@@ -19,7 +19,8 @@ _BENCHES = itertools.count(step=7)
 class BenchDomain:
     """Holds a domain id until closed; the operating system releases it if the process dies.
 
-    A loopback port stands for each id, so two benches, whoever started them, never share one.
+    A loopback port stands for each id, so two benches, whoever started them, never share one. Nodes that are processes
+    hold it as well: those of a launcher that was killed take their run to an end before another bench may have the id.
 
     Args:
         domain_id: a particular id; None = any free one.
@@ -49,8 +50,13 @@ class BenchDomain:
         which = "No ROS domain is free" if domain_id is None else f"ROS domain {domain_id} is in use by another bench"
         raise BenchError(f"{which}; stop benches that still run, or choose another with --domain.")
 
+    @property
+    def descriptor(self) -> int:
+        """What a process has to hold open to hold the id."""
+        return self._holder.fileno()
+
     def close(self) -> None:
-        """Release the id."""
+        """Release the id, unless other processes hold it still."""
         self._holder.close()
 
 

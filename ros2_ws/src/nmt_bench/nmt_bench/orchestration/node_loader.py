@@ -32,7 +32,7 @@ from nmt_bench.orchestration.parent_death import die_with_parent
 READY, GO = b"ready", b"go"
 ROOM = 1024
 """Characters of a node's command line that may be seen in the table of processes: the loader has as many blanks."""
-MOST_NODES = 64
+MOST_DESCRIPTORS = 64
 
 PREPARED = (
     "nmt_core.bundle",
@@ -153,14 +153,15 @@ def serve(channel: socket.socket) -> dict[str, Any] | None:
         In the process of a node that may begin: what it has to do. In the loader: None.
     """
     channel.send(READY if threads() == 1 else f"{threads()} threads".encode())
-    message, descriptors, _, _ = socket.recv_fds(channel, 1, MOST_NODES)
+    message, descriptors, _, _ = socket.recv_fds(channel, 1, MOST_DESCRIPTORS)
     if not message:
         return None
     with open(descriptors[0], "rb") as file:
         request = json.load(file)
     processes: list[int] = []
     answer: dict[str, Any] = {"processes": processes}
-    for node, log in zip(request["nodes"], descriptors[1:], strict=True):
+    logs = descriptors[1 : 1 + len(request["nodes"])]
+    for node, log in zip(request["nodes"], logs, strict=True):
         try:
             process = os.fork()
         except OSError as error:
@@ -172,8 +173,10 @@ def serve(channel: socket.socket) -> dict[str, Any] | None:
             os.dup2(log, 1)
             os.dup2(log, 2)
             channel.close()
-            for descriptor in descriptors[1:]:
+            for descriptor in logs:
                 os.close(descriptor)
+            for descriptor in descriptors[1 + len(logs) :]:
+                os.set_inheritable(descriptor, True)  # held for as long as the node lives, whatever it is executed by
             return {**request, **node}
         processes.append(process)
     channel.send(json.dumps(answer).encode())

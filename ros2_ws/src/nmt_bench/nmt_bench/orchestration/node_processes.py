@@ -31,16 +31,23 @@ class NodeProcesses:
         out: folder that gets ``nodes.yaml`` (parameters for ``ros2 run``) and ``log/``.
         environment: additional environment variables.
         loader: process from which they are forked; None = each is started as a program of its own.
+        held: descriptor that each node holds open for as long as it lives, the bench's domain; None = none.
     """
 
     def __init__(
-        self, plan: NodePlan, out: Path, environment: Mapping[str, str], loader: NodeLoader | None = None
+        self,
+        plan: NodePlan,
+        out: Path,
+        environment: Mapping[str, str],
+        loader: NodeLoader | None = None,
+        held: int | None = None,
     ) -> None:
         self._plan = plan
         self._log = out / "log"
         self._parameters = out / "nodes.yaml"
         self._environment = {**os.environ, **environment, LAUNCHER: str(os.getpid())}
         self._loader = loader
+        self._held = () if held is None else (held,)
         self._processes: dict[str, subprocess.Popen[bytes] | AdoptedProcess] = {}
 
     def start(self) -> None:
@@ -79,7 +86,7 @@ class NodeProcesses:
 
     def _fork(self, loader: NodeLoader, commands: Mapping[str, list[str]], logs: Mapping[str, IO[bytes]]) -> None:
         nodes = [NodeCommand(command, self._environment, logs[name].fileno()) for name, command in commands.items()]
-        self._processes.update(zip(commands, loader.fork(nodes), strict=True))
+        self._processes.update(zip(commands, loader.fork(nodes, self._held), strict=True))
         loader.release()
 
     def _start_alone(self, name: str, command: list[str], log: IO[bytes]) -> None:
@@ -92,6 +99,7 @@ class NodeProcesses:
                 env=self._environment,
                 # Ctrl-C in the terminal is for the command line alone: it ramps the drive down first.
                 start_new_session=True,
+                pass_fds=self._held,
                 preexec_fn=die_with_parent,
             )
         except OSError as error:

@@ -95,14 +95,18 @@ class NodeLoader:
         """
         return self._answer() == node_loader.READY
 
-    def fork(self, nodes: Sequence[NodeCommand]) -> list[AdoptedProcess]:
+    def fork(self, nodes: Sequence[NodeCommand], held: Sequence[int] = ()) -> list[AdoptedProcess]:
         """Fork one process a node, once `can_fork` says so; none of them begins before `release`.
+
+        Args:
+            nodes: what they are.
+            held: descriptors that each of them holds open for as long as it lives.
 
         Raises:
             BenchError: the loader has ended, or the system allows no more processes.
         """
         with adopted_orphans():
-            self._ask(nodes)
+            self._ask(nodes, held)
             answer = json.loads(self._answer())
             self._process.wait()
         if "error" in answer:
@@ -136,7 +140,7 @@ class NodeLoader:
             self._channel.close()
             os.close(self._words)
 
-    def _ask(self, nodes: Sequence[NodeCommand]) -> None:
+    def _ask(self, nodes: Sequence[NodeCommand], held: Sequence[int]) -> None:
         """Send what is to be forked, in memory without a name since it may be long."""
         request = {
             "nodes": [{"command": list(node.command), "environment": dict(node.environment)} for node in nodes],
@@ -149,7 +153,7 @@ class NodeLoader:
             file.flush()
             file.seek(0)
             with contextlib.suppress(OSError):  # it has ended, and there will be no answer
-                socket.send_fds(self._channel, [b"!"], [file.fileno(), *(node.log for node in nodes)])
+                socket.send_fds(self._channel, [b"!"], [file.fileno(), *(node.log for node in nodes), *held])
 
     def _answer(self) -> bytes:
         end = time.monotonic() + _LONGEST

@@ -121,7 +121,10 @@ class WindowAssembler:
 
     def take(self) -> list[Window | SpoiledWindow]:
         """Windows that have become ready since the last call, in the order of their readiness."""
-        return [_joined(cut, self.sample_rate) for cut in self.table.take()]
+        cuts, found = self.table.take()[::-1], []
+        while cuts:
+            found.append(_joined(cuts.pop(), self.sample_rate))
+        return found
 
     @property
     def ready(self) -> bool:
@@ -139,6 +142,7 @@ class WindowAssembler:
 
 
 def _joined(cut: CutWindow, sample_rate: float) -> Window | SpoiledWindow:
+    """The window as one array; its blocks go as they are copied."""
     lock: LockEvent = cut.key
     if cut.verdict.reason:
         return SpoiledWindow(lock, sample_rate, cut.verdict.reason)
@@ -148,15 +152,16 @@ def _joined(cut: CutWindow, sample_rate: float) -> Window | SpoiledWindow:
         for head in heads
         for name, point in zip(head.channels, head.points, strict=True)
     )
+    phase = ExcitationPhase(phase_reference(cut.stretches))
+    cycles, end_cycles = (phase.cycles(), phase.end_cycles()) if phase.known else (None, math.nan)
+    del phase
     data = np.empty((len(channels), cut.window.samples))
     row = 0
     for stretch, head in zip(cut.stretches, heads, strict=True):
         part = data[row : row + len(head.channels)]
-        stretch.copy_data(part)
+        stretch.move_data(part)
         row += len(head.channels)
         missing = stretch.missing_values(part)
         if missing is not None:
             return SpoiledWindow(lock, sample_rate, missing.reason)
-    phase = ExcitationPhase(phase_reference(cut.stretches))
-    cycles, end_cycles = (phase.cycles(), phase.end_cycles()) if phase.known else (None, math.nan)
     return Window(lock, cut.stretches[0].sample_rate, channels, data, cycles, end_cycles)

@@ -33,7 +33,7 @@ from nmt_record.window_policy import (
 HISTORY_SAMPLES = 600_000
 PATIENCE_SAMPLES = 1_200_000
 # Of hundreds of channels so many samples would be a gigabyte; a second of them stays in any case.
-HISTORY_BYTES = 100_000_000
+HISTORY_BYTES = 40_000_000
 _BYTES_PER_VALUE = 8
 _COMPACT = 256
 

@@ -118,7 +118,7 @@ class TopicBlocks:
             self._start = 0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class TopicStretch:
     """The blocks of one topic over a stretch of samples, none twice, with what is wrong with them.
 
@@ -197,21 +197,31 @@ class TopicStretch:
 
     def copy_data(self, target: FloatArray) -> None:
         """Copy the samples, shape ``(channels, samples)``; what is missing keeps the values that ``target`` has."""
-        first, size = self.first_sample, self.samples
         for block in self.blocks:
-            start = block.first_sample - first
-            stop = start + block.samples
-            if start >= 0 and stop <= size:
-                target[:, start:stop] = block.data
-            else:
-                inside = slice(max(0, -start), block.samples - max(0, stop - size))
-                target[:, max(0, start) : min(size, stop)] = block.data[:, inside]
+            self._copy(block, target)
+
+    def move_data(self, target: FloatArray) -> None:
+        """The same; blocks go as they are copied, so that samples of many channels are not held twice. One is left."""
+        blocks = list(self.blocks[::-1])
+        self.blocks = self.blocks[:1]
+        while blocks:
+            self._copy(blocks.pop(), target)
+
+    def _copy(self, block: Any, target: FloatArray) -> None:
+        start = block.first_sample - self.first_sample
+        stop = start + block.samples
+        if start >= 0 and stop <= self.samples:
+            target[:, start:stop] = block.data
+        else:
+            inside = slice(max(0, -start), block.samples - max(0, stop - self.samples))
+            target[:, max(0, start) : min(self.samples, stop)] = block.data[:, inside]
 
     def missing_values(self, data: FloatArray) -> Finding | None:
         """The first sample of ``data``, shape ``(channels, samples)``, that is not a finite number."""
-        finite = np.isfinite(data)
-        if finite.all():
+        # A row at a time: of hundreds of channels the whole would be tens of megabytes.
+        if all(np.isfinite(row).all() for row in data):
             return None
+        finite = np.isfinite(data)
         sample = int(np.argmin(finite.all(axis=0)))
         channel = self.blocks[0].channels[int(np.argmin(finite[:, sample]))]
         where = self.first_sample + sample

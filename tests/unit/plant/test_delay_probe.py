@@ -61,6 +61,39 @@ def test_a_line_that_is_cut_is_not_clear():
     assert not probed(Line(0, gain=0.0)).delay().is_clear
 
 
+@pytest.mark.parametrize("ppm", [50.0, -50.0, 150.0])
+def test_a_delay_that_drifts_with_the_clocks_is_clear(ppm):
+    """At 48 kHz both runs lie 20,223 samples apart: 50 ppm move the delay by 1.01 samples, which rounds to 1 or 2."""
+    spreads = set()
+    for phase in np.arange(0.0, 1.0, 0.005):
+        probe, position, line = DelayProbe(0.25, 48_000.0, settling=0.01), 0, np.zeros(20)
+        while not probe.done:
+            put_out = probe.next(4800)
+            line = np.concatenate([line[-20:], put_out])
+            index = np.arange(4800)
+            late = 8.0 + phase + 1e-6 * ppm * (position + index)
+            probe.take(np.interp(20.0 + index - late, np.arange(line.size), line), False)
+            position += 4800
+        found = probe.delay()
+        spreads.add(abs(found.spread))
+        assert found.is_clear
+        assert found.spread == pytest.approx(1e-6 * ppm * found.apart, abs=1.0)
+    assert max(spreads) >= 2
+
+
+def test_a_turn_that_was_lost_unseen_is_not_clear():
+    """Between both runs a turn of what was measured is missing and nobody said so: the second run comes earlier."""
+    probe, line = DelayProbe(0.25, RATE, settling=0.05), Line(500)
+    for turn in range(200):
+        answer = line(probe.next(100))
+        if turn != 30:
+            probe.take(answer, False)
+    found = probe.delay()
+    assert found.spread == -100
+    assert found.is_seen
+    assert not found.is_clear
+
+
 def test_lost_samples_start_it_again_and_too_many_end_it():
     assert probed(Line(77), lose={30, 60}).delay().samples == 77
     assert probed(Line(77), lose=set(range(0, 5000, 20))).failed

@@ -6,6 +6,7 @@ import itertools
 import os
 import socket
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -460,3 +461,40 @@ def test_settings_are_checked(wrong: dict[str, float]) -> None:
 def test_a_converter_that_is_none_is_named(name: str) -> None:
     with pytest.raises(BenchError, match="there is no converter"):
         load_converter(name, {})
+
+
+class ForgetfulLoop(TestConverter):
+    """A loop whose input forgets turns, and says nothing."""
+
+    def __init__(self, delay: int, forgotten: set[int]) -> None:
+        super().__init__(inputs=1)
+        self._line, self._forgotten = np.zeros((1, delay)), forgotten
+
+    def measure(self, turn: int, values: FloatArray) -> Taken | None:
+        line = np.concatenate([self._line, values], axis=1)
+        self._line = line[:, CHUNK:]
+        return None if turn in self._forgotten else Taken(line[:, :CHUNK])
+
+
+def delay_found(forgotten: set[int]) -> OwnerReport:
+    converter = ForgetfulLoop(120, forgotten)
+    bench = Bench(replace(SETTINGS, inputs=1, probe=0.1, probe_settling=0.05), converter=converter)
+    taken = None
+    try:
+        for turn in range(4000):
+            values = bench.owner.turn(CHUNK, taken)
+            assert values is not None
+            taken = converter.measure(turn, values)
+            if reports := bench.reports():
+                return reports[0]
+    finally:
+        bench.end()
+    raise AssertionError("the owner says nothing")
+
+
+def test_a_delay_that_changed_while_it_was_looked_for_is_looked_for_again() -> None:
+    report = delay_found({60})
+    assert report.delay == 120
+    assert report.monitor_gain == pytest.approx(1.0)
+    with pytest.raises(RuntimeError, match="loses samples again and again"):
+        delay_found(set(range(60, 4000, 100)))

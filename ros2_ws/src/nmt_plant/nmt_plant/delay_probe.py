@@ -16,6 +16,8 @@ from nmt_core.blocks import FloatArray
 ORDER = 10
 LEAST_PEAK = 8.0
 """Peak of the correlation over its root mean square elsewhere, below which no delay is believed."""
+CLOCKS = 2e-4
+"""Relative error of clocks that are not shared, up to which a delay that drifts is believed; crystals have 1e-4."""
 _MOST_TRIES = 5
 
 
@@ -25,19 +27,28 @@ class Delay(NamedTuple):
     Attributes:
         samples: delay.
         gain: measured over put out, at the peak; negative where the monitor is inverted.
-        clearness: peak over the root mean square elsewhere.
+        clearness: peak over the root mean square elsewhere, in the run of the sequence that is less clear.
+        clearest: the same in the other run.
         spread: samples by which both runs of the sequence differ.
+        apart: samples between both runs.
     """
 
     samples: int
     gain: float
     clearness: float
+    clearest: float
     spread: int
+    apart: int
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether a run shows the output at all."""
+        return self.clearest >= LEAST_PEAK
 
     @property
     def is_clear(self) -> bool:
-        """Whether it may be believed."""
-        return self.clearness >= LEAST_PEAK and abs(self.spread) <= 1
+        """Whether it may be believed: both runs show it, and with one delay but for rounding and the drift of clocks."""
+        return self.clearness >= LEAST_PEAK and abs(self.spread) <= 1.0 + CLOCKS * self.apart
 
 
 class DelayProbe:
@@ -60,9 +71,10 @@ class DelayProbe:
         run = np.concatenate([sequence, self._pause])
         self._signal = np.concatenate([np.zeros(self._settling), run, run])
         self._tries = 0
-        self._restart()
+        self.restart()
 
-    def _restart(self) -> None:
+    def restart(self) -> None:
+        """Put it out again, from the beginning; one try less."""
         self._position = 0
         self._measured: list[FloatArray] = []
         self._count = 0
@@ -75,7 +87,7 @@ class DelayProbe:
 
     @property
     def failed(self) -> bool:
-        """Whether samples were lost again and again."""
+        """Whether it was begun again too often."""
         return self._tries > _MOST_TRIES
 
     def next(self, count: int) -> FloatArray:
@@ -89,7 +101,7 @@ class DelayProbe:
         if self._position == 0 or self.done:
             return
         if lost:
-            self._restart()
+            self.restart()
             return
         self._measured.append(values)
         self._count += values.size
@@ -100,7 +112,9 @@ class DelayProbe:
         first, second = (self._one(part) for part in np.split(measured, 2))
         clearest = first if first.clearness >= second.clearness else second
         return clearest._replace(
-            clearness=min(first.clearness, second.clearness), spread=second.samples - first.samples
+            clearness=min(first.clearness, second.clearness),
+            spread=second.samples - first.samples,
+            apart=self._sequence.size + self._pause.size,
         )
 
     def _one(self, measured: FloatArray) -> Delay:
@@ -113,4 +127,5 @@ class DelayProbe:
         rest = np.delete(response, slice(max(peak - 20, 0), peak + 200))
         ground = float(np.sqrt(np.mean(rest**2))) if rest.size else 0.0
         gain = float(response[peak])
-        return Delay(peak, gain, abs(gain) / ground if ground > 0.0 else (np.inf if gain else 0.0), 0)
+        clearness = abs(gain) / ground if ground > 0.0 else (np.inf if gain else 0.0)
+        return Delay(peak, gain, clearness, clearness, 0, 0)

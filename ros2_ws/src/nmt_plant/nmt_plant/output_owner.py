@@ -279,12 +279,20 @@ class OutputOwner:
     def _look_for_delay(self, probe: DelayProbe, taken: Taken | None) -> None:
         if taken is not None:
             probe.take(taken.values[self._settings.probe_input], taken.lost)
-        if not (probe.done or probe.failed):
+        if probe.failed:
+            self._probe = None
+            raise RuntimeError(
+                "it loses samples again and again, or its output and inputs do not share one clock; give it a larger "
+                "block, or real-time priority, or one clock"
+            )
+        if not probe.done:
+            return
+        found = self._delay = probe.delay()
+        if found.is_seen and not found.is_clear:  # samples were lost that nobody told of
+            self._delay = None
+            probe.restart()
             return
         self._probe = None
-        if probe.failed:
-            raise RuntimeError("it loses samples again and again; give it a larger block, or real-time priority")
-        found = self._delay = probe.delay()
         if found.is_clear:
             return
         self._delay = found._replace(samples=max(self._converter.delay, 0), gain=0.0)

@@ -2,7 +2,7 @@
 
 Run from the root of the repository, in an environment with the bench::
 
-    PYTHONPATH=tests python -m independent.campaign --healthy 30 --effects
+    PYTHONPATH=tests:$PYTHONPATH python -m independent.campaign --healthy 30 --effects
 
 A healthy recording that is given any other verdict than ``none`` or ``calibration`` is an alarm.
 """

@@ -201,7 +201,12 @@ class Bench:
 
 
 def backbone_table(
-    structure: Structure, forces: np.ndarray, path: Path, scatter: tuple[float, float, float], seed: int
+    structure: Structure,
+    forces: np.ndarray,
+    path: Path,
+    scatter: tuple[float, float, float],
+    seed: int,
+    gain: float = 1.0,
 ) -> None:
     """Write the backbone as a laboratory would, in Hz and mm.
 
@@ -211,10 +216,11 @@ def backbone_table(
         path: of the CSV file.
         scatter: relative, of frequency, amplitude and damping ratio.
         seed: of the scatter.
+        gain: of the sensor.
     """
     generator, bench = np.random.default_rng(seed), Bench(structure)
     lines = ["frequency_hz,amplitude,damping_ratio"]
     for force in forces:
         point = np.array(bench.point(float(force))) * (1.0 + np.array(scatter) * generator.standard_normal(3))
-        lines.append(f"{point[0]:.7g},{1e3 * point[1]:.6g},{point[2]:.5g}")
+        lines.append(f"{point[0]:.7g},{1e3 * gain * point[1]:.6g},{point[2]:.5g}")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -189,6 +189,19 @@ def test_a_bolted_joint_is_micro_slip_with_its_own_stiffness_and_exponent(tmp_pa
     assert found["gap"]["closed"] > 0.9
 
 
+def test_a_contact_that_the_model_takes_for_a_spring_is_named_when_it_slips(tmp_path: Path) -> None:
+    """The model has the frequency of small amplitudes, where one slider sticks."""
+    stiffness, limit = 0.08 * (2.0 * np.pi * 168.0) ** 2, 3.0
+    structure = Structure((161.67,), (0.0012,), joint=((stiffness, limit),))
+    found = of_decay(tmp_path, structure, (168.2, 0.0013), 6.0, 2.0, 8192.0, 6)
+    first = found["ranking"][0]
+    assert found["verdict"] == "effect"
+    assert first["effect"] == "second_friction_contact"
+    assert off(first["parameters"]["kt"], stiffness) < 3.0
+    assert off(first["parameters"]["slip_force"], limit) < 3.0
+    assert found["gap"]["closed"] > 0.9
+
+
 def test_a_clamped_beam_is_cubic_beside_its_second_mode_and_a_weak_even_force(tmp_path: Path) -> None:
     omega = 2.0 * np.pi * 132.4
     cubic = omega**2 / 0.5e-3**2
@@ -232,6 +245,32 @@ def test_a_decay_with_damping_that_grows_with_amplitude_is_named(tmp_path: Path)
     assert found["gap"]["closed"] > 0.9
 
 
+def test_a_fast_decay_is_looked_at_over_all_its_amplitudes(tmp_path: Path) -> None:
+    """A narrow band would make one segment of its ninety periods, more certain than any of many."""
+    structure = Structure((192.3, 770.9), (0.0089, 0.0089), (1.0, -0.03), square_damping=3.5e8)
+    found = of_decay(tmp_path, structure, (192.2, 0.0082), 62.0, 0.465, 7693.0, 5)
+    first = found["ranking"][0]
+    assert found["verdict"] == "effect"
+    assert first["effect"] == "amplitude_damping"
+    assert off(first["parameters"]["c"], 3.5e8) < 3.0
+    assert found["gap"]["closed"] > 0.9
+
+
+def test_contacts_of_the_first_periods_of_a_decay_are_seen(tmp_path: Path) -> None:
+    """Narrow bands tell small amplitudes to a millionth; the few periods with contact must not drown in that."""
+    structure = Structure((72.5, 260.3), (0.0052, 0.0052), (1.0, 0.17), stop=(4.76e5, 1.9e-4))
+    found = of_decay(tmp_path, structure, (72.41, 0.0051), 1.09, 2.1, 2900.0, 7)
+    first, gap = found["ranking"][0], found["gap"]
+    assert found["verdict"] == "effect"
+    assert first["effect"] == "two_sided_gap"
+    assert off(first["parameters"]["k"], 4.76e5) < 3.0
+    # Within the four periods of the window the amplitude falls by 12 %, and the frequency with it.
+    assert first["parameters"]["gap"]["value"] == pytest.approx(1.9e-4, rel=0.05)
+    # No half of so few amplitudes tells the contact: what is left is that of the fit, and by observable no other.
+    left = [item["after"] for item in gap["per_observable"].values()]
+    assert min(left) <= gap["after"] <= max(left)
+
+
 def test_hum_near_the_mode_does_not_hide_what_damps_a_decay(tmp_path: Path) -> None:
     """The mode decays at 47 Hz, the mains stay at 50 Hz: they beat where the decay has become small."""
     factor = 6e6
@@ -253,6 +292,17 @@ def test_responses_at_held_forces_tell_a_gap(tmp_path: Path) -> None:
     structure = Structure((133.1,), (0.005,), stop=(stiffness, gap))
     found = of_responses(tmp_path, structure, (131.5, 0.004), (0.2, 1.0, 2.0), np.linspace(127.0, 146.0, 77), 8)
     expect_gap(found, stiffness, gap)
+
+
+def test_responses_whose_scatter_moves_the_resonance_by_its_width_tell_a_cubic_spring(tmp_path: Path) -> None:
+    cubic = -0.27 * (2.0 * np.pi * 52.36) ** 2 / 0.8e-3**2
+    structure = Structure((52.36,), (0.0024,), cubic=cubic)
+    found = of_responses(tmp_path, structure, (52.3, 0.0025), (0.02, 0.1, 0.38), np.linspace(49.5, 53.3, 77), 8)
+    first = found["ranking"][0]
+    assert found["verdict"] == "effect"
+    assert first["effect"] == "cubic_stiffness"
+    assert off(first["parameters"]["k"], cubic) < 3.0
+    assert found["gap"]["closed"] > 0.9
 
 
 def test_responses_of_a_linear_beam_have_no_effect(tmp_path: Path) -> None:

@@ -244,3 +244,25 @@ def test_the_noise_of_a_table_without_level_counts() -> None:
     found = table_observations("table", table, oscillator(), ObservationSettings())
     assert np.allclose(found.std, 0.005)
     assert not found.notes
+
+
+def test_damping_ratios_without_uncertainties_count_by_their_scatter() -> None:
+    """5 % are taken at least; ratios that grow smoothly by as much as they are do not scatter."""
+    amplitude = np.linspace(0.1, 1.0, 16) * TOP
+    columns = {"frequency_hz": np.full(16, OMEGA / (2.0 * pi)), "amplitude": amplitude}
+    smooth = 0.002 * (1.0 + (amplitude / TOP) ** 2)
+    shares = {}
+    for scatter in (0.01, 0.15):
+        found = []
+        for seed in range(20):
+            ratio = smooth * np.exp(scatter * np.random.default_rng(seed).standard_normal(16))
+            table = ObservableTable("backbone", {**columns, "damping_ratio": ratio}, {}, Quantity.DISPLACEMENT)
+            observations = table_observations("table", table, oscillator(), ObservationSettings())
+            (test,) = observations.tests
+            assert isinstance(test, BackboneTable)
+            assert 1.0 < test.noise_degrees < 10.0
+            damping = observations.rows.part == Part.DAMPING
+            found.append(observations.sigma[damping] / observations.values[damping])
+        shares[scatter] = np.array(found)
+    np.testing.assert_allclose(shares[0.01], 0.05)
+    assert np.sqrt(np.mean(shares[0.15] ** 2)) == pytest.approx(0.15, rel=0.1)

@@ -95,6 +95,17 @@ def test_what_looks_alike_is_one_class_and_more_of_the_same_is_no_member() -> No
     assert next(iter(found.places)) == Placement.at("structure", 2)
 
 
+def test_forms_of_an_effect_compete_and_share_a_label() -> None:
+    stuck = Candidate(replace(CUBIC.effect, form="stuck"), CUBIC.site)
+    assert stuck.cause != CUBIC.cause
+    assert stuck.cause.same_but_for_form(CUBIC.cause)
+    null, own, other = fitted_model(B), fitted_model(B, (CUBIC, A + B)), fitted_model(B, (stuck, B))
+    found = judge(null, [other, own], [], (), (), (CUBIC, stuck), PLAIN)
+    assert len(found.named) == 2
+    assert found.by_label[CUBIC.label] == pytest.approx(sum(found.named.values()))
+    assert found.classes[0].head.candidates == (stuck,)
+
+
 def test_noise_is_none_and_an_effect_is_one() -> None:
     assert judged(NOISE).none > 0.5
     assert judged(NOISE).log_odds < 0.0

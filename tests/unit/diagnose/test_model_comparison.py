@@ -13,6 +13,7 @@ from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.fitted_model import FittedModel
+from nmt_diagnose.inference.level_climb import climbed
 from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.observations.observables import Observations
@@ -95,10 +96,10 @@ def test_climbing_over_the_levels_ends_where_a_fit_of_all_does() -> None:
     shifted = real(MODEL, exciter={"resistance_ohm": 3.0 * 1.06})
     own = comparison(observations_of_twin(shifted, seed=4, drives=LEVELS))
     null = own.null().fit
-    climbed = own._climbed(null.parametrisation, None, null.parametrisation.zero)  # type: ignore[arg-type]
-    assert climbed.used.sum() == null.used.sum()
-    assert climbed.log_evidence == pytest.approx(null.log_evidence, abs=0.5)
-    np.testing.assert_allclose(climbed.theta, null.theta, atol=0.2)
+    found = climbed(own.problem, null.parametrisation, None, null.parametrisation.zero)
+    assert found.used.sum() == null.used.sum()
+    assert found.log_evidence == pytest.approx(null.log_evidence, abs=0.5)
+    np.testing.assert_allclose(found.theta, null.theta, atol=0.2)
 
 
 def test_a_pair_with_a_member_at_zero_is_no_pair() -> None:

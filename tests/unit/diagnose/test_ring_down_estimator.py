@@ -12,7 +12,8 @@ from scipy.special import ellipk
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_diagnose.observations.bag_samples import Stretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
-from nmt_diagnose.observations.decay_signal import demodulated, middles, window
+from nmt_diagnose.observations.decay_nodes import nodes
+from nmt_diagnose.observations.decay_signal import demodulated, middles, ridges, slow_amplitude, window
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -228,3 +229,16 @@ def test_a_state_at_the_pole_of_the_linear_system_starts_one_with_a_spring() -> 
     spring = forward.predict(rig(1e6), again)
     assert np.isfinite(spring.values).all()
     assert spring.values == pytest.approx(forward.predict(rig(1e6)).values, rel=1e-7)
+
+
+def test_segments_of_the_largest_amplitudes_are_half_as_long() -> None:
+    """There contacts begin and end; everywhere else equal steps of ln A suffice."""
+    samples = linear(2000.0, 6.0)
+    (ridge, *_) = ridges(samples - samples.mean(), 2000.0, Quantity.VELOCITY)
+    found = nodes(slow_amplitude(samples, 2000.0, ridge, 1), 12, 1)
+    log = np.log([node.amplitude for node in found])
+    apart = -np.diff(log)
+    large = log[:-1] > log[0] - 0.7
+    assert large.sum() >= 2
+    assert np.mean(apart[~large]) == pytest.approx(2.0 * np.mean(apart[large]), rel=0.35)
+    assert max(node.omega_std / node.omega for node in found) < 1e-3

@@ -64,6 +64,22 @@ def test_a_table_scatters_about_its_neighbours() -> None:
     assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(5e-3, rel=0.15)
 
 
+def test_a_noise_that_was_only_estimated_follows_what_is_left() -> None:
+    """The same scatter, 1.3 times the noise: too little to doubt what is stated, enough to correct an estimate."""
+    plain = backbone(1.0)
+    rows = Rows(*(np.resize(getattr(plain.rows, name), 24) for name in Rows.__dataclass_fields__))
+    rows = replace(rows, amplitude=np.geomspace(1e-5, 1e-3, 24), level=np.arange(24))
+    raised: dict[float, list[float]] = {}
+    for degrees in (math.inf, 7.0):
+        test = replace(plain.tests[0], noise_degrees=degrees)
+        observations = Observations((test,), rows, np.zeros(24), np.full(24, 5e-3), np.zeros(24))
+        for seed in range(40):
+            scatter = 6.5e-3 * np.random.default_rng(seed).standard_normal(24)
+            raised.setdefault(degrees, []).append(float(np.max(scatter_floor(observations, scatter))))
+    assert np.count_nonzero(raised[math.inf]) < 4
+    assert math.hypot(5e-3, math.sqrt(np.mean(np.square(raised[7.0])))) == pytest.approx(6.5e-3, rel=0.05)
+
+
 def test_the_own_simulator_has_none(observations: Observations) -> None:
     difference = np.random.default_rng(6).standard_normal(len(observations.rows))
     assert not scatter_floor(replace(observations, chains=()), difference).any()

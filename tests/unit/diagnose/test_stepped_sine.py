@@ -249,6 +249,36 @@ def rig_from(text: str, folder: Path) -> Rig:
     return load_rig(path)
 
 
+def test_noise_turns_the_phase_of_a_strong_nonlinearity_by_more_than_its_first_order() -> None:
+    """1.5 % of the amplitude moves the resonance by its half width: what is left of the true rig is noise all the same.
+
+    The measured responses are integrated; the model is the rig itself.
+    """
+    force, noise = 70.0, 0.015
+    hz = np.linspace(58.0, 76.0, 13)
+    exact, start = [], 0.004 + 0.0j
+    for f in hz:
+        exact.append(integrated(float(f), force, start))
+        start = exact[-1] * force
+    size = force * np.abs(exact)
+    assert np.max(1.5 * CUBIC * size**2 * noise) > DAMPER * 2.0 * math.pi * hz[-1]
+    rig = oscillator(CUBIC)
+
+    def left(seed: int, moves: bool) -> float:
+        generator = np.random.default_rng(seed)
+        scatter = noise * (generator.standard_normal(hz.size) + 1j * generator.standard_normal(hz.size))
+        test = replace(swept(hz, force, np.array(exact) * (1.0 + scatter)), noise=np.full(hz.size, noise))
+        own = observations_of([test], noise)
+        for _ in range(6):
+            tests = traced(own.tests, Forward(own.tests, own.rows).predict(rig))
+            own = replace(own, tests=tests if moves else tuple(replace(each, moved=None) for each in tests))
+        rest = (own.values - Forward(own.tests, own.rows).predict(rig).values) / noise
+        return float(np.mean(rest**2))
+
+    assert np.mean([left(seed, True) for seed in range(20)]) == pytest.approx(1.0, abs=0.2)
+    assert np.mean([left(seed, False) for seed in range(20)]) > 3.0
+
+
 def test_a_column_of_levels_makes_a_test_for_each(tmp_path: Path) -> None:
     hz = np.linspace(46.0, 58.0, 61)
     text = f"{HEAD},level\n" + "".join(lines_of(hz, upper(hz, f), f",{1000 * f!r}") for f in (0.5, 2.0, 5.0))

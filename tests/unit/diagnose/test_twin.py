@@ -501,7 +501,7 @@ def test_every_candidate_gives_a_rig_that_the_plant_accepts():
         test, _ = locked(rig, [level(0.5, first_mode(rig))], response)
         found = candidates(rig, operating_range(rig, [test]))
         assert {c.effect.name for c in found} <= {effect.name for effect in library()}
-        assert len({c.label for c in found}) == len(found)
+        assert len({c.cause for c in found}) == len(found)
         for own in found:
             parametrisation = Parametrisation(rig, (), (own,))
             assert parametrisation.rig(parametrisation.zero) is rig, own.label

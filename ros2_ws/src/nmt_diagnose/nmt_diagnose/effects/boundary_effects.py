@@ -84,19 +84,49 @@ def _contact_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     )
 
 
-def _with_friction(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+def _has_friction(rig: Rig) -> bool:
+    return any(isinstance(element, _FRICTION_SECTIONS) for element in rig.local_elements)
+
+
+def _attached(site: Site) -> dict[str, Any]:
+    """Keys of an element that say where it sits."""
     settings: dict[str, Any] = {"point": site.point}
     if site.other_point:
         settings["other_point"] = site.other_point
     if site.option == "rotation":
         settings["rotation"] = True
+    return settings
+
+
+def _taken(rig: Rig, site: Site, stiffness: float) -> Rig:
+    """The rig with so much less stiffness at a site, N/m or N m/rad."""
+    spring = LinearSpringSection.model_construct(kind="linear_spring", stiffness_n_m=-stiffness, **_attached(site))
+    return with_element(rig, spring)
+
+
+def _with_friction(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     element = JenkinsSection.model_construct(
         kind="jenkins",
         tangential_stiffness_n_m=values["kt"],
         slip_force_n=values["kt"] * values["slip_displacement"],
-        **settings,
+        **_attached(site),
     )
     return with_element(rig, element)
+
+
+def _stuck_contact_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    """Where a contact may slip that the model, which has no friction, takes for a spring."""
+    return () if _has_friction(rig) else _contact_sites(rig, operating)
+
+
+def _stuck_clamp_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    """The same for the clamp of a beam."""
+    return () if _has_friction(rig) else _clamp_friction_sites(rig, operating)
+
+
+def _with_stuck_friction(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    """The contact carries a part of the stiffness that the model has: while it sticks, nothing changes."""
+    return _taken(_with_friction(rig, site, values), site, values["kt"])
 
 
 def _friction_report(site: Site, values: Mapping[str, float]) -> Reported:
@@ -111,7 +141,7 @@ def joint_placement(element: ElementSection, nameless: str) -> Placement:
 
 def _new_joint_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     """Where micro-slip may be in a model that has no friction: any contact, and the clamp of a beam."""
-    if any(isinstance(element, _FRICTION_SECTIONS) for element in rig.local_elements):
+    if _has_friction(rig):
         return ()
     contacts = (*_contact_sites(rig, operating), *_clamp_friction_sites(rig, operating))
     return tuple(replace(site, scales={**site.scales, "power": 1.0}) for site in contacts)
@@ -119,23 +149,16 @@ def _new_joint_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
 
 def _with_new_joint(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     """The joint carries a part of the stiffness that the model has: while it sticks, nothing changes."""
-    settings: dict[str, Any] = {"point": site.point}
-    if site.other_point:
-        settings["other_point"] = site.other_point
-    if site.option == "rotation":
-        settings["rotation"] = True
-    power = values["power"]
     joint = IwanSection.model_construct(
         kind="iwan",
         tangential_stiffness_n_m=values["kt"],
         slip_force_n=_joint_slip_force(values),
-        exponent=power - 1.0,
+        exponent=values["power"] - 1.0,
         sliders=_NEW_JOINT_SLIDERS,
         partition="ratio",
-        **settings,
+        **_attached(site),
     )
-    taken = LinearSpringSection.model_construct(kind="linear_spring", stiffness_n_m=-values["kt"], **settings)
-    return with_element(with_element(rig, joint), taken)
+    return _taken(with_element(rig, joint), site, values["kt"])
 
 
 def _joint_slip_force(values: Mapping[str, float]) -> float:
@@ -204,6 +227,18 @@ BOUNDARY_EFFECTS: tuple[Effect, ...] = (
         change=_with_friction,
         report=_friction_report,
     ),
+    Effect(
+        name="clamp_friction",
+        place="boundary",
+        equation="the same element, of stiffness kt that it takes from the model's; for a model without friction",
+        reference="Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893",
+        keys="local_elements: jenkins at point 1, linear_spring of −kt",
+        parameters=FRICTION,
+        sites=_stuck_clamp_sites,
+        change=_with_stuck_friction,
+        report=_friction_report,
+        form="stuck in the model",
+    ),
 )  # fmt: skip
 
 JOINT_EFFECTS: tuple[Effect, ...] = (
@@ -247,5 +282,18 @@ JOINT_EFFECTS: tuple[Effect, ...] = (
         sites=_contact_sites,
         change=_with_friction,
         report=_friction_report,
+    ),
+    Effect(
+        name="second_friction_contact",
+        place="joint",
+        equation="a Jenkins element of stiffness kt that it takes from the model's, slip_force = kt slip_displacement; "
+        "for a model without friction",
+        reference="Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893",
+        keys="local_elements: jenkins, linear_spring of −kt",
+        parameters=FRICTION,
+        sites=_stuck_contact_sites,
+        change=_with_stuck_friction,
+        report=_friction_report,
+        form="stuck in the model",
     ),
 )

@@ -77,6 +77,7 @@ class Effect:
         change: (rig, site, values by name) -> rig with the effect; called only with some strength not 0.
         report: values -> physical parameters as they are reported; the values themselves when None.
         equivalents: effects that look alike, and the test that distinguishes them.
+        form: which of several forms of one name it is; empty where they never compete.
         force: what it adds is a smooth nonlinear force that stores energy, or one that takes it; empty for others.
     """
 
@@ -90,6 +91,7 @@ class Effect:
     change: Callable[[Rig, Site, Mapping[str, float]], Rig] = field(repr=False)
     report: Callable[[Site, Mapping[str, float]], Reported] | None = field(default=None, repr=False)
     equivalents: Mapping[str, str] = field(default_factory=dict)
+    form: str = ""
     force: Literal["", "elastic", "dissipative"] = ""
 
     def __reduce__(self) -> str | tuple[Any, ...]:
@@ -125,7 +127,7 @@ class Candidate:
     @property
     def cause(self) -> Cause:
         """What it is in an explanation."""
-        return Cause(self.effect.name, self.site.placement)
+        return Cause(self.effect.name, self.site.placement, self.effect.form)
 
     @property
     def label(self) -> str:

@@ -65,10 +65,16 @@ class Cause:
     Attributes:
         effect: name of the effect.
         placement: where it acts.
+        form: which of several forms of the effect; empty where there is one. No part of its label.
     """
 
     effect: str
     placement: Placement
+    form: str = ""
+
+    def same_but_for_form(self, other: Cause) -> bool:
+        """Whether both are one effect at one place."""
+        return (self.effect, self.placement) == (other.effect, other.placement)
 
     @property
     def label(self) -> str:

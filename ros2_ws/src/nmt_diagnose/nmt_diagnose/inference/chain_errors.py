@@ -64,12 +64,18 @@ def with_shared(problem: Problem, columns: FloatArray) -> Problem:
 
 
 def chain_errors(
-    problem: Problem, rig: Rig, prediction: Prediction, scatter: FloatArray | None = None, drift: float = 0.0
+    problem: Problem,
+    rig: Rig,
+    prediction: Prediction,
+    scatter: FloatArray | None = None,
+    drift: float = 0.0,
+    known: FloatArray | None = None,
 ) -> tuple[Problem, FloatArray]:
     """The problem with the floors of its measuring chains and scatter, and the errors of the chains, shape (m, r).
 
     Arguments as for :func:`with_chain_errors`; ``drift`` is the relative standard deviation of the resonance from sweep
-    to sweep, see sweep_drift.py. Where there are chains, the first column is the error of the clock.
+    to sweep, see sweep_drift.py. Where there are chains, the first column is the error of the clock. Errors that are
+    ``known`` are not found anew.
     """
     observations = problem.observations
     chains = _chains(observations)
@@ -84,6 +90,8 @@ def chain_errors(
     if scatter is not None:
         floor = np.hypot(floor, scatter)
     problem = replace(problem, observations=replace(observations, floor=floor))
+    if known is not None:
+        return problem, known
     columns = np.nan_to_num(builder.columns(prediction), posinf=0.0, neginf=0.0)
     if scatter is not None:
         columns = np.hstack([columns, builder.between_tests(scatter)])

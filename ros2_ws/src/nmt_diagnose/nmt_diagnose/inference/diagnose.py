@@ -332,11 +332,13 @@ class _Diagnoser:
         given = verdict is Verdict.CALIBRATION or (verdict is Verdict.UNKNOWN and strained)
         whole = held.closed(best.explanation, as_given if given else None)
         rows, start, after = held.pooled(null, best, as_given if given else None)
-        # Without a split that tells the explanation, by the fits themselves.
-        judged = math.isfinite(whole.before)
+        before, left = whole.before, whole.after
+        if not math.isfinite(before):  # no split tells the explanation: by the fits themselves
+            start, after = self._left(null.fit), self._left(best.fit)
+            before, left = rms(start[rows]), rms(after[rows])
         gap = Gap(
-            whole.before if judged else rms(self._left(null.fit)[rows]),
-            whole.after if judged else rms(self._left(best.fit)[rows]),
+            before,
+            left,
             whole.floor,
             rms(as_given[rows] / held.scale(rows)),
             whole.value,

@@ -13,7 +13,7 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.problem import BoolArray, Problem
 from nmt_diagnose.twin.forward import Prediction
 
-_STEPS = 25
+STEPS = 25
 _TRIALS = 10
 # Falls of χ² over what a degree of freedom has left, since that is the noise of a model that does not fit.
 _SMALL = 0.02  # not worth a step
@@ -126,9 +126,9 @@ def fit(
     used: BoolArray | None = None,
     start: Prediction | None = None,
     jacobian: FloatArray | None = None,
-    steps: int = _STEPS,
+    steps: int = STEPS,
     exact: bool = True,
-    refreshes: int = _STEPS,
+    refreshes: int = STEPS,
     known: FloatArray | None = None,
     only: bool = False,
 ) -> Fit:

@@ -85,7 +85,9 @@ class Judgement:
     @property
     def by_label(self) -> dict[str, float]:
         """Probability by hypothesis, as ``diagnosis.json`` has it."""
-        named = {explanation.label: p for explanation, p in self.named.items()}
+        named: dict[str, float] = {}
+        for explanation, p in self.named.items():  # forms of one effect share a label
+            named[explanation.label] = named.get(explanation.label, 0.0) + p
         return {NULL: self.none, UNKNOWN: self.unknown, **named, OTHER: self.other}
 
 

@@ -27,7 +27,7 @@ from nmt_diagnose.inference.candidate_starts import (
     strength_parameter,
     strength_position,
 )
-from nmt_diagnose.inference.fit import Fit, FitError, fit
+from nmt_diagnose.inference.fit import STEPS, Fit, FitError, fit
 from nmt_diagnose.inference.fitted_model import (
     FittedModel,
     best_by_effect,
@@ -39,14 +39,12 @@ from nmt_diagnose.inference.fitted_model import (
     wider_spread,
     without_member,
 )
-from nmt_diagnose.inference.late_starts import DELAYS, late_starts
+from nmt_diagnose.inference.level_climb import climbed
 from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
 from nmt_diagnose.inference.problem import BoolArray, Problem
 from nmt_diagnose.inference.progress import Told
-from nmt_diagnose.inference.resonance_starts import resonance_starts
 from nmt_diagnose.inference.scan import Direction, Score, scores
 from nmt_diagnose.inference.workers import Workers
-from nmt_diagnose.observations.conditions import PhaseResonanceTest
 from nmt_rig.rig import Rig
 
 # Sensitivities of a first fit of a candidate; those that come near the best are fitted to the end.
@@ -61,17 +59,13 @@ _BEYOND = 3.0
 _LEAVES, _RESHAPED = 1.5, 2
 _AT_ONCE = 2  # other shapes
 _RESTARTED = 2  # explanations, the best ones
-_LOWEST = 0.25  # of the levels, which are nearly linear
-# Shares of the levels that a doubted fit is led over.
-_CLIMB = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.0)
-# Explanations that begin where natural frequencies suit the responses' peaks.
-_FROM_RESONANCES = 6
-# Late channels that begin where phases tell it.
-_FROM_DELAYS = 3
 # Known explanations that go on under other noise; share of what the best of them explains that a scan has to promise.
 _CARRIED, _ENOUGH = 3, 0.5
 # Standard deviations by which a strength of one scale has to show to first order.
 _SHOWN = 1.0
+# Rms of what one explanation leaves, over that of the best, from which its refits need not reach an optimum, and the
+# steps that they make.
+_BEHIND, _HOPELESS_STEPS = 4.0, 4
 # Candidates whose directions are found in one piece of work.
 _TOGETHER = 16
 
@@ -156,12 +150,13 @@ class ModelComparison:
         """What another process needs to fit; it asks nobody for help and reports no progress."""
         return {**self.__dict__, "_progress": _silent, "_plain_directions": [], "workers": None}
 
-    def null(self, used: BoolArray | None = None, start: Fit | None = None) -> FittedModel:
+    def null(self, used: BoolArray | None = None, start: Fit | None = None, climbs: bool = True) -> FittedModel:
         """The model with its own parameters re-fitted.
 
         Args:
             used: rows, shape (m,); None = those of the comparison.
             start: a fit of it to nearly the same; None = the model as given.
+            climbs: whether a fit from there that ends where nobody believes it climbs over the levels.
 
         Raises:
             FitError: the model as given has no solution for any observable.
@@ -173,74 +168,26 @@ class ModelComparison:
         else:
             near = self.problem.forward.predict(parametrisation.rig(start.theta), start.prediction)
             best = fit(self.problem, parametrisation, start.theta, rows, near)
-        if is_incredible(best):
+        if climbs and start is None and is_incredible(best):
             with suppress(FitError):
-                climbed = self._climbed(parametrisation, rows, parametrisation.zero)
-                best = max(best, climbed, key=lambda found: found.log_evidence)
+                again = climbed(self.problem, parametrisation, rows, parametrisation.zero)
+                best = max(best, again, key=lambda found: found.log_evidence)
         return FittedModel((), best)
 
-    def from_below(self, null: FittedModel) -> list[FittedModel]:
-        """Explanations by one effect, added to the model as the lowest levels show it; none where that says nothing.
+    def started(self, wanted: Sequence[tuple[int, FloatArray]]) -> list[FittedModel]:
+        """Candidates of given numbers alone, fitted from all parameters, shape (n,); those without fit are left out."""
+        return [found for found in self.workers.map(_started, self, wanted) if found is not None]
 
-        Where the real structure is far from any linear one, the model without effect that is fitted to all levels has
-        parameters that mean nothing, and so have directions about it. The lowest levels are nearly linear.
-        """
-        if not is_incredible(null.fit):
-            return []
-        own, (levelled, rank), used = null.fit.parametrisation, self._ranks(), null.fit.used
-        lowest = used & (~levelled | (rank < _LOWEST))
-        if not np.any(lowest & levelled):
-            return self._from_resonances(null)
+    def _started(self, number: int, theta: FloatArray) -> FittedModel | None:
+        candidate = self.candidates[number]
+        parametrisation = Parametrisation(self.rig, self.calibration, (candidate,))
         try:
-            below = fit(self.problem, own, own.zero, lowest)
-            if is_incredible(below):
-                return []
-            base = FittedModel((), fit(self.problem, own, below.theta, used, below.prediction, steps=0))
-        except FitError:
-            return []
-        return self.singles(base, self.scan(base))
+            found = fit(self.problem, parametrisation, theta, self.rows, exact=False, refreshes=2 * _REFRESHES)
+            return FittedModel((candidate,), self._widened(found, self.rows))
+        except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+            return None  # no rig, or no solution, at the start
 
-    def _from_resonances(self, null: FittedModel) -> list[FittedModel]:
-        """Explanations by one effect, from where it brings natural frequencies to where responses peak; best first."""
-        own = null.fit.parametrisation
-        alone = [Parametrisation(self.rig, self.calibration, (candidate,)) for candidate in self.candidates]
-        first = [starts_of(candidate)[0] for candidate in self.candidates]
-
-        def changed(number: int, strength: float) -> Rig:
-            start = at_strength(self.candidates[number], first[number], strength)
-            return alone[number].rig(np.concatenate([own.zero, start]))
-
-        spreads = [
-            (float(each.prior_std[own.zero.size + strength_position(candidate)]), strength_parameter(candidate).signed)
-            for each, candidate in zip(alone, self.candidates, strict=True)
-        ]
-        starts = resonance_starts(self.problem.observations, self.rig, spreads, changed, _FROM_RESONANCES)
-        if not starts:
-            return []
-        try:
-            base = FittedModel((), fit(self.problem, own, own.zero, null.fit.used, steps=0))
-        except FitError:
-            return []
-        return self._added_at(base, starts)
-
-    def from_delays(self, null: FittedModel) -> list[FittedModel]:
-        """Explanations by late channels, added to the model as given where their phases tell it; best first."""
-        if not is_incredible(null.fit):
-            return []
-        late = [k for k, candidate in enumerate(self.candidates) if candidate.effect.name in DELAYS]
-        own = null.fit.parametrisation
-        try:
-            base = FittedModel((), fit(self.problem, own, own.zero, null.fit.used, steps=0))
-        except FitError:
-            return []
-        with_all = Parametrisation(self.rig, self.calibration, tuple(self.candidates[k] for k in late))
-        columns = range(own.zero.size, own.zero.size + len(late))
-        slopes = self.problem.forward.jacobian(with_all, with_all.zero, base.fit.prediction, columns)
-        difference = self.problem.difference(base.fit.prediction.values)
-        starts = late_starts(self.problem.observations, difference, list(slopes.T), _FROM_DELAYS)
-        return self._added_at(base, [(late[number], strength) for number, strength in starts])
-
-    def _added_at(self, base: FittedModel, starts: Sequence[tuple[int, float]]) -> list[FittedModel]:
+    def added_at(self, base: FittedModel, starts: Sequence[tuple[int, float]]) -> list[FittedModel]:
         """Candidates of given numbers, each fitted from a strength on top of a model; best first."""
         wanted = []
         for number, strength in starts:
@@ -250,34 +197,6 @@ class ModelComparison:
             wanted.append((base, Score(direction, strength, 0.0, 0.0, 0.0)))
         added = [found for found in self._all_added(wanted) if found is not None]
         return sorted(added, key=lambda found: -found.fit.log_evidence)
-
-    def _ranks(self) -> tuple[BoolArray, FloatArray]:
-        """Rows of levels of locked tests, and which share of their test's levels is lower, (m,) each."""
-        observations = self.problem.observations
-        levelled = np.zeros(self.problem.size, dtype=bool)
-        rank = np.zeros(self.problem.size)
-        for number, test in enumerate(observations.tests):
-            if isinstance(test, PhaseResonanceTest):
-                mine = observations.rows.test == number
-                levelled |= mine
-                amplitudes = np.unique(observations.rows.amplitude[mine])
-                rank[mine] = np.searchsorted(amplitudes, observations.rows.amplitude[mine]) / max(1, amplitudes.size)
-        return levelled, rank
-
-    def _climbed(self, parametrisation: Parametrisation, used: BoolArray | None, theta: FloatArray) -> Fit:
-        """The model fitted to linear tests first, then to more and more levels from below.
-
-        Far from the real parameters a nonlinear level has valleys of its own; from the levels below it is near.
-        """
-        levelled, rank = self._ranks()
-        wanted = np.ones(self.problem.size, dtype=bool) if used is None else used
-        before = np.zeros_like(wanted)
-        for share in _CLIMB[:-1]:
-            rows = wanted & (~levelled | (rank < share))
-            if np.any(rows != before) and np.any(rows != wanted):
-                before = rows
-                theta = fit(self.problem, parametrisation, theta, rows, only=True).theta
-        return fit(self.problem, parametrisation, theta, wanted)
 
     def _used(self, rows: BoolArray | None) -> BoolArray | None:
         return self.rows if rows is None else rows
@@ -306,8 +225,7 @@ class ModelComparison:
         A weak effect bends the directions of the others so little that those of the model without effect serve again.
         """
         if base.candidates and self._plain_directions and base.sigmas < self.settings.weak:
-            taken = set(base.explanation.causes)
-            kept = [d for d in self._plain_directions if self.candidates[d.candidate].cause not in taken]
+            kept = [d for d in self._plain_directions if not _has(base, self.candidates[d.candidate])]
             return scores(base.fit, kept, len(self.calibration))
         found = self.directions(base)
         if not base.candidates:
@@ -317,8 +235,7 @@ class ModelComparison:
 
     def directions(self, base: FittedModel) -> list[Direction]:
         """Directions of all candidates that the fitted model does not have yet."""
-        taken = set(base.explanation.causes)
-        numbers = [k for k, candidate in enumerate(self.candidates) if candidate.cause not in taken]
+        numbers = [k for k, candidate in enumerate(self.candidates) if not _has(base, candidate)]
         starts = {k: starts_of(self.candidates[k]) for k in numbers}
         pieces: list[tuple[list[int], list[FloatArray]]] = []
         for turn in range(max((len(values) for values in starts.values()), default=0)):
@@ -481,7 +398,7 @@ class ModelComparison:
         start = np.where(np.arange(best.theta.size) < len(own.calibration), 0.0, best.theta)
         for climbs in (False, True):
             try:
-                near = self._climbed(own, rows, start) if climbs else fit(self.problem, own, start, rows)
+                near = climbed(self.problem, own, rows, start) if climbs else fit(self.problem, own, start, rows)
                 found = self._finished(near)
             except FitError:
                 continue
@@ -491,25 +408,34 @@ class ModelComparison:
                 best = found
         return best
 
-    def refit(self, fitted_model: FittedModel, used: BoolArray) -> FittedModel | None:
-        """The same explanation fitted to other rows; None where that fails."""
+    def refit(self, fitted_model: FittedModel, used: BoolArray, hopeless: bool = False) -> FittedModel | None:
+        """The same explanation fitted to other rows; None where that fails.
+
+        Args:
+            fitted_model: the explanation.
+            used: the rows, shape (m,).
+            hopeless: it is so far behind that no optimum among these rows would help it.
+        """
         start = fitted_model.fit
         try:
             result = fit(
                 self.problem, start.parametrisation, start.theta, used, start.prediction, start.jacobian,
-                exact=False, refreshes=_REFRESHES, known=self._sensitivities(start),
+                steps=_HOPELESS_STEPS if hopeless else STEPS, exact=False, refreshes=_REFRESHES,
+                known=self._sensitivities(start),
             )  # fmt: skip
         except FitError:
             return None
         # One that has not reached its optimum with all rows need not reach that of some of them.
-        rounds = self.settings.rounds if start.converged else 1
+        rounds = 0 if hopeless else self.settings.rounds if start.converged else 1
         if not result.converged:
             result = self._finished(result, rounds)
         return FittedModel(fitted_model.candidates, result, fitted_model.score)
 
     def all_refits(self, wanted: Sequence[tuple[FittedModel, BoolArray]]) -> list[FittedModel | None]:
         """``refit`` of several explanations to rows of their own."""
-        return self.workers.map(_refitted, self, wanted, weight=_labour)
+        least = min((rms_left(own) for own, _ in wanted), default=0.0)
+        items = [(own, used, bool(own.candidates) and rms_left(own) > _BEHIND * least) for own, used in wanted]
+        return self.workers.map(_refitted, self, items, weight=_labour)
 
     def singles(
         self, base: FittedModel, found: Sequence[Score], known: Sequence[FittedModel] = ()
@@ -522,7 +448,7 @@ class ModelComparison:
             known: fits of candidates to the same rows under other noise or from elsewhere; the best go on from there.
         """
         settings = self.settings
-        chosen: dict[str, list[Score]] = {}
+        chosen: dict[tuple[str, str], list[Score]] = {}
         best = found[0].gain if found else 0.0
         going = self._going_on(known)
         # What is known to explain the gap leaves no room for what explains a small part of it.
@@ -531,12 +457,14 @@ class ModelComparison:
         for score in found:
             if score.gain < least:
                 break
-            name = self.candidates[score.direction.candidate].effect.name
-            if name not in chosen and len(chosen) == settings.finalists:
+            effect = self.candidates[score.direction.candidate].effect
+            names = {name for name, _ in chosen}
+            if effect.name not in names and len(names) == settings.finalists:
                 continue
-            if len(chosen.setdefault(name, [])) < settings.placements:
-                chosen[name].append(score)
-        every = [score for mine in chosen.values() for score in mine]
+            mine = chosen.setdefault((effect.name, effect.form), [])
+            if len(mine) < settings.placements:
+                mine.append(score)
+        every = [score for group in chosen.values() for score in group]
         added = [own for own in self._all_added([(base, score) for score in every]) if own is not None]
         return self._with_other_shapes(self._settled(united(added, going)))
 
@@ -788,6 +716,11 @@ class ModelComparison:
         return self._settled(united(result, going))
 
 
+def _has(fitted_model: FittedModel, candidate: Candidate) -> bool:
+    """Whether an explanation has the effect of a candidate at its place, in whatever form."""
+    return any(cause.same_but_for_form(candidate.cause) for cause in fitted_model.explanation.causes)
+
+
 def _member(fitted_model: FittedModel, member: int) -> tuple[Candidate, float]:
     """One effect of an explanation, and the spread of its strength."""
     return fitted_model.candidates[member], fitted_model.fit.parametrisation.spread(member)
@@ -820,6 +753,10 @@ def _approached_together(
     return comparison._together(*item)
 
 
+def _started(comparison: ModelComparison, item: tuple[int, FloatArray]) -> FittedModel | None:
+    return comparison._started(*item)
+
+
 def _continued(comparison: ModelComparison, fitted_model: FittedModel) -> FittedModel | None:
     return comparison._gone_on(fitted_model)
 
@@ -836,13 +773,13 @@ def _reshaped(comparison: ModelComparison, item: tuple[FittedModel, FloatArray])
     return comparison._from_shape(*item)
 
 
-def _refitted(comparison: ModelComparison, item: tuple[FittedModel, BoolArray]) -> FittedModel | None:
+def _refitted(comparison: ModelComparison, item: tuple[FittedModel, BoolArray, bool]) -> FittedModel | None:
     return comparison.refit(*item)
 
 
-def _labour(item: tuple[FittedModel, BoolArray]) -> float:
+def _labour(item: tuple[FittedModel, BoolArray, bool]) -> float:
     """How much work a refit is likely to be: those that have not reached an optimum go on longest."""
-    fitted_model, used = item
+    fitted_model, used, _ = item
     return fitted_model.fit.theta.size * float(used.sum()) * (1.0 if fitted_model.fit.converged else 10.0)
 
 

@@ -6,16 +6,18 @@ would leave its trace; Holm's method combines them.
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from scipy.stats import chi2, norm
+from scipy.stats import f as fisher
 
 from nmt_core.blocks import FloatArray
 from nmt_diagnose.inference.problem import BoolArray
 from nmt_diagnose.inference.residual_map import channel_name
-from nmt_diagnose.observations.conditions import PhaseResonanceTest
+from nmt_diagnose.observations.conditions import PhaseResonanceTest, Test
 from nmt_diagnose.observations.observables import Observations
 
 _LEAST_LEVELS = 5
@@ -61,7 +63,7 @@ def residual_tests(observations: Observations, residual: FloatArray, used: BoolA
         if not mine.any():
             continue
         squares = float(residual[mine] @ residual[mine])
-        found.append(_chi_square("size of the residual", test.name, squares, int(mine.sum())))
+        found.append(_size(test, squares, int(mine.sum())))
         if isinstance(test, PhaseResonanceTest):
             found.extend(_over_level(observations, residual, mine, number))
             found.extend(_parity(observations, residual, mine, test.name))
@@ -83,6 +85,14 @@ def holm(tests: list[ResidualTest]) -> tuple[ResidualTest, ...]:
 
 def _chi_square(name: str, where: str, statistic: float, degrees_of_freedom: int) -> ResidualTest:
     return ResidualTest(name, where, statistic, degrees_of_freedom, float(chi2.sf(statistic, degrees_of_freedom)))
+
+
+def _size(test: Test, squares: float, count: int) -> ResidualTest:
+    """χ² of all rows of a test; where their noise is an estimate, over its degrees of freedom by Fisher's F."""
+    name, degrees = "size of the residual", getattr(test, "noise_degrees", math.inf)
+    if math.isinf(degrees):
+        return _chi_square(name, test.name, squares, count)
+    return ResidualTest(name, test.name, squares, count, float(fisher.sf(squares / count, count, degrees)))
 
 
 def _over_level(observations: Observations, residual: FloatArray, mine: BoolArray, number: int) -> list[ResidualTest]:

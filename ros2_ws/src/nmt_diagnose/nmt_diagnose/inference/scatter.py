@@ -16,6 +16,7 @@ from nmt_core.blocks import FloatArray
 from nmt_diagnose.observations.conditions import BackboneTable, PhaseResonanceTest, SteppedSineTest
 from nmt_diagnose.observations.neighbour_cubics import neighbour_cubics
 from nmt_diagnose.observations.observables import IntArray, Observations, Part
+from nmt_diagnose.observations.stepped_table_observations import MEDIAN_STD
 
 _FEWEST_LEVELS = 4
 _FEWEST_FREE = 3
@@ -35,9 +36,7 @@ _LARGEST = {
 _LARGEST_OF_TABLES = {Part.LOG_FREQUENCY: 0.02, Part.DAMPING: 0.3}
 _LARGEST_OF_LINES = 0.02
 _FEWEST_LINES = 12
-# Standard deviation of a scatter of n lines that is known by its median about four neighbours: this over the root of n,
-# relative (by simulation of normal noise, 15 to 200 lines); how many of them count.
-_MEDIAN_STD, _TIMES = 1.7, 4.0
+_TIMES = 4.0  # standard deviations of an estimated scatter that count
 
 
 def scatter_floor(observations: Observations, difference: FloatArray) -> FloatArray:
@@ -57,7 +56,8 @@ def scatter_floor(observations: Observations, difference: FloatArray) -> FloatAr
                 if not which.size:
                     continue
                 size = 1.0 if part is Part.LOG_FREQUENCY else float(np.median(np.abs(observations.values[which])))
-                result[which] = min(_about_neighbours(observations, difference, which), largest * size)
+                chance = _BY_CHANCE if math.isinf(test.noise_degrees) else 1.0
+                result[which] = min(_about_neighbours(observations, difference, which, chance), largest * size)
         if not (
             isinstance(test, PhaseResonanceTest) and number < len(observations.chains) and observations.chains[number]
         ):
@@ -105,7 +105,7 @@ def _of_lines(observations: Observations, difference: FloatArray) -> FloatArray:
         if not beside.size:
             continue
         ratio = float(np.median(np.abs(beside))) / _MEDIAN
-        if ratio > 1.0 + _TIMES * _MEDIAN_STD / math.sqrt(beside.size):
+        if ratio > 1.0 + _TIMES * MEDIAN_STD / math.sqrt(beside.size):
             mine = np.isin(rows.test, numbers) & np.isin(rows.part, (Part.LOG_MAGNITUDE, Part.PHASE))
             size = math.sqrt(ratio**2 - 1.0) * float(np.median(observations.sigma[mine]))
             result[mine] = min(size, _LARGEST_OF_LINES)
@@ -120,10 +120,11 @@ def _beside_cubics(frequency: FloatArray, values: FloatArray, sigma: FloatArray)
     return result
 
 
-def _about_neighbours(observations: Observations, difference: FloatArray, which: IntArray) -> float:
+def _about_neighbours(observations: Observations, difference: FloatArray, which: IntArray, chance: float) -> float:
     """Standard deviation beyond the stated one of a table's rows, each about the line through its two neighbours.
 
-    A smooth course bends by less between neighbours than scatter does, so what an effect leaves counts little.
+    A smooth course bends by less between neighbours than scatter does, so what an effect leaves counts little. It is
+    none where the noise as stated would give as much with a probability above ``chance``.
     """
     own = which[np.isfinite(difference[which])]
     own = own[np.argsort(observations.rows.amplitude[own], kind="stable")]
@@ -140,7 +141,7 @@ def _about_neighbours(observations: Observations, difference: FloatArray, which:
     squares, size, stated = squares[good], size[good], stated[good]
     # Neighbouring differences share values: about two of three are independent.
     free = 2.0 * squares.size / 3.0
-    if chi2.sf(free * float(np.mean(squares / stated)), free) > _BY_CHANCE:
+    if chi2.sf(free * float(np.mean(squares / stated)), free) > chance:
         return 0.0
     return float(np.sqrt(max(float(np.mean((squares - stated) / size)), 0.0)))
 

@@ -16,6 +16,7 @@ from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.inference.chain_errors import chain_errors, sweep_directions, with_chain_errors, with_shared
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.discrepancy import elsewhere, measured_elsewhere, smooth_errors
+from nmt_diagnose.inference.first_explanations import first_explanations
 from nmt_diagnose.inference.fit import Fit, FitError, fit
 from nmt_diagnose.inference.fitted_model import FittedModel, rms_left
 from nmt_diagnose.inference.held_images import (
@@ -50,7 +51,7 @@ _OF_OBSERVATIONS = ("forward", "given", "plain", "problem", "observations", "jud
 _GOOD = 1.5  # rms of residuals of a model that may tell whether images of a held drive are there
 _PHASES = 3  # most times that the phases of locked windows are corrected
 _NOISE = 1.05  # rms of residuals that may be noise
-_TRACED, _SETTLED = 3, 0.3  # most times that they are traced anew, and change in standard deviations that ends it
+_TRACED, _SETTLED = 12, 0.3  # most times that they are traced anew, and change in standard deviations that ends it
 _SECONDS = 6
 # Leading elastic or dissipative effects that are tried with all of the other kind.
 _PARTNERS = 1
@@ -143,8 +144,7 @@ class Search:
         # At other phases than they were told locked windows contradict a random test, with images or without.
         null = self._with_true_phases(self._with_detected_images(self._with_true_phases(null)))
         self.progress(f"scanning {len(self.candidates)} candidates")
-        known = [*self.comparison.from_delays(null), *self.comparison.from_below(null)]
-        known.sort(key=lambda found: -found.fit.log_evidence)
+        known = first_explanations(self.comparison, null)
         scan = self.comparison.scan(null)
         singles, pairs = self.comparison.singles(null, scan, known), list[FittedModel]()
         better = self.comparison.restarted(null, singles[:2])
@@ -189,17 +189,20 @@ class Search:
             return False
         self.progress("tracing errors of the measuring chain and of the best explanation")
         noisy, columns = self._trace(near, scatter, drift)
+        first, passed = near, [near.theta]
         for _ in range(_TRACED if self._amplitudes_measured else 0):
             # Near folds the noise of measured amplitudes depends much on the solution that it is propagated about.
             try:
-                after = fit(self.problem, near.parametrisation, near.theta, near.used, near.prediction)
+                near = fit(self.problem, near.parametrisation, near.theta, near.used, near.prediction)
             except FitError:
                 break
-            settled = float(np.max(np.abs(after.theta - near.theta) / after.std, initial=0.0)) < _SETTLED
-            near = after
-            if settled:
+            # It may also go in a circle.
+            if min(float(np.max(np.abs(near.theta - was) / near.std, initial=0.0)) for was in passed) < _SETTLED:
                 break
+            passed.append(near.theta)
             drift = self._drift(near, self.plain.difference(near.prediction.values))
+            self._trace(near, scatter, drift, columns)
+        if near is not first:
             noisy, columns = self._trace(near, scatter, drift)
         difference = self.plain.difference(near.prediction.values)
         smooth = np.zeros((len(self.observations.rows), 0))
@@ -226,7 +229,7 @@ class Search:
                 null = self._better_of(found, null)
             elif not last:
                 # The nearer the model is, the clearer they show it.
-                null = self._under(observations, null)
+                null = self._under(observations, null, near=True)
         return null
 
     def _better_of(self, found: ImageOptions, null: FittedModel) -> FittedModel:
@@ -236,13 +239,14 @@ class Search:
         """
         before, fits, states = self.plain.observations, [], []
         for option in found.options:
-            fits.append(self._with_better_moment(self._under(option, null)))
+            fits.append(self._with_better_moment(self._under_other(option, null)))
             states.append(self._state())
         best = int(np.argmax([own.fit.log_evidence for own in fits]))
         if not rms_left(fits[best]) < _GOOD:
             if not found.sure:
-                return self._under(before, null)
-            best = 0
+                return self._under(before, null, near=True)
+            self._return_to(states[0])
+            return self.comparison.polished(max(self.comparison.null(), fits[0], key=_evidence))
         self._return_to(states[best])
         return fits[best]
 
@@ -340,6 +344,16 @@ class Search:
         self.judged, self.comparison = self.problem, self._comparison()
         return self.comparison.polished(self.comparison.null(start=null.fit if near else None))
 
+    def _under_other(self, observations: Observations, null: FittedModel) -> FittedModel:
+        """The same from the parameters as given and from where the model stands, whichever is better.
+
+        Where neither is near, what is tried is not what is missing, and no climb over the levels is worth its time.
+        """
+        near = self._under(observations, null, near=True)
+        with suppress(FitError):
+            return max(near, self.comparison.null(climbs=False), key=_evidence)
+        return near
+
     @property
     def _amplitudes_measured(self) -> bool:
         """Whether noise is propagated by the solution: frequency responses at held amplitudes."""
@@ -356,12 +370,18 @@ class Search:
         observations = self.plain.observations
         return sweep_drift(observations, difference, sweep_directions(observations, rig, near.prediction))
 
-    def _trace(self, near: Fit, scatter: FloatArray, drift: float) -> tuple[Problem, FloatArray]:
-        """Noise of measured amplitudes and errors of the measuring chain as they act about a fit: see chain_errors."""
+    def _trace(
+        self, near: Fit, scatter: FloatArray, drift: float, known: FloatArray | None = None
+    ) -> tuple[Problem, FloatArray]:
+        """Noise of measured amplitudes and errors of the measuring chain as they act about a fit: see chain_errors.
+
+        What errors of the chain do changes little with the solution: where they are ``known`` about a similar fit, only
+        the noise is new.
+        """
         self.observations = self.plain.observations
         self.plain = self._plain(near.prediction, self.plain.offset)
         moved = near.parametrisation.rig(near.theta)
-        noisy, columns = chain_errors(self.plain, moved, near.prediction, scatter, drift)
+        noisy, columns = chain_errors(self.plain, moved, near.prediction, scatter, drift, known)
         self.problem = with_shared(noisy, columns)
         self.observations = self.problem.observations
         return noisy, columns
@@ -373,6 +393,10 @@ class Search:
         bare = replace(own, candidates=(), spreads=())
         without = self.forward.predict(bare.rig(theta), found.prediction)
         return np.asarray(self.forward.difference(found.prediction.values, without.values))
+
+
+def _evidence(found: FittedModel) -> float:
+    return found.fit.log_evidence
 
 
 def _affordable(settings: ComparisonSettings, observations: Observations) -> ComparisonSettings:

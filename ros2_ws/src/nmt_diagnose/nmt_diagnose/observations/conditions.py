@@ -155,7 +155,10 @@ class SteppedSineTest:
         direction: +1 while the frequency rose, −1 while it fell, 0 where it is not known.
         growth: ∂ ln R / ∂ ln s of the reference R over the first channel's amplitude s, by which an error of s counts,
             shape (lines,); None = 1, that of a linear rig.
+        moved: ln of the amplitude about which an error of s counts to first order, over the measured one, shape
+            (lines,); None = 0.
         scale: true over recorded amplitude of the first channel.
+        noise_degrees: degrees of freedom of the variance that the noise was estimated as; infinite where it is stated.
     """
 
     name: str
@@ -169,7 +172,9 @@ class SteppedSineTest:
     noise: FloatArray
     direction: int = 0
     growth: ComplexArray | None = None
+    moved: FloatArray | None = None
     scale: float = 1.0
+    noise_degrees: float = math.inf
 
     @property
     def amplitudes(self) -> FloatArray:
@@ -243,12 +248,15 @@ class BackboneTable:
         drive_point: measurement point of the exciter.
         channel: response channel of the amplitudes.
         amplitudes: shape (k,).
+        noise_degrees: degrees of freedom of the variance that the noise of frequencies was estimated as; infinite where
+            it is stated.
     """
 
     name: str
     drive_point: int
     channel: MeasuredChannel
     amplitudes: FloatArray
+    noise_degrees: float = math.inf
 
 
 Test = PhaseResonanceTest | RandomTest | SteppedSineTest | RingDownTest | RecordTest | BackboneTable

@@ -27,6 +27,7 @@ _PERIODS_PER_DEGREE = 2
 _SETTLING = (0, 1, 2, 3, 4, 6, 8, 10)  # periods that what rings beside the mode may take
 _UNSETTLED = 3.0
 _FAST = 2.0  # of ln A
+_LARGE = 1.0  # of ln A below the largest, within which segments are half as long
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ def _cut(slow: SlowAmplitude, first: int, stop: int, wanted: int) -> list[tuple[
     if unsettled and stop - first > unsettled + 2 * shortest:
         low = first + max(unsettled, shortest)
         found.append((first, low))
-    for mark in np.linspace(falling[low - first], falling[-1], wanted - len(found) + 1)[1:-1]:
+    for mark in _marks(float(falling[low - first]), float(falling[-1]), wanted - len(found)):
         high = first + int(np.searchsorted(-falling, -mark))
         if high - low >= shortest:
             found.append((low, high))
@@ -149,6 +150,16 @@ def _cut(slow: SlowAmplitude, first: int, stop: int, wanted: int) -> list[tuple[
     elif found:
         found[-1] = (found[-1][0], stop)
     return found
+
+
+def _marks(top: float, end: float, wanted: int) -> FloatArray:
+    """Values of ln A at which segments end, falling: equal steps, and steps of half of that where A is largest.
+
+    Contacts and slip show there alone, over few periods.
+    """
+    steps = np.linspace(top, end, wanted + 1)
+    halves = 0.5 * (steps[1:] + steps[:-1])
+    return np.sort(np.concatenate((steps[1:-1], halves[halves > top - _LARGE])))[::-1]
 
 
 def _unsettled(slow: SlowAmplitude, first: int, stop: int) -> int:

@@ -28,6 +28,7 @@ from nmt_diagnose.observations.random_observations import random_observations
 from nmt_diagnose.observations.record_observations import record_observations
 from nmt_diagnose.observations.ring_down_observations import ring_down_observations
 from nmt_diagnose.observations.row_table import empty
+from nmt_diagnose.observations.shared_scatter import with_shared_scatter
 from nmt_diagnose.observations.stepped_sine_observations import is_response, stepped_sine_observations
 from nmt_diagnose.observations.table_observations import table_observations
 from nmt_record.bag_reader import Bag
@@ -77,6 +78,7 @@ def read_observations(
     if not len(observations.rows):
         reasons = " ".join(observations.notes) or "No level was locked and no other test was made."
         raise BenchError(f"Nothing in {', '.join(map(str, bags))} can be used as observations. {reasons}")
+    observations = with_shared_scatter(observations)
     notes = [*observations.notes, *strangers(made)]
     if floor_bags:
         repeats = _read_all(floor_bags, model, settings, progress)

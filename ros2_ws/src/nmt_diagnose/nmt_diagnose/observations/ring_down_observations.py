@@ -28,7 +28,8 @@ from nmt_diagnose.observations.row_table import Place, RowTable, empty
 _SWITCH_OFF = 1  # periods within which the drive goes to zero
 _WRONG_FREQUENCY = 1.6
 _WIDTHS = (1, 2, 4)
-_NARROWER_PAYS = 0.5
+_NARROWER_PAYS = 0.5  # share of the uncertainty from which a narrower band is taken
+_COMPARED = 60  # amplitudes
 _LARGEST_STD = 0.03  # of ln ω
 _LARGEST_RATIO_STD = 0.1
 _WORST_DAMPING = 0.3  # relative uncertainty beyond which ln of amplitudes is no longer Gaussian
@@ -146,7 +147,7 @@ def _decay(
             continue
         decay = _Decay(slow, found, good, ridge, hum)
         # A narrower band lets less of other modes through, but makes less of a fast decay.
-        if best is None or _uncertainty(decay) < _NARROWER_PAYS * _uncertainty(best):
+        if best is None or _pays(decay, best, settings.floors.decay_log_frequency):
             best = decay
     if best is None:
         raise BenchError(reason)
@@ -165,10 +166,32 @@ def _bends(good: list[Node]) -> FloatArray:
     return slopes
 
 
-def _uncertainty(decay: _Decay) -> float:
-    """Typical relative uncertainty of the frequencies; that of a node that is left out is the largest allowed."""
-    values = [min(node.omega_std / node.omega, _LARGEST_STD) for node in decay.nodes if node.omega > 0.0]
-    return float(np.median(values))
+def _pays(narrower: _Decay, wider: _Decay, floor: float) -> bool:
+    """Whether a narrower band tells far more of the frequency over most of the amplitudes that either covers.
+
+    Fewer and longer segments are each more certain and say no more. What is known better than to the floor that
+    observables have, relative, tells nothing more either: else quiet small amplitudes outvote the large ones.
+    """
+    ends = [end for own in (narrower, wider) for node in own.good for end in _reach(own, node)]
+    grid = np.linspace(min(ends), max(ends), _COMPARED)
+    gain = _told(narrower, grid, floor) > _told(wider, grid, floor) / _NARROWER_PAYS**2
+    return float(np.mean(gain)) > 0.5
+
+
+def _reach(decay: _Decay, node: Node) -> tuple[float, float]:
+    """Smallest and largest ln of the amplitude in a node's segment."""
+    log = decay.slow.log[node.first : node.stop]
+    return float(log.min()), float(log.max())
+
+
+def _told(decay: _Decay, log: FloatArray, floor: float) -> FloatArray:
+    """What a decay tells of ln ω per unit of ln A, shape of ``log``; 0 where it has no segment."""
+    told = np.zeros(log.shape)
+    for node in decay.good:
+        low, high = _reach(decay, node)
+        inside = (log >= low) & (log <= high)
+        told[inside] = 1.0 / (math.hypot(node.omega_std / node.omega, floor) ** 2 * max(high - low, 1e-9))
+    return told
 
 
 def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView) -> Ridge:

@@ -21,6 +21,8 @@ from nmt_rig.rig import Rig
 _WRONG_FREQUENCY = 1.6
 _WITHOUT_STD = 0.02
 _FEWEST_FOR_SCATTER = 7
+# Relative standard deviation of a scatter of n points about the cubics through their neighbours, times the root of n.
+_CUBIC_STD = 1.3
 
 
 def table_observations(name: str, table: ObservableTable, model: Rig, settings: ObservationSettings) -> Observations:
@@ -71,6 +73,7 @@ def _backbone(
     rows = RowTable()
     where = np.flatnonzero(good)
     unstated = max(floors.table_log_frequency, scatter_about_a_course(amplitude[good], np.log(frequency[good])))
+    shown = _scatter_of_damping(amplitude[good], damping[good])
     notes = [] if good.all() else [f"{name}: {int((~good).sum())} of {good.size} rows have no value and are left out."]
     for level, index in enumerate(where):
         place = Place(level, 0.0, float(frequency[index]), float(amplitude[index]))
@@ -82,15 +85,25 @@ def _backbone(
         )  # fmt: skip
         if math.isfinite(damping[index]):
             known = math.isfinite(damping_std[index]) and damping_std[index] > 0.0
-            share = floors.decay_damping if known else floors.table_damping
+            share = floors.decay_damping if known else max(floors.table_damping, shown)
             rows.add(
                 Part.DAMPING, float(damping[index]), float(damping_std[index]) if known else 0.0,
                 share * abs(float(damping[index])), place, 0, 1,
             )  # fmt: skip
+    degrees = math.inf
     if not np.any(np.isfinite(frequency_std[where])):
+        degrees = where.size / (2.0 * _CUBIC_STD**2)
         notes.append(f"{name}: no uncertainties are given; {100 * unstated:.2g} % is taken for every frequency.")
-    test = BackboneTable(name, view.rig.drive_point, channel, amplitude[where].copy())
+    test = BackboneTable(name, view.rig.drive_point, channel, amplitude[where].copy(), degrees)
     return rows.observations(test, notes)
+
+
+def _scatter_of_damping(amplitude: FloatArray, damping: FloatArray) -> float:
+    """Relative scatter of damping ratios about a smooth course over the amplitude; 0 where some are not positive."""
+    known = np.isfinite(damping)
+    if not known.any() or np.any(damping[known] <= 0.0):
+        return 0.0
+    return scatter_about_a_course(amplitude[known], np.log(damping[known]))
 
 
 def scatter_about_a_course(x: FloatArray, y: FloatArray) -> float:

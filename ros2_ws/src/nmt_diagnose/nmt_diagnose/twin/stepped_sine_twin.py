@@ -16,6 +16,8 @@ measured. Towards a fold ρ' vanishes, and the response there would tell the lev
 so no ρ counts for more than the noise of the response: where |ρ'| < 1 a row predicts ρ itself. The phase is corrected
 by the same error e = ρ ρ' / max(ρ'², 1), and what stays unknown of that is part of its uncertainty. ρ' is noise
 propagation, so it is traced about one solution (:func:`with_growth`) and the same for all models that are compared.
+Where a strong nonlinearity meets light damping, e turns the phase by more than its first order about the measured
+amplitude holds for. So that is taken about the amplitude that the solution has, as far as it is within the noise.
 
 Where a jump was measured thus says which branch a line belongs to and nothing else: real jumps come early, by any
 disturbance. :mod:`nmt_diagnose.twin.frequency_sweep` finds where a model itself would jump.
@@ -56,6 +58,7 @@ class SteppedSineState:
         z, forces, inverses, slopes: as the kernel gives them; NaN in ``z`` where a line has no solution.
         responses: (lines, channels) over the reference.
         growth: ∂ ln R / ∂ ln s of each line, complex, (lines,).
+        moved: ln of the amplitude given over the measured one, (lines,).
     """
 
     keys: tuple[str, ...]
@@ -67,6 +70,7 @@ class SteppedSineState:
     slopes: ComplexArray
     responses: ComplexArray
     growth: ComplexArray
+    moved: FloatArray
 
 
 class SteppedSineTwin:
@@ -94,7 +98,8 @@ class SteppedSineTwin:
         if test.reference == "force":
             channels.append(force_channel(test))
         self.channels = tuple(channels)
-        self.amplitudes = test.amplitudes * test.scale
+        self.moved = moved_of(test)
+        self.amplitudes = test.amplitudes * test.scale * np.exp(self.moved)
         self.growth = growth_of(test)
         self.use(Setup(test.drive_point, test.reference == "force", self.channels, FourierBasis.up_to(HARMONICS)))
 
@@ -163,11 +168,10 @@ class SteppedSineTwin:
             change = change / parts.input_per_volt
         with np.errstate(divide="ignore", invalid="ignore"):
             growth = change / reference
-        return [
-            SteppedSineState(
-                parts.keys, parts.tables, parts.clock, z, forces, inverses, slopes, responses, np.asarray(growth)
-            )
-        ]
+        growth = np.asarray(growth)
+        keys, tables, clock = parts.keys, parts.tables, parts.clock
+        state = SteppedSineState(keys, tables, clock, z, forces, inverses, slopes, responses, growth, self.moved)
+        return [state]
 
     def stepped(
         self, rig: Rig, cache: PartsCache, states: tuple[SteppedSineState | None, ...]
@@ -212,7 +216,10 @@ class SteppedSineTwin:
         measured = self.test.measured
         with np.errstate(divide="ignore", invalid="ignore"):
             rest = np.log(measured / state.responses)
-        left = rest if self.test.held == "response" else whitened_difference(rest, self.growth, self.test.noise)
+        if self.test.held == "response":
+            left = rest
+        else:
+            left = whitened_difference(at_measured(rest, self.growth, self.moved), self.growth, self.test.noise)
         return np.log(np.abs(measured)) - left.real, np.angle(measured) - left.imag
 
     def _given(self, parts: RigParts) -> tuple[int, ComplexArray, FloatArray]:
@@ -243,10 +250,40 @@ def growth_of(test: SteppedSineTest) -> ComplexArray:
     return np.ones(test.lines_hz.size, dtype=np.complex128) if test.growth is None else test.growth
 
 
+def moved_of(test: SteppedSineTest) -> FloatArray:
+    """ln of the amplitude that a model is given over the measured one, (lines,)."""
+    return np.zeros(test.lines_hz.size) if test.moved is None else test.moved
+
+
 def with_growth(test: SteppedSineTest, state: SteppedSineState) -> SteppedSineTest:
-    """The test with its noise propagated as a solution says; lines without a solution as they were."""
-    found = np.where(np.isfinite(state.growth), state.growth, growth_of(test))
-    return replace(test, growth=found)
+    """The test with its noise propagated as a solution says; lines without a solution as they were.
+
+    An amplitude that is within its noise is moved to where the solution has it.
+    """
+    solved = np.isfinite(state.growth)
+    growth = np.where(solved, state.growth, growth_of(test))
+    if test.held == "response":
+        return replace(test, growth=growth)
+    # The amplitude that suits its own measurement, the level and the phase: amplitude and level alone may suit two.
+    slope, turn = growth.real, -growth.imag
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rest = np.log(test.measured[:, 0] / state.responses[:, 0])
+    further = -slope * (rest.real + state.moved) + turn * rest.imag - state.moved
+    moved = state.moved + further / (slope**2 + turn**2 + 1.0)
+    # What is many times the noise is no error of the amplitude.
+    moved = np.where(np.isfinite(moved), moved / (1.0 + (moved / (_MOST_ERROR * test.noise)) ** 4), 0.0)
+    return replace(test, growth=growth, moved=np.where(solved, moved, moved_of(test)))
+
+
+def at_measured(rest: ComplexArray, growth: ComplexArray, moved: FloatArray) -> ComplexArray:
+    """ln of measured over predicted responses at the measured amplitude, from there where the model was given another.
+
+    Args:
+        rest: the same at the amplitude that the model was given, (lines, channels).
+        growth: ∂ ln R / ∂ ln s there, (lines,); the responses over R then go as 1 − growth.
+        moved: ln of that amplitude over the measured one, (lines,).
+    """
+    return np.asarray(rest + ((1.0 - growth) * moved)[:, None])
 
 
 def gain_error(test: SteppedSineTest) -> ComplexArray:

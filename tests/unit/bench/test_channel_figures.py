@@ -1,5 +1,7 @@
 """The benchmark of many channels: its rig, and its rows beside their limits."""
 
+import os
+
 import pytest
 
 from nmt_bench import channel_figures
@@ -19,6 +21,7 @@ def test_the_rig_has_as_many_channels_as_asked_for_and_one_at_the_drive_point():
 
 
 def test_every_row_stands_beside_its_limit(monkeypatch):
+    monkeypatch.setattr(channel_figures, "_alone", lambda function, *arguments: function(*arguments))
     monkeypatch.setattr(channel_figures, "_run", lambda rig, processes, seconds, pacing="lockstep": (9.0, 600.0))
     figures = channel_figures.channel_figures(20.0)
     found = {(figure.unit, figure.beside): figure.met for figure in figures}
@@ -35,8 +38,13 @@ def test_a_run_that_fails_is_no_figure(monkeypatch):
     def fail(*_):
         raise BenchError("The drive was stopped.")
 
+    monkeypatch.setattr(channel_figures, "_alone", lambda function, *arguments: function(*arguments))
     monkeypatch.setattr(channel_figures, "_run", fail)
     figures = channel_figures.channel_figures(20.0)
     assert len(figures) == 4
     assert all(figure.value is None and figure.met is None for figure in figures)
     assert {figure.note for figure in figures} == {"not measured: The drive was stopped."}
+
+
+def test_a_process_of_its_own_gives_its_result() -> None:
+    assert channel_figures._alone(os.getpid) != os.getpid()

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from nmt_diagnose.inference.force_starts import ForceColumn, force_starts, lines_of_known_amplitude
+from nmt_diagnose.inference.force_starts import ForceColumn, even_column, force_starts, lines_of_known_amplitude
 from nmt_diagnose.observations.conditions import SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part
 
@@ -69,6 +69,21 @@ def test_the_models_own_parameters_are_found_with_it() -> None:
     assert found[0].number == 1
     assert found[0].strength == pytest.approx(CUBIC, rel=0.01)
     assert found[0].own[0] == pytest.approx(2.0, abs=0.15)
+
+
+def test_of_an_even_force_the_square_is_found() -> None:
+    """k₂ x² beside k x: the fundamental lacks 5/6 k₂² a²/k at first order (Nayfeh, Mook 1979, equation 2.3.29)."""
+    softened = force(stiffness=STIFFNESS)
+
+    def even(strength: float) -> np.ndarray:
+        return np.asarray(softened - 5.0 / 6.0 * strength**2 / STIFFNESS * AMPLITUDE**3)
+
+    probe, true = 2e4, 6e5
+    column = even_column(LINES, difference(even(probe)), probe, 1e6)
+    found = force_starts(LINES, difference(even(true)), own_slope(), [column], 3)
+    assert found[0].strength == pytest.approx(true, rel=5e-3)
+    harder = difference(2.0 * softened - even(true))
+    assert force_starts(LINES, harder, own_slope(), [column], 3) == [], "an even force only softens"
 
 
 def test_a_strength_of_the_wrong_sign_is_no_start() -> None:

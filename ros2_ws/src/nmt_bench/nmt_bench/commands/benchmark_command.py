@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
-PARTS = ("plant", "reference", "bag", "levels", "diagnosis", "bench", "channels")
+PARTS = ("plant", "reference", "bag", "levels", "diagnosis", "bench", "channels", "scheduler")
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -30,7 +30,8 @@ def add_parser(subparsers: Subparsers) -> None:
         description=(
             "Measures the plant's time integration, the harmonic-balance reference, the work per block of each "
             "node, reading and extracting bags, runs of very many levels, a diagnosis, and the whole bench with its "
-            "nodes in one process and in one process each, also with many channels. Each figure is printed beside its "
+            "nodes in one process and in one process each, also with many channels, and what a Dask scheduler leaves of "
+            "its workers' time. Each figure is printed beside its "
             "limit, or beside a peer measured in the same run. Takes about six minutes on an idle machine."
         ),
     )
@@ -65,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None and not arguments.json.absolute().parent.is_dir():
         raise BenchError(f"The folder of {arguments.json} does not exist; make it or give another --json file.")
 
-    from nmt_bench import benchmark_figures, channel_figures
+    from nmt_bench import benchmark_figures, channel_figures, scheduler_figures
     from nmt_bench.commands.console import make_console
 
     console = make_console()
@@ -77,6 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         "diagnosis": benchmark_figures.diagnosis_figures,
         "bench": benchmark_figures.bench_figures,
         "channels": channel_figures.channel_figures,
+        "scheduler": scheduler_figures.scheduler_figures,
     }
     figures: list[Figure] = []
     for name in arguments.part or PARTS:

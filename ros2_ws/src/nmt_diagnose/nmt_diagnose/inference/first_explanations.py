@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray
 from nmt_core.errors import BenchError
@@ -21,7 +22,7 @@ from nmt_diagnose.inference.candidate_starts import (
 )
 from nmt_diagnose.inference.fit import Fit, FitError, fit
 from nmt_diagnose.inference.fitted_model import FittedModel, is_incredible, rms_left
-from nmt_diagnose.inference.force_starts import ForceColumn, force_starts, lines_of_known_amplitude
+from nmt_diagnose.inference.force_starts import ForceColumn, even_column, force_starts, lines_of_known_amplitude
 from nmt_diagnose.inference.late_starts import DELAYS, late_starts
 from nmt_diagnose.inference.level_climb import level_ranks
 from nmt_diagnose.inference.model_comparison import ModelComparison
@@ -37,6 +38,9 @@ _FROM_DELAYS = 3
 # force lie.
 _FAR = 10.0
 _WITH_FORCE = ("structure", "boundary", "joint")
+# Change of the observables per unit of strength, below which a force is even for them; the strength at which its square
+# is looked at, of the one where a search would begin otherwise: small, so that nothing else is in it.
+_EVEN, _EVEN_STRENGTH = 1e-6, 0.25
 
 
 def first_explanations(comparison: ModelComparison, null: FittedModel) -> list[FittedModel]:
@@ -121,16 +125,14 @@ def _from_forces(comparison: ModelComparison, null: FittedModel, given: Fit) -> 
     for number, candidate in enumerate(comparison.candidates):
         if candidate.effect.place not in _WITH_FORCE or strength_parameter(candidate).grid:
             continue
-        added = _with(comparison, (number,))
-        position = own.zero.size + strength_position(candidate)
         for start in starts_of(candidate):
             theta = np.concatenate([own.zero, at_zero(candidate, start)])
             try:
-                slope = problem.forward.jacobian(added, theta, given.prediction, (position,))[:, 0]
+                column = _force_column(comparison, number, theta, given, lines)
             except (BenchError, ValueError, ArithmeticError):
                 continue
             tried.append((number, start))
-            columns.append(ForceColumn(slope, float(added.prior_std[position]), strength_parameter(candidate).signed))
+            columns.append(column)
     slopes = problem.forward.jacobian(own, own.zero, given.prediction) * own.prior_std
     difference = problem.difference(given.prediction.values)
     wanted = []
@@ -139,6 +141,22 @@ def _from_forces(comparison: ModelComparison, null: FittedModel, given: Fit) -> 
         strength = at_strength(comparison.candidates[number], start, begun.strength)
         wanted.append((number, np.concatenate([begun.own * own.prior_std, strength])))
     return [found for found in comparison.started(wanted) if not np.any(null.fit.used & ~found.fit.used)]
+
+
+def _force_column(
+    comparison: ModelComparison, number: int, theta: FloatArray, given: Fit, lines: NDArray[np.int64]
+) -> ForceColumn:
+    """What a candidate's strength does to the force, from θ with none of it."""
+    candidate, forward, added = comparison.candidates[number], comparison.problem.forward, _with(comparison, (number,))
+    position = given.theta.size + strength_position(candidate)
+    strength, spread = strength_parameter(candidate), float(added.prior_std[position])
+    slope = forward.jacobian(added, theta, given.prediction, (position,))[:, 0]
+    if not strength.even or np.nanmax(np.abs(slope[lines])) > _EVEN:
+        return ForceColumn(slope, spread, strength.signed)
+    theta = theta.copy()
+    theta[position] = _EVEN_STRENGTH * strength.even
+    values = forward.predict(added.rig(theta), given.prediction).values
+    return even_column(lines, values - given.prediction.values, float(theta[position]), spread)
 
 
 def _with(comparison: ModelComparison, numbers: Sequence[int]) -> Parametrisation:

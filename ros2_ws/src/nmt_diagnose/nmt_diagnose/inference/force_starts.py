@@ -28,14 +28,16 @@ class ForceColumn:
     """What the strength of one candidate does.
 
     Attributes:
-        slope: change of the observables per unit of strength, shape (m,).
+        slope: change of the observables per unit of strength, shape (m,); of an even force per unit of its square.
         spread: prior standard deviation of the strength.
         signed: whether it may be negative.
+        even: whether the fundamental shows the square of the strength only, the same for either sign.
     """
 
     slope: FloatArray
     spread: float
     signed: bool
+    even: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,23 @@ def lines_of_known_amplitude(observations: Observations) -> NDArray[np.int64]:
         for row in np.flatnonzero(np.isin(rows.test, known) & (rows.channel == 0) & (rows.part == part)):
             found.setdefault((int(rows.test[row]), int(rows.level[row])), []).append(int(row))
     return np.array([pair for pair in found.values() if len(pair) == 2], dtype=np.int64).reshape(-1, 2)
+
+
+def even_column(lines: NDArray[np.int64], change: FloatArray, strength: float, spread: float) -> ForceColumn:
+    """Column of an even force, from a prediction with one strength.
+
+    Args:
+        lines: as from :func:`lines_of_known_amplitude`.
+        change: of the observables by that strength, shape (m,).
+        strength: of the prediction.
+        spread: prior standard deviation of the strength.
+    """
+    magnitude, phase = lines.T
+    # The force grows with the square of the strength, its logarithm does not.
+    grown = (1.0 - np.exp(-(change[magnitude] + 1j * change[phase]))) / strength**2
+    slope = np.zeros_like(change)
+    slope[magnitude], slope[phase] = grown.real, grown.imag
+    return ForceColumn(slope, spread, signed=False, even=True)
 
 
 def force_starts(
@@ -108,7 +127,9 @@ def force_starts(
         added = change(column.slope)
         if not np.all(np.isfinite(added)) or not np.any(added):
             continue
-        theta, left = solution(np.column_stack([plain, added]), np.append(np.ones(own.shape[1]), 1.0 / column.spread))
+        spread = column.spread**2 if column.even else column.spread
+        theta, left = solution(np.column_stack([plain, added]), np.append(np.ones(own.shape[1]), 1.0 / spread))
         if left < _LEFT * alone and (column.signed or theta[-1] > 0.0):
-            starts.append((left, ForceStart(number, theta[:-1], float(theta[-1]))))
+            strength = float(np.sqrt(theta[-1]) if column.even else theta[-1])
+            starts.append((left, ForceStart(number, theta[:-1], strength)))
     return [start for _, start in sorted(starts, key=lambda item: item[0])[:most]]

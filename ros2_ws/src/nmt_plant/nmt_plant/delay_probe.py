@@ -47,7 +47,7 @@ class Delay(NamedTuple):
 
     @property
     def is_clear(self) -> bool:
-        """Whether it may be believed: both runs show it, and with one delay but for rounding and the drift of clocks."""
+        """Whether it may be believed: both runs show it, with one delay but for rounding and the drift of clocks."""
         return self.clearness >= LEAST_PEAK and abs(self.spread) <= 1.0 + CLOCKS * self.apart
 
 

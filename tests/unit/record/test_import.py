@@ -310,9 +310,11 @@ def test_backbone_and_frequency_responses_of_others(tmp_path: Path) -> None:
         ("frequency_hz,amplitude,damping_ratio\n1,2,3.5\n", {"unit": "m"}, "in percent"),
         ("frequency_hz,amplitude,amplitude_std\n1,2,-1\n", {"unit": "m"}, "amplitude_std is negative"),
         ("frequency_hz,real,imag\n1,2,3\n", {"kind": "frf", "unit": "m"}, "response per force"),
-        ("frequency_hz,real\n1,2\n", {"kind": "frf", "unit": "m/N"}, "neither real and imag nor magnitude and phase"),
+        ("frequency_hz,real\n1,2\n", {"kind": "frf", "unit": "m/N"}, "neither real and imag nor magnitude"),
         ("frequency_hz,magnitude,phase\n1,2,90\n", {"kind": "frf", "unit": "m/N"}, "more than a turn in rad"),
         ("frequency_hz,magnitude,phase\n1,-2,1\n", {"kind": "frf", "unit": "m/N"}, "dB"),
+        ("frequency_hz,magnitude\n1,-2\n", {"kind": "frf", "unit": "m/N"}, "dB"),
+        ("frequency_hz,magnitude\n1,2\n", {"kind": "frf", "unit": "m/N", "conjugate": True}, "no conjugate"),
         (
             "frequency_hz,amplitude\n1,2\n",
             {"unit": "m", "columns": {"freq": "x"}},

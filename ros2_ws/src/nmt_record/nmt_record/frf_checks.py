@@ -40,7 +40,12 @@ def check_responses(section: TableSection, table: ObservableTable, place: str, s
     Raises:
         BenchError: with the key that fixes it.
     """
-    if table.kind != "frf" or table.quantity not in _ORDERS or table.reference not in ("force", "base"):
+    if (
+        table.kind != "frf"
+        or not table.phase_known
+        or table.quantity not in _ORDERS
+        or table.reference not in ("force", "base")
+    ):
         return
     frequency, response = _one_level(table)
     if frequency.size < _FEWEST_LINES:
@@ -75,7 +80,7 @@ def check_responses(section: TableSection, table: ObservableTable, place: str, s
 def _one_level(table: ObservableTable) -> tuple[FloatArray, np.ndarray]:
     """Lines of the lowest level, by frequency."""
     frequency = table.columns["frequency_hz"]
-    response = table.columns["real"] + 1j * table.columns["imag"]
+    response = table.responses
     level = table.columns.get("level")
     mine = np.ones(frequency.size, dtype=bool) if level is None else level == np.nanmin(level)
     order = np.argsort(frequency[mine], kind="stable")

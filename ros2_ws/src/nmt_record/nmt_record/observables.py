@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmt_core.blocks import FloatArray, Quantity
 from nmt_core.errors import BenchError
@@ -38,6 +39,7 @@ _OPTIONAL = {
     "backbone": ("damping_ratio", "level", "force_n", "phase"),
     "frf": ("real", "imag", "magnitude", "phase", "level", "force_n", "coherence"),
 }
+_RESPONSES = ("real", "imag", "magnitude", "real_std", "imag_std", "magnitude_std")
 _KINDS = {"frequency_hz": "frequency", "damping_ratio": "ratio", "phase": "phase", "coherence": "ratio"}
 
 
@@ -48,8 +50,8 @@ class ObservableTable:
     Attributes:
         kind: ``backbone`` or ``frf``.
         columns: name -> values, all of one length. Backbone: frequency_hz, amplitude, and as far as given
-            damping_ratio, level, force_n, phase; frf: frequency_hz, real, imag, and as far as given level, force_n (N,
-            measured at each line), coherence.
+            damping_ratio, level, force_n, phase; frf: frequency_hz, real, imag (magnitude alone where nobody knows the
+            phase), and as far as given level, force_n (N, measured at each line), coherence.
             ``<name>_std`` is a standard uncertainty.
         units: name -> unit, SI (Hz for frequencies).
         quantity: of the response; UNKNOWN for a modal amplitude.
@@ -87,6 +89,18 @@ class ObservableTable:
     def rows(self) -> int:
         """Number of rows."""
         return int(self.columns["frequency_hz"].shape[0])
+
+    @property
+    def phase_known(self) -> bool:
+        """Whether the frequency responses have a phase."""
+        return "real" in self.columns
+
+    @property
+    def responses(self) -> NDArray[np.complex128]:
+        """Frequency responses, shape (rows,); magnitudes where the phase is not known."""
+        if not self.phase_known:
+            return self.columns["magnitude"].astype(np.complex128)
+        return np.asarray(self.columns["real"] + 1j * self.columns["imag"], dtype=np.complex128)
 
     def to_json(self) -> str:
         """As it is stored in a bag; NaN becomes null."""
@@ -195,13 +209,18 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
         if section.per is not None:
             columns = _divided(section, columns, table, reference, unit, place)
         if section.conjugate:
+            if "imag" not in columns:
+                raise BenchError(f"{place}: a magnitude without phase has no conjugate; take 'conjugate' out.")
             columns["imag"] = -columns["imag"]
+        if "magnitude" in columns:
+            factor = abs(factor)
+            notes.append(f"{place}: {table.file} has no phase; magnitudes alone are compared.")
         unit = (
             f"{quantity.unit}/({REFERENCE_UNITS[reference]})"
             if reference == "base"
             else (f"{quantity.unit}/{REFERENCE_UNITS[reference]}")
         )
-        for name in ("real", "imag", "real_std", "imag_std"):
+        for name in _RESPONSES:
             if name in columns:
                 own = abs(factor) if name.endswith("_std") else factor
                 columns[name], units[name] = columns[name] * own, unit
@@ -235,10 +254,7 @@ def _divided(
             f"{place}: column {section.per} is {divisor[row]:g} at {table.place(row)}; an amplitude that responses are "
             "divided by is positive."
         )
-    result = {
-        name: values / divisor if name in ("real", "imag", "real_std", "imag_std") else values
-        for name, values in columns.items()
-    }
+    result = {name: values / divisor if name in _RESPONSES else values for name, values in columns.items()}
     if reference == "force" and "force_n" not in result:
         below = plain_unit(unit).rpartition("/")[2]
         result["force_n"] = divisor * factor_to_si(Quantity.FORCE, below, f"{place}: per")
@@ -350,22 +366,23 @@ def _amplitude_unit(section: TableSection, table: SourceTable, place: str) -> tu
 def _complex(
     section: TableSection, columns: dict[str, FloatArray], table: SourceTable, place: str
 ) -> dict[str, FloatArray]:
-    """Real and imaginary part from what the table has."""
-    polar, plain = {"magnitude", "phase"} <= set(columns), {"real", "imag"} <= set(columns)
+    """Real and imaginary part from what the table has; the magnitude alone where that is all."""
+    plain = {"real", "imag"} <= set(columns)
+    polar = "magnitude" in columns and ("phase" in columns or not plain)
     if polar == plain:
-        what = (
-            "both real and imag and magnitude and phase" if polar else "neither real and imag nor magnitude and phase"
-        )
+        what = "both real and imag and magnitude and phase" if polar else "neither real and imag nor magnitude"
         has = ", ".join(filter(None, table.names)) or "no names"
         raise BenchError(
-            f"{place}: {table.file} has {what} (its columns are {has}); one of the two is needed; name columns that "
-            "are called otherwise, columns: {phase: …}."
+            f"{place}: {table.file} has {what} (its columns are {has}); one of the two is needed, magnitude with phase "
+            "as far as that is known; name columns that are called otherwise, columns: {magnitude: …}."
         )
     if plain:
         return columns
     if (columns["magnitude"] < 0.0).any():
         row = int(np.argmax(columns["magnitude"] < 0.0))
         raise BenchError(f"{place}: the magnitude is negative at {table.place(row)}; is it in dB? give it linear.")
+    if "phase" not in columns:
+        return columns
     named = "phase" not in section.columns and "phase" not in map(_plain_name, table.names)
     unstated = not named and "phase" not in section.units and not _own_unit(table, section, "phase")
     if unstated and np.nanmax(np.abs(columns["phase"])) > 7.0:
@@ -388,7 +405,7 @@ def _plausible(columns: dict[str, FloatArray], table: SourceTable, place: str) -
         raise BenchError(f"{place}: {table.file} has no rows.")
     for name, values in columns.items():
         bad = ~np.isfinite(values)
-        if name in ("frequency_hz", "amplitude", "real", "imag") and bad.any():
+        if name in ("frequency_hz", "amplitude", "real", "imag", "magnitude") and bad.any():
             raise BenchError(f"{place}: {name} is missing at {table.place(int(np.argmax(bad)))}; leave such rows out.")
         if name.endswith("_std") and (values < 0.0).any():
             raise BenchError(f"{place}: {name} is negative at {table.place(int(np.argmax(values < 0.0)))}.")

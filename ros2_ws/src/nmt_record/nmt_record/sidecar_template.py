@@ -81,7 +81,7 @@ def _table_lines(table: SourceTable, frequency: int) -> list[str]:
             if index not in named.values() and re.fullmatch(words, bare_name(table, index), re.I):
                 named[member] = index
                 break
-    pairs = ({"real", "imag"}, {"magnitude", "phase"})
+    pairs = ({"real", "imag"}, {"magnitude", "phase"}, {"magnitude"})
     kept = next((pair for pair in pairs if pair <= set(named)), None)
     if kept is not None:
         kind, members = "frf", ["frequency_hz", *sorted(kept, reverse=True)]

@@ -159,6 +159,7 @@ class SteppedSineTest:
             (lines,); None = 0.
         scale: true over recorded amplitude of the first channel.
         noise_degrees: degrees of freedom of the variance that the noise was estimated as; infinite where it is stated.
+        phase_known: whether the responses have a phase; else they are magnitudes, and no observable is a phase.
     """
 
     name: str
@@ -175,6 +176,7 @@ class SteppedSineTest:
     moved: FloatArray | None = None
     scale: float = 1.0
     noise_degrees: float = math.inf
+    phase_known: bool = True
 
     @property
     def amplitudes(self) -> FloatArray:

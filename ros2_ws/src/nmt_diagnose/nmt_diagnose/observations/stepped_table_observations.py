@@ -81,7 +81,7 @@ def stepped_table_observations(
     elif held == "base" and table.level_unit:
         moved = quantity_of_unit(table.level_unit)
         amplitude = amplitude * omega ** (ORDER[Quantity.ACCELERATION] - ORDER.get(moved, ORDER[Quantity.ACCELERATION]))
-    response = table.columns["real"] + 1j * table.columns["imag"]
+    response = table.responses
     usable = np.isfinite(response) & (np.abs(response) > 0.0) & (frequency > 0.0)
     usable &= np.isfinite(amplitude) & (amplitude > 0.0)
     if not usable.all():
@@ -162,7 +162,8 @@ def _one(
     for number, index in enumerate(chosen):
         place = Place(number, 0.0, float(f[index]), float(amplitude[order[index]]))
         rows.add(Part.LOG_MAGNITUDE, math.log(abs(h[index])), float(std[index]), floor, place, 0, 1)
-        rows.add(Part.PHASE, float(np.angle(h[index])), float(std[index]), floor, place, 0, 1)
+        if table.phase_known:
+            rows.add(Part.PHASE, float(np.angle(h[index])), float(std[index]), floor, place, 0, 1)
     test = SteppedSineTest(
         name=name,
         drive_point=view.rig.drive_point,
@@ -175,6 +176,7 @@ def _one(
         noise=np.hypot(std[chosen], floor),
         direction={"up": 1, "down": -1}.get(table.direction, 0),
         noise_degrees=degrees,
+        phase_known=table.phase_known,
     )
     return rows.observations(test, notes)
 
@@ -191,16 +193,20 @@ def _noise(
         std = np.asarray(scatter / np.abs(h), dtype=np.float64)
         if np.isfinite(std).all():
             return std, [], math.inf
+    if "magnitude_std" in table.columns:
+        std = np.asarray(table.columns["magnitude_std"][order] / np.abs(h), dtype=np.float64)
+        if np.isfinite(std).all():
+            return std, [], math.inf
     if table.noise > 0.0:
         return np.full(h.size, table.noise), [], math.inf
-    found = scatter_of_lines(f, h)
+    found = scatter_of_lines(f, h, table.phase_known)
     if not math.isfinite(found):
         return (
             np.full(h.size, WITHOUT_STD),
             [f"{name}: no uncertainties are given; {100 * WITHOUT_STD:g} % is taken for every line."],
             math.inf,
         )
-    degrees = 2 * h.size / (2.0 * MEDIAN_STD**2)
+    degrees = (2 if table.phase_known else 1) * h.size / (2.0 * MEDIAN_STD**2)
     return (
         np.full(h.size, found),
         [f"{name}: no uncertainties are given; its lines scatter by {100 * found:.2g} % about a smooth course."],
@@ -208,7 +214,7 @@ def _noise(
     )
 
 
-def scatter_of_lines(frequency: FloatArray, response: ComplexArray) -> float:
+def scatter_of_lines(frequency: FloatArray, response: ComplexArray, phase_known: bool = True) -> float:
     """Relative noise of magnitude and of phase (rad) of a frequency response, from its scatter about a smooth course.
 
     Each line is compared with the cubic through its four neighbours in ln H. The median over the lines does not see
@@ -217,6 +223,7 @@ def scatter_of_lines(frequency: FloatArray, response: ComplexArray) -> float:
     Args:
         frequency: ascending, Hz, shape (n,).
         response: shape (n,).
+        phase_known: whether it has a phase; else its magnitude alone is looked at.
 
     Returns:
         The standard deviation; NaN for fewer than twelve lines.
@@ -227,7 +234,7 @@ def scatter_of_lines(frequency: FloatArray, response: ComplexArray) -> float:
     middle, near, weights = neighbour_cubics(frequency)
     rest = (log[middle] - np.sum(weights * log[near], axis=1)) / np.sqrt(1.0 + np.sum(weights**2, axis=1))
     # Median of |x| of a normal variable: 0.6745 σ.
-    found = np.abs(np.concatenate([rest.real, rest.imag]))
+    found = np.abs(np.concatenate([rest.real, rest.imag]) if phase_known else rest.real)
     return max(float(np.median(found)) / 0.6745, 1e-4) if found.size else math.nan
 
 

@@ -14,7 +14,7 @@ from nmt_diagnose.observations.neighbour_cubics import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
-from nmt_diagnose.observations.stepped_table_observations import has_levels, stepped_table_observations
+from nmt_diagnose.observations.stepped_table_observations import has_levels, spread_lines, stepped_table_observations
 from nmt_record.observables import ObservableTable
 from nmt_rig.rig import Rig
 
@@ -129,12 +129,14 @@ def _responses(
     name: str, table: ObservableTable, view: ModelView, channel: MeasuredChannel, settings: ObservationSettings
 ) -> Observations:
     frequency = table.columns["frequency_hz"]
-    response = table.columns["real"] + 1j * table.columns["imag"]
+    response = table.responses
     size = np.abs(response)
     good = np.isfinite(size) & (size > 0.0) & (frequency > 0.0)
     if not good.any():
         return empty((f"{name}: left out: it has no usable line.",))
     scatter = np.sqrt(0.5 * (_column(table, "real_std") ** 2 + _column(table, "imag_std") ** 2))
+    if not table.phase_known:
+        scatter = _column(table, "magnitude_std")
     std = scatter / np.where(size > 0.0, size, 1.0)
     if table.noise > 0.0:
         std = np.where(np.isfinite(std), std, table.noise)
@@ -144,14 +146,17 @@ def _responses(
     coherence = np.clip(_column(table, "coherence"), 1e-6, 1.0)
     weak = ~stated & np.isfinite(coherence)
     std[weak] = np.maximum(std[weak], np.sqrt(0.5 * (1.0 - coherence[weak]) / coherence[weak]))
-    everywhere = noise_of_weak_lines(frequency[good], response[good]) if not stated.any() else 0.0
+    # A magnitude has a corner at an antiresonance, where the response itself goes smoothly through zero.
+    shown = table.phase_known and not stated.any()
+    everywhere = noise_of_weak_lines(frequency[good], response[good]) if shown else 0.0
     std = np.hypot(std, everywhere / np.where(size > 0.0, size, 1.0))
     good &= std <= settings.largest_std
     candidates = np.flatnonzero(good)
     if candidates.size == 0:
         return empty((f"{name}: left out: no line is known to better than {100 * settings.largest_std:g} %.",))
     order = candidates[np.argsort(frequency[candidates], kind="stable")]
-    chosen = order[_spread(frequency[order], response[order], settings.lines)]
+    spread = _spread if table.phase_known else spread_lines
+    chosen = order[spread(frequency[order], response[order], settings.lines)]
     notes = []
     if not stated.any():
         noise = f"; weak lines show {everywhere:.2g} {table.units.get('real', '')} besides" if everywhere else ""
@@ -163,7 +168,8 @@ def _responses(
         value = float(std[index])
         floors = settings.floors
         rows.add(Part.LOG_MAGNITUDE, math.log(float(size[index])), value, floors.frf, place, 0)
-        rows.add(Part.PHASE, float(np.angle(response[index])), value, floors.frf, place, 0)
+        if table.phase_known:
+            rows.add(Part.PHASE, float(np.angle(response[index])), value, floors.frf, place, 0)
     steps = np.diff(np.sort(frequency))
     test = RandomTest(
         name=name,

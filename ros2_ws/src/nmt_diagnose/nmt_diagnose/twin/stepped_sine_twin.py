@@ -265,7 +265,7 @@ def with_growth(test: SteppedSineTest, state: SteppedSineState) -> SteppedSineTe
     if test.held == "response":
         return replace(test, growth=growth)
     # The amplitude that suits its own measurement, the level and the phase: amplitude and level alone may suit two.
-    slope, turn = growth.real, -growth.imag
+    slope, turn = growth.real, -growth.imag * test.phase_known
     with np.errstate(divide="ignore", invalid="ignore"):
         rest = np.log(test.measured[:, 0] / state.responses[:, 0])
     further = -slope * (rest.real + state.moved) + turn * rest.imag - state.moved

@@ -4,8 +4,9 @@
 what its fixtures make; where it says *apart* they share nothing, and each goes wherever there is room. What is
 *punctual* keeps to the clock, and a neighbour can make it late: all of it is done by the first worker, one after the
 other. The other workers stand back for it, and those beyond the number of cores begin after it. What is *alone* loses
-samples for good when it is late: the first worker begins with it, and no other begins before it is done. A file without
-a line counts as short: that costs time and nothing else.
+samples for good when it is late: the first worker begins with it, and no other begins before it is done. What is *wide*
+keeps several cores busy: it begins when nothing keeps to the clock any more. A file without a line counts as short:
+that costs time and nothing else.
 
     ./nmt test --write-seconds
 
@@ -29,7 +30,7 @@ LEAST = 1.0  # s; shorter files are not in the table
 FIRST = "gw0"
 _NICE = 5
 _TIMED = ("alone", "punctual")
-_HEAD = "# Seconds of each test file; 'apart', 'punctual': see worker_schedule.py.\n"
+_HEAD = "# Seconds of each test file, and 'apart', 'punctual', 'alone', 'wide': see worker_schedule.py.\n"
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Cost:
     Attributes:
         seconds: of all its tests, with what their fixtures make.
         word: ``apart``, its tests can be on different workers at no cost; ``punctual``, they are in real time;
-            ``alone``, nothing may run beside them; or none.
+            ``alone``, nothing may run beside them; ``wide``, they keep several cores busy; or none.
     """
 
     seconds: float = 0.0
@@ -119,7 +120,8 @@ class LongestFirst(LoadScopeScheduling):
         before = self._workers_beside()
         super().mark_test_complete(node, item_index, duration)
         if self._workers_beside() > before:
-            for other in self.nodes:
+            # A worker begins a test when it knows the next one: a unit of one test alone would wait for ever.
+            for other in [*self.nodes] * 2:
                 self._reschedule(other)
 
     def _word(self, unit: str) -> str:
@@ -148,6 +150,8 @@ class LongestFirst(LoadScopeScheduling):
         place = names.index(node.gateway.id)
         if place >= self._workers_beside():
             return
+        if not self._all_may:
+            others = [unit for unit in others if self._word(unit) != "wide"] or others
         alone = [unit for unit in timed if self._word(unit) == "alone"]
         mine = alone or timed or others if place == 0 else others
         if not mine:  # what is left is for the first

@@ -121,7 +121,12 @@ def _backbone(own: Drawn, folder: Path, generator: np.random.Generator, seed: in
 
 
 def _responses(
-    own: Drawn, folder: Path, generator: np.random.Generator, seed: int, participation: float | None = None
+    own: Drawn,
+    folder: Path,
+    generator: np.random.Generator,
+    seed: int,
+    participation: float | None = None,
+    phase: bool = True,
 ) -> dict[str, Any]:
     """Responses at three forces, or on a table whose acceleration times -participation is the force on 1 kg."""
     units, factor, per_force = ("m/s^2/N", "N"), 1.0, 1.0
@@ -137,9 +142,11 @@ def _responses(
             response = -((2.0 * np.pi * frequencies) ** 2) * Bench(own.structure).response(float(force), frequencies)
             response *= own.gain * factor
             response *= 1.0 + noise * (generator.standard_normal(60) + 1j * generator.standard_normal(60))
-            rows = sorted(zip(frequencies, response.real, response.imag, strict=True))
+            columns = (response.real, response.imag) if phase else (np.abs(response),)
+            rows = sorted(zip(frequencies, *columns, strict=True))
             name = f"{direction}{number}.csv"
-            text = ["frequency_hz,real,imag", *(f"{f:.8g},{a:.8g},{b:.8g}" for f, a, b in rows)]
+            head = "frequency_hz,real,imag" if phase else "frequency_hz,magnitude"
+            text = [head, *(",".join(f"{value:.8g}" for value in row) for row in rows)]
             (folder / name).write_text("\n".join(text) + "\n", encoding="utf-8")
             segments.append(
                 {
@@ -152,6 +159,10 @@ def _responses(
 
 def _on_a_table(own: Drawn, folder: Path, generator: np.random.Generator, seed: int) -> dict[str, Any]:
     return _responses(own, folder, generator, seed, _PARTICIPATION)
+
+
+def _magnitudes(own: Drawn, folder: Path, generator: np.random.Generator, seed: int) -> dict[str, Any]:
+    return _responses(own, folder, generator, seed, phase=False)
 
 
 def _decay(own: Drawn, folder: Path, generator: np.random.Generator, seed: int) -> dict[str, Any]:
@@ -173,9 +184,10 @@ DATA: dict[str, Callable[[Drawn, Path, np.random.Generator, int], dict[str, Any]
     "responses": _responses,
     "decay": _decay,
     "table": _on_a_table,
+    "magnitudes": _magnitudes,
 }
 TOGETHER = ("backbone", "responses", "decay")
-KINDS_OF_DATA = (*DATA, "together")
+KINDS_OF_DATA = ("backbone", "responses", "decay", "table", "together")
 _PARTICIPATION, _GRAVITY = 1.4, 9.80665
 _GAIN = 0.005  # relative, of a sensor that others were set up for
 
@@ -186,7 +198,7 @@ def diagnosed(folder: Path, kind: str, data: str, seed: int) -> Diagnosis:
     Args:
         folder: an existing, empty folder.
         kind: of ``EFFECTS``.
-        data: of ``KINDS_OF_DATA``.
+        data: of ``KINDS_OF_DATA``, or ``magnitudes``: responses without phase.
         seed: of everything.
     """
     generator = np.random.default_rng(seed)
@@ -216,11 +228,16 @@ def diagnosed(folder: Path, kind: str, data: str, seed: int) -> Diagnosis:
     return diagnose_bags(folder / "model.yaml", bags, settings=settings).diagnosis
 
 
-def judged(seed: int) -> tuple[str, str]:
-    """A line about a seed, and how it ended: ``silent``, ``alarm``, ``first``, ``alike``, ``other`` or ``unknown``."""
+def judged(seed: int, data: str = "") -> tuple[str, str]:
+    """A line about a seed, and how it ended: ``silent``, ``alarm``, ``first``, ``alike``, ``other`` or ``unknown``.
+
+    Args:
+        seed: of everything.
+        data: kind of data; empty = by the seed.
+    """
     warnings.simplefilter("ignore")
     kind = list(EFFECTS)[seed % len(EFFECTS)]
-    data = KINDS_OF_DATA[seed // len(EFFECTS) % len(KINDS_OF_DATA)]
+    data = data or KINDS_OF_DATA[seed // len(EFFECTS) % len(KINDS_OF_DATA)]
     with tempfile.TemporaryDirectory() as folder:
         found = diagnosed(Path(folder), kind, data, seed)
     first = found.ranking[0] if found.ranking else None
@@ -246,10 +263,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=3000, metavar="SEED", help="first seed (default 3000)")
     parser.add_argument("--count", type=int, default=45, metavar="N", help="structures (default 45: each kind once)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default 2)")
+    parser.add_argument("--data", choices=[*KINDS_OF_DATA, "magnitudes"], default="", help="one kind for all seeds")
     words = parser.parse_args()
     seeds = range(words.first, words.first + words.count)
     ends: dict[str, int] = {}
-    for line, end in Parallel(n_jobs=words.jobs, return_as="generator")(delayed(judged)(seed) for seed in seeds):
+    work = (delayed(judged)(seed, words.data) for seed in seeds)
+    for line, end in Parallel(n_jobs=words.jobs, return_as="generator")(work):
         print(line, flush=True)
         ends[end] = ends.get(end, 0) + 1
     print(", ".join(f"{name} {count}" for name, count in sorted(ends.items())))

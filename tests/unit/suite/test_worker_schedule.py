@@ -139,6 +139,29 @@ def test_no_worker_begins_before_what_is_alone_is_done() -> None:
     assert made[2].given
 
 
+def test_a_worker_that_may_begin_knows_two_tests() -> None:
+    """xdist's worker runs a test when it knows the next one, and says nothing before."""
+    tests = ["late.py::a", "clock.py::a", "clock.py::b", "clock.py::c", *(f"new{number}.py::a" for number in range(20))]
+    costs = {"clock.py": Cost(90.0, "punctual"), "late.py": Cost(5.0, "alone"), "new7.py": Cost(300.0)}
+    schedule, made = scheduled(2, tests, costs, cores=2)
+    schedule.mark_test_complete(made[0], 0)  # type: ignore[arg-type]
+    assert tests[made[1].given[0]] == "new7.py::a"
+    assert len(made[1].given) >= 2
+
+
+def test_what_is_wide_begins_after_what_is_punctual() -> None:
+    tests = ["clock.py::a", "clock.py::b", "wide.py::a", *(f"new{number}.py::a" for number in range(20))]
+    costs = {"clock.py": Cost(90.0, "punctual"), "wide.py": Cost(300.0, "wide")}
+    schedule, made = scheduled(2, tests, costs, cores=2)
+    assert 2 not in made[1].given
+    for index in (0, 1):
+        schedule.mark_test_complete(made[0], index)  # type: ignore[arg-type]
+    schedule.mark_test_complete(made[1], made[1].given[0])  # type: ignore[arg-type]
+    assert 2 in made[0].given + made[1].given
+    only = ["clock.py::a", "clock.py::b", "wide.py::a"]
+    assert sorted(work_off(*scheduled(2, only, costs, cores=2), only)) == sorted(only)
+
+
 @pytest.mark.parametrize("workers", [1, 2, 3])
 def test_every_test_runs_once_where_some_are_alone(workers: int) -> None:
     costs = {**COSTS, "short.py": Cost(2.0, "alone")}

@@ -12,6 +12,7 @@ setup(
     ],
     install_requires=[
         "aiohttp>=3.9",
+        "distributed>=2024.1",
         "jinja2>=3.1",
         "numpy>=1.26",
         "rich>=13.7",

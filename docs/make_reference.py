@@ -214,6 +214,8 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "points": "point numbers, in the order of the shapes",
         "modes": "the modes; a rigid-body mode has 0 Hz",
         "residual": "what modes above the given ones contribute",
+        "shape_std": "standard uncertainty of the shapes, over the largest value of each mode; 0 = exact. A diagnosis "
+        "takes errors of that size for ordinary",
         "base_motion": "displacement of each point by that of a shaking table; left out = 1",
         "file": "modes from a `.csv` table or data sets 55 of a universal file (`.uff`, `.unv`), relative to the rig "
         "file; read when the rig is loaded",

@@ -241,7 +241,7 @@ def test_the_noise_of_a_table_without_level_counts() -> None:
     response = 1.0 / (OMEGA**2 - (2.0 * pi * frequency) ** 2 + 2j * RATIO * OMEGA * 2.0 * pi * frequency)
     columns = {"frequency_hz": frequency, "real": response.real, "imag": response.imag}
     table = ObservableTable("frf", columns, {}, Quantity.DISPLACEMENT, point=1, drive_point=1, noise=0.005)
-    found = table_observations("table", table, oscillator(), ObservationSettings())
+    found = table_observations("table", [table], oscillator(), ObservationSettings())
     assert np.allclose(found.std, 0.005)
     assert not found.notes
 
@@ -257,7 +257,7 @@ def test_damping_ratios_without_uncertainties_count_by_their_scatter() -> None:
         for seed in range(20):
             ratio = smooth * np.exp(scatter * np.random.default_rng(seed).standard_normal(16))
             table = ObservableTable("backbone", {**columns, "damping_ratio": ratio}, {}, Quantity.DISPLACEMENT)
-            observations = table_observations("table", table, oscillator(), ObservationSettings())
+            observations = table_observations("table", [table], oscillator(), ObservationSettings())
             (test,) = observations.tests
             assert isinstance(test, BackboneTable)
             assert 1.0 < test.noise_degrees < 10.0

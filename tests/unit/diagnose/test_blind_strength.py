@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 from typing import Any
@@ -89,6 +90,38 @@ def test_a_resonance_that_moved_by_more_than_its_width_is_a_shift_all_the_same(m
     assert rungs[-1].value == pytest.approx(5.0)
     for rung in rungs:
         assert rung.sigma == pytest.approx(rung.value, rel=0.01)
+
+
+def test_strong_effects_are_bounded_without_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A curved shift imitates an effect but for a part of its own: from 256 σ on no strength takes more than a few."""
+    direction, own_part = COLUMNS[:, 0] * 50.0, np.zeros(ROWS)
+    own_part[7] = 200.0 * NOISE[7]
+    played = []
+
+    def play(shift: float, value: float = 0.0) -> Observed:
+        played.append(shift)
+        return observed(direction * math.expm1(0.15 * shift) / 0.15 + own_part * value)
+
+    own = sensitivity(np.column_stack([direction, COLUMNS[:, 1:]]))
+    monkeypatch.setattr(own, "observe", play, raising=False)
+    begun: list[int] = []
+
+    def truth(value: float) -> Observed:
+        begun.append(len(played))
+        return play(value, value)
+
+    rungs, _ = climbed(own, truth, 0.01, 1e3)
+    assert rungs[-1].sigma >= 4096.0
+    exact = np.linalg.norm(own_part / NOISE)
+    strong = [rung for before, rung in itertools.pairwise(rungs) if before.sigma >= strength_curve.SEARCHED]
+    assert strong
+    for rung in rungs:
+        least = 0.5 * exact * rung.value  # the other shifts take some of it
+        assert rung.sigma >= least
+    for rung in rungs[: -len(strong)]:
+        assert rung.sigma <= 1.1 * math.hypot(exact * rung.value, rung.value)
+    ends = [*begun[1:], len(played)]
+    assert max(end - start for start, end in zip(begun[-len(strong) :], ends[-len(strong) :], strict=True)) <= 4
 
 
 def test_products_of_signatures_are_the_generalised_ones_where_all_is_linear(monkeypatch: pytest.MonkeyPatch) -> None:

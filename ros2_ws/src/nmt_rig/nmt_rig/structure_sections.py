@@ -118,6 +118,7 @@ class ModalSection(StructureSection):
     points: Annotated[list[Point], Field(min_length=1, max_length=200, default_factory=lambda: [1])]
     modes: Annotated[list[ModeSection], Field(max_length=100, default_factory=list)]
     residual: ResidualSection | None = None
+    shape_std: Annotated[float, Field(ge=0, lt=1)] = 0.01
     base_motion: list[float] | None = None
     file: str | None = None
     direction: Literal["x", "y", "z"] = "z"

@@ -22,6 +22,8 @@ from nmt_core.blocks import FloatArray
 
 WEAK, MIDDLE, STRONGEST = 8.0, 64.0, 4096.0
 """Standard deviations from which to which a curve goes, and those of a strength that a search may start from."""
+SEARCHED = 256.0
+"""Standard deviations up to which the best shifts are searched; those of stronger effects are an upper bound."""
 COMPARED = 16.0
 """Strength at which signatures are compared, standard deviations."""
 # Size of a difference, over the noise, up to which everything is linear; what is near enough to it.
@@ -32,6 +34,8 @@ _FARTHEST = 100.0
 # From one strength to the next: where parameters imitate the effect, at first, and at most. Each step that was not too
 # long is followed by one that is longer by a factor.
 _SHORT, _LONG, _GROWTH = 2.0, 8.0, 1.5
+# The same where nothing is searched any more.
+_BEYOND = 4.0
 _IMITATED = 5.0
 _AGREES = 0.1
 _MOST_RUNGS = 40
@@ -136,11 +140,14 @@ def climbed(
             return rungs, trouble or "as strong as it can be"
         if failed < _CLOSE * last.value:
             return rungs, trouble
-        value = min(last.value * (ratio if last.imitated else _LONG), largest, math.sqrt(failed * last.value))
+        searched = last.sigma < SEARCHED
+        factor = (ratio if last.imitated else _LONG) if searched else _BEYOND
+        value = min(last.value * factor, largest, math.sqrt(failed * last.value))
         try:
             rung = _rung(sensitivity, play(value), value, rungs)
             while (
-                rung.imitated
+                searched
+                and rung.imitated
                 and value > _SHORTEST * last.value
                 and rung.sigma > _JUMP * value / last.value * last.sigma
             ):
@@ -207,7 +214,9 @@ def _rung(sensitivity: Sensitivity, observed: Observed, value: float, rungs: lis
             best = start
         if best.left <= _EXPECTED * value / rungs[-1].value * rungs[-1].sigma:
             break
-    best = sensitivity.settled(observed, best)
+    # What every test shows many times over is told apart however strong it is: there a bound will do.
+    if not rungs or rungs[-1].sigma < SEARCHED:
+        best = sensitivity.settled(observed, best)
     own = size < _IMITATED * best.left and abs(linear - best.left) < _AGREES * best.left
     return Rung(value, observed, best, not own)
 

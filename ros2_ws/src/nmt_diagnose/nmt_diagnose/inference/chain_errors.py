@@ -13,6 +13,7 @@ from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, ChainT
 from nmt_diagnose.inference.held_drive_errors import IMAGE_FLOOR, SAME_FOR_LEVELS, HeldDrive, near_step
 from nmt_diagnose.inference.modes_left_out import ModesLeftOut
 from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.inference.shape_errors import ShapeErrors
 from nmt_diagnose.inference.shared_errors import SharedErrors
 from nmt_diagnose.observations.conditions import (
     PhaseResonanceTest,
@@ -173,6 +174,7 @@ class _Columns:
         self.numbers = self.chain.numbers
         self.held = HeldDrive(self.chain)
         self.modes = ModesLeftOut(self.chain)
+        self.shapes = ShapeErrors(self.chain)
 
     def columns(self, prediction: Prediction) -> FloatArray:
         """What one standard deviation of each error adds to the observables, shape (m, r)."""
@@ -218,7 +220,7 @@ class _Columns:
         found += [voltage_gain * self._voltage(base), voltage_gain * self._recorded_voltage()]
         found += self.held.columns(self.chain.slopes(base), base)
         found += self.held.aims()
-        found += [*self._stepped(), *self.modes.columns(base), *self.held.bends()]
+        found += [*self._stepped(), *self.modes.columns(base), *self.shapes.columns(base), *self.held.bends()]
         return np.column_stack([self.chain.full(column) for column in found])
 
     def sweeps(self, prediction: Prediction) -> FloatArray:

@@ -30,6 +30,7 @@ from nmt_diagnose.observations.ring_down_observations import ring_down_observati
 from nmt_diagnose.observations.row_table import empty
 from nmt_diagnose.observations.shared_scatter import with_shared_scatter
 from nmt_diagnose.observations.stepped_sine_observations import is_response, stepped_sine_observations
+from nmt_diagnose.observations.stepped_table_observations import measured_together
 from nmt_diagnose.observations.table_observations import table_observations
 from nmt_record.bag_reader import Bag
 from nmt_record.observables import observable_tables
@@ -151,9 +152,11 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
     if usable:
         parts += _signals(bag, name, usable, run, model, settings, notes)
     tables = observable_tables(bag) if "observables" in bag.topics else []
-    for number, table in enumerate(tables):
-        own = name if len(tables) == 1 and not usable else f"{name}/{table.name or f'table {number + 1}'}"
-        reduced = table_observations(own, table, model, settings)
+    for numbers in measured_together(tables, model.drive_point):
+        first = tables[numbers[0]].name or f"table {numbers[0] + 1}"
+        more = f" and {len(numbers) - 1} more points" if len(numbers) > 1 else ""
+        own = name if len(tables) == len(numbers) and not usable else f"{name}/{first}{more}"
+        reduced = table_observations(own, [tables[number] for number in numbers], model, settings)
         chains = tuple(
             table_chain(test.channels, settings.calibration) if isinstance(test, SteppedSineTest | RandomTest) else None
             for test in reduced.tests

@@ -34,7 +34,7 @@ def with_shared_scatter(observations: Observations) -> Observations:
         before = np.array([float(std[mine][0]) for mine in own])
         after, degrees = shrunk(before, np.array([_sweep(tests[number]).noise_degrees for number in numbers]))
         for number, mine, old, new, free in zip(numbers, own, before, after, degrees, strict=True):
-            std[mine] = new
+            std[mine] *= new / old  # of the first channel; others scatter in proportion
             test = _sweep(tests[number])
             noise = np.sqrt(np.maximum(test.noise**2 - old**2, 0.0) + new**2)
             tests[number] = replace(test, noise=noise, noise_degrees=float(free))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,25 +46,69 @@ def has_levels(table: ObservableTable) -> bool:
     return table.level > 0.0 or any(bool(np.any(column > 0.0)) for column in given)
 
 
-def stepped_table_observations(
-    name: str, table: ObservableTable, view: ModelView, channel: MeasuredChannel, settings: ObservationSettings
-) -> Observations:
-    """Observables of a table of frequency responses at held amplitudes, a test for each level.
+def measured_together(tables: Sequence[ObservableTable], drive_point: int) -> list[list[int]]:
+    """Numbers of tables that are points of one passage: the same lines at the same level, each point once.
+
+    Such tables have one motion, which is solved once for all of them. All others stand alone.
 
     Args:
-        name: of the table; where it has several levels, each test adds its own.
-        table: with a level, a column of levels, or a measured force at each line.
-        view: the model, driven at the table's drive point.
-        channel: response channel.
+        tables: of one bag.
+        drive_point: of tables that do not say theirs.
+    """
+    groups: list[list[int]] = []
+    open_groups: dict[str, list[int]] = {}
+    for number, table in enumerate(tables):
+        if not _levels_of_the_excitation(table):
+            groups.append([number])
+            continue
+        lines = [table.columns.get(name) for name in ("frequency_hz", "level", "force_n")]
+        key = repr((
+            table.drive_point or drive_point, table.reference, table.held, table.level, table.level_unit,
+            table.direction, table.phase_known, *(None if column is None else column.tobytes() for column in lines),
+        ))  # fmt: skip
+        group = open_groups.get(key)
+        places = [(tables[other].point, tables[other].quantity) for other in group or ()]
+        if group is None or (table.point, table.quantity) in places:
+            group = open_groups[key] = []
+            groups.append(group)
+        group.append(number)
+    return groups
+
+
+def _levels_of_the_excitation(table: ObservableTable) -> bool:
+    if table.kind != "frf" or not has_levels(table):
+        return False
+    try:
+        return _held("", table)[0] != "response"
+    except BenchError:
+        return False
+
+
+def stepped_table_observations(
+    name: str,
+    tables: Sequence[ObservableTable],
+    view: ModelView,
+    channels: Sequence[MeasuredChannel],
+    settings: ObservationSettings,
+) -> Observations:
+    """Observables of frequency responses at held amplitudes, a test for each level.
+
+    Args:
+        name: of the tables; where they have several levels, each test adds its own.
+        tables: with a level, a column of levels, or a measured force at each line; several are those of
+            :func:`measured_together`.
+        view: the model, driven at the tables' drive point.
+        channels: response channel of each table.
         settings: settings.
 
     Raises:
         BenchError: what was held, or its unit, does not fit the responses.
     """
+    table = tables[0]
     if table.reference == "base" and not isinstance(view.rig.exciter, ShakingTableSection):
         raise BenchError(
             f"{name}: its responses are over the acceleration of the base, but the exciter of the model "
-            f"{view.rig.name} is no shaking table; write exciter: {{kind: shaking_table, point: {channel.point}}}."
+            f"{view.rig.name} is no shaking table; write exciter: {{kind: shaking_table, point: {channels[0].point}}}."
         )
     held, notes = _held(name, table)
     level = table.columns.get("level", np.full(table.rows, table.level))
@@ -81,8 +126,8 @@ def stepped_table_observations(
     elif held == "base" and table.level_unit:
         moved = quantity_of_unit(table.level_unit)
         amplitude = amplitude * omega ** (ORDER[Quantity.ACCELERATION] - ORDER.get(moved, ORDER[Quantity.ACCELERATION]))
-    response = table.responses
-    usable = np.isfinite(response) & (np.abs(response) > 0.0) & (frequency > 0.0)
+    responses = np.column_stack([each.responses for each in tables])
+    usable = np.all(np.isfinite(responses) & (np.abs(responses) > 0.0), axis=1) & (frequency > 0.0)
     usable &= np.isfinite(amplitude) & (amplitude > 0.0)
     if not usable.all():
         notes.append(f"{name}: {int((~usable).sum())} of {usable.size} rows have no response or level; left out.")
@@ -92,7 +137,7 @@ def stepped_table_observations(
     parts = []
     for own_level, mine in groups:
         own = name if len(groups) == 1 else f"{name} at {own_level:g} {table.level_unit}".strip()
-        parts.append(_one(own, table, held, mine, amplitude, response, view, channel, settings))
+        parts.append(_one(own, tables, held, mine, amplitude, view, channels, settings))
     return joined([empty(notes), *parts])
 
 
@@ -133,50 +178,60 @@ def _groups(level: FloatArray, usable: NDArray[np.bool_]) -> list[tuple[float, N
 
 def _one(
     name: str,
-    table: ObservableTable,
+    tables: Sequence[ObservableTable],
     held: str,
     mine: NDArray[np.int64],
     amplitude: FloatArray,
-    response: ComplexArray,
     view: ModelView,
-    channel: MeasuredChannel,
+    channels: Sequence[MeasuredChannel],
     settings: ObservationSettings,
 ) -> Observations:
     """Observables of one level."""
-    frequency = table.columns["frequency_hz"]
+    frequency = tables[0].columns["frequency_hz"]
     order = mine[np.argsort(frequency[mine], kind="stable")]
-    f, h = frequency[order], response[order]
-    std, notes, degrees = _noise(name, table, order, h, f)
-    kept = std <= settings.largest_std
+    f = frequency[order]
+    notes: list[str] = []
+    measured = []
+    for table, channel in zip(tables, channels, strict=True):
+        own = name if len(tables) == 1 else f"{name}, {channel.name}"
+        std, said, degrees = _noise(own, table, order, table.responses[order], f)
+        notes += said
+        measured.append((channel, table.responses[order], std, degrees))
+    # The channel that moves most in its own noise says how large the motion was.
+    measured.sort(key=lambda own: float(np.median(own[2])))
+    h = np.column_stack([own[1] for own in measured]).astype(np.complex128)
+    std = np.column_stack([own[2] for own in measured])
+    kept = np.all(std <= settings.largest_std, axis=1)
     if held != "response":
-        jumps = jumps_of(h)
-        for jump in jumps:
+        for jump in jumps_of(h[:, 0]):
             kept[[jump, jump + 1]] = False
             notes.append(f"{name}: it jumps between {f[jump]:.5g} and {f[jump + 1]:.5g} Hz; both lines are left out.")
     if not kept.any():
         return empty((*notes, f"{name}: left out: no line is known to better than {100 * settings.largest_std:g} %."))
     order, f, h, std = order[kept], f[kept], h[kept], std[kept]
-    chosen = spread_lines(f, h, settings.stepped_lines)
+    chosen = spread_lines(f, h[:, 0], settings.stepped_lines)
     rows = RowTable()
-    floor = settings.floors.stepped
+    floor, phase_known = settings.floors.stepped, tables[0].phase_known
     for number, index in enumerate(chosen):
         place = Place(number, 0.0, float(f[index]), float(amplitude[order[index]]))
-        rows.add(Part.LOG_MAGNITUDE, math.log(abs(h[index])), float(std[index]), floor, place, 0, 1)
-        if table.phase_known:
-            rows.add(Part.PHASE, float(np.angle(h[index])), float(std[index]), floor, place, 0, 1)
+        for k in range(len(measured)):
+            value, own_std = complex(h[index, k]), float(std[index, k])
+            rows.add(Part.LOG_MAGNITUDE, math.log(abs(value)), own_std, floor, place, k, 1)
+            if phase_known:
+                rows.add(Part.PHASE, float(np.angle(value)), own_std, floor, place, k, 1)
     test = SteppedSineTest(
         name=name,
         drive_point=view.rig.drive_point,
-        channels=(channel,),
-        reference=table.reference,
+        channels=tuple(own[0] for own in measured),
+        reference=tables[0].reference,
         held=held,
         lines_hz=f[chosen].copy(),
         levels=amplitude[order[chosen]].copy(),
-        measured=h[chosen].reshape(-1, 1).copy(),
-        noise=np.hypot(std[chosen], floor),
-        direction={"up": 1, "down": -1}.get(table.direction, 0),
-        noise_degrees=degrees,
-        phase_known=table.phase_known,
+        measured=h[chosen].copy(),
+        noise=np.hypot(std[chosen, 0], floor),
+        direction={"up": 1, "down": -1}.get(tables[0].direction, 0),
+        noise_degrees=measured[0][3],
+        phase_known=phase_known,
     )
     return rows.observations(test, notes)
 

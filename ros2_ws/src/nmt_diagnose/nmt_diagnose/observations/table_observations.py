@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,32 +27,43 @@ _FEWEST_FOR_SCATTER = 7
 _CUBIC_STD = 1.3
 
 
-def table_observations(name: str, table: ObservableTable, model: Rig, settings: ObservationSettings) -> Observations:
-    """Observables of one table; a sentence where it cannot be used."""
-    drive_point = table.drive_point or model.drive_point
+def table_observations(
+    name: str, tables: Sequence[ObservableTable], model: Rig, settings: ObservationSettings
+) -> Observations:
+    """Observables of one table, or of several that were measured together; a sentence where it cannot be used."""
+    drive_point = tables[0].drive_point or model.drive_point
     points = model.structure.points
-    for point, what in ((drive_point, "drive point"), (table.point or drive_point, "point")):
+    notes = []
+    for point, what in ((drive_point, "drive point"), *((each.point or drive_point, "point") for each in tables)):
         if point not in points:
-            return empty((f"{name}: left out: its {what} {point} is not among the model's points 1 to {points[-1]}.",))
+            notes.append(f"{name}: left out: its {what} {point} is not among the model's points 1 to {points[-1]}.")
+    tables = [each for each in tables if (each.point or drive_point) in points]
+    if drive_point not in points or not tables:
+        return empty(notes)
+    table = tables[0]
     view = ModelView.of(model, drive_point)
-    point = table.point or drive_point
-    if table.quantity not in ORDER:
+    if any(each.quantity not in ORDER for each in tables):
         return empty(
             (
                 f"{name}: left out: its amplitude is modal ({table.units.get('amplitude', 'no unit')}); the model "
                 "predicts amplitudes of a point in m, m/s or m/s^2.",
             )
         )
+    channels = [_channel(each, view, each.point or drive_point) for each in tables]
+    if table.kind == "backbone":
+        return _backbone(name, table, view, channels[0], settings)
+    if has_levels(table):
+        found = stepped_table_observations(name, tables, view, channels, settings)
+        return replace(found, notes=(*notes, *found.notes))
+    return _responses(name, table, view, channels[0], settings)
+
+
+def _channel(table: ObservableTable, view: ModelView, point: int) -> MeasuredChannel:
     letter = {Quantity.DISPLACEMENT: "x", Quantity.VELOCITY: "v", Quantity.ACCELERATION: "a"}[table.quantity]
-    channel = next(
+    return next(
         (c for c in view.channels if (c.quantity, c.point) == (table.quantity, point)),
         MeasuredChannel(f"{letter}{point}", table.quantity, point),
     )
-    if table.kind == "backbone":
-        return _backbone(name, table, view, channel, settings)
-    if has_levels(table):
-        return stepped_table_observations(name, table, view, channel, settings)
-    return _responses(name, table, view, channel, settings)
 
 
 def _column(table: ObservableTable, name: str) -> FloatArray:

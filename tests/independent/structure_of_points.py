@@ -232,7 +232,11 @@ def diagnosed(folder: Path, kind: str, seed: int, count: int = LINES, jobs: int 
 
 
 def judged(seed: int) -> tuple[str, str]:
-    """A line about a seed, and how it ended: ``silent``, ``alarm``, ``place``, ``first``, ``other`` or ``unknown``."""
+    """A line about a seed, and how it ended.
+
+    ``silent`` or ``alarm`` of a healthy one; ``place``: effect and point are right; ``alike``: the point is among those
+    that are said to be hardly less likely; ``first``: the effect alone is right; ``other`` or ``unknown``.
+    """
     warnings.simplefilter("ignore")
     kind = list(EFFECTS)[seed % len(EFFECTS)]
     with tempfile.TemporaryDirectory() as folder:
@@ -244,9 +248,13 @@ def judged(seed: int) -> tuple[str, str]:
         end = "unknown"
     elif first.effect != EFFECTS[kind]:
         end = "other"
+    elif first.detail == str(own.local):
+        end = "place"
     else:
-        end = "place" if str(own.local) in first.detail.split() else "first"
+        end = "alike" if str(own.local) in found.where[0].detail.split(" + ") else "first"
     what = f"{first.effect} at {first.detail} {100 * first.probability:.0f} %" if first else "nothing named"
+    if first and found.where:
+        what += f", place {found.where[0].detail}"
     truth = f"driven {own.driven}, force at {own.local}"
     return f"{seed}  {kind:10} {truth:24} {end:8} {found.verdict.value:12} {what}", end
 

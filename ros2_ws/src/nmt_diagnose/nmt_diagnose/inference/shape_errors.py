@@ -67,7 +67,7 @@ class ShapeErrors:
         table = isinstance(chain.rig.exciter, ShakingTableSection)
         points = set() if table else {test.drive_point for test in chain.tests}
         for element in chain.rig.local_elements:
-            points |= {value for key, value in element.model_dump().items() if key.endswith("point") and value}
+            points |= {element.point, element.other_point or element.point}
         for test in chain.tests:
             if isinstance(test, SteppedSineTest | RingDownTest):  # the amplitude of the first channel is given
                 points.add(test.channels[0].point)

@@ -13,7 +13,6 @@ one linear mode, its frequency 0.1 % and its damping 5 % off at random. A health
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import warnings
 from collections.abc import Callable
@@ -22,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from independent.seeds import print_ends, seed_parser
 from independent.structure_at_a_point import Bench, Structure, backbone_table, iwan_joint
-from joblib import Parallel, delayed
 from ruamel.yaml import YAML
 
 from nmt_bench.data_import import import_data
@@ -259,19 +258,11 @@ def judged(seed: int, data: str = "") -> tuple[str, str]:
 
 def main() -> None:
     """Print a line for each seed, and how many ended how."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--first", type=int, default=3000, metavar="SEED", help="first seed (default 3000)")
-    parser.add_argument("--count", type=int, default=45, metavar="N", help="structures (default 45: each kind once)")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default 2)")
+    parser = seed_parser(__doc__, first=3000, count=45)
     parser.add_argument("--data", choices=[*KINDS_OF_DATA, "magnitudes"], default="", help="one kind for all seeds")
     words = parser.parse_args()
     seeds = range(words.first, words.first + words.count)
-    ends: dict[str, int] = {}
-    work = (delayed(judged)(seed, words.data) for seed in seeds)
-    for line, end in Parallel(n_jobs=words.jobs, return_as="generator")(work):
-        print(line, flush=True)
-        ends[end] = ends.get(end, 0) + 1
-    print(", ".join(f"{name} {count}" for name, count in sorted(ends.items())))
+    print_ends([(seed, words.data) for seed in seeds], judged, words.jobs)
 
 
 if __name__ == "__main__":

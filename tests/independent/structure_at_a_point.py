@@ -56,7 +56,8 @@ def iwan_joint(
 
 
 @njit(cache=False)  # type: ignore[untyped-decorator]
-def _local_force(x: float, v: float, terms: Any, stiffness: Any, limits: Any, moved: Any) -> float:
+def local_force(x: float, v: float, terms: Any, stiffness: Any, limits: Any, moved: Any) -> float:
+    """Force on the point, N: springs, damping, a stop, and sliders that have moved so far."""
     total = terms[0] * x**3 + terms[1] * x * x + terms[2] * x * x * v
     if abs(x) > terms[4]:
         total += terms[3] * (abs(x) - terms[4]) * np.sign(x)
@@ -64,6 +65,22 @@ def _local_force(x: float, v: float, terms: Any, stiffness: Any, limits: Any, mo
         spring = stiffness[i] * (x - moved[i])
         total += min(max(spring, -limits[i]), limits[i])
     return total
+
+
+@njit(cache=False)  # type: ignore[untyped-decorator]
+def advance(state: Any, slope: Any, dt: float) -> None:
+    """A step of Runge and Kutta's fourth order from its four slopes, (4, 2, modes)."""
+    for k in range(2):
+        for m in range(state.shape[1]):
+            state[k, m] += dt / 6.0 * (slope[0, k, m] + 2.0 * slope[1, k, m] + 2.0 * slope[2, k, m] + slope[3, k, m])
+
+
+@njit(cache=False)  # type: ignore[untyped-decorator]
+def slide(x: float, stiffness: Any, limits: Any, moved: Any) -> None:
+    """Sliders go with the point where their springs reach the slip force."""
+    for i in range(stiffness.size):
+        reach = limits[i] / stiffness[i]
+        moved[i] = min(max(moved[i], x - reach), x + reach)
 
 
 @njit(cache=False)  # type: ignore[untyped-decorator]
@@ -94,7 +111,7 @@ def _play(
                 drive = force * np.cos(omega * (step + part) * dt + angle)
             if stage == 0:
                 position[step], speed[step], applied[step] = x, v, drive
-            net = drive - _local_force(x, v, terms, stiffness, limits, moved)
+            net = drive - local_force(x, v, terms, stiffness, limits, moved)
             for m in range(count):
                 slope[stage, 0, m] = now[1, m]
                 slope[stage, 1, m] = (
@@ -102,17 +119,11 @@ def _play(
                     - 2.0 * modes[1, m] * modes[0, m] * now[1, m]
                     - modes[0, m] * modes[0, m] * now[0, m]
                 )
-        for k in range(2):
-            for m in range(count):
-                state[k, m] += (
-                    dt / 6.0 * (slope[0, k, m] + 2.0 * slope[1, k, m] + 2.0 * slope[2, k, m] + slope[3, k, m])
-                )
+        advance(state, slope, dt)
         x = 0.0
         for m in range(count):
             x += modes[2, m] * state[0, m]
-        for i in range(stiffness.size):
-            reach = limits[i] / stiffness[i]
-            moved[i] = min(max(moved[i], x - reach), x + reach)
+        slide(x, stiffness, limits, moved)
 
 
 class Bench:

@@ -14,7 +14,6 @@ the modes with errors: 0.1 % of the frequencies, 5 % of the damping, 1 % of the 
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import warnings
 from dataclasses import dataclass
@@ -22,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from independent.structure_at_a_point import STEPS, _local_force
-from joblib import Parallel, delayed
+from independent.seeds import print_ends, seed_parser
+from independent.structure_at_a_point import STEPS, advance, local_force, slide
 from numba import njit
 from ruamel.yaml import YAML
 
@@ -93,7 +92,7 @@ def _play(
                     for m in range(count):
                         kept[p, step] += shapes[p, m] * now[0, m]
             drive = force * np.cos(omega * (step + part) * dt)
-            own = _local_force(x, v, terms, stiffness, limits, moved)
+            own = local_force(x, v, terms, stiffness, limits, moved)
             for m in range(count):
                 slope[stage, 0, m] = now[1, m]
                 slope[stage, 1, m] = (
@@ -102,17 +101,11 @@ def _play(
                     - 2.0 * modes[1, m] * modes[0, m] * now[1, m]
                     - modes[0, m] * modes[0, m] * now[0, m]
                 )
-        for k in range(2):
-            for m in range(count):
-                state[k, m] += (
-                    dt / 6.0 * (slope[0, k, m] + 2.0 * slope[1, k, m] + 2.0 * slope[2, k, m] + slope[3, k, m])
-                )
+        advance(state, slope, dt)
         x = 0.0
         for m in range(count):
             x += shapes[local, m] * state[0, m]
-        for i in range(stiffness.size):
-            reach = limits[i] / stiffness[i]
-            moved[i] = min(max(moved[i], x - reach), x + reach)
+        slide(x, stiffness, limits, moved)
 
 
 def responses(own: Drawn, force: float, frequencies: np.ndarray) -> np.ndarray:
@@ -261,17 +254,8 @@ def judged(seed: int) -> tuple[str, str]:
 
 def main() -> None:
     """Print a line for each seed, and how many ended how."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--first", type=int, default=1, metavar="SEED", help="first seed (default 1)")
-    parser.add_argument("--count", type=int, default=12, metavar="N", help="structures (default 12: each kind twice)")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default 2)")
-    words = parser.parse_args()
-    seeds = range(words.first, words.first + words.count)
-    ends: dict[str, int] = {}
-    for line, end in Parallel(n_jobs=words.jobs, return_as="generator")(delayed(judged)(seed) for seed in seeds):
-        print(line, flush=True)
-        ends[end] = ends.get(end, 0) + 1
-    print(", ".join(f"{name} {count}" for name, count in sorted(ends.items())))
+    words = seed_parser(__doc__, first=1, count=12).parse_args()
+    print_ends([(seed,) for seed in range(words.first, words.first + words.count)], judged, words.jobs)
 
 
 if __name__ == "__main__":

@@ -299,6 +299,16 @@ def test_backbone_and_frequency_responses_of_others(tmp_path: Path) -> None:
     assert frf.units == {"frequency_hz": "Hz", "level": "N", "real": "m/s^2/N", "imag": "m/s^2/N"}
 
 
+def test_a_magnitude_beside_real_and_imaginary_part_is_not_needed(tmp_path: Path) -> None:
+    (tmp_path / "frf.csv").write_text("frequency_hz,real,imag,magnitude\n10,3,-4,5\n11,4,-3,5\n")
+    segment = {"kind": "frf", "unit": "m/N", "point": 4, "drive_point": 2, "scale": -1.0}
+    path = write_sidecar(tmp_path, {"file": "frf.csv", "rig": "their rig", "segments": [segment]})
+    (table,) = observable_tables(imported(path))
+    assert table.phase_known
+    assert table.responses == pytest.approx([-3 + 4j, -4 + 3j])
+    assert set(table.columns) == {"frequency_hz", "real", "imag"}
+
+
 @pytest.mark.parametrize(
     ("text", "section", "sentence"),
     [

@@ -188,3 +188,30 @@ def test_templates_of_tables(tmp_path: Path) -> None:
     assert segment["kind"] == "backbone"
     assert segment["unit"] == "mm"
     assert segment["units"] == {"damping_ratio": "%"}
+
+
+@pytest.mark.parametrize(
+    ("head", "kind", "columns"),
+    [
+        ("frequency_hz,magnitude", "frf", {"frequency_hz": "frequency_hz", "magnitude": "magnitude"}),
+        (
+            "frequency_hz,amplitude,damping_ratio",
+            "backbone",
+            {name: name for name in ("frequency_hz", "amplitude", "damping_ratio")},
+        ),
+        (
+            "frequency_hz,magnitude,zeta",
+            "backbone",
+            {"frequency_hz": "frequency_hz", "amplitude": "magnitude", "damping_ratio": "zeta"},
+        ),
+    ],
+)
+def test_a_magnitude_alone_is_a_response_unless_a_damping_ratio_is_beside_it(
+    head: str, kind: str, columns: dict[str, str], tmp_path: Path
+) -> None:
+    path = tmp_path / "table.csv"
+    count = head.count(",")
+    path.write_text(f"{head}\n20{',0.01' * count}\n21{',0.02' * count}\n")
+    segment = template(path)["segments"][0]
+    assert segment["kind"] == kind
+    assert segment["columns"] == columns

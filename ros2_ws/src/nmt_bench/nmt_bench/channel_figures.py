@@ -23,7 +23,7 @@ LIMIT_PROCESSES = 8.0
 LIMIT_LARGE = 2.0
 LIMIT_MEMORY = 500.0
 LIMIT_REAL_TIME = 0.98
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 _LEVEL = 0.5  # V
 _LOOK = 0.1  # s between two looks at the memory
 _BLOCK = 0.02  # s
@@ -108,7 +108,7 @@ def _measured(name: str, limit: float, measure: Callable[[], float]) -> Figure:
     return Figure(name, value, "× real time", limit, AT_LEAST, value >= limit)
 
 
-def _alone(function: Callable[..., Result], *arguments: Any) -> Result:
+def _alone(function: Callable[..., _Result], *arguments: Any) -> _Result:
     """What a function gives in a process of its own."""
     with ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn")) as process:
         return process.submit(function, *arguments).result()

@@ -377,7 +377,7 @@ def _complex(
             "as far as that is known; name columns that are called otherwise, columns: {magnitude: …}."
         )
     if plain:
-        return columns
+        return {name: values for name, values in columns.items() if not name.startswith("magnitude")}
     if (columns["magnitude"] < 0.0).any():
         row = int(np.argmax(columns["magnitude"] < 0.0))
         raise BenchError(f"{place}: the magnitude is negative at {table.place(row)}; is it in dB? give it linear.")

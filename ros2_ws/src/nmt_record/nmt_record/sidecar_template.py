@@ -17,13 +17,14 @@ from nmt_record.import_table import SourceTable, kind_of, read_table
 from nmt_record.unit_table import quantity_of_unit
 
 _FREQUENCY = re.compile(r"(f|fr?eq(uency)?)(_?hz)?|hz|hertz", re.I)
+# In this order: a damping ratio is no magnitude.
 _MEMBERS = {
+    "damping_ratio": r"damp(ing)?(_?ratio)?|zeta|delta",
     "real": r"re(al)?(_?part)?",
     "imag": r"im(ag)?(inary)?(_?part)?",
     "magnitude": r"(\w+_)?(mag(nitude)?|abs(olute)?|modulus|ratio)(_\w+)?",
     "phase": r"(pha(se)?|phi|arg(ument)?)(_?(deg(rees)?|rad))?",
     "amplitude": r"amp(l|litude)?|level|disp(lacement)?|acc(eleration)?|a|q",
-    "damping_ratio": r"damp(ing)?(_?ratio)?|zeta|delta",
     "force_n": r"force|load|f_?n",
 }
 _LETTER = re.compile(r"([faxvui])_?(\d*)", re.I)
@@ -81,8 +82,10 @@ def _table_lines(table: SourceTable, frequency: int) -> list[str]:
             if index not in named.values() and re.fullmatch(words, bare_name(table, index), re.I):
                 named[member] = index
                 break
-    pairs = ({"real", "imag"}, {"magnitude", "phase"}, {"magnitude"})
-    kept = next((pair for pair in pairs if pair <= set(named)), None)
+    groups = [{"real", "imag"}, {"magnitude", "phase"}]
+    if "damping_ratio" not in named:  # with one it is a backbone
+        groups.append({"magnitude"})
+    kept = next((group for group in groups if group <= set(named)), None)
     if kept is not None:
         kind, members = "frf", ["frequency_hz", *sorted(kept, reverse=True)]
         unit = f"{_ASK}   # of the response, such as m/s^2/N, g/N, or g/g over the acceleration of a base"
@@ -92,7 +95,7 @@ def _table_lines(table: SourceTable, frequency: int) -> list[str]:
             ["frequency_hz", "amplitude", *(["damping_ratio"] if "damping_ratio" in named else [])],
         )
         rest = [i for i in range(len(table.names)) if i not in named.values()]
-        named.setdefault("amplitude", rest[0] if rest else 1 - frequency)
+        named.setdefault("amplitude", named.get("magnitude", rest[0] if rest else 1 - frequency))
         own = table.units[named["amplitude"]]
         unit = (
             own

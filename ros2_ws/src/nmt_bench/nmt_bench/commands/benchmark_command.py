@@ -32,7 +32,7 @@ def add_parser(subparsers: Subparsers) -> None:
             "node, reading and extracting bags, runs of very many levels, a diagnosis, and the whole bench with its "
             "nodes in one process and in one process each, also with many channels, and what a Dask scheduler leaves "
             "of its workers' time. Each figure is printed beside its limit, or beside a peer measured in the same run. "
-            "Takes about eight minutes on an idle machine."
+            "Takes about four minutes on two idle cores."
         ),
     )
     parser.add_argument("--json", metavar="FILE", type=Path, help="also write the figures to this JSON file")

@@ -154,7 +154,8 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
     tables = observable_tables(bag) if "observables" in bag.topics else []
     for numbers in measured_together(tables, model.drive_point):
         first = tables[numbers[0]].name or f"table {numbers[0] + 1}"
-        more = f" and {len(numbers) - 1} more points" if len(numbers) > 1 else ""
+        count = len(numbers) - 1
+        more = f" and {count} more point{'s' if count > 1 else ''}" if count else ""
         own = name if len(tables) == len(numbers) and not usable else f"{name}/{first}{more}"
         reduced = table_observations(own, [tables[number] for number in numbers], model, settings)
         chains = tuple(

@@ -197,6 +197,13 @@ def _one(
         std, said, degrees = _noise(own, table, order, table.responses[order], f)
         notes += said
         measured.append((channel, table.responses[order], std, degrees))
+    shown = [float(std[0]) for _, _, std, degrees in measured if math.isfinite(degrees)]
+    if len(shown) == len(measured) > 1:  # one sentence for all of them
+        low, high = 100.0 * min(shown), 100.0 * max(shown)
+        notes = [
+            f"{name}: no uncertainties are given; the lines of its {len(shown)} points scatter by {low:.2g} to "
+            f"{high:.2g} % about a smooth course."
+        ]
     # The channel that moves most in its own noise says how large the motion was.
     measured.sort(key=lambda own: float(np.median(own[2])))
     h = np.column_stack([own[1] for own in measured]).astype(np.complex128)

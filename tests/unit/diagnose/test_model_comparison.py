@@ -15,6 +15,7 @@ from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.level_climb import climbed
 from nmt_diagnose.inference.model_comparison import ModelComparison
+from nmt_diagnose.inference.other_points import at_other_points
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.twin.forward import Forward
@@ -58,6 +59,24 @@ def test_the_right_effect_at_the_right_place_wins_with_the_right_size(hardening:
     )
     # What is right leaves nothing for a second effect.
     assert all(pair.fit.log_evidence < first.fit.log_evidence + 3.0 for pair in own.pairs([first, *others]))
+
+
+def test_the_effect_is_found_at_its_point_from_another_one(hardening: Observations) -> None:
+    own = comparison(hardening)
+    null = own.null()
+    number = {candidate.label: k for k, candidate in enumerate(own.candidates)}
+    (elsewhere,) = own.added_at(null, [(number["cubic_stiffness@1"], 1.0)])
+    own.settings = replace(own.settings, close=1e6)
+    found = {single.explanation.label: single for single in at_other_points(own, null, [elsewhere])}
+    assert set(found) == {
+        candidate.label for candidate in own.candidates if candidate.effect.name == "cubic_stiffness"
+    } - {"cubic_stiffness@1"}
+    direct = own.singles(null, own.scan(null))[0]
+    assert found["cubic_stiffness@2"].fit.log_evidence == pytest.approx(direct.fit.log_evidence, abs=0.5)
+    # An effect that explains little, or acts in the loop, leads nowhere.
+    assert at_other_points(own, elsewhere, [elsewhere]) == []
+    (loop,) = own.added_at(null, [(number["phase_offset"], 0.01)])
+    assert at_other_points(own, null, [loop]) == []
 
 
 def test_without_its_entry_nothing_fits(hardening: Observations) -> None:

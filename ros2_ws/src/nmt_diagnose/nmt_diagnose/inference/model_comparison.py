@@ -40,6 +40,7 @@ from nmt_diagnose.inference.fitted_model import (
     without_member,
 )
 from nmt_diagnose.inference.level_climb import climbed
+from nmt_diagnose.inference.other_points import at_other_points
 from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
 from nmt_diagnose.inference.problem import BoolArray, Problem
 from nmt_diagnose.inference.progress import Told
@@ -143,6 +144,8 @@ class ModelComparison:
         self._found: dict[str, float] = {}
         # Explanations that started again from the parameters as given and came no further.
         self._in_vain: set[Explanation] = set()
+        # The best explanations whose effect was tried at all other points.
+        self._spread_from: set[Explanation] = set()
         self._plain_directions: list[Direction] = []
         self.workers = Workers() if workers is None else workers
 
@@ -466,7 +469,16 @@ class ModelComparison:
                 mine.append(score)
         every = [score for group in chosen.values() for score in group]
         added = [own for own in self._all_added([(base, score) for score in every]) if own is not None]
-        return self._with_other_shapes(self._settled(united(added, going)))
+        singles = self._with_other_shapes(self._settled(united(added, going)))
+        return self._with_other_points(base, singles)
+
+    def _with_other_points(self, base: FittedModel, singles: list[FittedModel]) -> list[FittedModel]:
+        """The same explanations, and the best one's effect at all other points, started from it; best first."""
+        if not singles or singles[0].explanation in self._spread_from:
+            return singles
+        self._spread_from.add(singles[0].explanation)
+        better = united(singles, at_other_points(self, base, singles))
+        return singles if better is singles else self._settled(better)
 
     def _going_on(self, known: Sequence[FittedModel]) -> list[FittedModel]:
         """The best known explanations gone on from where they stand."""

@@ -38,6 +38,8 @@ from nmt_diagnose.observations.observables import Observations
 from nmt_rig.rig import Rig
 
 _RANKED = 8
+# Share of the likeliest detail's probability from which another is named beside it: odds of three to one say little.
+_AS_LIKELY = 1.0 / 3.0
 
 
 def ranked(judgement: Judgement, shares: Mapping[Explanation, Closed], problem: Problem) -> tuple[Ranked, ...]:
@@ -198,9 +200,9 @@ def feature_table(
 
 
 def _likeliest(details: dict[str, float]) -> str:
-    """The likeliest detail of a place, or several where one is hardly less likely than the other."""
+    """The likeliest detail of a place, or several where the data do not tell one from the other."""
     best = max(details.values())
-    return joined(sorted(what for what, p in details.items() if what and p > 0.6 * best))
+    return joined(sorted(what for what, p in details.items() if what and p > _AS_LIKELY * best))
 
 
 def _parameters(fitted_model: FittedModel, whole: FloatArray) -> dict[str, Value]:

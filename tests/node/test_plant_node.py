@@ -14,8 +14,8 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 
 from nmt_bench.harness import Bench, Progress
+from nmt_core.arrays import FloatArray
 from nmt_core.base_node import BenchNode
-from nmt_core.blocks import FloatArray
 from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import LoopState, ResultCode

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from unit.diagnose.test_stepped_sine import DAMPER, OMEGA, observations_of, oscillator, swept
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.inference.chain_errors import chain_errors
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from unit.diagnose.observation_bags import record, rig_with_noise
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.floors import Floors
 from nmt_diagnose.observations.observables import Observations, Part

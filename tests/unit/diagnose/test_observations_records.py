@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, RecordTest
 from nmt_diagnose.observations.observables import Observations, Part

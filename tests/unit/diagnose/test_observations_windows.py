@@ -13,7 +13,8 @@ import pytest
 from numpy.typing import NDArray
 from unit.diagnose.observation_bags import altered, record, rig_with_noise, with_data
 
-from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.bag_samples import Stretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest, RandomTest, RingDownTest

@@ -9,7 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.bag_samples import Stretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
 from nmt_diagnose.observations.decay_nodes import nodes

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from unit.diagnose.observation_bags import record, rig_with_noise
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations

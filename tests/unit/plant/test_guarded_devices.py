@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from nmt_core.blocks import BlockFlag, FloatArray, Quantity, SampleBlock
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import Waveform

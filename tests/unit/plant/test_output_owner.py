@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.output_record import read_output
 from nmt_core.vocabulary import OutputState, StopCause

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from nmt_bench.channel_figures import large_rig
-from nmt_core.blocks import FloatArray, SampleBlock
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.records import DriveCommand, LockEvent, LoopStatus, RunState
 from nmt_core.vocabulary import LoopState, PointStatus, Quantity, ResultCode, RunPhase, Waveform

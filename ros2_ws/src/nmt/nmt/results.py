@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt.dataset_files import write_dataset
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_json, read_text
 from nmt_core.linear_description import LinearDescription
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from nmt_record.frf_table import FrequencyResponse
     from nmt_rig.reference import PointShapes
 
-ComplexArray = NDArray[np.complex128]
 
 _TAU = 2.0 * math.pi
 _WITH_STD = tuple(name + suffix for name in MEASURED for suffix in ("", "_std"))

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from nmt_bench.benchmark_figures import AT_LEAST, Figure
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.workers import worked
 

@@ -9,22 +9,19 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nmt_core.arrays import FloatArray
 from nmt_core.vocabulary import SAMPLE_TOPICS, BlockFlag, Quantity
 
 __all__ = [
     "SAMPLE_TOPICS",
     "UNKNOWN_PHASE",
     "BlockFlag",
-    "FloatArray",
     "OscillatorPhase",
     "Quantity",
     "SampleBlock",
     "rounded",
 ]
-
-FloatArray = NDArray[np.float64]
 
 
 class OscillatorPhase(NamedTuple):

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass, field, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nmt_core.arrays import ComplexArray
 from nmt_core.vocabulary import PointStatus
-
-ComplexArray = NDArray[np.complex128]
 
 EVALUATED = (
     "damping_ratio",

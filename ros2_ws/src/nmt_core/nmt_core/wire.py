@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, OscillatorPhase, SampleBlock
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import OscillatorPhase, SampleBlock
 from nmt_core.cdr import (
     BASE,
     COUNT,
@@ -33,7 +34,7 @@ from nmt_core.cdr import (
     string_bytes,
 )
 from nmt_core.errors import BenchError
-from nmt_core.modal_point import COMPLEX, MEASURED, ComplexArray, ModalPoint
+from nmt_core.modal_point import COMPLEX, MEASURED, ModalPoint
 from nmt_core.records import (
     DriveCommand,
     DriveStop,

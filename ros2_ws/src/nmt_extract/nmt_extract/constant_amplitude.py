@@ -25,10 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_extract.harmonics import ComplexArray
 from nmt_extract.swept_response import FrequencyResponseTable
 
 _DERIVATIVES = {"x": 0, "v": 1, "a": 2}

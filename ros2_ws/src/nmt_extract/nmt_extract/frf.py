@@ -6,12 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
-
-ComplexArray = NDArray[np.complex128]
 
 MINIMUM_AVERAGES = 3
 """Segments below which coherence says nothing (it is 1 for a single one)."""

@@ -15,10 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
 
-ComplexArray = NDArray[np.complex128]
 IndexArray = NDArray[np.int64]
 
 _CHUNK = 4096  # samples whose rotations are held at a time: they fit in the cache

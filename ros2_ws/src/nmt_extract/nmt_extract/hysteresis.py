@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
-from nmt_extract.harmonics import ComplexArray
 from nmt_extract.modal_point import ModalPoint, Status
 
 _SAMPLES = 4096

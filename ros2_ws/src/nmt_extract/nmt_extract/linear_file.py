@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.linear_description import LinearDescription
 from nmt_core.number_words import significant
-from nmt_extract.frf import ComplexArray, FrfEstimate
+from nmt_extract.frf import FrfEstimate
 from nmt_extract.linear_residuals import Residuals
 from nmt_extract.linear_test import LinearTest
 from nmt_extract.modal import estimated_mass

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
-from nmt_extract.frf import ComplexArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,18 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.extraction_settings import ExtractionSettings
-from nmt_extract.harmonics import (
-    ComplexArray,
-    Moments,
-    resolvable_harmonics,
-    segment_moments,
-    solve_moments,
-    whole_period_bounds,
-)
+from nmt_extract.harmonics import Moments, resolvable_harmonics, segment_moments, solve_moments, whole_period_bounds
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
 from nmt_extract.modal_point import EVALUATED, ModalPoint, Status, bench_time_ns, rejected_point
 from nmt_extract.power_balance import BalancedMode, balance, part_count

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from nmt_core.arrays import ComplexArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import json_value, read_text
 from nmt_core.whole_file import write_whole
-from nmt_extract.harmonics import ComplexArray
 from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
 from nmt_extract.modal_point import COMPLEX, ModalPoint, Status
 

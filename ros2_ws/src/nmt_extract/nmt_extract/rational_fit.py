@@ -20,12 +20,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
-
-ComplexArray = NDArray[np.complex128]
 
 MOST_LINES = 3000
 """Lines beyond which only every second, third … one is used: they are plenty."""

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_extract.harmonics import (
     harmonic_amplitudes,

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_json as read_json_file
 from nmt_core.linear_description import LinearDescription
-from nmt_extract.harmonics import ComplexArray
 from nmt_extract.modal_table import read_json
 from nmt_extract.response_table import read_response_csv
 from nmt_extract.swept_response import FrequencyResponseTable

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity, SampleBlock
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.records import LockEvent
 from nmt_record.sample_table import HISTORY_SAMPLES, PATIENCE_SAMPLES, CutWindow, SampleTable
 from nmt_record.topic_blocks import ExcitationPhase, phase_reference

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_plant.simulated_rig import SimulatedRig

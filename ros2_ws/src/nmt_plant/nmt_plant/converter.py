@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 
 _CHUNK_TIME = 0.004  # s of a turn

@@ -16,7 +16,8 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from nmt_core.blocks import BlockFlag, FloatArray, OscillatorPhase, Quantity, SampleBlock, rounded
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock, rounded
 from nmt_core.errors import BenchError
 from nmt_core.ramp import half_cosine
 from nmt_core.records import DriveCommand

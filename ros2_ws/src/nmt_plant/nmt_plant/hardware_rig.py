@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import OutputState
 from nmt_plant.converter_watch import ClockWatch, DelayWatch

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
-from nmt_core.blocks import FloatArray, Quantity, SampleBlock
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity, SampleBlock
 
 # A prediction trips when it lies this much beyond the level: between the two, the measurement decides.
 PREDICTION_FACTOR = 1.25

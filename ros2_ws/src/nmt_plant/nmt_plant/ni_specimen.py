@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_plant.hardware_rig import device_of
 from nmt_plant.jack_specimen import follow_input

@@ -11,7 +11,7 @@ import sys
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.ramp import half_cosine
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.vocabulary import OutputState, StopCause
 from nmt_plant.device import DeviceFault
 from nmt_plant.output_owner import (

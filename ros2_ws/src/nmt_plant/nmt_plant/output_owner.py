@@ -37,7 +37,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.output_record import BEAT as RECORD_BEAT
 from nmt_core.output_record import OutputRecord

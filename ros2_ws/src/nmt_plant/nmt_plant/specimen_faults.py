@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_rig.device_sections import DeviceSection
 from nmt_rig.rig import Rig, SensorSection

@@ -9,7 +9,8 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from nmt_core.blocks import BlockFlag, FloatArray, SampleBlock
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import BlockFlag, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.records import LevelCommand
 from nmt_core.vocabulary import LoopState, TestKind, Waveform

@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.records import LevelCommand

@@ -29,7 +29,8 @@ from collections import deque
 import numpy as np
 from numba import njit
 
-from nmt_core.blocks import FloatArray, Quantity, SampleBlock
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.records import LevelCommand

@@ -7,12 +7,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
-
-ComplexArray = NDArray[np.complex128]
 
 
 @njit(cache=True)

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import OscillatorPhase, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_text
 from nmt_core.linear_description import LinearDescription

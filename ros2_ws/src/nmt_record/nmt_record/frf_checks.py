@@ -13,7 +13,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_record.import_sidecar import TableSection
 from nmt_record.observables import ObservableTable

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 
 STEADY_KINDS = ("phase_resonance", "stepped_sine")
 _PERIODS = 2.0  # length of the moving sine fit; its Hann window is half as long in effect

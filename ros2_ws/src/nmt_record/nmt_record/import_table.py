@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.hardened import LARGEST_TABLE, open_regular, read_arrays
 from nmt_core.mat_file import MAT5, is_hdf5, read_mat

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.hardened import json_value
 from nmt_record import uff

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity, SampleBlock
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.records import LockEvent
 from nmt_core.vocabulary import TestKind

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_record import uff
 from nmt_record.import_checks import hinted_quantity

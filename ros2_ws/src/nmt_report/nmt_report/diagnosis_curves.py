@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.inference.residual_map import channel_name, channels_of
 from nmt_diagnose.observations.conditions import (
     BackboneTable,

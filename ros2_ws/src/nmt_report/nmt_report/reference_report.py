@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_report.html_page import Column, Row, Table, part
 from nmt_report.quantity_format import plain, significant
 from nmt_report.response_page import ResponsePage, html_figures

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
 from nmt_extract.swept_response import FrequencyResponseTable, stepped_point, stepped_table, sweep_table
 from nmt_record.segments import Segment, read_signals, segments
 
 if TYPE_CHECKING:
-    from nmt_core.blocks import FloatArray
-    from nmt_extract.harmonics import ComplexArray
     from nmt_record.bag_reader import Bag
     from nmt_rig.rig import Rig
 

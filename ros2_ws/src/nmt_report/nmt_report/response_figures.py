@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from nmt_core.blocks import FloatArray
-from nmt_extract.harmonics import ComplexArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_extract.swept_response import FrequencyResponseTable
 from nmt_report.quantity_format import significant
 from nmt_report.svg import INK, MUTED, ReportFigure, level_colours, svg_text

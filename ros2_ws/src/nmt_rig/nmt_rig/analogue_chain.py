@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_rig.model.local_elements import compiled
 
 # Samples that the polynomial passes through.

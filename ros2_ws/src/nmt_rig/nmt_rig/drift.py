@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, OscillatorPhase
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import OscillatorPhase
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.local_elements import Jenkins, LocalElement, TanhFriction
 from nmt_rig.model.time_integration import TimeIntegrator

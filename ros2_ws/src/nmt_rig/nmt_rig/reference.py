@@ -17,6 +17,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
@@ -37,8 +38,6 @@ from nmt_rig.rig_model import (
     without_exciter_effects,
 )
 from nmt_rig.structure_sections import point_words
-
-FloatArray = NDArray[np.float64]
 
 _RANGE_HARMONICS = 1  # of the search of the amplitude range
 REFERENCE_COLUMNS = ("modal_amplitude", "omega_rad_s", "damping_ratio")

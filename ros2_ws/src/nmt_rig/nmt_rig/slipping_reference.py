@@ -12,11 +12,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_rig.model.continuation import NotConvergedError, follow_branch, solve_at_parameter
 from nmt_rig.model.forced_response import ForcedProblem
-from nmt_rig.model.fourier_basis import FloatArray, FourierBasis
+from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.model.phase_resonance import _Quadrature, extract_mode, linear_phase_resonance
 from nmt_rig.reference import SinglePointReference

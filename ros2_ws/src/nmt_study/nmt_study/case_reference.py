@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.reference import SinglePointReference, compute_reference, single_point_reference

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.wire import LoopStatus, read_status
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_extract.modal_point import Status
 from nmt_report.svg import INK, ReportFigure, svg_text
 from nmt_study.case import StudyCase

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_extract.modal_point import Status
 from nmt_report.quantity_format import plain, significant
 from nmt_report.svg import INK, ReportFigure, svg_text

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
+from nmt_core.arrays import FloatArray
 from nmt_extract.modal_point import Status
 from nmt_report.quantity_format import significant
 from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
@@ -19,7 +20,6 @@ from nmt_study.study import Result
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nmt_core.blocks import FloatArray
 
 Q_LABEL = r"modal amplitude $q$ / (m$\sqrt{\mathrm{kg}}$)"
 COLOURS = (BLUE, ORANGE, GREEN, RED, "#6b4fa0", "#2a8c98", "#9a7b1c", MUTED)

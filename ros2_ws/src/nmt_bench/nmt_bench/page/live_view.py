@@ -29,7 +29,8 @@ from nmt_bench.page.signal_views import (
     velocity_of,
     whole_periods,
 )
-from nmt_core.blocks import FloatArray, SampleBlock
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import SampleBlock
 from nmt_core.modal_point import ModalPoint
 from nmt_core.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
 from nmt_core.vocabulary import (

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.records import LoopStatus
 
 _MOST = 2000

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from nmt_blind.campaign.score import development_cases
 from nmt_blind.campaign.scored_case import ScoredCase
 from nmt_blind.campaign.statistics import ReliabilityDiagram, area_under_roc, reliability
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_json
 from nmt_core.whole_file import write_whole

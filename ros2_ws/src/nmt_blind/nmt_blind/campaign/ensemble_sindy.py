@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
 from nmt_extract.harmonics import segment_moments, solve_moments
@@ -25,8 +25,6 @@ from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.model.local_elements import Jenkins
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_model import build_elements, build_resting_elements, build_structure
-
-ComplexArray = NDArray[np.complex128]
 
 HARMONICS = 7
 SAMPLES = 64

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nmt_blind.cases.laboratory import (
     BenchSettings,
@@ -20,12 +19,11 @@ from nmt_blind.cases.laboratory import (
     play,
     random_test,
 )
-from nmt_core.blocks import FloatArray, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.records import LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import LoopState
 from nmt_rig.rig import Rig
-
-ComplexArray = NDArray[np.complex128]
 
 FITTED = 9
 """Harmonics that are fitted, so that they do not leak into those that are used."""

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from nmt_blind.cases.laboratory import BenchSettings, RecordingOutcome, as_built, sidecar_of
 from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.rig_edits import rig_yaml
-from nmt_core.blocks import FloatArray, OscillatorPhase
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import OscillatorPhase
 from nmt_core.errors import BenchError
 from nmt_plant.simulated_rig import rig_sensors, sensor_row
 from nmt_record.imported_run import read_import, write_import
@@ -31,8 +31,6 @@ from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_system, input_per_volt
 from nmt_rig.sensors import SensorChannel
-
-ComplexArray = NDArray[np.complex128]
 
 LINES = 41
 MARGIN = 0.025

@@ -36,7 +36,7 @@ from nmt_blind.cases.tolerances import (
     check_tolerances,
     has_lead,
 )
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import BoolArray, FloatArray
 from nmt_core.errors import BenchError
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import Rig
@@ -76,8 +76,6 @@ LABORATORY_PHASE_LEAN = math.radians(0.5)
 _CHAIN_STEPS = {"gain": 1e-3, "delay_s": 1e-5, "clock_error": 1e-5}
 
 _FEWEST_LEVELS = 8
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ from nmt_blind.cases.tolerances import (
     SHARED_DELAY_S,
     check_tolerances,
 )
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_json
 from nmt_core.whole_file import write_whole

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate, EffectParameter
 from nmt_diagnose.inference.fitted_model import FittedModel
 

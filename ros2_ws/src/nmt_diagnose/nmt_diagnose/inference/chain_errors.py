@@ -8,7 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, ChainTests, edited, later
 from nmt_diagnose.inference.held_drive_errors import IMAGE_FLOOR, SAME_FOR_LEVELS, HeldDrive, near_step
 from nmt_diagnose.inference.modes_left_out import ModesLeftOut

@@ -7,10 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.inference.problem import BoolArray
+from nmt_core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.conditions import (
     MeasuredChannel,
     PhaseResonanceTest,
@@ -22,9 +21,6 @@ from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_rig.rig import Rig, SensorSection
-
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.intp]
 
 FUNDAMENTAL = (Part.LOG_MAGNITUDE, Part.PHASE)
 DELAY_STEP_S = 1e-6

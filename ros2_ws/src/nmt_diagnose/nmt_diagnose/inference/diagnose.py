@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.inference.confidence import Confidence, confidence
 from nmt_diagnose.inference.diagnosis import (

@@ -14,9 +14,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray, IntArray
 from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, RecordTest
-from nmt_diagnose.observations.observables import IntArray, Observations, Part
+from nmt_diagnose.observations.observables import Observations, Part
 
 LARGEST_SHARE = 0.06
 """Share of what an effect does that a smooth error of its model may have, one standard deviation."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import BoolArray, FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.inference.problem import BoolArray, Problem
+from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.twin.forward import Prediction
 
 STEPS = 25

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.observations.conditions import SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part
 

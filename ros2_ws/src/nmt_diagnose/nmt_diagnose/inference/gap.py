@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
-from nmt_diagnose.inference.problem import BoolArray
-from nmt_diagnose.observations.observables import IntArray, Observations
+from nmt_core.arrays import BoolArray, FloatArray, IntArray
+from nmt_diagnose.observations.observables import Observations
 
 NOISE = 1.0
 """Root mean square of residuals in standard deviations that the stated uncertainties allow."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.fit import Fit
 from nmt_diagnose.inference.scan import Projector

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.inference.chain_tests import ChainTests, ComplexArray, edited, later
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
+from nmt_diagnose.inference.chain_tests import ChainTests, edited, later
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, Test
 from nmt_diagnose.observations.drive_hold import zero_order_images
 from nmt_diagnose.observations.model_view import ModelView

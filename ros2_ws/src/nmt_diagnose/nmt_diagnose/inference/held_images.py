@@ -14,17 +14,14 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.conditions import RandomTest, Test
 from nmt_diagnose.observations.drive_hold import zero_order_images
 from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_rig.rig import Rig
-
-ComplexArray = NDArray[np.complex128]
 
 SEEN_ORDERS = tuple(sign * order for order in range(1, 41) for sign in (-1, 1))
 """Orders of the images: those of a force that has no resonance fall off with their order only."""

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import BoolArray, FloatArray
 from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.gap import Closed, closed, noise_floor
 from nmt_diagnose.inference.held_out import Split
-from nmt_diagnose.inference.problem import BoolArray, Problem
+from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.observations.observables import Observations
 
 # Strength in standard deviations, and standard deviation over that of the prior, by which a parameter is told.

@@ -8,7 +8,7 @@ from enum import Enum
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.fit import Fit
 from nmt_diagnose.inference.fitted_model import FittedModel

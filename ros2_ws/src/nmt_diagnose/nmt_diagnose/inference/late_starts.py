@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.observations.conditions import RandomTest, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part
 

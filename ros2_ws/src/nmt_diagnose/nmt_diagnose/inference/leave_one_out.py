@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nmt_core.arrays import BoolArray
 from nmt_diagnose.effects.placement import joined
 from nmt_diagnose.inference.diagnosis import LeftOut
 from nmt_diagnose.inference.fitted_model import FittedModel, rms_left
 from nmt_diagnose.inference.hypotheses import NULL
-from nmt_diagnose.inference.problem import BoolArray
 from nmt_diagnose.observations.observables import Observations
 
 # Rms of what is left from which recordings do not fit together; by how much less is left without the one that is to

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import BoolArray, FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.fit import Fit, fit
-from nmt_diagnose.inference.problem import BoolArray, Problem
+from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import BoolArray, FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate
@@ -42,7 +42,7 @@ from nmt_diagnose.inference.fitted_model import (
 from nmt_diagnose.inference.level_climb import climbed
 from nmt_diagnose.inference.other_points import at_other_points
 from nmt_diagnose.inference.physical_limits import beyond_limits, incredible
-from nmt_diagnose.inference.problem import BoolArray, Problem
+from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.progress import Told
 from nmt_diagnose.inference.scan import Direction, Score, scores
 from nmt_diagnose.inference.workers import Workers

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
-from nmt_diagnose.inference.chain_tests import FUNDAMENTAL, ChainTests, ComplexArray, IntArray
+from nmt_core.arrays import ComplexArray, FloatArray, IntArray
+from nmt_core.blocks import Quantity
+from nmt_diagnose.inference.chain_tests import FUNDAMENTAL, ChainTests
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest, Test
 from nmt_diagnose.observations.model_view import ORDER, ModelView
 from nmt_diagnose.observations.observables import Part

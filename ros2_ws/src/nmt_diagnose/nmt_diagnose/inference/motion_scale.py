@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.inference.discrepancy import measured_elsewhere
 from nmt_diagnose.inference.fit import Fit
 from nmt_diagnose.inference.problem import Problem

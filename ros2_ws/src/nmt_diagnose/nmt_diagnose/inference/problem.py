@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray, IntArray
 from nmt_diagnose.inference.shared_errors import SharedErrors
-from nmt_diagnose.observations.observables import IntArray, Observations, Part
+from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

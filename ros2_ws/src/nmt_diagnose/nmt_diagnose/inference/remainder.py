@@ -6,13 +6,12 @@ import math
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.inference.diagnosis import Gap, Left, Remainder
 from nmt_diagnose.inference.gap import NOISE, rms
-from nmt_diagnose.inference.problem import BoolArray
 from nmt_diagnose.inference.residual_map import KINDS, channel_name, unit_of_kind
 from nmt_diagnose.observations.conditions import RandomTest, RecordTest
-from nmt_diagnose.observations.observables import IntArray, Observations
+from nmt_diagnose.observations.observables import Observations
 
 _LEAST = 0.01
 _NAMED = 3

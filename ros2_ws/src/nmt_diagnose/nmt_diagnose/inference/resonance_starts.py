@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.signal import find_peaks
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.model_view import ORDER

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.placement import Explanation, joined
 from nmt_diagnose.inference.confidence import confidence_digest

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import BoolArray, FloatArray
 from nmt_diagnose.inference.fit import Fit
-from nmt_diagnose.inference.problem import BoolArray, Problem
+from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.twin.forward import Forward, Prediction

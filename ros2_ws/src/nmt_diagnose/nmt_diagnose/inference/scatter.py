@@ -12,10 +12,10 @@ import math
 import numpy as np
 from scipy.stats import chi2
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray, IntArray
 from nmt_diagnose.observations.conditions import BackboneTable, PhaseResonanceTest, SteppedSineTest
 from nmt_diagnose.observations.neighbour_cubics import neighbour_cubics
-from nmt_diagnose.observations.observables import IntArray, Observations, Part
+from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.stepped_table_observations import MEDIAN_STD
 
 _FEWEST_LEVELS = 4

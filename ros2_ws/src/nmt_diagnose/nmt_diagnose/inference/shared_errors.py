@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.observations.conditions import SteppedSineTest
 from nmt_diagnose.observations.observables import Observations
 

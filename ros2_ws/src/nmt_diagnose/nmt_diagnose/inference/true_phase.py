@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.inference.chain_errors import lock_slopes
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.observations.conditions import PhaseResonanceTest

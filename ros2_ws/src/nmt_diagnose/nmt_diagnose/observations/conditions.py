@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
-
-ComplexArray = NDArray[np.complex128]
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 
 
 @dataclass(frozen=True)

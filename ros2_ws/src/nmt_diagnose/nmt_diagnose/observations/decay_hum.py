@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.decay_nodes import span
 from nmt_diagnose.observations.decay_signal import Ridge, SlowAmplitude, slow_amplitude

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import toeplitz
 
-from nmt_core.blocks import FloatArray
-from nmt_diagnose.observations.decay_signal import ComplexArray, SlowAmplitude
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_diagnose.observations.decay_signal import SlowAmplitude
 
 _DEGREES = (1, 3, 5)
 _SHORTEST, _LONG_ENOUGH = 4, 7  # periods of a segment: where the decay is fast, and elsewhere

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter, stft
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-
-ComplexArray = NDArray[np.complex128]
 
 FEWEST_PERIODS = 12
 FEWEST_SAMPLES_PER_PERIOD = 3.0

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray, IntArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RingDownTest
-from nmt_diagnose.observations.observables import IntArray, Observations, Part, Rows
+from nmt_diagnose.observations.observables import Observations, Part, Rows
 
 _FEWEST_PAIRS = 6
 # Key of a sidecar's ``repeatability`` by part.

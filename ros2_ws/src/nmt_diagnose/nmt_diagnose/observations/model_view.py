@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_system, input_per_volt
-
-ComplexArray = NDArray[np.complex128]
 
 ORDER = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 

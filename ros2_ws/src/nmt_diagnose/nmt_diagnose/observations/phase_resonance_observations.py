@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.bag_samples import Stretch
@@ -35,8 +35,6 @@ from nmt_extract.harmonics import (
 from nmt_extract.sine_fit import fit_frequency
 from nmt_extract.uncertainty import sub_window_count
 from nmt_record.segments import Segment
-
-ComplexArray = NDArray[np.complex128]
 
 VELOCITY_LEAD = {Quantity.DISPLACEMENT: 0.5 * math.pi, Quantity.VELOCITY: 0.0, Quantity.ACCELERATION: -0.5 * math.pi}
 _RESPONSES = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)

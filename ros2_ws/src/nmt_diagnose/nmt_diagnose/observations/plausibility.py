@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.bag_samples import Stretch
 from nmt_diagnose.observations.clipping import clipping_level

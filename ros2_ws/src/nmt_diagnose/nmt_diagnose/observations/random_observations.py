@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import csd, welch
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.bag_samples import Stretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.drive_hold import image_responses
@@ -29,7 +30,6 @@ from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
 
-ComplexArray = NDArray[np.complex128]
 IndexArray = NDArray[np.int64]
 
 ORDER = 4

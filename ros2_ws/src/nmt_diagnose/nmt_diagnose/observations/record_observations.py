@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import resample, welch
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.bag_samples import Stretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RecordTest
 from nmt_diagnose.observations.model_view import ModelView

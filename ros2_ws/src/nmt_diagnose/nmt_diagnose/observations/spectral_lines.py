@@ -6,11 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
-
-ComplexArray = NDArray[np.complex128]
+from nmt_core.arrays import ComplexArray, FloatArray
 
 MAINS_HZ = (50.0, 60.0)
 """Lines that are looked for, Hz."""

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.bag_samples import Stretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
@@ -19,8 +19,6 @@ from nmt_diagnose.observations.phase_resonance_observations import LockedWindow,
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
 from nmt_diagnose.observations.stepped_table_observations import jumps_of
 from nmt_record.segments import Segment
-
-ComplexArray = NDArray[np.complex128]
 
 FEWEST_LINES = 5
 """Windows of one level and direction from which they are a frequency response."""

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.model_view import ORDER, ModelView
@@ -19,8 +20,6 @@ from nmt_diagnose.observations.row_table import Place, RowTable, empty
 from nmt_record.observables import ObservableTable
 from nmt_record.unit_table import REFERENCE_UNITS, quantity_of_unit
 from nmt_rig.rig import ShakingTableSection
-
-ComplexArray = NDArray[np.complex128]
 
 # Relative noise of a table that neither states any nor has lines enough to show it.
 WITHOUT_STD = 0.02

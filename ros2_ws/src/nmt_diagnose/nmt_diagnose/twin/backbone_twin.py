@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.conditions import BackboneTable, LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.demand import Demand

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from nmt_core.blocks import FloatArray
-from nmt_diagnose.twin.linear_model import ComplexArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_rig.model.fourier_basis import FourierBasis
 
 SAMPLES = 512

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.local_elements import element_response
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from nmt_core.blocks import FloatArray
-from nmt_diagnose.twin.linear_model import ComplexArray, response_at
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_diagnose.twin.linear_model import response_at
 from nmt_diagnose.twin.periodic_kernel import harmonic_forces, local_amounts, sensor_gain
 from nmt_rig.model.aft import LocalTables
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import BoolArray, FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.observations.conditions import (
@@ -23,7 +23,7 @@ from nmt_diagnose.observations.conditions import (
 )
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.backbone_twin import BackboneTwin
-from nmt_diagnose.twin.demand import BoolArray, Demand
+from nmt_diagnose.twin.demand import Demand
 from nmt_diagnose.twin.influence import Source, SourceColumn, random_influence, resonance_influence
 from nmt_diagnose.twin.parts_cache import PartsCache, joint_setup
 from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin

@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.conditions import SteppedSineTest
 from nmt_diagnose.observations.observables import Rows
-from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache
 from nmt_diagnose.twin.stepped_sine_twin import SteppedSineTwin
 from nmt_diagnose.twin.twin_settings import TwinSettings

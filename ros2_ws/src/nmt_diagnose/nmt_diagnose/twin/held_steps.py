@@ -13,8 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
-from nmt_diagnose.twin.linear_model import ComplexArray
+from nmt_core.arrays import ComplexArray, FloatArray
 
 LEAST_RISE = 0.02
 """Time that a held drive takes to move on, at least, in samples."""

@@ -11,9 +11,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.observables import Part
-from nmt_diagnose.twin.linear_model import ComplexArray, LinearModel, OutputRows, linear_model
+from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.twin.parts_cache import PartsCache
 from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin
 from nmt_diagnose.twin.random_twin import RandomTwin

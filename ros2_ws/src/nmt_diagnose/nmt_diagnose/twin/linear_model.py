@@ -14,10 +14,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_rig.model.assembly import ElectromechanicalSystem
 
-ComplexArray = NDArray[np.complex128]
 # Part of another shape that a shape may take in while the first order will do.
 _LARGEST_MIX = 1e-3
 

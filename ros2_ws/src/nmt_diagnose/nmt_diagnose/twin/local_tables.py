@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_rig.model.aft import POLYNOMIAL_DEGREE, LocalTables
 from nmt_rig.model.fourier_basis import FourierBasis

@@ -9,7 +9,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import eigh
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.observations.conditions import (
     BackboneTable,

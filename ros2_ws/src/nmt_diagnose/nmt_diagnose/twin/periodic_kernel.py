@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from nmt_core.blocks import FloatArray
-from nmt_diagnose.twin.linear_model import ComplexArray, response_at, transfer_at
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_diagnose.twin.linear_model import response_at, transfer_at
 from nmt_rig.model.aft import LocalTables, forces_alone, local_forces
 
 # What is given besides the phase: ln of the drive's amplitude, or ln of the fundamental of one channel.

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.converter import recorded_harmonics
 from nmt_diagnose.twin.demand import Demand, UnsolvedError, nothing_needed
-from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import (
     DRIVE_GIVEN,

@@ -9,13 +9,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.gaussian_motion import forces_in_motion
 from nmt_diagnose.twin.held_steps import HeldSteps
-from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import sensor_gain
 from nmt_diagnose.twin.rig_parts import RigParts

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray
-from nmt_diagnose.twin.linear_model import ComplexArray
+from nmt_core.arrays import ComplexArray, FloatArray, IntArray
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.local_elements import element_response
 
 ITERATIONS = 12
 TOLERANCE = 1e-7  # of the largest force so far
-
-IntArray = NDArray[np.int64]
 
 
 @njit(cache=True)

@@ -14,11 +14,11 @@ from collections import OrderedDict
 import numpy as np
 from scipy.signal import resample_poly
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.conditions import RecordTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.converter import expected_quantised
-from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.record_kernel import step_through
 from nmt_diagnose.twin.rig_parts import RigParts

@@ -11,11 +11,12 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.modal_calibration import with_stiffness
 from nmt_diagnose.observations.conditions import MeasuredChannel
-from nmt_diagnose.twin.linear_model import ComplexArray, LinearModel, OutputRows, linear_model, moved_model
+from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model, moved_model
 from nmt_diagnose.twin.local_tables import local_tables
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.aft import LocalTables

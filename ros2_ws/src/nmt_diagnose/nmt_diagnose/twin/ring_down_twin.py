@@ -10,9 +10,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.conditions import RingDownTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.decay_kernel import (
@@ -31,7 +31,6 @@ from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
-ComplexArray = NDArray[np.complex128]
 DecayState = tuple[FloatArray, tuple[str, ...], float]
 LARGEST_STEP = 0.05
 _OFF_POLE = 1e-8

@@ -30,13 +30,13 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import FloatArray, Quantity
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.demand import Demand, UnsolvedError, nothing_needed
 from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines, step_more_lines
-from nmt_diagnose.twin.linear_model import ComplexArray
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.rig_parts import RigParts, shared_unknowns
 from nmt_diagnose.twin.twin_settings import TwinSettings

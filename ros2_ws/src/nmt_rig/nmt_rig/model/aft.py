@@ -14,8 +14,9 @@ from typing import TypeAlias
 import numpy as np
 from numba import njit
 
+from nmt_core.arrays import FloatArray, IntArray
 from nmt_core.errors import BenchError
-from nmt_rig.model.fourier_basis import FloatArray, FourierBasis, IntArray
+from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements import (
     AMPLITUDE_DAMPER,
     CUBIC_SPRING,

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from nmt_core.arrays import FloatArray
 from nmt_rig.model.assembly import ElectromechanicalSystem
-from nmt_rig.model.fourier_basis import FloatArray
 
 MOST_PORTS = 12
 _RELATIVE = 1e-9

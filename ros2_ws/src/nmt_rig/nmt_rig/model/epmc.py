@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from scipy.linalg import eigh
 
+from nmt_core.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.errors import BenchError
 from nmt_rig.model.aft import LocalForces, LocalTables, scaled_local_forces
 from nmt_rig.model.continuation import (
@@ -26,7 +27,7 @@ from nmt_rig.model.continuation import (
     follow_branch,
     solve_at_parameter,
 )
-from nmt_rig.model.fourier_basis import ComplexArray, FloatArray, FourierBasis, IntArray
+from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.harmonic_balance import (
     ModalImpedance,
     Ports,

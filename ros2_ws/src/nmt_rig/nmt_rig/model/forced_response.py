@@ -12,11 +12,12 @@ from typing import Literal
 import numpy as np
 from numba import njit
 
+from nmt_core.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.errors import BenchError
 from nmt_rig.model.aft import LocalForces, LocalTables, scaled_local_forces
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.continuation import Branch, StepControl, follow_branch, solve_at_parameter
-from nmt_rig.model.fourier_basis import ComplexArray, FloatArray, FourierBasis, IntArray
+from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.harmonic_balance import ModalImpedance, Ports, harmonic_responses, local_balance, transfer_matrices
 
 

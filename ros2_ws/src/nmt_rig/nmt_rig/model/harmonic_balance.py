@@ -21,9 +21,10 @@ import numpy as np
 from numba import njit
 from scipy.linalg import eigh
 
+from nmt_core.arrays import ComplexArray, FloatArray, IntArray
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.damping_ports import MOST_PORTS, is_small, port_directions, split_damping
-from nmt_rig.model.fourier_basis import ComplexArray, FloatArray, FourierBasis, IntArray
+from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.structure import Structure
 
 _WORTH = 4

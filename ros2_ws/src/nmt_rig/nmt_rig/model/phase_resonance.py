@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
 from nmt_rig.model.continuation import Branch, StepControl, follow_branch, solve_at_parameter
 from nmt_rig.model.forced_response import ForcedProblem, PeriodicResponse
-from nmt_rig.model.fourier_basis import ComplexArray, FloatArray
 from nmt_rig.model.rest_response import RestResponse
 
 # Relative distance at which the ports' resonance is checked by the system's own solution.

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from nmt_rig.model.fourier_basis import FloatArray, IntArray
+from nmt_core.arrays import FloatArray, IntArray
 
 TWO_PI = 2.0 * np.pi
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_rig.model.assembly import ElectromechanicalSystem
-from nmt_rig.model.fourier_basis import ComplexArray, FloatArray
 from nmt_rig.model.harmonic_balance import ModalImpedance
 
 

@@ -16,6 +16,7 @@ from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.inference.diagnose import diagnose_bags
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.inference.explanation_fits import ExplanationFits
 from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem
@@ -78,9 +79,9 @@ def test_a_cantilever_that_softens_gets_its_damping_beside(data_folder: Path, tm
     observations = read_observations([bag], rig)
     problem = Problem(observations, Forward(observations.tests, observations.rows))
     effects = candidates(rig, operating_range(rig, observations.tests, observations=observations))
-    comparison = ModelComparison(problem, rig, calibration_parameters(rig), effects)
+    comparison = ModelComparison(ExplanationFits(problem, rig, calibration_parameters(rig), effects))
     (cubic,) = [own for own in effects if own.effect.name == "cubic_stiffness"]
-    alone = comparison._together((cubic,), (1.0,), np.zeros(1))
+    alone = comparison.fits.together((cubic,), (1.0,), np.zeros(1))
     assert alone is not None
     pairs = comparison._with_partners([alone], ())
     assert {own.effects[0] for own in pairs} == {"air_drag", "amplitude_damping", "cubic_stiffness"}

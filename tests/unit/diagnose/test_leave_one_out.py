@@ -13,6 +13,7 @@ from unit.diagnose.twin_observations import chain, observations_of_twin, real
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.inference.diagnosis import LeftOut
+from nmt_diagnose.inference.explanation_fits import ExplanationFits
 from nmt_diagnose.inference.fitted_model import rms_left
 from nmt_diagnose.inference.leave_one_out import contradiction, left_out, recordings
 from nmt_diagnose.inference.model_comparison import ModelComparison
@@ -39,8 +40,8 @@ def without_each(parts: Sequence[Observations]) -> tuple[list[LeftOut], float]:
     withheld = tuple(effect.name for effect in library() if effect.name != "cubic_stiffness")
     problem = Problem(observations, Forward(observations.tests, observations.rows))
     found = candidates(MODEL, operating_range(MODEL, observations.tests), withheld)
-    comparison = ModelComparison(problem, MODEL, calibration_parameters(MODEL), found)
-    null = comparison.null()
+    comparison = ModelComparison(ExplanationFits(problem, MODEL, calibration_parameters(MODEL), found))
+    null = comparison.fits.null()
     heads = comparison.singles(null, comparison.scan(null))[:2]
     items = recordings(observations)
     assert [item.path for item in items] == [part.inputs[0][0] for part in parts]

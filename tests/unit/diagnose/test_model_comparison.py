@@ -11,6 +11,7 @@ from unit.diagnose.twin_observations import chain, observations_of_twin, real
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.inference.explanation_fits import ExplanationFits
 from nmt_diagnose.inference.fit import fit
 from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.level_climb import climbed
@@ -32,7 +33,7 @@ def comparison(observations: Observations, known: tuple[str, ...] = KNOWN) -> Mo
     withheld = tuple(effect.name for effect in library() if effect.name not in known)
     problem = Problem(observations, Forward(observations.tests, observations.rows))  # type: ignore[arg-type]
     found = candidates(MODEL, operating_range(MODEL, observations.tests), withheld)
-    return ModelComparison(problem, MODEL, calibration_parameters(MODEL), found)
+    return ModelComparison(ExplanationFits(problem, MODEL, calibration_parameters(MODEL), found))
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +43,9 @@ def hardening() -> Observations:
 
 def test_the_right_effect_at_the_right_place_wins_with_the_right_size(hardening: Observations) -> None:
     own = comparison(hardening)
-    null = own.null()
+    null = own.fits.null()
     scan = own.scan(null)
-    assert own.candidates[scan[0].direction.candidate].label == "cubic_stiffness@2"
+    assert own.fits.candidates[scan[0].direction.candidate].label == "cubic_stiffness@2"
     first, *others = own.singles(null, scan)
     assert first.explanation.label == "cubic_stiffness@2"
     assert 0.6 < first.fit.chi_square / first.fit.used.sum() < 1.2
@@ -63,13 +64,13 @@ def test_the_right_effect_at_the_right_place_wins_with_the_right_size(hardening:
 
 def test_the_effect_is_found_at_its_point_from_another_one(hardening: Observations) -> None:
     own = comparison(hardening)
-    null = own.null()
-    number = {candidate.label: k for k, candidate in enumerate(own.candidates)}
+    null = own.fits.null()
+    number = {candidate.label: k for k, candidate in enumerate(own.fits.candidates)}
     (elsewhere,) = own.added_at(null, [(number["cubic_stiffness@1"], 1.0)])
-    own.settings = replace(own.settings, close=1e6)
+    own.fits = replace(own.fits, settings=replace(own.fits.settings, close=1e6))
     found = {single.explanation.label: single for single in at_other_points(own, null, [elsewhere])}
     assert set(found) == {
-        candidate.label for candidate in own.candidates if candidate.effect.name == "cubic_stiffness"
+        candidate.label for candidate in own.fits.candidates if candidate.effect.name == "cubic_stiffness"
     } - {"cubic_stiffness@1"}
     direct = own.singles(null, own.scan(null))[0]
     assert found["cubic_stiffness@2"].fit.log_evidence == pytest.approx(direct.fit.log_evidence, abs=0.5)
@@ -81,7 +82,7 @@ def test_the_effect_is_found_at_its_point_from_another_one(hardening: Observatio
 
 def test_without_its_entry_nothing_fits(hardening: Observations) -> None:
     own = comparison(hardening, ("air_drag", "phase_offset"))
-    null = own.null()
+    null = own.fits.null()
     for single in own.singles(null, own.scan(null)):
         assert "cubic_stiffness" not in single.effects
         assert single.fit.chi_square > 1.5 * single.fit.used.sum()
@@ -90,7 +91,7 @@ def test_without_its_entry_nothing_fits(hardening: Observations) -> None:
 def test_two_effects_are_found_as_a_pair() -> None:
     truth = real(MODEL, local_elements=[CUBIC], pll={"phase_offset_rad": OFFSET})
     own = comparison(observations_of_twin(truth, seed=2, drives=LEVELS))
-    null = own.null()
+    null = own.fits.null()
     singles = own.singles(null, own.scan(null))
     best = own.pairs(singles)[0]
     assert {candidate.label for candidate in best.candidates} == {"cubic_stiffness@2", "phase_offset"}
@@ -102,7 +103,7 @@ def test_two_effects_are_found_as_a_pair() -> None:
 def test_a_shifted_parameter_leaves_nothing_to_explain() -> None:
     shifted = real(MODEL, exciter={"resistance_ohm": 3.0 * 1.04})
     own = comparison(observations_of_twin(shifted, seed=3, drives=LEVELS))
-    null = own.null()
+    null = own.fits.null()
     names = null.fit.parametrisation.names
     k = names.index("exciter.resistance_ohm")
     assert null.fit.theta[k] == pytest.approx(np.log(1.04) / 0.03, abs=4.0 * null.fit.std[k])
@@ -114,8 +115,8 @@ def test_a_shifted_parameter_leaves_nothing_to_explain() -> None:
 def test_climbing_over_the_levels_ends_where_a_fit_of_all_does() -> None:
     shifted = real(MODEL, exciter={"resistance_ohm": 3.0 * 1.06})
     own = comparison(observations_of_twin(shifted, seed=4, drives=LEVELS))
-    null = own.null().fit
-    found = climbed(own.problem, null.parametrisation, None, null.parametrisation.zero)
+    null = own.fits.null().fit
+    found = climbed(own.fits.problem, null.parametrisation, None, null.parametrisation.zero)
     assert found.used.sum() == null.used.sum()
     assert found.log_evidence == pytest.approx(null.log_evidence, abs=0.5)
     np.testing.assert_allclose(found.theta, null.theta, atol=0.2)
@@ -124,10 +125,10 @@ def test_climbing_over_the_levels_ends_where_a_fit_of_all_does() -> None:
 def test_a_pair_with_a_member_at_zero_is_no_pair() -> None:
     truth = real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}])
     own = comparison(observations_of_twin(truth, seed=7, drives=LEVELS))
-    null = own.null()
+    null = own.fits.null()
     singles = own.singles(null, own.scan(null))
-    idle = next(s for s in own.scan(singles[0]) if own.candidates[s.direction.candidate].label == "phase_offset")
-    pair = own.add(singles[0], idle)
+    idle = next(s for s in own.scan(singles[0]) if own.fits.candidates[s.direction.candidate].label == "phase_offset")
+    pair = own.fits.add(singles[0], idle)
     assert pair is not None
     assert pair.strength(1) < 1.0
     # A single fit that had stopped early takes over what the pair found.
@@ -146,10 +147,10 @@ def test_a_single_fit_that_stopped_far_away_goes_on_from_a_pair_with_a_weak_memb
         pll={"phase_offset_rad": 0.1 * OFFSET},
     )  # fmt: skip
     own = comparison(observations_of_twin(truth, seed=7, drives=LEVELS))
-    null = own.null()
+    null = own.fits.null()
     singles = own.singles(null, own.scan(null))
-    weak = next(s for s in own.scan(singles[0]) if own.candidates[s.direction.candidate].label == "phase_offset")
-    pair = own.add(singles[0], weak)
+    weak = next(s for s in own.scan(singles[0]) if own.fits.candidates[s.direction.candidate].label == "phase_offset")
+    pair = own.fits.add(singles[0], weak)
     assert pair is not None
     assert 1.0 < pair.strength(1) < 5.0
     # The pair stays, and beside it stands what its strong member explains alone, wherever that fit had stopped.
@@ -167,7 +168,7 @@ def test_a_strong_stop_is_fitted_to_its_optimum() -> None:
     stop = {"kind": "two_sided_gap", "point": 2, "stiffness_n_m": 20000.0, "gap_m": 1.5e-4}
     observations = observations_of_twin(real(MODEL, local_elements=[stop]), seed=8, drives=LEVELS)
     own = comparison(observations, ("two_sided_gap",))
-    null = own.null()
+    null = own.fits.null()
     best = own.singles(null, own.scan(null))[0]
     assert best.candidates[0].label == "two_sided_gap@2"
     assert best.fit.converged
@@ -184,13 +185,13 @@ def test_a_fit_beyond_what_was_measured_is_tried_from_other_shapes() -> None:
     own = comparison(
         observations_of_twin(real(MODEL, local_elements=[spring]), seed=4, drives=LEVELS), ("two_sided_gap",)
     )
-    candidate = next(c for c in own.candidates if c.label == "two_sided_gap@2")
-    parametrisation = Parametrisation(MODEL, own.calibration, (candidate,))
+    candidate = next(c for c in own.fits.candidates if c.label == "two_sided_gap@2")
+    parametrisation = Parametrisation(MODEL, own.fits.calibration, (candidate,))
     theta = np.zeros(parametrisation.size)
     names = [parameter.name for parameter in candidate.effect.parameters]
     place = parametrisation.index_of(0).start
     theta[place + names.index("k")], theta[place + names.index("gap")] = 0.5, 6.0
-    stuck = FittedModel((candidate,), fit(own.problem, parametrisation, theta))
+    stuck = FittedModel((candidate,), fit(own.fits.problem, parametrisation, theta))
     assert stuck.fit.chi_square / stuck.fit.used.sum() > 4.0
     (found,) = own._with_other_shapes([stuck])
     assert found.fit.chi_square / found.fit.used.sum() < 1.3
@@ -204,7 +205,7 @@ def test_an_explanation_that_two_fits_share_is_replaced_by_a_better_one(
 ) -> None:
     """What a pair becomes without the member that does nothing is known already, fitted from two other starts."""
     own = comparison(hardening)
-    null = own.null()
+    null = own.fits.null()
     (single, *_) = own.singles(null, own.scan(null))
     worse, worst = (
         replace(single, fit=replace(single.fit, theta=single.fit.theta + less, log_evidence=-less))
@@ -212,7 +213,7 @@ def test_an_explanation_that_two_fits_share_is_replaced_by_a_better_one(
     )
     pair = replace(single)
     monkeypatch.setattr(FittedModel, "strength", lambda _self, _member: 0.0)
-    monkeypatch.setattr(own, "_without", lambda _pair, _member: single)
+    monkeypatch.setattr(ExplanationFits, "without", lambda _self, _pair, _member: single)
     kept, pairs = own.pruned([worse, worst, null], [pair])
     assert pairs == []
     assert [each is single for each in kept].count(True) == 1

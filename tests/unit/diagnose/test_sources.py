@@ -8,6 +8,7 @@ import pytest
 from unit.diagnose.twin_observations import chain, observations_of_twin, real
 
 from nmt_diagnose.effects.calibration import calibration_parameters
+from nmt_diagnose.inference.explanation_fits import ExplanationFits
 from nmt_diagnose.inference.generic_source import SourceScore
 from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem
@@ -23,7 +24,7 @@ def found(truth: Rig) -> list[SourceScore]:
     observations = observations_of_twin(truth, seed=4, drives=(0.1, 0.4, 0.8, 1.6))
     forward = Forward(observations.tests, observations.rows)
     problem = Problem(observations, forward)  # type: ignore[arg-type]
-    null = ModelComparison(problem, MODEL, calibration_parameters(MODEL), ()).null()
+    null = ModelComparison(ExplanationFits(problem, MODEL, calibration_parameters(MODEL), ())).fits.null()
     rig = null.fit.parametrisation.rig(null.fit.theta)
     own = places(forward, rig, null.fit.prediction, problem)  # type: ignore[arg-type]
     return sorted(generic_sources(null.fit, own), key=lambda score: -score.gain)

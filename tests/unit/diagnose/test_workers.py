@@ -12,6 +12,7 @@ from unit.diagnose.twin_observations import chain, observations_of_twin, real
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
+from nmt_diagnose.inference.explanation_fits import ExplanationFits
 from nmt_diagnose.inference.fitted_model import FittedModel
 from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem
@@ -96,8 +97,10 @@ def test_contests_give_the_same_bits_for_any_number_of_processes() -> None:
     for jobs in (1, 3):
         with Workers(jobs) as workers:
             problem = Problem(observations, Forward(observations.tests, observations.rows))
-            comparison = ModelComparison(problem, model, calibration_parameters(model), found, workers=workers)
-            null = comparison.null()
+            comparison = ModelComparison(
+                ExplanationFits(problem, model, calibration_parameters(model), found), workers=workers
+            )
+            null = comparison.fits.null()
             singles = comparison.singles(null, comparison.scan(null))
             outcomes.append([*singles, *comparison.pairs(singles)])
     one, *others = outcomes

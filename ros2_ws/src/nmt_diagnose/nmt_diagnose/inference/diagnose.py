@@ -192,7 +192,8 @@ class _Diagnoser:
         judgement = with_prior_conflict(judgement, prior_conflict(null), self.confidence)
         accepted = self._accepted(judgement, shares)
         verdict = self._verdict(judgement, accepted, self._recalibrated(null, as_given, held))
-        best = self.comparison.polished(accepted.head) if accepted is not None and verdict is Verdict.EFFECT else null
+        named = accepted if verdict is Verdict.EFFECT else None
+        best = null if named is None else self.comparison.fits.polished(named.head)
         gap, rest = self._gap(verdict, null, best, as_given, held, judgement.strained)
         ranking = ranked(judgement, shares, self.problem)
         where = place_shares(judgement, sources, verdict)

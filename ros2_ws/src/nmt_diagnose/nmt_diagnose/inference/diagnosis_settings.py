@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from nmt_diagnose.inference.model_comparison import ComparisonSettings
+from nmt_diagnose.inference.comparison_settings import ComparisonSettings
 from nmt_record.calibration_file import CalibrationSheet
 
 

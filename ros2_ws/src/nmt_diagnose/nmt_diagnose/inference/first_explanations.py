@@ -54,7 +54,7 @@ def first_explanations(comparison: ModelComparison, null: FittedModel) -> list[F
         return []
     own = null.fit.parametrisation
     try:
-        given = fit(comparison.problem, own, own.zero, null.fit.used, steps=0)
+        given = fit(comparison.fits.problem, own, own.zero, null.fit.used, steps=0)
     except FitError:
         return []
     found: list[FittedModel] = []
@@ -71,15 +71,16 @@ def _from_below(comparison: ModelComparison, null: FittedModel, given: Fit) -> l
     Where the real structure is far from any linear one, the model without effect that is fitted to all levels has
     parameters that mean nothing, and so have directions about it. The lowest levels are nearly linear.
     """
-    own, (levelled, rank), used = null.fit.parametrisation, level_ranks(comparison.problem.observations), null.fit.used
+    problem, own, used = comparison.fits.problem, null.fit.parametrisation, null.fit.used
+    levelled, rank = level_ranks(problem.observations)
     lowest = used & (~levelled | (rank < _LOWEST))
     if not np.any(lowest & levelled):
         return _from_resonances(comparison, given)
     try:
-        below = fit(comparison.problem, own, own.zero, lowest)
+        below = fit(problem, own, own.zero, lowest)
         if is_incredible(below):
             return []
-        base = FittedModel((), fit(comparison.problem, own, below.theta, used, below.prediction, steps=0))
+        base = FittedModel((), fit(problem, own, below.theta, used, below.prediction, steps=0))
     except FitError:
         return []
     return comparison.singles(base, comparison.scan(base))
@@ -87,7 +88,7 @@ def _from_below(comparison: ModelComparison, null: FittedModel, given: Fit) -> l
 
 def _from_resonances(comparison: ModelComparison, given: Fit) -> list[FittedModel]:
     """Effects from where they bring natural frequencies to where responses peak."""
-    own, candidates = given.parametrisation, comparison.candidates
+    own, candidates = given.parametrisation, comparison.fits.candidates
     alone = [_with(comparison, (number,)) for number in range(len(candidates))]
     first = [starts_of(candidate)[0] for candidate in candidates]
 
@@ -99,14 +100,15 @@ def _from_resonances(comparison: ModelComparison, given: Fit) -> list[FittedMode
         (float(each.prior_std[own.zero.size + strength_position(candidate)]), strength_parameter(candidate).signed)
         for each, candidate in zip(alone, candidates, strict=True)
     ]
-    starts = resonance_starts(comparison.problem.observations, comparison.rig, spreads, changed, _FROM_RESONANCES)
+    fits = comparison.fits
+    starts = resonance_starts(fits.problem.observations, fits.rig, spreads, changed, _FROM_RESONANCES)
     return comparison.added_at(FittedModel((), given), starts)
 
 
 def _from_delays(comparison: ModelComparison, given: Fit) -> list[FittedModel]:
     """Late channels, added to the model as given where their phases tell it."""
-    late = [k for k, candidate in enumerate(comparison.candidates) if candidate.effect.name in DELAYS]
-    problem, with_all = comparison.problem, _with(comparison, late)
+    late = [k for k, candidate in enumerate(comparison.fits.candidates) if candidate.effect.name in DELAYS]
+    problem, with_all = comparison.fits.problem, _with(comparison, late)
     columns = range(given.theta.size, given.theta.size + len(late))
     slopes = problem.forward.jacobian(with_all, with_all.zero, given.prediction, columns)
     difference = problem.difference(given.prediction.values)
@@ -116,13 +118,13 @@ def _from_delays(comparison: ModelComparison, given: Fit) -> list[FittedModel]:
 
 def _from_forces(comparison: ModelComparison, null: FittedModel, given: Fit) -> list[FittedModel]:
     """Effects of the structure from the forces that sweeps at held amplitudes need."""
-    problem, own = comparison.problem, given.parametrisation
+    problem, own = comparison.fits.problem, given.parametrisation
     lines = lines_of_known_amplitude(problem.observations)
     if not lines.size:
         return []
     tried: list[tuple[int, FloatArray]] = []
     columns: list[ForceColumn] = []
-    for number, candidate in enumerate(comparison.candidates):
+    for number, candidate in enumerate(comparison.fits.candidates):
         if candidate.effect.place not in _WITH_FORCE or strength_parameter(candidate).grid:
             continue
         for start in starts_of(candidate):
@@ -138,7 +140,7 @@ def _from_forces(comparison: ModelComparison, null: FittedModel, given: Fit) -> 
     wanted = []
     for begun in force_starts(lines, difference, slopes, columns, _FROM_FORCES):
         number, start = tried[begun.number]
-        strength = at_strength(comparison.candidates[number], start, begun.strength)
+        strength = at_strength(comparison.fits.candidates[number], start, begun.strength)
         wanted.append((number, np.concatenate([begun.own * own.prior_std, strength])))
     return [found for found in comparison.started(wanted) if not np.any(null.fit.used & ~found.fit.used)]
 
@@ -147,7 +149,8 @@ def _force_column(
     comparison: ModelComparison, number: int, theta: FloatArray, given: Fit, lines: NDArray[np.int64]
 ) -> ForceColumn:
     """What a candidate's strength does to the force, from θ with none of it."""
-    candidate, forward, added = comparison.candidates[number], comparison.problem.forward, _with(comparison, (number,))
+    candidate, forward = comparison.fits.candidates[number], comparison.fits.problem.forward
+    added = _with(comparison, (number,))
     position = given.theta.size + strength_position(candidate)
     strength, spread = strength_parameter(candidate), float(added.prior_std[position])
     slope = forward.jacobian(added, theta, given.prediction, (position,))[:, 0]
@@ -160,5 +163,5 @@ def _force_column(
 
 
 def _with(comparison: ModelComparison, numbers: Sequence[int]) -> Parametrisation:
-    added = tuple(comparison.candidates[number] for number in numbers)
-    return Parametrisation(comparison.rig, comparison.calibration, added)
+    added = tuple(comparison.fits.candidates[number] for number in numbers)
+    return Parametrisation(comparison.fits.rig, comparison.fits.calibration, added)

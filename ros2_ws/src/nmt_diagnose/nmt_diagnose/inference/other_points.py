@@ -40,10 +40,10 @@ def at_other_points(
         return []
     numbers = [
         number
-        for number, candidate in enumerate(comparison.candidates)
+        for number, candidate in enumerate(comparison.fits.candidates)
         if (candidate.cause.effect, candidate.cause.form) == (cause.effect, cause.form)
         and candidate.cause.placement != cause.placement
     ]
     found = comparison.started([(number, best.fit.theta) for number in numbers])
-    least = best.fit.log_evidence - comparison.settings.close
+    least = best.fit.log_evidence - comparison.fits.settings.close
     return [own for own in found if own.fit.log_evidence >= least and not (best.fit.used & ~own.fit.used).any()]

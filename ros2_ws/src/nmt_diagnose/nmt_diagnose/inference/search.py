@@ -14,8 +14,10 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.inference.chain_errors import chain_errors, sweep_directions, with_chain_errors, with_shared
+from nmt_diagnose.inference.comparison_settings import ComparisonSettings
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.discrepancy import elsewhere, measured_elsewhere, smooth_errors
+from nmt_diagnose.inference.explanation_fits import ExplanationFits
 from nmt_diagnose.inference.first_explanations import first_explanations
 from nmt_diagnose.inference.fit import Fit, FitError, fit
 from nmt_diagnose.inference.fitted_model import FittedModel, rms_left
@@ -28,7 +30,7 @@ from nmt_diagnose.inference.held_images import (
 )
 from nmt_diagnose.inference.held_out import Split
 from nmt_diagnose.inference.lock_noise import lock_nuisances
-from nmt_diagnose.inference.model_comparison import ComparisonSettings, ModelComparison
+from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.progress import Progress
 from nmt_diagnose.inference.sampling_moment import with_better_moment
@@ -116,16 +118,15 @@ class Search:
         return Problem(self.observations, self.forward, noise, offset=offset)
 
     def _comparison(self) -> ModelComparison:
-        return ModelComparison(
+        fits = ExplanationFits(
             self.problem,
             self.rig,
             calibration_parameters(self.rig),
             self.candidates,
             _affordable(self.settings.comparison, self.observations),
-            self.progress,
             self._splits[0].fitted if self.settings.hold_out else None,
-            self._workers,
         )
+        return ModelComparison(fits, self.progress, self._workers)
 
     def run(self) -> tuple[FittedModel, list[Score], list[FittedModel], list[FittedModel]]:
         """The model alone, the scan about it, and explanations by one and by two effects, best first.
@@ -138,7 +139,7 @@ class Search:
         """
         self.progress("re-fitting the model's own parameters")
         try:
-            null = self.comparison.polished(self.comparison.null())
+            null = self.comparison.fits.polished(self.comparison.fits.null())
         except FitError as error:
             raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
         # At other phases than they were told locked windows contradict a random test, with images or without.
@@ -157,12 +158,12 @@ class Search:
             # The noise is traced about the best explanation: a wrong one would hide the right one behind its noise.
             singles, pairs = self.comparison.pruned(singles, self.comparison.pairs(singles))
         if self._retraced(null, self._leaders(singles, pairs)):
-            null = self.comparison.polished(self.comparison.null())
+            null = self.comparison.fits.polished(self.comparison.fits.null())
             scan = self.comparison.scan(null)
             singles = self.comparison.singles(null, scan, singles)
         singles, pairs = self.comparison.pruned(singles, self.comparison.pairs(singles, pairs))
         if self._amplitudes_measured and self._leads(pairs, singles) and self._retraced(null, pairs):
-            null = self.comparison.polished(self.comparison.null())
+            null = self.comparison.fits.polished(self.comparison.fits.null())
             scan = self.comparison.scan(null)
             singles = self.comparison.singles(null, scan, singles)
             singles, pairs = self.comparison.pruned(singles, self.comparison.pairs(singles, pairs))
@@ -246,7 +247,7 @@ class Search:
             if not found.sure:
                 return self._under(before, null, near=True)
             self._return_to(states[0])
-            return self.comparison.polished(max(self.comparison.null(), fits[0], key=_evidence))
+            return self.comparison.fits.polished(max(self.comparison.fits.null(), fits[0], key=_evidence))
         self._return_to(states[best])
         return fits[best]
 
@@ -273,7 +274,7 @@ class Search:
         if not moved:
             return null
         self.judged, self.comparison = self.problem, self._comparison()
-        return self.comparison.polished(self.comparison.null())
+        return self.comparison.fits.polished(self.comparison.fits.null())
 
     def _at_true_phases(self, near: Fit) -> tuple[Fit, bool]:
         """A fit with the locked windows at the phases that it tells, if it is good; whether they moved."""
@@ -342,7 +343,7 @@ class Search:
         self._observe(observations)
         self._trace(null.fit, np.zeros(len(observations.rows)), 0.0)
         self.judged, self.comparison = self.problem, self._comparison()
-        return self.comparison.polished(self.comparison.null(start=null.fit if near else None))
+        return self.comparison.fits.polished(self.comparison.fits.null(start=null.fit if near else None))
 
     def _under_other(self, observations: Observations, null: FittedModel) -> FittedModel:
         """The same from the parameters as given and from where the model stands, whichever is better.
@@ -351,7 +352,7 @@ class Search:
         """
         near = self._under(observations, null, near=True)
         with suppress(FitError):
-            return max(near, self.comparison.null(climbs=False), key=_evidence)
+            return max(near, self.comparison.fits.null(climbs=False), key=_evidence)
         return near
 
     @property

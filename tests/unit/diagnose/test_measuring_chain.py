@@ -14,7 +14,7 @@ from unit.diagnose.twin_observations import chain, observations_of_twin
 
 from nmt_core.blocks import Quantity
 from nmt_diagnose.inference.chain_errors import chain_errors, with_chain_errors
-from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.inference.problem import Nuisance, Problem
 from nmt_diagnose.inference.shared_errors import SharedErrors
 from nmt_diagnose.observations.conditions import (
     MeasuredChannel,
@@ -50,6 +50,17 @@ def test_whitening_is_the_dense_inverse_root() -> None:
     covariance = np.diag(sigma**2) + columns @ columns.T
     assert np.allclose(whitened.T @ whitened, left.T @ np.linalg.solve(covariance, left))
     assert np.allclose(problem.whitened(left[:, 1]), whitened[:, 1])
+    assert problem.log_volume(np.ones(9, dtype=bool)) == pytest.approx(0.5 * np.linalg.slogdet(covariance)[1])
+
+
+def test_the_volume_of_the_noise_holds_what_rows_share() -> None:
+    sigma, size = np.array([0.5, 2.0, 3.0, 4.0]), 5.0
+    shared = Nuisance(np.array([1, 3]), np.array([0.6, 0.8]), size)
+    problem = Problem(observations_of(np.zeros(4), sigma), FunctionModel(lambda t: t), (shared,))
+    column = np.zeros(4)
+    column[shared.rows] = sigma[shared.rows] * shared.direction * size
+    covariance = np.diag(sigma**2) + np.outer(column, column)
+    assert problem.log_volume(np.ones(4, dtype=bool)) == pytest.approx(0.5 * np.linalg.slogdet(covariance)[1])
 
 
 def test_a_row_without_a_solution_does_not_spoil_the_others() -> None:

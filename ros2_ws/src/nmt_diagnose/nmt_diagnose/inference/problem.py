@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray, IntArray
+from nmt_core.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.inference.shared_errors import SharedErrors
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction
@@ -73,6 +73,15 @@ class Problem:
         for nuisance in self.nuisances:
             nuisance.whiten(result)
         return result if self.shared is None else self.shared.whitened(result)
+
+    def log_volume(self, used: BoolArray) -> float:
+        """ln of what the density of the noise is divided by, √det Σ, of some rows, (m,).
+
+        Evidence of the same values under other noise compares when it is taken off: more noise explains anything.
+        """
+        result = float(np.sum(np.log(self.observations.sigma[used])))
+        result += sum(0.5 * float(np.log1p(nuisance.size**2)) for nuisance in self.nuisances)
+        return result if self.shared is None else result + self.shared.log_volume
 
     def residual(self, prediction: Prediction) -> FloatArray:
         """Whitened residual Σ^(-½) (measured − predicted), shape (m,)."""

@@ -52,7 +52,6 @@ _MOVES = 50.0
 _OF_OBSERVATIONS = ("forward", "given", "plain", "problem", "observations", "judged", "comparison")
 _GOOD = 1.5  # rms of residuals of a model that may tell whether images of a held drive are there
 _PHASES = 3  # most times that the phases of locked windows are corrected
-_NOISE = 1.05  # rms of residuals that may be noise
 _TRACED, _SETTLED = 12, 0.3  # most times that they are traced anew, and change in standard deviations that ends it
 _SECONDS = 6
 # Leading elastic or dissipative effects that are tried with all of the other kind.
@@ -237,12 +236,14 @@ class Search:
         """The model alone under the observations, with images or without, that it fits better, if it fits one well.
 
         If it does not, the more credible observations count where that is clear, and those before where it is not.
+        Both are the same recordings under other noise: images may be off by more than what is not there.
         """
-        before, fits, states = self.plain.observations, [], []
+        before, fits, states, densities = self.plain.observations, [], [], []
         for option in found.options:
             fits.append(self._with_better_moment(self._under_other(option, null)))
             states.append(self._state())
-        best = int(np.argmax([own.fit.log_evidence for own in fits]))
+            densities.append(self._density(fits[-1].fit))
+        best = int(np.argmax(densities))
         if not rms_left(fits[best]) < _GOOD:
             if not found.sure:
                 return self._under(before, null, near=True)
@@ -250,6 +251,10 @@ class Search:
             return self.comparison.fits.polished(max(self.comparison.fits.null(), fits[0], key=_evidence))
         self._return_to(states[best])
         return fits[best]
+
+    def _density(self, found: Fit) -> float:
+        """ln of the evidence of a fit to the present observations as a density of what was recorded."""
+        return found.log_evidence - self.problem.log_volume(found.used)
 
     def _state(self) -> dict[str, Any]:
         """What taking other observations changes."""
@@ -305,8 +310,7 @@ class Search:
     def _with_images_of(self, leader: FittedModel) -> Fit:
         """The fit of an explanation after random tests showed, about it, whether images of a held drive are in them.
 
-        The model alone may be so far off that it takes what an effect does for images. What is left of the fit must not
-        grow by it, or be noise.
+        The model alone may be so far off that it takes what an effect does for images.
         """
         near = leader.fit
         options = [
@@ -314,7 +318,7 @@ class Search:
             for option in with_detected_images(self._undetected, near.parametrisation.rig(near.theta))
             if not same_images(option, self.plain.observations)
         ]
-        best, least = near, max(rms_left(leader), _NOISE)
+        best, most = near, self._density(near)
         kept = self.forward, self.given, self.plain, self.problem, self.observations
         for option in options:
             self._observe(option)
@@ -322,9 +326,8 @@ class Search:
             self._trace(replace(near, prediction=prediction), np.zeros(len(self.observations.rows)), 0.0)
             with suppress(FitError):
                 found = fit(self.problem, near.parametrisation, near.theta, near.used, prediction)
-                left = rms_left(replace(leader, fit=found))
-                if left <= least:
-                    best, least = found, left
+                if self._density(found) > most:
+                    best, most = found, self._density(found)
                     kept = self.forward, self.given, self.plain, self.problem, self.observations
         self.forward, self.given, self.plain, self.problem, self.observations = kept
         return best

@@ -34,6 +34,11 @@ class SharedErrors:
         keep = sizes > 1e-3
         return cls(np.ascontiguousarray(basis[:, keep]), 1.0 / np.sqrt(1.0 + sizes[keep] ** 2) - 1.0)
 
+    @property
+    def log_volume(self) -> float:
+        """½ ln det (1 + U Uᵀ)."""
+        return -float(np.sum(np.log1p(self.factors)))
+
     def whitened(self, values: FloatArray) -> FloatArray:
         """(1 + U Uᵀ)^(-½) values, shape (m,) or (m, n); rows that are not finite stay so and tell nothing."""
         along = self.basis.T @ np.where(np.isfinite(values), values, 0.0)

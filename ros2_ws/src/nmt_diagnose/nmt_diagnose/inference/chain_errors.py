@@ -220,7 +220,7 @@ class _Columns:
         voltage_gain = max(chain.voltage_gain for chain in self.own)
         found += [voltage_gain * self._voltage(base), voltage_gain * self._recorded_voltage()]
         found += self.held.columns(self.chain.slopes(base), base)
-        found += self.held.aims()
+        found += self.held.aims(base)
         found += [*self._stepped(), *self.modes.columns(base), *self.shapes.columns(base), *self.held.bends()]
         return np.column_stack([self.chain.full(column) for column in found])
 
@@ -341,7 +341,8 @@ class _Columns:
 
     def floor(self, prediction: Prediction) -> FloatArray:
         """What is added to the floors of the rows, shape (m,)."""
-        size = self.held.size
+        values = prediction.values[self.mine]
+        size = self.held.size(values)
         # The model's own error up there is the same for all levels of a run.
         result = IMAGE_FLOOR * size + _DRIVEN_FLOOR * self._driven(prediction)
         result[self.rows.part == Part.PHASE_ERROR] = _LOCK_STD
@@ -361,7 +362,6 @@ class _Columns:
         for column in self.modes.columns(self.chain.start(prediction)):
             others += np.where(np.isin(self.rows.part, FUNDAMENTAL), column, 0.0) ** 2
         result += others**1.5 / 24.0
-        values = prediction.values[self.mine]
         for fundamental, over in self.chain.over_fundamental():
             result[over] = np.hypot(result[over], np.abs(values[over]) * result[fundamental])
         for number, chain in enumerate(self.own):

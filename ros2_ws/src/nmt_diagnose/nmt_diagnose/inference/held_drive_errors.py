@@ -52,15 +52,18 @@ class HeldDrive:
         self.rig = chain.rig
         self.own = chain.own
         self.channels = chain.channels
-        self.images = self._images()
 
-    @property
-    def size(self) -> FloatArray:
-        """What images add to ln of each fundamental at most, (rows,)."""
-        return np.asarray(np.sum(np.abs(self.images), axis=0))
+    def size(self, values: FloatArray) -> FloatArray:
+        """What images add to ln of each fundamental at most, (rows,); ``values`` as for `_images`."""
+        return np.asarray(np.sum(np.abs(self._images(values)), axis=0))
 
-    def _images(self) -> tuple[ComplexArray, ...]:
-        """What images of a held drive add to ln of each fundamental, (rows,) for each of the orders."""
+    def _images(self, values: FloatArray) -> tuple[ComplexArray, ...]:
+        """What images of a held drive add to ln of each fundamental, (rows,) for each of the orders.
+
+        The images themselves are those of a linear structure, far above its modes; what they are added to in locked
+        windows is what a solution says, ``values`` (rows,): a joint that slips turns it and makes it another share.
+        """
+        windows = self._windows(values)
         result = np.zeros((len(_IMAGE_ORDERS), len(self.rows)), dtype=np.complex128)
         for number in self.chain.referred():
             test, chain = self.tests[number], self.own[number]
@@ -70,12 +73,24 @@ class HeldDrive:
                 continue
             view = ModelView.of(self.rig, test.drive_point)
             frequency = self.rows.frequency_hz[mine]
-            plain = view.responses(channels, frequency)
             place = (self.rows.channel[mine], np.arange(mine.size))
+            plain = view.responses(channels, frequency)[place]
+            plain = np.where(np.isfinite(windows[mine]), windows[mine], plain)
             for k, orders in enumerate(_IMAGE_ORDERS):
                 images = zero_order_images(view, channels, frequency, chain.hold_hz, orders)
-                result[k, mine] = np.where(frequency < 0.5 * chain.hold_hz, images[place] / plain[place], 0.0)
+                result[k, mine] = np.where(frequency < 0.5 * chain.hold_hz, images[place] / plain, 0.0)
         return tuple(np.nan_to_num(result))
+
+    def _windows(self, values: FloatArray) -> ComplexArray:
+        """Fundamentals of locked windows per volt, at their magnitude and at their phase, (rows,); NaN elsewhere."""
+        other, turned = values[self.chain.other_part()], self.rows.part == Part.PHASE
+        size, angle = np.where(turned, other, values), np.where(turned, values, other)
+        result = np.full(len(self.rows), np.nan, dtype=np.complex128)
+        for number in self.chain.referred():
+            if isinstance(self.tests[number], PhaseResonanceTest):
+                mine = self.chain.linear_rows(number)
+                result[mine] = np.exp(size[mine] + 1j * angle[mine]) / self.rows.amplitude[mine]
+        return result
 
     def columns(self, slopes: FloatArray, base: Prediction) -> list[FloatArray]:
         """A drive that is held over each sample: smaller, half a sample late, and with images.
@@ -99,10 +114,10 @@ class HeldDrive:
             found.append(self.chain.parts(direct) + self._late(base.values, tests))
         found.append(self._other_steps(base, rise=_RISE))
         found += self._known_images(base)
-        harmonics = self.chain.over_fundamental()
+        harmonics, all_images = self.chain.over_fundamental(), self._images(base.values)
         for channel in self.channels:
             own = self.chain.rows_of(channel)
-            for images in self.images:
+            for images in all_images:
                 for turned in (images, 1j * images):
                     changed = self.chain.parts(turned) * own
                     for fundamental, above in harmonics:
@@ -225,10 +240,10 @@ class HeldDrive:
                 result[(self.rows.test == number) & (self.rows.level == level)] = sign * angle
         return result
 
-    def aims(self) -> list[FloatArray]:
+    def aims(self, base: Prediction) -> list[FloatArray]:
         """What the loop of each test held: it measured with a chain of its own."""
         found = []
-        size = self.size
+        size = self.size(base.values)
         for number, test in enumerate(self.tests):
             if isinstance(test, PhaseResonanceTest):
                 mine = self.rows.test == number

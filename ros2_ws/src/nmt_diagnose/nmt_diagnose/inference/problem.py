@@ -77,7 +77,7 @@ class Problem:
     def log_volume(self, used: BoolArray) -> float:
         """ln of what the density of the noise is divided by, √det Σ, of some rows, (m,).
 
-        Evidence of the same values under other noise compares when it is taken off: more noise explains anything.
+        Fits of the same values under other noise compare when it is taken off: more noise explains anything.
         """
         result = float(np.sum(np.log(self.observations.sigma[used])))
         result += sum(0.5 * float(np.log1p(nuisance.size**2)) for nuisance in self.nuisances)

@@ -19,29 +19,30 @@ from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.twin.forward import Forward, Prediction
 
-_STEPS = np.linspace(-0.2, 0.2, 41)  # samples
+NEAR_STEPS, WIDE_STEPS = np.linspace(-0.2, 0.2, 41), np.linspace(-0.5, 0.5, 101)  # samples
 _NEAR, _FINE_STEPS = 0.06, np.linspace(-0.06, 0.06, 121)
 _FALL = 6.0  # of what is left, squared: a better moment lets it fall by more than that
 
 
-def with_better_moment(problem: Problem, found: Fit) -> Observations | None:
+def with_better_moment(problem: Problem, found: Fit, steps: FloatArray = NEAR_STEPS) -> Observations | None:
     """The observations with another moment at which a held random test was sampled; None where none is clearly better.
 
     Args:
         problem: with the errors of its measuring chains as part of the noise.
         found: fit of the model alone.
+        steps: from the present moment that are tried, samples; the middle one is none.
     """
     for number, test in enumerate(problem.observations.tests):
         if isinstance(test, RandomTest) and test.sampled_at is not None:
             best, least = None, math.inf
-            searches = [*((own, _STEPS) for own in _groups(test)), *_beside_the_step(test)]
+            searches = [*((own, steps) for own in _groups(test)), *_beside_the_step(test)]
             # What a channel sees depends on its own moment only: all of them together are moved once for all searches.
-            grids = {steps.size: steps for _, steps in searches}
-            together = {size: _predicted(problem, found, number, test, steps) for size, steps in grids.items()}
-            for own, steps in searches:
-                left = _left(problem, found, number, own, together[steps.size])
-                if float(left.min()) < min(least, float(left[steps.size // 2]) - _FALL):
-                    best, least = moved(test, own, float(steps[np.argmin(left)])), float(left.min())
+            grids = {tried.size: tried for _, tried in searches}
+            together = {size: _predicted(problem, found, number, test, tried) for size, tried in grids.items()}
+            for own, tried in searches:
+                left = _left(problem, found, number, own, together[tried.size])
+                if float(left.min()) < min(least, float(left[tried.size // 2]) - _FALL):
+                    best, least = moved(test, own, float(tried[np.argmin(left)])), float(left.min())
             if best is not None:
                 return _with(problem.observations, number, best)
     return None

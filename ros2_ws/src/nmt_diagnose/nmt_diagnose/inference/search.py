@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -33,13 +34,13 @@ from nmt_diagnose.inference.lock_noise import lock_nuisances
 from nmt_diagnose.inference.model_comparison import ModelComparison
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.progress import Progress
-from nmt_diagnose.inference.sampling_moment import with_better_moment
+from nmt_diagnose.inference.sampling_moment import NEAR_STEPS, WIDE_STEPS, with_better_moment
 from nmt_diagnose.inference.scan import Score
 from nmt_diagnose.inference.scatter import scatter_floor
 from nmt_diagnose.inference.sweep_drift import sweep_drift
 from nmt_diagnose.inference.true_phase import LEAST_CHANGE, at_true_phases, chain_share, phase_offset, with_phases_of
 from nmt_diagnose.inference.workers import Workers
-from nmt_diagnose.observations.conditions import BackboneTable, RecordTest, RingDownTest, SteppedSineTest
+from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, RecordTest, RingDownTest, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction, traced
 from nmt_diagnose.twin.operating_range import operating_range
@@ -49,9 +50,12 @@ from nmt_rig.rig import Rig
 _MOMENTS = 8
 # ln of the evidence from which an effect moves the solution so far that errors of the measuring chain act otherwise.
 _MOVES = 50.0
-_OF_OBSERVATIONS = ("forward", "given", "plain", "problem", "observations", "judged", "comparison")
+_OF_OBSERVATIONS = ("forward", "given", "plain", "problem", "observations", "judged", "comparison", "_undetected")
 _GOOD = 1.5  # rms of residuals of a model that may tell whether images of a held drive are there
-_PHASES = 3  # most times that the phases of locked windows are corrected
+# ln of how much too large the noise of images that are part of the model may be.
+_AMPLE = 0.3
+_FALL = 10.0  # of χ² and penalty: what another description of held drives and phases must be worth
+_PHASES = 6  # most times that the phases of locked windows are corrected
 _TRACED, _SETTLED = 12, 0.3  # most times that they are traced anew, and change in standard deviations that ends it
 _SECONDS = 6
 # Leading elastic or dissipative effects that are tried with all of the other kind.
@@ -236,13 +240,14 @@ class Search:
         """The model alone under the observations, with images or without, that it fits better, if it fits one well.
 
         If it does not, the more credible observations count where that is clear, and those before where it is not.
-        Both are the same recordings under other noise: images may be off by more than what is not there.
         """
         before, fits, states, densities = self.plain.observations, [], [], []
         for option in found.options:
             fits.append(self._with_better_moment(self._under_other(option, null)))
             states.append(self._state())
-            densities.append(self._density(fits[-1].fit))
+            images = any(isinstance(t, RandomTest) and t.sampled_at is not None for t in option.tests)
+            ample = _AMPLE * float(fits[-1].fit.used.sum()) if images else 0.0
+            densities.append(self._density(fits[-1].fit) + ample)
         best = int(np.argmax(densities))
         if not rms_left(fits[best]) < _GOOD:
             if not found.sure:
@@ -253,8 +258,14 @@ class Search:
         return fits[best]
 
     def _density(self, found: Fit) -> float:
-        """ln of the evidence of a fit to the present observations as a density of what was recorded."""
-        return found.log_evidence - self.problem.log_volume(found.used)
+        """ln of the probability density of what was recorded, by a fit to it as it is described now.
+
+        Other descriptions of a held drive have other noise, and images may be off by more than what is not there: less
+        is left over it. Stated noise may be wrong by one factor for all rows.
+        """
+        rows, left = float(found.used.sum()), _objective(found)
+        scaled = 0.5 * left - 0.5 * rows * (1.0 + math.log(max(left, 1.0) / rows))
+        return found.log_evidence + scaled - self.problem.log_volume(found.used)
 
     def _state(self) -> dict[str, Any]:
         """What taking other observations changes."""
@@ -265,21 +276,45 @@ class Search:
             setattr(self, name, value)
 
     def _with_better_moment(self, null: FittedModel) -> FittedModel:
-        """The model alone where held random tests are taken as sampled at the moment that leaves least."""
-        for _ in range(_MOMENTS):
-            moved = with_better_moment(self.problem, null.fit)
+        """The model alone where held random tests are taken as sampled at the moment that leaves least.
+
+        Moments near the first one are tried first; others count where the model then suits the recordings better.
+        """
+        null = self._with_moments(null, NEAR_STEPS)
+        before = self._state()
+        found = self._with_moments(null, WIDE_STEPS, most=1)
+        if found is null:
+            return null
+        found = self._with_moments(found, NEAR_STEPS)
+        if _objective(found.fit) < _objective(null.fit) - _FALL:
+            return found
+        self._return_to(before)
+        return null
+
+    def _with_moments(self, null: FittedModel, steps: FloatArray, most: int = _MOMENTS) -> FittedModel:
+        """The model alone at the best moments within some steps; itself where none is better."""
+        for _ in range(most):
+            moved = with_better_moment(self.problem, null.fit, steps)
             if moved is None:
                 break
             null = self._under(moved, null, near=True)
         return null
 
     def _with_true_phases(self, null: FittedModel) -> FittedModel:
-        """The model alone where locked windows are predicted at the phases that it tells together with the chain."""
+        """The model alone where locked windows are predicted at the phases that it tells together with the chain.
+
+        Where the model suits the recordings less then, it did not tell them.
+        """
+        before = self._state()
         _, moved = self._at_true_phases(null.fit)
         if not moved:
             return null
         self.judged, self.comparison = self.problem, self._comparison()
-        return self.comparison.fits.polished(self.comparison.fits.null())
+        found = self.comparison.fits.polished(self.comparison.fits.null())
+        if _objective(found.fit) > _objective(null.fit) + _FALL:
+            self._return_to(before)
+            return null
+        return found
 
     def _at_true_phases(self, near: Fit) -> tuple[Fit, bool]:
         """A fit with the locked windows at the phases that it tells, if it is good; whether they moved."""
@@ -298,19 +333,21 @@ class Search:
             prediction = self.forward.predict(rig, near.prediction)
             self.plain = replace(self.plain, offset=phase_offset(found, rig, prediction))
             self._trace(replace(near, prediction=prediction), np.zeros(len(found.rows)), 0.0)
-            try:
-                near = fit(self.problem, near.parametrisation, near.theta, near.used, prediction)
-            except FitError:
+            corrected = None
+            with suppress(FitError):
+                corrected = fit(self.problem, near.parametrisation, near.theta, near.used, prediction)
+            if corrected is None or _objective(corrected) > _objective(near) + _FALL:
                 self.forward, self.given, self.plain, self.problem, self.observations = kept
                 break
-            moved = True
+            near, moved = corrected, True
             self._undetected = with_phases_of(self._undetected, found)
         return near, moved
 
     def _with_images_of(self, leader: FittedModel) -> Fit:
         """The fit of an explanation after random tests showed, about it, whether images of a held drive are in them.
 
-        The model alone may be so far off that it takes what an effect does for images.
+        The model alone may be so far off that it takes what an effect does for images. Noise of either description may
+        be too large, so another one has to be clearly more probable.
         """
         near = leader.fit
         options = [
@@ -326,7 +363,7 @@ class Search:
             self._trace(replace(near, prediction=prediction), np.zeros(len(self.observations.rows)), 0.0)
             with suppress(FitError):
                 found = fit(self.problem, near.parametrisation, near.theta, near.used, prediction)
-                if self._density(found) > most:
+                if self._density(found) > most + _AMPLE * float(found.used.sum()):
                     best, most = found, self._density(found)
                     kept = self.forward, self.given, self.plain, self.problem, self.observations
         self.forward, self.given, self.plain, self.problem, self.observations = kept
@@ -397,6 +434,11 @@ class Search:
         bare = replace(own, candidates=(), spreads=())
         without = self.forward.predict(bare.rig(theta), found.prediction)
         return np.asarray(self.forward.difference(found.prediction.values, without.values))
+
+
+def _objective(found: Fit) -> float:
+    """What a fit makes least, χ² and penalty of the parameters."""
+    return found.chi_square + found.penalty
 
 
 def _evidence(found: FittedModel) -> float:

@@ -35,8 +35,6 @@ from nmt_diagnose.inference.progress import Told
 from nmt_diagnose.inference.scan import Direction, Score, scores
 from nmt_diagnose.inference.workers import Workers
 
-# Sensitivities of a first fit of a candidate; those that come near the best are fitted to the end.
-_REFRESHES = 3
 # Strength in standard deviations below which a member of a pair does nothing.
 _NOTHING = 1.0
 # Below this it is fitted without that member, too: fits of the other alone may have stopped on the way to it.
@@ -49,11 +47,8 @@ _AT_ONCE = 2  # other shapes
 _RESTARTED = 2  # explanations, the best ones
 # Known explanations that go on under other noise; share of what the best of them explains that a scan has to promise.
 _CARRIED, _ENOUGH = 3, 0.5
-# Standard deviations by which a strength of one scale has to show to first order.
-_SHOWN = 1.0
-# Rms of what one explanation leaves, over that of the best, from which its refits need not reach an optimum, and the
-# steps that they make.
-_BEHIND, _HOPELESS_STEPS = 4.0, 4
+# Rms of what one explanation leaves, over that of the best, from which its refits need not reach an optimum.
+_BEHIND = 4.0
 # Candidates whose directions are found in one piece of work.
 _TOGETHER = 16
 

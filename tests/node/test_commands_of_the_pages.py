@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from unit.docs.test_command_blocks import ROOT, block_lines, words_of
+from docs.test_command_blocks import ROOT, block_lines, words_of
 
 from nmt_bench.cli import main
 from nmt_rig.rig import find_rig

@@ -11,10 +11,10 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="needs ROS 2; source the workspace")
 pytest.importorskip("nmt_msgs.msg", reason="needs the built workspace; source ros2_ws/install/setup.bash")
 
+from extract.synthetic import FREQUENCY, RATE, Stream, in_phase_case, linear_description, lock_event
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from unit.extract.synthetic import FREQUENCY, RATE, Stream, in_phase_case, linear_description, lock_event
 
 from nmt_core.base_node import SAMPLES_QOS
 from nmt_core.errors import BenchError

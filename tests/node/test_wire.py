@@ -8,10 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from rclpy.serialization import deserialize_message, serialize_message
-from unit.core.message_records import (
+from core.message_records import (
     RATE,
     blocks,
     drive_stops,
@@ -27,6 +24,9 @@ from unit.core.message_records import (
     steerings,
     values_of,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
 
 from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import bench_stamp

@@ -1,0 +1,67 @@
+"""The how-tos of hammer and one-mode model: their files import, and are read as the oscillator behind the data."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from nmt_bench.data_import import import_data
+from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.twin.forward import Forward
+from nmt_rig.rig import load_rig
+
+HOW_TO = Path(__file__).resolve().parents[2] / "docs" / "how-to"
+HZ, RATIO, CUBIC, TOP = 133.1, 0.0035, 1.7e12, 6e-4
+OMEGA = 2.0 * math.pi * HZ
+
+
+def written(name: str, page: str = "impact-hammer.md") -> str:
+    """A file's text as the how-to shows it, below the line that names it."""
+    text = (HOW_TO / page).read_text(encoding="utf-8")
+    start = text.index("```yaml\n", text.index(f"`{name}`")) + len("```yaml\n")
+    return text[start : text.index("```", start)]
+
+
+def test_the_files_of_the_page_read_a_tap(tmp_path: Path) -> None:
+    t = np.arange(8000) / 4000.0
+    run = solve_ivp(
+        lambda _, y: [y[1], -(OMEGA**2) * y[0] - CUBIC * y[0] ** 3 - 2.0 * RATIO * OMEGA * y[1]],
+        (0.0, t[-1]), [TOP, 0.0], t_eval=t, rtol=1e-8, atol=1e-12, method="DOP853",
+    )  # fmt: skip
+    hammer = 0.3 * np.exp(-600.0 * t) * np.sin(2.0 * math.pi * 1500.0 * t)
+    lines = "\n".join(f"{a:.9g},{b:.9g}" for a, b in zip(t, run.y[1] + hammer, strict=True))
+    (tmp_path / "tap.csv").write_text(f"time_s,velocity\n{lines}\n")
+    for name in ("clamped.yaml", "tap.yaml"):
+        (tmp_path / name).write_text(written(name))
+    import_data(tmp_path / "tap.yaml", tmp_path / "tap")
+    observations = read_observations([tmp_path / "tap"], load_rig(tmp_path / "clamped.yaml"))
+    hertz = np.exp(observations.values[observations.rows.part == Part.LOG_FREQUENCY]) / (2.0 * math.pi)
+    assert hertz.size >= 10
+    assert hertz[0] > 1.08 * HZ
+    assert abs(hertz[-1] / HZ - 1.0) < 3e-4
+    damping = observations.values[observations.rows.part == Part.DAMPING]
+    assert abs(damping[-3] / RATIO - 1.0) < 0.02
+    assert not any("left out" in note for note in observations.notes)
+
+
+def test_the_files_of_the_one_mode_model_read_a_frequency_response(tmp_path: Path) -> None:
+    hertz = np.linspace(125.0, 142.0, 60)
+    ratio = hertz / HZ
+    response = -(ratio**2) / (1.0 - ratio**2 + 2j * RATIO * ratio)
+    rows = "\n".join(f"{f},{h.real},{h.imag}" for f, h in zip(hertz, response, strict=True))
+    (tmp_path / "frf.csv").write_text(f"frequency_hz,real,imag\n{rows}\n")
+    (tmp_path / "frf.yaml").write_text(written("frf.yaml", "one-mode-model.md"))
+    page = (HOW_TO / "one-mode-model.md").read_text(encoding="utf-8")
+    start = page.index("```yaml\nname: one_mode\n") + len("```yaml\n")
+    (tmp_path / "one_mode.yaml").write_text(page[start : page.index("```", start)])
+    import_data(tmp_path / "frf.yaml", tmp_path / "frf")
+    model = load_rig(tmp_path / "one_mode.yaml")
+    observations = read_observations([tmp_path / "frf"], model)
+    forward = Forward(observations.tests, observations.rows)
+    left = forward.difference(observations.values, forward.predict(model).values)
+    assert len(observations.rows) == 120
+    assert np.abs(left).max() < 1e-6

@@ -1,0 +1,56 @@
+"""A rig that is its own model: observables of the time-domain plant against the twin whiten to one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnose.observation_bags import record, rig_with_noise
+
+from nmt_core.arrays import FloatArray
+from nmt_core.vocabulary import TestKind
+from nmt_diagnose.observations.floors import Floors
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_rig.rig import Rig
+
+# The twin refines the mesh at least twice; so does the plant here.
+MESH = ["structure.mesh_refinement=2"]
+ORDERS = 15
+
+
+def whitened(observations: Observations, rig: Rig) -> FloatArray:
+    values = Forward(observations.tests, observations.rows, TwinSettings(harmonics=ORDERS)).predict(rig).values
+    difference = observations.values - values
+    angles = np.isin(observations.rows.part, (Part.PHASE, Part.PHASE_ERROR))
+    difference[angles] = (difference[angles] + np.pi) % (2.0 * np.pi) - np.pi
+    return np.asarray(difference / observations.sigma)
+
+
+@pytest.mark.parametrize("noise", [1.0, 30.0])
+def test_locked_windows_of_a_slipping_joint(tmp_path: Path, noise: float) -> None:
+    rig = rig_with_noise(noise=noise, overrides=MESH)
+    settings = ObservationSettings(floors=Floors(model_harmonics=ORDERS))
+    observations = read_observations([record(tmp_path / "run", rig, periods=60)], rig, settings=settings)
+    z = whitened(observations, rig)
+    assert np.isfinite(z).all()
+    assert np.sqrt(np.mean(z**2)) < 1.15
+    assert np.abs(z).max() < 6.0
+    if noise > 10.0:
+        # Where noise exceeds the floors, residuals are as large as stated.
+        harmonics = np.isin(observations.rows.part, (Part.REAL, Part.IMAG)) & (
+            observations.std > 3.0 * observations.floor
+        )
+        assert 0.8 < np.sqrt(np.mean(z[harmonics] ** 2)) < 1.2
+
+
+def test_random_test_of_a_sticking_joint(tmp_path: Path) -> None:
+    rig = rig_with_noise(noise=5.0, overrides=MESH)
+    observations = read_observations([record(tmp_path / "run", rig, TestKind.RANDOM, (0.05,), duration=10.0)], rig)
+    z = whitened(observations, rig)
+    assert z.size > 400
+    assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.1)

@@ -1,0 +1,83 @@
+"""Placements and explanations compare by what they mean, and their labels are made from them."""
+
+from __future__ import annotations
+
+import pytest
+from diagnose.twin_tests import chain, level, locked
+
+from nmt_diagnose.effects.library import candidates
+from nmt_diagnose.effects.placement import Cause, Explanation, Placement
+from nmt_diagnose.twin.operating_range import operating_range
+
+AT_2 = Cause("cubic_stiffness", Placement.at("structure", 2))
+BETWEEN = Cause("cubic_stiffness", Placement.at("structure", 2, 3))
+GAIN = Cause("response_gain", Placement.on_channel("response_sensor", "a2", 2))
+HUM = Cause("mains_hum", Placement.on_channel("response_sensor", "a2", 2, mains_hz=60.0))
+ACROSS = Cause("transverse_sensitivity", Placement.on_channel("response_sensor", "a2", 2, picked_up=3))
+NAMED = Cause("response_gain", Placement.on_channel("response_sensor", "tip", 2))
+ELSEWHERE = Cause("air_drag", Placement.at("structure", 60))
+OFFSET = Cause("phase_offset", Placement("controller"))
+
+
+@pytest.mark.parametrize(
+    ("cause", "label"),
+    [
+        (AT_2, "cubic_stiffness@2"),
+        (BETWEEN, "cubic_stiffness@2-3"),
+        (GAIN, "response_gain@a2"),
+        (HUM, "mains_hum@a2 at 60 Hz"),
+        (ACROSS, "transverse_sensitivity@a2<3"),
+        (OFFSET, "phase_offset"),
+    ],
+)
+def test_labels(cause: Cause, label: str) -> None:
+    assert cause.label == label
+
+
+def test_explanations_are_equal_whatever_was_found_first() -> None:
+    one, other = Explanation((AT_2, GAIN)), Explanation((GAIN, AT_2))
+    assert one == other
+    assert hash(one) == hash(other)
+    assert {one: 1.0}[other] == 1.0
+    assert one != Explanation((AT_2,)) != Explanation((BETWEEN,))
+    assert Explanation() == Explanation(()) != Explanation((OFFSET,))
+    # The order shows in the label only.
+    assert (one.label, other.label) == ("cubic_stiffness@2 + response_gain@a2", "response_gain@a2 + cubic_stiffness@2")
+    assert one.effects == other.effects == ("cubic_stiffness", "response_gain")
+    assert one.kinds == "structure + response_sensor"
+    assert Explanation().label == "none"
+
+
+@pytest.mark.parametrize(
+    ("causes", "together"),
+    [
+        ((AT_2,), False),
+        ((AT_2, GAIN), True),
+        # The frequency of the mains is no point, and a channel sits at its point whatever it is called.
+        ((AT_2, HUM), True),
+        ((ELSEWHERE, HUM), False),
+        ((AT_2, NAMED), True),
+        ((GAIN, HUM), True),
+        ((GAIN, ACROSS), True),
+        ((AT_2, ACROSS), False),
+        ((BETWEEN, ACROSS), True),
+        ((AT_2, BETWEEN), False),
+        ((AT_2, OFFSET), False),
+        ((OFFSET, Cause("loop_latency", Placement("controller"))), False),
+    ],
+)
+def test_effects_are_together_at_one_point_or_in_one_channel(causes: tuple[Cause, ...], together: bool) -> None:
+    assert Explanation(causes).together is together
+    assert Explanation(causes[::-1]).together is together
+
+
+def test_a_channel_of_force_lies_at_the_force_sensor_and_no_two_candidates_are_one() -> None:
+    rig = chain()
+    found = candidates(rig, operating_range(rig, [locked(rig, [level(0.5, 24.0)], "x1")[0]]))
+    assert len({candidate.cause for candidate in found}) == len(found)
+    force = {channel for s in rig.sensors if s.quantity == "force" for channel in (rig.sensor_channel(s),)}
+    for candidate in found:
+        channel = candidate.site.placement.channel
+        if channel:
+            kind = "force_sensor" if channel in force else "response_sensor"
+            assert candidate.site.placement.kind == kind, candidate.label

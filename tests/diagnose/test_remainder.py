@@ -1,0 +1,102 @@
+"""What an accepted explanation leaves of the gap, and how that is said."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from diagnose.test_amplitude_scales import backbone
+from diagnose.test_warnings import GAP
+from diagnose.twin_observations import chain, observations_of_twin
+
+from nmt_diagnose.inference.confidence import confidence
+from nmt_diagnose.inference.diagnose import _Diagnoser
+from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Remainder, Share, Value, Verdict
+from nmt_diagnose.inference.gap import Closed
+from nmt_diagnose.inference.remainder import remainder
+from nmt_diagnose.inference.sentences import sentences
+from nmt_diagnose.observations.observables import Observations, Part
+
+LEFT = replace(GAP, closed=0.94, low=0.9, high=0.97)
+
+
+@pytest.fixture(scope="module")
+def observations() -> Observations:
+    return observations_of_twin(chain(), random=False, drives=np.linspace(0.1, 1.6, 9))
+
+
+def left_in(observations: Observations, part: Part, above: float) -> np.ndarray:
+    """Residuals of noise, ten times as large in a part of the rows at the levels above one."""
+    noise = np.random.default_rng(2).standard_normal(len(observations.rows))
+    return np.where((observations.rows.part == part) & (observations.rows.amplitude > above), 10.0, 1.0) * noise
+
+
+def test_what_is_left_is_found_where_it_is(observations: Observations) -> None:
+    everything = np.ones(len(observations.rows), dtype=bool)
+    found = remainder(observations, LEFT, left_in(observations, Part.LOG_FREQUENCY, 1.2), everything)
+    assert found is not None
+    assert (found.share, found.low, found.high) == pytest.approx((0.06, 0.03, 0.1))
+    first = found.where[0]
+    assert first.observable.endswith(": frequency")
+    assert first.levels == "highest levels"
+    assert first.share > 0.5 > sum(item.share for item in found.where[1:])
+    frequency = observations.rows.part == Part.LOG_FREQUENCY
+    left = left_in(observations, Part.LOG_FREQUENCY, 1.2)[frequency]
+    assert first.rms == pytest.approx(np.sqrt(np.mean(left**2)))
+    assert first.rms_unit == pytest.approx(100.0 * np.sqrt(np.mean((left * observations.sigma[frequency]) ** 2)))
+
+
+def test_rows_that_no_split_held_out_do_not_count(observations: Observations) -> None:
+    rows = observations.rows.part != Part.LOG_FREQUENCY
+    found = remainder(observations, LEFT, left_in(observations, Part.LOG_FREQUENCY, 1.2), rows)
+    assert found is not None
+    assert not any(item.observable.endswith(": frequency") for item in found.where)
+
+
+@pytest.mark.parametrize("closed", [0.995, 1.0, math.nan])
+def test_less_than_a_percent_is_not_told(observations: Observations, closed: float) -> None:
+    rows = np.ones(len(observations.rows), dtype=bool)
+    assert remainder(observations, replace(LEFT, closed=closed), np.zeros(len(observations.rows)), rows) is None
+
+
+def test_of_noise_nothing_is_left(observations: Observations) -> None:
+    """What the uncertainties allow without the explanation is no gap that it could leave."""
+    rows = np.ones(len(observations.rows), dtype=bool)
+    weak = replace(LEFT, before=0.9, after=0.8, closed=0.3)
+    assert remainder(observations, weak, left_in(observations, Part.LOG_FREQUENCY, 1.2), rows) is None
+    ranked = Ranked("clipping", "force_sensor", "f1", 0.9, (), {}, Share(0.3, 0.1, 0.5), 9.0)
+    head = SimpleNamespace(head=SimpleNamespace(explanation=SimpleNamespace(placements=())))
+    said = sentences(Verdict.EFFECT, (), (ranked,), (head,), weak, (), ())[2]  # type: ignore[arg-type]
+    assert said.endswith("The uncertainties of the held-out data allow 1, so they hardly show it.")
+
+
+def test_the_answer_says_how_much_is_left_and_where(observations: Observations) -> None:
+    rows = np.ones(len(observations.rows), dtype=bool)
+    rest = remainder(observations, LEFT, left_in(observations, Part.LOG_FREQUENCY, 1.2), rows)
+    ranked = Ranked(
+        "cubic_stiffness", "structure", "2", 0.95, (), {"k": Value(1.0, 0.1, "N/m³")}, Share(0.94, 0.9, 0.97), 9.0
+    )
+
+    head = SimpleNamespace(head=SimpleNamespace(explanation=SimpleNamespace(placements=())))
+
+    def said(of: Remainder | None) -> str:
+        where = (PlaceShare("structure", "2", 1.0, 1.0),)
+        return sentences(Verdict.EFFECT, where, (ranked,), (head,), LEFT, (), (), of)[2]  # type: ignore[arg-type]
+
+    assert "It explains 94 %; 6 % is left, most of it in levels: frequency at the highest levels" in said(rest)
+    assert "left" not in said(None)
+
+
+@pytest.mark.parametrize(
+    ("before", "laboratory", "share"), [(20.0, True, 0.15), (5.0, True, 0.03), (20.0, False, 0.03)]
+)
+def test_a_laboratory_may_leave_more_of_a_strong_gap(
+    observations: Observations, before: float, laboratory: bool, share: float
+) -> None:
+    own = object.__new__(_Diagnoser)
+    own.confidence, own.observations = confidence(), backbone(1.0) if laboratory else observations
+    assert own._tolerated(Closed(before, 1.0, 1.0, 0.9, 0.8, 1.0)) == pytest.approx(share)
+    assert own._tolerated(None) == pytest.approx(0.03)

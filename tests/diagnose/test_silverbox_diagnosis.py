@@ -1,0 +1,61 @@
+"""A measured record: the cubic spring of the Silverbox, which its linear model lacks, on the arrow that no fit sees."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nmt_bench.cli import main
+from nmt_rig.rig import load_rig
+
+RATE = 1e7 / 2**14
+HOW_TO = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "diagnose-a-record.md"
+
+
+def written(name: str) -> str:
+    """A file's text as the how-to shows it, below the line that names it."""
+    text = HOW_TO.read_text(encoding="utf-8")
+    start = text.index("```yaml\n", text.index(f"`{name}`")) + len("```yaml\n")
+    return text[start : text.index("```", start)]
+
+
+@pytest.mark.slow
+def test_the_silverbox_lacks_a_cubic_spring(
+    data_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = data_folder / "silverbox" / "SNLS80mV.csv"
+    if not data.is_file():
+        pytest.skip(f"the measured record ({data}) is not on this machine")
+    (tmp_path / "SNLS80mV.csv").symlink_to(data)
+    monkeypatch.chdir(tmp_path)
+    for name in ("silverbox.yaml", "multisine.yaml", "arrow.yaml"):
+        Path(name).write_text(written(name), encoding="utf-8")
+    for name in ("multisine", "arrow"):
+        assert main(["import", f"{name}.yaml", "--out", name]) == 0
+    words = ["--model", "silverbox.yaml", "--real", "multisine", "--real", "arrow", "--hold-out", "arrow"]
+    assert main(["diagnose", "--quiet", "--jobs", "1", *words, "--out", "diagnosis"]) == 0
+    assert "Verdict: the model lacks cubic stiffness (the structure, point 1)" in capsys.readouterr().out
+
+    found = json.loads(Path("diagnosis/diagnosis.json").read_text(encoding="utf-8"))
+    assert found["verdict"] == "effect"
+    first = found["ranking"][0]
+    assert (first["effect"], first["place"], first["equivalents"]) == ("cubic_stiffness", "structure", [])
+    assert first["probability"] >= 0.9
+    assert found["gap"]["held_out"] == ["the test arrow"]
+    assert found["gap"]["closed"] >= 0.97
+    (arrow,) = (item for name, item in found["gap"]["per_observable"].items() if name.startswith("arrow"))
+    # The figures of the literature: 14.1 mV are left by the linear model, 0.42 mV by one with a cubic spring.
+    assert 1e3 * arrow["before_unit"] == pytest.approx(14.1, abs=1.5)
+    assert 1e3 * arrow["after_unit"] < 0.6
+    others = [item["closed"]["value"] for item in found["ranking"][1:] if "cubic" not in item["effect"]]
+    assert all(value is None or not math.isfinite(value) or value < 0.9 for value in others)
+
+    model = load_rig("diagnosis/model.yaml")
+    (spring,) = model.local_elements
+    value = first["parameters"]["k"]
+    assert spring.stiffness_n_m3 == pytest.approx(value["value"], rel=1e-6)  # type: ignore[union-attr]
+    assert np.isclose(model.sample_rate_hz, RATE)

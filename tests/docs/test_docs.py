@@ -1,0 +1,231 @@
+"""The documentation holds together: links resolve, generated tables are up to date, examples compile."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from nmt_bench.cli import COMMANDS, build_parser
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
+REFERENCE = sorted((DOCS / "reference").glob("*.md"))
+IDS = [str(page.relative_to(ROOT)) for page in PAGES]
+LINK = re.compile(r"!?\[[^\]]*\]\(([^()\s]+)\)")
+PYTHON = (
+    "nmt", "nmt_blind", "nmt_diagnose", "nmt_extract", "nmt_pll", "nmt_record", "nmt_report", "nmt_rig", "nmt_session",
+)  # fmt: skip
+WITHOUT_ROS = importlib.util.find_spec("rclpy") is None
+
+
+def load_generator() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_reference", DOCS / "make_reference.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+make_reference = load_generator()
+
+
+def without_code(text: str) -> str:
+    return re.sub(r"`[^`\n]*`", "", re.sub(r"^ *```.*?^ *```", "", text, flags=re.S | re.M))
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of the headings, as the common Markdown renderers make them."""
+    text = re.sub(r"^ *```.*?^ *```", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
+    headings = re.findall(r"^#+ +(.+)$", text, flags=re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+def python_blocks() -> list[tuple[str, str]]:
+    found = []
+    for page, name in zip(PAGES, IDS, strict=True):
+        for number, match in enumerate(
+            re.finditer(r"^( *)```python\n(.*?)^ *```", page.read_text("utf-8"), re.S | re.M)
+        ):
+            indent = match.group(1)
+            code = "\n".join(line.removeprefix(indent) for line in match.group(2).splitlines())
+            found.append((f"{name} block {number + 1}", code))
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_links_resolve(page: Path) -> None:
+    for target in LINK.findall(without_code(page.read_text(encoding="utf-8"))):
+        if target.startswith(("http://", "https://")):
+            continue
+        name, _, anchor = target.partition("#")
+        linked = (page.parent / name).resolve() if name else page
+        assert linked.exists(), f"{target} leads nowhere"
+        assert linked.is_relative_to(ROOT), f"{target} leads out of the project"
+        if anchor:
+            assert anchor in anchors(linked), f"{target}: no such heading"
+
+
+def test_every_page_is_reached_from_the_map() -> None:
+    reached, waiting = set(), [ROOT / "README.md", DOCS / "index.md"]
+    while waiting:
+        page = waiting.pop()
+        if page in reached:
+            continue
+        reached.add(page)
+        for target in LINK.findall(without_code(page.read_text(encoding="utf-8"))):
+            linked = (page.parent / target.partition("#")[0]).resolve()
+            if linked.suffix == ".md" and linked.exists():
+                waiting.append(linked)
+    assert set(PAGES) == reached
+
+
+@pytest.mark.parametrize(("place", "code"), python_blocks(), ids=lambda value: value if "block" in value[:60] else "")
+def test_python_examples_compile_and_import_what_exists(place: str, code: str) -> None:
+    tree = ast.parse(code, filename=place)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("nmt_"):
+            if WITHOUT_ROS and ("harness" in node.module or "_node" in node.module or "nmt_msgs" in node.module):
+                continue
+            module = importlib.import_module(node.module)
+            for alias in node.names:
+                assert hasattr(module, alias.name), f"{node.module} has no {alias.name}"
+
+
+def test_the_rig_of_the_guide_loads(tmp_path: Path) -> None:
+    from nmt_rig.rig import load_rig
+
+    text = (DOCS / "how-to" / "write-a-rig-file.md").read_text(encoding="utf-8")
+    complete = re.search(r"```yaml\n(name:.*?)```", text, re.S)
+    assert complete is not None
+    path = tmp_path / "duffing.yaml"
+    path.write_text(complete.group(1), encoding="utf-8")
+    assert load_rig(path).name == "duffing_chain"
+
+
+@pytest.mark.parametrize("page", REFERENCE, ids=[page.name for page in REFERENCE])
+def test_generated_tables_are_up_to_date(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    kinds = {kind for kind, _ in make_reference.regions(text)}
+    if kinds == {"parameters"} and WITHOUT_ROS:
+        pytest.skip("The tables of node parameters need ROS 2.")
+    fresh = make_reference.render(text, frozenset({"parameters"} if WITHOUT_ROS else ()))
+    assert fresh == text, f"{page.name} is stale: run python docs/make_reference.py"
+
+
+def test_every_message_section_node_and_command_has_its_table() -> None:
+    from nmt_diagnose.effects.library import library
+    from nmt_rig import rig
+
+    shown = {region for page in REFERENCE for region in make_reference.regions(page.read_text(encoding="utf-8"))}
+    files = [
+        f"{path.parent.name}/{path.name}"
+        for path in make_reference.MESSAGES.glob("*/*.*")
+        if path.suffix in (".msg", ".action", ".srv")
+    ]
+    assert len(files) > 5
+    wanted = {("message", name) for name in files}
+    wanted |= {("parameters", name) for name in ("common", *make_reference.NODE_MODULES)}
+    wanted |= {("options", name) for name in COMMANDS}
+    sections = {name for name, kind in vars(rig).items() if isinstance(kind, type) and issubclass(kind, rig.Section)}
+    wanted |= {("rig", name) for name in sections - {"Section"}}
+    wanted |= {("python", name) for name in PYTHON}
+    wanted |= {("effects", effect.place) for effect in library()} | {("priors", "all")}
+    assert shown == wanted
+
+
+def test_a_stale_table_is_seen() -> None:
+    text = (DOCS / "reference" / "messages.md").read_text(encoding="utf-8")
+    stale = text.replace("| `waveform` | uint8 |", "| `waveform` | int32 |")
+    assert stale != text
+    assert make_reference.render(stale, frozenset({"parameters"})) == text
+
+
+def test_every_rig_key_has_a_meaning_and_no_other() -> None:
+    from nmt_rig import rig
+
+    for name, meanings in make_reference.RIG_MEANINGS.items():
+        fields = set(getattr(rig, name).model_fields)
+        for base in (rig.ElementSection, rig.StructureSection):
+            if issubclass(getattr(rig, name), base) and getattr(rig, name) is not base:
+                fields -= set(base.model_fields)
+        assert set(meanings) == fields, name
+
+
+def test_every_command_and_option_is_on_the_page() -> None:
+    text = (DOCS / "reference" / "commands.md").read_text(encoding="utf-8")
+    launcher = ("test", "doctor", "setup", "shell", "ros")
+    for name in COMMANDS:
+        assert f"`./nmt {name}`" in text, name
+    for name in launcher:
+        assert f"`./nmt {name}" in text, name
+    for line in build_parser().format_help().splitlines():
+        match = re.match(r"^ {2,4}([a-z]+)(?: {2,}|$)", line)
+        if match:
+            assert re.search(rf"\b{match.group(1)}\b", text), match.group(1)
+
+
+@pytest.mark.parametrize(
+    "init", sorted((ROOT / "ros2_ws" / "src").glob("nmt_*/nmt_*/__init__.py")), ids=lambda p: p.parent.name
+)
+def test_every_package_says_what_it_is(init: Path) -> None:
+    text = ast.get_docstring(ast.parse(init.read_text(encoding="utf-8")))
+    assert text is not None
+    assert len(text) > 30
+
+
+FORBIDDEN = (
+    r"\bsessions?\b",
+    r"\bAI\b",
+    r"\bagents?\b",
+    r"\bhelpers?\b",
+    r"/tmp/",
+    r"/work/",
+    r"/home/(?!USER)",
+    r"/root\b",
+    r"\bpypi\.\w+",
+    r"\bartifactory\b",
+    r"\bnexus\b",
+    r"\.\./shared",
+    r"\bTODO\b",
+    r"\bFIXME\b",
+)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_pages_speak_of_the_product_only(page: Path) -> None:
+    text = re.sub(r"`nmt_[\w.]+`", "", page.read_text(encoding="utf-8"))  # names of modules are the code's own
+    for pattern in FORBIDDEN:
+        match = re.search(pattern, text)
+        assert match is None, f"'{match.group(0)}' in {page.name}"
+
+
+def test_pictures_are_small() -> None:
+    pictures = [path for path in (DOCS / "images").iterdir() if path.suffix in (".svg", ".png")]
+    assert pictures
+    for path in pictures:
+        assert path.stat().st_size < 300_000, path.name
+
+
+@pytest.mark.parametrize(
+    "claim", re.findall(r"`\./nmt test ([^`]*)`", (DOCS / "verified.md").read_text(encoding="utf-8"))
+)
+def test_tests_named_on_the_page_of_claims_exist(claim: str) -> None:
+    words = claim.split()
+    if "PATH" in words:
+        return
+    chosen = words[words.index("-k") + 1] if "-k" in words else ""
+    paths = [ROOT / word for word in words if word.startswith("tests/")]
+    assert paths
+    for path in paths:
+        assert path.exists(), path
+    if chosen:
+        assert any(re.search(rf"def test_\w*{chosen}", path.read_text(encoding="utf-8")) for path in paths), chosen

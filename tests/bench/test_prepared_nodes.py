@@ -26,6 +26,7 @@ from nmt_bench.orchestration.bench_domain import BenchDomain, domains_in_use
 from nmt_bench.orchestration.node_processes import NodeProcesses
 from nmt_bench.orchestration.prepared_nodes import NodeCommand, NodeLoader, nodes_ahead, take_loader
 from nmt_core.errors import BenchError
+from nmt_core.process_watch import state_of
 
 pytestmark = pytest.mark.skipif(not can_adopt(), reason="no orphans are adopted here")
 PATIENCE = 60.0  # s
@@ -43,7 +44,8 @@ said = {
     "python": sys.executable,
     "folder": os.getcwd(),
     "environment": dict(os.environ),
-    "leads its session and its group": os.getsid(0) == os.getpid() == os.getpgid(0),
+    "leads a group": os.getpgid(0) == os.getpid(),
+    "session is that of its parent": os.getsid(0) == os.getsid(os.getppid()),
     "parent": os.getppid(),
     "signals": {name: str(signal.getsignal(getattr(signal, name))) for name in names},
     "blocked": sorted(map(int, signal.pthread_sigmask(signal.SIG_BLOCK, []))),
@@ -59,6 +61,7 @@ said = {
 }
 print(json.dumps(said))
 """
+BUSY = "while True:\n    pass\n"
 LONG = "import time\nprint('begun', flush=True)\ntime.sleep(600)\n"
 
 
@@ -137,7 +140,8 @@ def test_a_forked_node_finds_what_one_of_its_own_finds(tmp_path: Path, monkeypat
             loader.close()
         said.append(json.loads(log))
     own = said[1]
-    assert own["leads its session and its group"]
+    assert own["leads a group"]
+    assert own["session is that of its parent"]
     assert own["parent"] == os.getpid()
     assert own["environment"]["HERE"] == "a b\nc"
     assert own["comm"] == "plant\n"
@@ -208,6 +212,42 @@ def test_a_node_is_killed_stopped_and_ended_alone(tmp_path: Path, monkeypatch: p
     nodes.end()
     assert nodes.last_words("plant").startswith("killed by SIGTERM")
     assert all(is_gone(pid) for pid in pids.values())
+
+
+def test_a_node_that_does_not_come_up_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes = a_bench(tmp_path, monkeypatch, plant=BUSY, pll=LONG, recorder=LONG)(loader := NodeLoader())
+    nodes.start()
+    loader.close()
+    stopped = nodes.pids["recorder"]
+    os.kill(stopped, signal.SIGSTOP)
+    monkeypatch.setattr("nmt_bench.orchestration.node_processes._IDLE_START", 0.6)
+    wait_until(lambda: nodes.not_coming_up(["plant", "recorder"]) != "")
+    said = nodes.not_coming_up(["plant", "recorder"])
+    assert f"Node recorder does not come up: its process ({stopped}) is stopped" in said
+    nodes.end()
+    assert all(is_gone(pid) for pid in nodes.pids.values())
+
+
+def test_a_stopped_node_does_not_outlive_its_launcher(tmp_path: Path) -> None:
+    """The launcher is killed while a node is stopped; the kernel lets the node go on, and it hears of it."""
+    program = f"""
+import os, subprocess, sys, time
+from nmt_bench.orchestration.parent_death import begin_group
+node = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], preexec_fn=begin_group)
+os.kill(node.pid, {int(signal.SIGSTOP)})
+print(node.pid, flush=True)
+time.sleep(600)
+"""
+    launcher = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    assert launcher.stdout is not None
+    node = int(launcher.stdout.readline())
+    wait_until(lambda: state_of(node) == "T")
+    launcher.kill()
+    launcher.wait()
+    launcher.stdout.close()
+    wait_until(lambda: state_of(node) in ("", "Z"))
 
 
 def test_nothing_begins_before_it_is_let_go(tmp_path: Path) -> None:

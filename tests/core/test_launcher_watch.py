@@ -10,12 +10,13 @@ import time
 
 import pytest
 
-from nmt_core.launcher_watch import LAUNCHER, LauncherWatch, _state
+from nmt_core.launcher_watch import LAUNCHER, LauncherWatch
+from nmt_core.process_watch import state_of
 
 
 def wait_for(process: int, state: str) -> None:
     end = time.monotonic() + 20.0
-    while _state(process) != state:
+    while state_of(process) != state:
         assert time.monotonic() < end
         time.sleep(0.01)
 

@@ -16,8 +16,10 @@ class BusyNode:
     """A node that waits for its last message and gets one a pass."""
 
     BURST_PERIOD = 0.001
+    end_grace = 4.0
 
-    def __init__(self, messages: int) -> None:
+    def __init__(self, messages: int, lockstep: bool = False) -> None:
+        self.in_lockstep = lockstep
         self.context = SimpleNamespace(ok=lambda: True)
         self.received, self.messages = 0, messages
         self.told = 0
@@ -65,3 +67,9 @@ def test_a_node_does_not_work_off_for_ever() -> None:
     node = BusyNode(5)
     spin_for_ever(OneMessageAPass(node, 5), node, told(60.0))  # type: ignore[arg-type]
     assert node.received == 0
+
+
+def test_in_lockstep_it_works_off_all_that_it_was_sent() -> None:
+    node = BusyNode(5, lockstep=True)
+    spin_for_ever(OneMessageAPass(node, 5), node, told(60.0))  # type: ignore[arg-type]
+    assert node.received == 5

@@ -221,7 +221,8 @@ def test_a_killed_node_ends_the_run(victim: str, pacing: str, tmp_path: Path) ->
     else:
         ends = [block.end_sample for block in blocks]
         assert [block.first_sample for block in blocks[1:]] == ends[:-1]  # what arrived is whole
-    assert (bag.loss is not None) == (victim == "recorder")
+    if victim != "plant":  # what it had said last may be lost with it
+        assert (bag.loss is not None) == (victim == "recorder")
     if both_live:
         assert not blocks[-1].data.any()
 

@@ -100,7 +100,7 @@ def test_a_plant_that_gets_nothing_but_nonsense_keeps_its_limits(seed: int) -> N
     rng = np.random.default_rng(seed)
     with Bench("beam", [0.3], overrides=RIG) as bench:
         plant = PlantNode(
-            values={"rig_file": str(bench.out / "rig.yaml"), "command_timeout": 0.2, "latency_blocks": 4},
+            values={"rig_file": str(bench.out / "rig.yaml"), "latency_blocks": 4},
             context=bench.context, namespace="fuzz",
         )  # fmt: skip
         bench._add("fuzzed", plant)

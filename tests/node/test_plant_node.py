@@ -128,5 +128,5 @@ def test_warnings_and_margins_are_published(tmp_path: Path) -> None:
 def test_a_failure_of_the_run_before_does_not_end_the_next(bench: Bench) -> None:
     sequencer = bench.nodes["sequencer"]
     assert isinstance(sequencer, SequencerNode)
-    sequencer.company.failures["plant"] = "it was so before"
+    sequencer.liveness.failures["plant"] = "it was so before"
     assert bench.run().code == ResultCode.SUCCEEDED

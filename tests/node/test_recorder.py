@@ -19,11 +19,13 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64, String, UInt64
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS
 from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
+from nmt_core.liveness import HANG_LIMIT
+from nmt_core.run_announcement import RunAnnouncement
 from nmt_core.wire import BlockReader, BlockWriter
 from nmt_msgs.msg import Drive, LockEvent, ModalPoint, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
@@ -157,6 +159,8 @@ def test_a_run_is_recorded_and_the_bag_closes_by_itself(stage):
         "messages": sum(count for _, count in bag.topics.values()),
         "reason": "",
         "goal": "",
+        "recorded_s": 0.6,
+        "lacks_s": 0.0,
     }
     assert bag.loss is None
     for topic in ("force", "acceleration"):
@@ -356,6 +360,79 @@ def test_missing_blocks_are_given_up_after_silence(stage):
         "state": "incomplete",
         "reason": "blocks up to sample 500 did not arrive",
     }
+
+
+def lockstep_run(stage, **values):
+    """A recorder in lockstep whose run is over; five of ten blocks have come."""
+    recorder = stage.start(pacing="lockstep", patience=0.1, settle_time=0.0, **values)
+    stage.rig.publish_state(RunState.RUNNING)
+    for index in range(5):
+        stage.rig.publish_block("force", 20 * index)
+        stage.rig.publish_block("acceleration", 20 * index)
+    stage.until(lambda: recorder.core.gaps.recorded == 100)
+    stage.rig.publish_state(RunState.DONE, sample=199, result_code=1)
+    stage.until(lambda: recorder.core.end_sample == 199)
+    return recorder
+
+
+def look_at(recorder, count=5):
+    for _ in range(count):
+        recorder._watch()
+
+
+def test_in_lockstep_a_bag_waits_for_its_backlog_however_long_that_takes(stage, monkeypatch):
+    recorder = lockstep_run(stage)
+    now = [time.monotonic()]
+    monkeypatch.setattr("nmt_record.recorder_node.time.monotonic", lambda: now[0])
+    now[0] += 0.9 * HANG_LIMIT
+    look_at(recorder)
+    assert recorder.state == "open"
+    for index in range(5, 10):
+        stage.rig.publish_block("force", 20 * index)
+        stage.rig.publish_block("acceleration", 20 * index)
+    stage.until(lambda: recorder.core.gaps.recorded == 200)
+    look_at(recorder)
+    assert recorder.state == "closed"
+    assert Bag.open(stage.path).loss is None
+
+
+def test_in_lockstep_a_bag_without_its_plant_says_what_it_lacks(stage, monkeypatch):
+    recorder = lockstep_run(stage)
+    monkeypatch.setattr(type(recorder), "_plant_is_there", property(lambda _: False))
+    now = [time.monotonic() + 0.2]
+    monkeypatch.setattr("nmt_record.recorder_node.time.monotonic", lambda: now[0])
+    look_at(recorder)
+    assert recorder.state == "closed"
+    bag = Bag.open(stage.path)
+    assert bag.run_stop["exit"]["state"] == "incomplete"
+    assert bag.run_stop["lacks_s"] == pytest.approx(0.1)
+    assert "lacks 0.100 s of bench time" in bag.loss
+    stage.until(lambda: stage.rig.bag_states[-1]["lacks_s"] == pytest.approx(0.1))
+
+
+def test_in_lockstep_the_points_that_the_sequencer_waits_for_are_in_the_bag(stage, monkeypatch):
+    recorder = lockstep_run(stage)
+    for index in range(5, 10):
+        stage.rig.publish_block("force", 20 * index)
+        stage.rig.publish_block("acceleration", 20 * index)
+    stage.until(lambda: recorder.core.gaps.recorded == 200)
+    recorder._goal, recorder._announced = "ab", RunAnnouncement("ab", "run-7")
+    monkeypatch.setattr(recorder, "count_publishers", lambda _: 1)
+    look_at(recorder)
+    assert recorder.state == "open"
+    recorder._announced = RunAnnouncement()
+    look_at(recorder)
+    assert recorder.state == "closed"
+
+
+def test_how_far_the_bag_is_is_told(stage):
+    told = []
+    stage.rig.create_subscription(UInt64, "recorded", lambda message: told.append(message.data), STATE_QOS)
+    stage.start(pacing="lockstep")
+    for index in range(150):
+        stage.rig.publish_block("force", 20 * index)
+        stage.rig.publish_block("acceleration", 20 * index)
+    stage.until(lambda: told and told[-1] == 3000)
 
 
 def test_the_latched_end_of_an_earlier_run_is_not_ours(stage):

@@ -251,3 +251,33 @@ def test_an_emergency_stop_does_not_wait_for_a_longer_ramp() -> None:
     assert len(blocks) <= 4
     assert core.device.is_quiet
     assert core.device.tripped == "slowly", "the first reason stays"
+
+
+def test_in_lockstep_a_run_waits_for_its_bag_and_the_ramp_to_zero_does_not() -> None:
+    core = PlantCore(LoopbackDevice(RATE, BLOCK), recorder_lead=300)
+    core.take_state(state(RunPhase.RUNNING, horizon=1000))
+    made = 0
+
+    def as_far_as_may_be() -> int:
+        nonlocal made
+        while core.due:
+            produce(core)
+            made += BLOCK
+            core.take_drive(sine(made - 1), LOOP)
+        return made
+
+    assert as_far_as_may_be() == 300
+    assert core.waits_for_bag
+    core.take_recorded(250)
+    assert as_far_as_may_be() == 600  # blocks are whole: the one that begins 50 samples short of the lead is made
+    core.take_state(state(RunPhase.STOPPING, horizon=1000))
+    assert as_far_as_may_be() == 1000
+
+
+def test_without_a_lead_no_bag_is_waited_for() -> None:
+    core = running()
+    for made in range(BLOCK, 50 * BLOCK, BLOCK):
+        assert core.due
+        produce(core)
+        core.take_drive(sine(made - 1), LOOP)
+    assert not core.waits_for_bag

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -42,3 +43,16 @@ def test_repeats_and_ends():
         "missing_samples": 10,
         "repeats": 0,
     }
+
+
+def test_what_a_recording_lacks_is_counted_in_seconds_of_bench_time() -> None:
+    counter = GapCounter()
+    assert (counter.recorded, counter.lacking(99)) == (0, 0.0)
+    for first in (0, 100, 300):
+        counter.add("force", first, 100, 1000.0)
+    for first in (0, 100, 200):
+        counter.add("voltage", first, 100, 1000.0)
+    assert counter.recorded == 300
+    assert counter.lacking() == pytest.approx(0.1)  # the gap of the force
+    assert counter.lacking(399) == pytest.approx(0.1)
+    assert counter.lacking(999) == pytest.approx(0.7)  # the gap and 600 samples at the end, or 700 there

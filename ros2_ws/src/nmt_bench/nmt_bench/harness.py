@@ -49,14 +49,15 @@ from nmt_bench.orchestration.node_processes import NodeProcesses
 from nmt_bench.orchestration.prepared_nodes import NodeLoader, take_loader
 from nmt_bench.orchestration.surroundings import check_surroundings
 from nmt_core.base_node import STATE_QOS, calm_collector
-from nmt_core.company import Company
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_core.liveness import HANG_LIMIT, Liveness
 from nmt_core.modal_point import ModalPoint
 from nmt_core.output_record import drive_sentence
 from nmt_core.run_announcement import BAG_TOPIC, BagState
 from nmt_core.shared_memory import remove_dead_segments
 from nmt_core.vocabulary import ResultCode, RunPhase
+from nmt_core.whole_file import write_whole
 from nmt_core.wire import MODAL_POINT, RUN_STATE
 from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import RunState
@@ -71,7 +72,9 @@ from nmt_session.run_result import Progress, RunResult
 START_TIMEOUT = 120.0  # s; on a busy computer the plant compiles and loads for a minute
 _POLL = 0.02
 _RESEND = 1.5  # s without an answer after which the goal, or the wish for its result, is sent again
-_SILENCE = 3.0  # s without a heartbeat after which a node that runs as a process is lost
+_SILENCE = 3.0  # s without a heartbeat after which a node that runs as a process is lost in real time
+_STILL = HANG_LIMIT + 15.0  # s without progress of the recorder after which its bag stays open
+_NOTE_AFTER = 5.0  # s that a run is held up, or the recorder writes on, before it is said, and between two notes
 _LAST_WRITES = 0.5  # s that the recorder gets for what is on its way to it
 _LAST_MEMORY = 1.5  # s that shared memory of a killed node is waited for, to be cleared away
 _LATE_DEATH = 1.5  # s after a result of a lost node in which that may be seen here, too
@@ -240,7 +243,7 @@ class Bench:
                 kind = getattr(importlib.import_module(module), attribute)
                 node = kind(values=self.plan.values[name], context=self.context)
                 self._add(name, node)
-        self.client = _RunClient(self.context, tuple(self.plan.values))
+        self.client = _RunClient(self.context, tuple(self.plan.values), self.test.pacing == "lockstep")
         self._add("client", self.client)
         thresholds = gc.get_threshold()
         # A collection would look at all that the program around the bench holds, a fifth of a second in a large one.
@@ -269,11 +272,14 @@ class Bench:
 
     # -- use -----------------------------------------------------------------------------------------------------
 
-    def run(self, on_progress: Callable[[Progress], None] | None = None) -> RunResult:
+    def run(
+        self, on_progress: Callable[[Progress], None] | None = None, on_note: Callable[[str], None] | None = None
+    ) -> RunResult:
         """Work through the levels.
 
         Args:
             on_progress: called about ten times a second.
+            on_note: told in a sentence what holds the run up for long.
 
         Returns:
             How it ended; a lost lock or a dead node is a result, not an exception.
@@ -284,9 +290,10 @@ class Bench:
         if self._ran:
             raise BenchError("A bench runs once; make a new one for another run.")
         self._ran = True
+        self._tell = on_note or (lambda sentence: None)
         self._spin_until(lambda: self.client.server_is_ready(), START_TIMEOUT, "the sequencer's action server")
         self._spin_until(
-            lambda: not self.client.company.unheard, START_TIMEOUT, "the first heartbeat of every node of the bench"
+            lambda: not self.client.liveness.unheard, START_TIMEOUT, "the first heartbeat of every node of the bench"
         )
         handle = self._send_goal(on_progress)
         if not handle.accepted:
@@ -305,7 +312,7 @@ class Bench:
             if lost and lost != "plant":
                 self._spin_while(lambda: not self.client.drive_is_at_zero, 3.0)
             obituary = self._obituary(lost)  # before what is left of the nodes is ended
-            bag_state = self._await_bag(lost)
+            bag_state, lacks = self._await_bag(lost)
             if message is not None and message.result_code == ResultCode.LIMIT:
                 self._spin_while(lambda: not self.client.plant_trip, 1.0)  # the plant's next heartbeat says which
         if message is None:
@@ -316,18 +323,33 @@ class Bench:
             points = tuple(MODAL_POINT.read(serialize_message(point)) for point in message.points)
             if lost:
                 code, text = ResultCode.NODE_LOST, obituary
-        return RunResult(
+        result = RunResult(
             code=code,
             message=text,
             points=points,
             bag=self.out / "bag",
             bag_state=bag_state,
             wall_time=wall_time,
-            bench_time=(self.client.newest_sample + 1) / self.rig.sample_rate_hz,
+            bench_time=self._bench_time,
             lost_node=lost,
             interrupted=interrupted or deferred.came,
-            remarks=tuple(self.client.remarks(self.test.pacing)),
+            remarks=(*([_lack_sentence(lacks)] if lacks > 0.0 else []), *self.client.remarks(self.test.pacing)),
+            lacks_s=lacks,
         )
+        self._write_end(result)
+        return result
+
+    def _write_end(self, result: RunResult) -> None:
+        """Put into run.json how the run ended and what its bag lacks."""
+        end = {
+            "code": result.code.name,
+            "message": result.message,
+            "bench_time_s": result.bench_time,
+            "bag": {"state": result.bag_state, "lacks_s": result.lacks_s},
+        }
+        text = json.dumps({**self.plan.run, "result": end}, indent=2) + "\n"
+        with contextlib.suppress(OSError):  # a full disk must not cost the result
+            write_whole(self.out / "run.json", text)
 
     def stop(self) -> bool:
         """End the run early by a ramp to zero; False if nothing was running."""
@@ -429,12 +451,15 @@ class Bench:
         dead = self.processes.first_dead() if self.processes else ""
         if dead:
             raise BenchError(f"Node {dead} ended at once{self._last_words(dead)}.")
+        stuck = self.processes.not_coming_up(self.client.liveness.unheard) if self.processes else ""
+        if stuck:
+            raise BenchError(stuck)
 
     def _await_result(self, handle: Any) -> tuple[Any, str, bool]:
         """The action's result (None if the sequencer is lost), the name of a lost node, and whether Ctrl-C came."""
         future = handle.get_result_async()
         lost, deadline, interrupted = "", math.inf, False
-        asked = time.monotonic()
+        asked = noted = time.monotonic()
         while not future.done():
             try:
                 if self.use_processes:
@@ -447,6 +472,7 @@ class Bench:
                 interrupted = True
                 self.cancel()
             now = time.monotonic()
+            noted = self._note_what_holds_up(now, noted)
             gone = self._lost_node(now)
             if gone and not lost:
                 lost = gone
@@ -462,8 +488,16 @@ class Bench:
         """Name of a node whose process has ended, or which gives no sign of life; empty if all are well."""
         if self.processes is None:
             return ""
-        self.client.company.listened(now)
-        return self.processes.first_dead() or self.client.company.silent(now)
+        self.client.liveness.listened(now)
+        return self.processes.first_dead() or next(iter(self.client.liveness.lost(now)), "")
+
+    def _note_what_holds_up(self, now: float, noted: float) -> float:
+        """Say which node the run waits for, if it does for long; when that was said last."""
+        if now - max(noted, self.client.last_progress or now) < _NOTE_AFTER:
+            return noted
+        for name, why in self.client.liveness.waited_for(now).items():
+            self._tell(f"The run waits for node {name}, which {why}; Ctrl-C ends it.")
+        return now
 
     def _late_death(self) -> str:
         """Name of a node that is seen to be lost only after the run that it broke; empty if none is."""
@@ -485,20 +519,44 @@ class Bench:
         said = self.client.plant_said
         drive = drive_sentence(said or None, alive=lost != "plant", lockstep=self.test.pacing == "lockstep")
         if self.processes is not None and self.processes.is_alive(lost):
-            return f"Node {lost} gives no sign of life (it is stopped or hangs); the run was ended and {drive}."
+            lockstep = self.test.pacing == "lockstep"
+            how = "hangs" if lockstep else "gives no sign of life (it is stopped or hangs)"
+            return f"Node {lost} {how}; the run was ended and {drive}."
         return f"Node {lost} has died{self._last_words(lost)}; the run was ended and {drive}."
 
-    def _await_bag(self, lost: str) -> str:
-        if lost == "recorder":
-            return "lost"
+    def _await_bag(self, lost: str) -> tuple[str, float]:
+        """Wait until all that was sent is in the bag; its state, and the bench time that it lacks, s."""
+        client = self.client
         if lost == "sequencer" and self.processes is not None:
             # Nobody tells the recorder that the run is over: wait for the plant's own ramp, then end all nodes.
-            self._spin_while(lambda: not self.client.drive_is_at_zero, 10.0)
+            self._spin_while(lambda: not client.drive_is_at_zero, 10.0)
             self.spin(_LAST_WRITES)
             self.processes.end()
-            return "closed" if (self.out / "bag" / "metadata.yaml").exists() else "open"
-        self._spin_while(lambda: self.client.bag_state not in ("closed", "failed"), 10.0)
-        return self.client.bag_state
+        begun = moved = time.monotonic()
+        written = client.recorded
+        while client.bag.state == "open" and "recorder" != lost != "sequencer" and time.monotonic() - moved < _STILL:
+            self._turn()
+            lost = lost or self._lost_node(time.monotonic())
+            if client.recorded != written:
+                written, moved = client.recorded, time.monotonic()
+                if moved - begun > _NOTE_AFTER:
+                    begun = moved
+                    self._tell(f"The recorder writes on: {written[1]} of {self._bench_time:.1f} s are in the bag.")
+        bag = self.out / "bag"
+        if client.bag.state == "failed" or (bag / "metadata.yaml").exists():
+            closed = "failed" if client.bag.state == "failed" else "closed"
+            if lost not in ("recorder", "sequencer"):
+                return closed, client.bag.lacks_s
+        else:
+            closed = "open"
+        with contextlib.suppress(BenchError):
+            return closed, max(0.0, round(self._bench_time - Bag.open(bag).end_time_s, 6))
+        return closed, self._bench_time
+
+    @property
+    def _bench_time(self) -> float:
+        """Bench time that the sequencer has told of, s."""
+        return (self.client.newest_sample + 1) / self.rig.sample_rate_hz
 
     def _spin_while(self, condition: Callable[[], bool], timeout: float) -> None:
         end = time.monotonic() + timeout
@@ -513,12 +571,12 @@ class Bench:
 class _RunClient(Node):  # type: ignore[misc]
     """Action client and listener of the harness."""
 
-    def __init__(self, context: Context, nodes: Sequence[str]) -> None:
+    def __init__(self, context: Context, nodes: Sequence[str], lockstep: bool) -> None:
         super().__init__("bench_client", context=context, enable_rosout=False, start_parameter_services=False)
         self._client = ActionClient(self, RunLevels, "run_levels")
         self.steer = self.create_client(Steer, "steer")
-        self.company = Company(nodes, _SILENCE)
-        self.bag_state = "open"
+        self.liveness = Liveness(nodes, _SILENCE, lockstep=lockstep)
+        self.bag = BagState("", "open")
         self.run_is_over = False
         self.started: float | None = None
         self.last_progress: float | None = None
@@ -570,7 +628,7 @@ class _RunClient(Node):  # type: ignore[misc]
 
     def _on_bag(self, message: String) -> None:
         with contextlib.suppress(ValueError):
-            self.bag_state = BagState.from_json(message.data).state
+            self.bag = BagState.from_json(message.data)
 
     def _on_state(self, raw: bytes) -> None:
         try:
@@ -589,8 +647,14 @@ class _RunClient(Node):  # type: ignore[misc]
         now = time.monotonic()
         for status in message.status:
             failed = status.level == DiagnosticStatus.ERROR
-            self.company.hear(status.name, status.hardware_id, status.message, failed, now)
+            self.liveness.hear(status.name, status.hardware_id, status.message, failed, now)
             self._counters[status.name] = {item.key: item.value for item in status.values}
+
+    @property
+    def recorded(self) -> tuple[str, str]:
+        """Messages and bench time (s) in the bag, as the recorder says."""
+        said = self._counters.get("recorder", {})
+        return said.get("messages", ""), said.get("recorded_s", "0")
 
     @property
     def plant_said(self) -> dict[str, str]:
@@ -641,3 +705,7 @@ def _restore_environment(values: Mapping[str, str | None]) -> None:
             os.environ.pop(name, None)
         else:
             os.environ[name] = value
+
+
+def _lack_sentence(seconds: float) -> str:
+    return f"The bag lacks {seconds:.3f} s of bench time, at its end or in gaps; what is in it can be extracted."

@@ -30,11 +30,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from nmt_core.command_judge import Source
-from nmt_core.company import HUNG, READY, Company
 from nmt_core.dds_profile import check_ports, seal_transport
 from nmt_core.errors import BenchError
 from nmt_core.launcher_watch import LauncherWatch
+from nmt_core.liveness import BUSY, HANG_LIMIT, HUNG, READY, Liveness
 from nmt_core.parameters import Parameter, ParameterValue, check_values
+from nmt_core.process_watch import ProcessWatch
 from nmt_core.shared_memory import remove_dead_segments
 
 RCLError = rclpy_implementation.RCLError
@@ -53,16 +54,26 @@ STATE_QOS = QoSProfile(
 
 _SPIN_LIMIT = 0.1  # s; a request to end waits so long
 HEARTBEAT_PERIOD = 0.25  # s of wall time
-_BUSY = 2.5 * HEARTBEAT_PERIOD  # s without a heartbeat of the working thread after which another one speaks for it
+_LATE = 2.5 * HEARTBEAT_PERIOD  # s without a heartbeat of the working thread after which another one speaks for it
 _END_GRACE = 4.0  # s that a node gets to take its part of a run to an end
-_LONGEST_WORK = 10.0  # s that a node gets instead while it still works off what it was sent
+_LONGEST_WORK = 10.0  # s that a node gets in real time while it still works off what it was sent
 _LAST_WORDS = 3.0  # s
 _LAST_MEMORY = 1.5  # s that shared memory of killed nodes is waited for, to be cleared away
 # Options of mallopt of glibc, and the size from which a piece of memory is one of its own.
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _LARGE_BYTES = -1, -3, 256 * 1024
 _HURRY = 1.0  # s after which a second request to end is not the echo of the first
 _INSTANCES = itertools.count(1)
+_LOOK_BEATS = 4  # heartbeats between two looks of a node at work for publishers that do not belong here
+PACING = Parameter(
+    "pacing",
+    "realtime",
+    "",
+    "lockstep: the run waits for its nodes, and wall time ends nothing; realtime: paced by the converter.",
+    choices=("lockstep", "realtime"),
+)
+"""For nodes that watch others or wait for them; plant and sequencer have lockstep as their default."""
 COMMON_PARAMETERS = (
+    PACING,
     Parameter(
         "expected_peers",
         [""],
@@ -76,13 +87,17 @@ COMMON_PARAMETERS = (
         "Nodes whose heartbeat this node watches, in its own namespace unless they begin with a slash; empty = none.",
     ),
     Parameter(
-        "silence_timeout", 2.0, "s", "Wall time without a heartbeat after which a watched node is lost.", low=0.5
+        "silence_timeout",
+        2.0,
+        "s",
+        "Real time: wall time without a heartbeat after which a watched node is lost.",
+        low=0.5,
     ),
     Parameter(
         "hang_timeout",
         10.0,
         "s",
-        "Wall time that the node may be at one piece of work; beyond it the node calls itself hung.",
+        "Real time: wall time that the node may be at one piece of work; beyond it the node calls itself hung.",
         low=1.0,
     ),
 )
@@ -118,7 +133,9 @@ class BenchNode(Node):  # type: ignore[misc]
         kwargs.setdefault("start_parameter_services", True)
         kwargs.setdefault("enable_rosout", True)
         super().__init__(name, **kwargs)
-        self.values = self._declare((*table, *COMMON_PARAMETERS), dict(values or {}))
+        own = {parameter.name for parameter in table}
+        common = [parameter for parameter in COMMON_PARAMETERS if parameter.name not in own]
+        self.values = self._declare((*table, *common), dict(values or {}))
         self.counters: dict[str, int | float | str] = {}
         self.received = 0
         self._expected = _parse_peers(self.values["expected_peers"], self.get_name())
@@ -134,7 +151,10 @@ class BenchNode(Node):  # type: ignore[misc]
         self.watched_nodes: list[str] = [self._in_own_namespace(name) for name in watched if name]
         silence: Any = self.values["silence_timeout"]
         self.instance = f"{socket.gethostname()} process {os.getpid()} node {next(_INSTANCES)}"
-        self.company = Company(self.watched_nodes, float(silence), self.heartbeat_name, self.instance)
+        self.in_lockstep = self.values["pacing"] == "lockstep"
+        self.liveness = Liveness(
+            self.watched_nodes, float(silence), self.heartbeat_name, self.instance, lockstep=self.in_lockstep
+        )
         self._intruder = ""
         self._told = ""
         if self.watched_nodes:
@@ -142,6 +162,7 @@ class BenchNode(Node):  # type: ignore[misc]
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._newest = DiagnosticStatus(name=self.heartbeat_name, message="starting", hardware_id=self.instance)
         self._worked = time.monotonic()
+        self._beats = 0
         self._heartbeat = self.steady_timer(HEARTBEAT_PERIOD, self._beat)
 
     def _declare(self, table: Sequence[Parameter], values: dict[str, Any]) -> dict[str, ParameterValue]:
@@ -266,9 +287,9 @@ class BenchNode(Node):  # type: ignore[misc]
         Another publisher of a commanded topic or of a topic of this node, or a node with the name of this one or of
         one that it watches.
         """
-        company = self._intruder or self.company.twice(time.monotonic())
-        if company:
-            return company
+        second = self._intruder or self.liveness.twice(time.monotonic())
+        if second:
+            return second
         for topic in self._command_types:
             source = self.source(topic)
             if not source.alone and self._sources[topic][0] > 1:
@@ -291,35 +312,37 @@ class BenchNode(Node):  # type: ignore[misc]
         now = time.monotonic()
         for status in message.status:
             failed = status.level == DiagnosticStatus.ERROR
-            self.company.hear(status.name, status.hardware_id, status.message, failed, now)
+            self.liveness.hear(status.name, status.hardware_id, status.message, failed, now)
 
     def unready_nodes(self) -> dict[str, str]:
         """Watched nodes that have not called themselves ready, each with what it waits for."""
-        return self.company.unready(time.monotonic())
+        return self.liveness.unready(time.monotonic())
 
-    def silent_nodes(self) -> list[str]:
-        """Watched nodes that were heard once and have fallen silent, or whose work stands still."""
-        return self.company.all_silent(time.monotonic())
+    def lost_nodes(self) -> dict[str, str]:
+        """Watched nodes that were heard once and are lost, each with why: see :class:`nmt_core.liveness.Liveness`."""
+        return self.liveness.lost(time.monotonic())
 
-    def silent_node(self) -> str:
-        """The first of `silent_nodes`; empty if none has."""
-        return self.company.silent(time.monotonic())
+    def lost_node(self) -> str:
+        """A sentence on the first of `lost_nodes`, without a full stop; empty if none is lost."""
+        return self.liveness.first_lost(time.monotonic())
 
     def forget_failures(self) -> None:
         """Start over: what a watched node reported before a run, or its new start, does not end it."""
-        self.company.failures.clear()
-        self.company.meet_again(time.monotonic())
+        self.liveness.failures.clear()
+        self.liveness.meet_again(time.monotonic())
 
     def failed_node(self) -> tuple[str, str]:
         """A watched node that reports an error, and its words; empty if none does."""
-        return next(iter(self.company.failures.items()), ("", ""))
+        return next(iter(self.liveness.failures.items()), ("", ""))
 
     def _beat(self) -> None:
-        self.company.listened(time.monotonic())
+        self.liveness.listened(time.monotonic())
         missing = self.missing_peers()
-        for topic in self._command_types:
-            self._look_for_publishers(topic, max(connected() for connected in self._endpoints[topic]))
-        self.look_for_intruders()
+        self._beats += 1
+        if not self.is_at_work or self._beats % _LOOK_BEATS == 0:  # the middleware takes long to answer
+            for topic in self._command_types:
+                self._look_for_publishers(topic, max(connected() for connected in self._endpoints[topic]))
+            self.look_for_intruders()
         second = self.second_publisher()
         self.update_counters()
         waiting = f"waiting for {', '.join(missing)}" if missing else ""
@@ -328,6 +351,11 @@ class BenchNode(Node):  # type: ignore[misc]
             self._told = message
             self.get_logger().info(message[:1].upper() + message[1:])
         self.publish_diagnostics(DiagnosticStatus.ERROR if second and not waiting else DiagnosticStatus.OK, message)
+
+    @property
+    def is_at_work(self) -> bool:
+        """Whether a run needs this node's time now."""
+        return False
 
     def why_not_ready(self) -> str:
         """Why the node could not take part in a run now, for its heartbeat; empty if it could."""
@@ -361,20 +389,30 @@ class BenchNode(Node):  # type: ignore[misc]
     def watched_work(self) -> Iterator[None]:
         """Have a thread beside the working one that says on ``/diagnostics`` how long the work takes, if it is long.
 
-        The node is ``busy`` then and stays alive to others; beyond ``hang_timeout`` it is ``hung``, which is an error.
+        The node is ``busy`` then and stays alive to others; beyond ``hang_timeout``, and in lockstep when it could have
+        worked for `nmt_core.liveness.HANG_LIMIT`, it is ``hung``, which is an error.
         """
         over = threading.Event()
-        limit: Any = self.values["hang_timeout"]
+        limit: Any = HANG_LIMIT if self.in_lockstep else self.values["hang_timeout"]
+        process = ProcessWatch(os.getpid()) if self.in_lockstep else None
 
         def watch() -> None:
+            worked, free = 0.0, 0.0
             while not over.wait(HEARTBEAT_PERIOD):
                 since = time.monotonic() - self._worked
-                if since < _BUSY:
+                if since < _LATE:
                     continue
+                if process is None:
+                    free = since
+                elif worked != self._worked:  # begin to count what it could have worked since
+                    worked, free = self._worked, 0.0
+                    process.begin()
+                else:
+                    free += process.looked()[0]
                 status = DiagnosticStatus(name=self.heartbeat_name, hardware_id=self.instance)
                 status.values = self._newest.values
-                status.level, status.message = self._newest.level, f"busy for {since:.1f} s"
-                if since > limit:
+                status.level, status.message = self._newest.level, f"{BUSY} for {since:.1f} s"
+                if free > limit:
                     status.level = DiagnosticStatus.ERROR
                     status.message = f"{HUNG}: nothing has been done for {since:.1f} s"
                 with contextlib.suppress(RCLError):
@@ -392,6 +430,11 @@ class BenchNode(Node):  # type: ignore[misc]
         """Called once when the process is told to end; the node goes on until :meth:`may_end`, for some seconds."""
         self.get_logger().info("Told to end")
         self.publish_diagnostics(DiagnosticStatus.ERROR, "it was told to end")
+
+    @property
+    def end_grace(self) -> float:
+        """How long (s) a node that was told to end waits for what it still needs; in lockstep since the last message."""
+        return _END_GRACE
 
     def may_end(self, since: float) -> bool:
         """Whether a node that was told to end ``since`` s ago has done its part, such as the ramp to zero."""
@@ -517,17 +560,22 @@ def spin_for_ever(executor: Any, node: BenchNode, request: EndRequest | None = N
     context, burst_period = node.context, node.BURST_PERIOD
     never = Future()
     told = False
-    heard = -1
+    heard, worked = -1, 0.0
     while context.ok():
         if request is not None and request.since is not None:
             if not told:
                 told = True
                 node.told_to_end()
-            since = time.monotonic() - request.since
-            # A node that had no processor for so long may have everything that it waits for.
-            works = node.received != heard
-            heard = node.received
-            if request.hurry or since > (_LONGEST_WORK if works else _END_GRACE) or node.may_end(since):
+            now = time.monotonic()
+            since = now - request.since
+            works = node.received != heard  # off what it was sent
+            if works:
+                heard, worked = node.received, now
+            if node.in_lockstep:
+                over = now - max(worked, request.since) > node.end_grace
+            else:
+                over = since > (_LONGEST_WORK if works else node.end_grace)
+            if request.hurry or over or node.may_end(since):
                 return
         if burst_period <= 0.0:
             executor.spin_until_future_complete(never, timeout_sec=_SPIN_LIMIT)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-from pathlib import Path
+
+from nmt_core.process_watch import state_of
 
 LAUNCHER = "NMT_LAUNCHER"
 """Environment variable in which the program that starts nodes gives them its process id."""
@@ -29,7 +30,7 @@ class LauncherWatch:
     @property
     def lives(self) -> bool:
         """Whether a program has started this process as a node, and has not ended."""
-        return self._process is not None and _state(self._process) not in ("", "Z")
+        return self._process is not None and state_of(self._process) not in ("", "Z")
 
     def complaint(self, now: float | None = None) -> str:
         """A sentence once the program has been stopped for too long; empty before, and where no program is known.
@@ -40,18 +41,10 @@ class LauncherWatch:
         if self._process is None:
             return ""
         now = time.monotonic() if now is None else now
-        if _state(self._process) != "T":
+        if state_of(self._process) != "T":
             self._since = None
         elif self._since is None:
             self._since = now
         elif now - self._since > self._longest:
             return f"The program that started the nodes (process {self._process}) is stopped."
-        return ""
-
-
-def _state(process: int) -> str:
-    """State letter of a process as the kernel names it; empty if it has ended or cannot be looked at."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except (OSError, IndexError):
         return ""

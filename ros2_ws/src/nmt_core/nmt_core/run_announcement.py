@@ -13,6 +13,8 @@ from typing import Any
 
 ANNOUNCEMENT_TOPIC = "run_plan"
 BAG_TOPIC = "bag"
+RECORDED_TOPIC = "recorded"
+"""First sample that is not in the bag yet, latched; in lockstep the plant waits for it."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,8 @@ class BagState:
         messages: messages in it.
         reason: why it was closed or failed; empty if there is nothing to say.
         goal: goal of the run that the bag is for, as announced; empty if none was announced.
+        recorded_s: bench time up to which everything is in it, s.
+        lacks_s: bench time that a bag which is closed lacks, at its end and in gaps, s.
     """
 
     path: str
@@ -64,6 +68,8 @@ class BagState:
     messages: int = 0
     reason: str = ""
     goal: str = ""
+    recorded_s: float = 0.0
+    lacks_s: float = 0.0
 
     def to_json(self) -> str:
         """The text that goes over the topic."""

@@ -26,6 +26,7 @@ class PlantCore:
         device: the device; it is configured and started here.
         latency_blocks: blocks the plant may run ahead of its commands.
         lockstep: blocks wait for the commands computed from those before.
+        recorder_lead: samples by which the blocks of a run in lockstep may be ahead of its bag; 0 = any number.
 
     Attributes:
         phase: phase of the run, as last heard of.
@@ -37,11 +38,13 @@ class PlantCore:
         BenchError: the device refuses its configuration.
     """
 
-    def __init__(self, device: Device, latency_blocks: int = 0, lockstep: bool = True) -> None:
+    def __init__(self, device: Device, latency_blocks: int = 0, lockstep: bool = True, recorder_lead: int = 0) -> None:
         self.device = device
+        self._recorder_lead, self._recorded = recorder_lead, 0
         self.lockstep = lockstep
         self.phase = RunPhase.UNKNOWN
         self.running = False
+        self._begun_at = 0
         self._told: DriveStop | None = None
         self._rest_shown = True  # whether the drive was at zero throughout the newest block
         self._meter = LevelMeter(device.sample_rate, device.block_samples)
@@ -65,6 +68,8 @@ class PlantCore:
             self.judge.release()
             self._gate.answered = max(self._gate.answered, self.device.next_sample - 1)
             self._gate.horizon = 0
+        if state.phase == RunPhase.RUNNING and self.phase not in _ACTIVE[:-1]:
+            self._begun_at = self.device.next_sample
         self.phase = state.phase
         if self.lockstep and state.phase in _ACTIVE:
             self._gate.horizon = max(self._gate.horizon, state.horizon_sample)
@@ -72,6 +77,10 @@ class PlantCore:
             return False
         self.running = True
         return True
+
+    def take_recorded(self, sample: int) -> None:
+        """Take the first sample that is not in the bag yet."""
+        self._recorded = sample
 
     def take_drive(self, command: DriveCommand, source: Hashable = "loop") -> str:
         """Hand a command to the device; the block that waits for it may then be due.
@@ -114,7 +123,14 @@ class PlantCore:
     @property
     def due(self) -> bool:
         """Whether the next block is due in lockstep: one for every answer, up to the horizon."""
-        return self.lockstep and self.running and self._gate.may_produce(self.device.next_sample)
+        due = self.lockstep and self.running and self._gate.may_produce(self.device.next_sample)
+        return due and not self.waits_for_bag
+
+    @property
+    def waits_for_bag(self) -> bool:
+        """Whether the recorder holds the next block of a run back, since too much is not in the bag yet."""
+        ahead = self.device.next_sample - max(self._recorded, self._begun_at)
+        return self.lockstep and 0 < self._recorder_lead <= ahead and self.phase == RunPhase.RUNNING
 
     @property
     def starved(self) -> bool:

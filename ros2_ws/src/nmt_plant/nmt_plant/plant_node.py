@@ -12,7 +12,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, UInt64
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import READY, SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
@@ -21,6 +21,7 @@ from nmt_core.bundle import LOOP_INPUT, PLANT_BUNDLE, BundleWriter
 from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
+from nmt_core.run_announcement import RECORDED_TOPIC
 from nmt_core.vocabulary import OutputState, RunPhase, StopCause
 from nmt_core.wire import DRIVE_STOP, MONITOR, RUN_STATE, BlockWriter, read_drive
 from nmt_msgs.msg import Bundle, Drive, DriveStop, Monitor, RunState
@@ -84,11 +85,11 @@ PARAMETERS = (
     Parameter("drive_point", 0, "", "Point of the exciter, for loop_topics.", low=0),
     Parameter("device_address", "", "", "host:port of NI's gRPC device server; empty = as the rig file says."),
     Parameter(
-        "command_timeout",
-        10.0,
+        "recorder_lead",
+        0.0,
         "s",
-        "Wall time in lockstep without a command after which blocks go on without it, so that the watchdog can act.",
-        low=0.1,
+        f"Bench time in lockstep by which the plant may be ahead of the bag, as told on {RECORDED_TOPIC}; 0 = any.",
+        low=0.0,
     ),
 )
 
@@ -142,13 +143,13 @@ class PlantNode(BenchNode):
                 f"{type(device).__name__} an 'output' (guarded_device.owned_output)."
             )
         self.device: GuardedDevice = device
-        self.core = PlantCore(device, int(self.values["latency_blocks"]), self.values["pacing"] == "lockstep")
+        lead = round(float(str(self.values["recorder_lead"])) * device.sample_rate)
+        self.core = PlantCore(device, int(self.values["latency_blocks"]), self.in_lockstep, lead)
         self._lockstep = self.core.lockstep
         self._period = device.block_samples / device.sample_rate
         self._failed = self._second = ""
         self._quiet_sample: int | None = None
         self._told_trip = ""
-        self._last_command = time.monotonic()
         self._commands = self._refused = self._overruns = 0
         self._worst_lateness = self._busy = self._started = 0.0
         self._jitter: list[float] = []
@@ -176,6 +177,8 @@ class PlantNode(BenchNode):
         self._monitor = self.bench_publisher(Monitor, "monitor", SAMPLES_QOS)
         self.command_subscription(Drive, "drive", self._on_drive, SAMPLES_QOS)
         self.bench_subscription(RunState, "run_state", self._on_run_state, STATE_QOS, raw=True)
+        if lead and self.in_lockstep:
+            self.create_subscription(UInt64, RECORDED_TOPIC, self._on_recorded, STATE_QOS)
         self._stops = self.create_publisher(DriveStop, "drive_stop", STATE_QOS)
         self.claim("drive_stop")
         for service in _EMERGENCY_QOS:
@@ -233,14 +236,14 @@ class PlantNode(BenchNode):
             return
         rested = not self.core.in_run
         if self.core.take_state(state):
-            self._begin()
+            self._started = time.monotonic()
         if rested and self.core.in_run:
-            self.company.meet_again(time.monotonic())
+            self.liveness.meet_again(time.monotonic())
         self._advance()
 
-    def _begin(self) -> None:
-        self._last_command = time.monotonic()
-        self._started = time.monotonic()
+    def _on_recorded(self, message: Any) -> None:
+        self.core.take_recorded(int(message.data))
+        self._advance()
 
     def _on_drive(self, raw: bytes, source: Source) -> None:
         self._commands += 1
@@ -253,8 +256,6 @@ class PlantNode(BenchNode):
         if why:
             self._refused += 1
             self.get_logger().error(f"Drive command refused: {why}", throttle_duration_sec=1.0)
-        else:
-            self._last_command = time.monotonic()
         if self.core.second_source:
             self._end_for_second_source(self.core.second_source)
         self._advance()
@@ -350,13 +351,10 @@ class PlantNode(BenchNode):
         second = self.second_publisher()
         if second:
             self._end_for_second_source(second)
-        silent = self.silent_node()
+        lost = self.lost_node()
         starved = self.core.starved
-        overdue = time.monotonic() - self._last_command > float(self.values["command_timeout"])
-        if silent:
-            self._quiet_down(f"node {silent} has fallen silent")
-        elif self._lockstep and starved and overdue and self.core.phase != RunPhase.PAUSED and not self.device.is_quiet:
-            self._quiet_down("no drive command arrives")
+        if lost:
+            self._quiet_down(lost)
         elif self.core.phase == RunPhase.DONE and starved and not self.core.at_rest:
             self._quiet_down("the run is over")
 
@@ -441,6 +439,11 @@ class PlantNode(BenchNode):
             response.success, response.message = True, "limits are armed again"
         return response
 
+    @property
+    def is_at_work(self) -> bool:
+        """Whether a run is under way."""
+        return bool(self.core.in_run)
+
     def update_counters(self) -> None:
         """Counters for the heartbeat; in real time also jitter and margin."""
         elapsed = time.monotonic() - self._started if self._started else 0.0
@@ -458,6 +461,7 @@ class PlantNode(BenchNode):
             spread_samples=self.device.spread_samples,
             drive_at_zero=int(self.device.is_quiet),
             **self._output_counters(),
+            waits_for_bag=int(self.core.waits_for_bag),
             real_time_factor=round(bench_time / elapsed, 2) if elapsed > 0 else 0.0,
         )
         if not self._lockstep and self._jitter:

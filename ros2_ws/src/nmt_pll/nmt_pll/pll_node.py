@@ -75,9 +75,9 @@ class PllNode(BenchNode):
 
     def _guard(self) -> None:
         """Quiet the drive if the node that commands the levels has gone, or if another one commands them, too."""
-        silent = self.silent_node()
-        if silent:
-            self.core.loop.quiet(f"node {silent} has fallen silent")
+        lost = self.lost_node()
+        if lost:
+            self.core.loop.quiet(lost)
         self._report(self.second_publisher() or (self.core.second_source if self.core.at_work else ""))
 
     def _report(self, second: str) -> None:
@@ -109,7 +109,7 @@ class PllNode(BenchNode):
             self.core.refuse(f"Level refused: {error}", often=False)
             return
         if not self.core.at_work:
-            self.company.meet_again(time.monotonic())
+            self.liveness.meet_again(time.monotonic())
         self._publish_statuses(self.core.take_level(level, source))
         if self.core.second_source:
             self._report(self.core.second_source)
@@ -158,6 +158,11 @@ class PllNode(BenchNode):
         """Publish what waits for its bundle."""
         if self._bundle is not None:
             self._bundle.flush()
+
+    @property
+    def is_at_work(self) -> bool:
+        """Whether a run is under way."""
+        return bool(self.core.at_work)
 
     def update_counters(self) -> None:
         """Counters for the heartbeat."""

@@ -419,9 +419,22 @@ class Bag:
                 return "its stop record is not among what could be read"
             damage = "it has no stop record"
         if damage is None:
-            return None
+            lacks = float((self.run_stop or {}).get("lacks_s", 0.0))
+            return (
+                f"The bag {self.path} lacks {lacks:.3f} s of bench time, at its end or in gaps" if lacks > 0 else None
+            )
         if self._source.lost_bytes:
             lost = f", {self._source.lost_bytes} bytes at its end are lost"
+        last = self._newest_block()
+        if last is None or not last.sample_rate > 0:
+            kept = "it holds no samples"
+        else:
+            time = last.end_sample / last.sample_rate
+            kept = f"the last sample in it is {last.end_sample - 1} ({time:.3f} s of bench time)"
+        how = "is cut off: it was not closed" if self._source.cut else "was not closed"
+        return f"The bag {self.path} {how} ({damage}){lost}; {kept}"
+
+    def _newest_block(self) -> BlockHead | None:
         last: BlockHead | None = None
         names = [name for name, (kind, _) in self.topics.items() if kind == SAMPLE_BLOCK]
         readers = {name: BlockReader() for name in names}
@@ -432,13 +445,17 @@ class Bag:
                 continue
             if last is None or extent.end_sample > last.end_sample:
                 last = extent
-        if last is None or not last.sample_rate > 0:
-            kept = "it holds no samples"
-        else:
-            time = last.end_sample / last.sample_rate
-            kept = f"the last sample in it is {last.end_sample - 1} ({time:.3f} s of bench time)"
-        how = "is cut off: it was not closed" if self._source.cut else "was not closed"
-        return f"The bag {self.path} {how} ({damage}){lost}; {kept}"
+        return last
+
+    @property
+    def end_time_s(self) -> float:
+        """Bench time after the newest sample, s; 0 where there is none.
+
+        Raises:
+            BenchError: the bag cannot be read.
+        """
+        last = self._newest_block()
+        return 0.0 if last is None or not last.sample_rate > 0 else last.end_sample / last.sample_rate
 
 
 class _Source(Protocol):

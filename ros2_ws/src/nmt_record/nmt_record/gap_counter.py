@@ -70,6 +70,24 @@ class GapCounter:
         return all(state.next_sample > sample for state in self.topics.values())
 
     @property
+    def recorded(self) -> int:
+        """First sample that not every topic seen so far has delivered; 0 before the first block."""
+        return min((state.next_sample for state in self.topics.values()), default=0)
+
+    def lacking(self, end_sample: int | None = None) -> float:
+        """Bench time that is missing, s, of the topic that lacks most: in its gaps and up to the end.
+
+        Args:
+            end_sample: last sample that there should be; None = not known.
+        """
+        lacks = 0.0
+        for state in self.topics.values():
+            at_end = 0 if end_sample is None else max(end_sample + 1 - state.next_sample, 0)
+            if state.sample_rate > 0:
+                lacks = max(lacks, (state.missing_samples + at_end) / state.sample_rate)
+        return lacks
+
+    @property
     def gaps(self) -> int:
         """Gaps of all topics together."""
         return sum(state.gaps for state in self.topics.values())

@@ -10,12 +10,13 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt64
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.bundle import PLANT_BUNDLE, PLL_BUNDLE, read_bundle
 from nmt_core.errors import BenchError
-from nmt_core.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, BagState, RunAnnouncement
+from nmt_core.liveness import HANG_LIMIT
+from nmt_core.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, RECORDED_TOPIC, BagState, RunAnnouncement
 from nmt_msgs.msg import Bundle
 from nmt_record.bag_writer import BagWriter
 from nmt_record.bench_topics import Service, parse_topic
@@ -32,6 +33,8 @@ _QOS = {
 _LONGEST_END = 3.0
 # After a run that ended early the plant takes the drive to zero by itself: its ramp belongs into the bag.
 _LONGEST_RAMP = 6.0  # s
+_TELL_EVERY = 1.0  # s of bench time between two notes on how far the bag is
+_RAMP_GRACE = 30.0  # s that a recorder in lockstep which was told to end waits for a plant that is there
 
 
 class RecorderNode(BenchNode):
@@ -90,6 +93,8 @@ class RecorderNode(BenchNode):
             "missing_samples": self.core.gaps.missing_samples,
             "malformed_messages": self.core.malformed,
             "late_messages": self.core.late,
+            "recorded_s": round(self._recorded_s, 3),
+            "lacks_s": round(self.core.lacks_s, 6),
         }
 
     def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
@@ -110,8 +115,15 @@ class RecorderNode(BenchNode):
         return f"cannot record: {why}" if why else ""
 
     def may_end(self, since: float) -> bool:
-        """When the drive is at zero in the bag: whoever is told that the recorder ends takes it there."""
-        return self.writer.state != "open" or not self.core.begun or self.core.drive_at_zero
+        """When the drive is at zero in the bag, and all that was sent: whoever hears of it takes the drive there."""
+        if self.writer.state != "open" or not self.core.begun:
+            return True
+        return self.core.drive_at_zero and (not self.in_lockstep or (self._is_drained and not self._plant_is_there))
+
+    @property
+    def end_grace(self) -> float:
+        """In lockstep longer while there is a plant whose ramp to zero may come."""
+        return _RAMP_GRACE if self.in_lockstep and self._plant_is_there else super().end_grace
 
     def shut_down(self) -> None:
         """Close the bag before the node is destroyed."""
@@ -130,6 +142,9 @@ class RecorderNode(BenchNode):
         self._patience: float = values["patience"]
         self._end_time: float | None = None
         self._last_time = self._last_own_time = time.monotonic()
+        self._seen = 0.0  # time of the newest message when it was looked last
+        self._is_drained = False
+        self._told_sample = 0  # sample told as recorded
         self._recorder_values = values
         self._announced = RunAnnouncement()
         self._goal = ""  # of the run that the newest bag is for
@@ -137,6 +152,8 @@ class RecorderNode(BenchNode):
         self.core = RunRecorder(values)
         self._state_publisher = self.create_publisher(String, BAG_TOPIC, STATE_QOS)
         self.claim(BAG_TOPIC)
+        self._recorded_publisher = self.create_publisher(UInt64, RECORDED_TOPIC, STATE_QOS)
+        self.claim(RECORDED_TOPIC)
         self._bundled = {topic: self._recording(topic) for topic in values["bundled"] if topic}
         for topic in self.core.topics:
             if topic.name in self._bundled:
@@ -214,10 +231,27 @@ class RecorderNode(BenchNode):
                 self._failed(error)
             if topic != "diagnostics" and not self.core.after_end:
                 self._last_own_time = self._last_time
+                if self.in_lockstep:
+                    self._tell_recorded()
             if self._end_time is None and self.core.end_sample is not None:
                 self._end_time = time.monotonic()
 
         return on_message
+
+    @property
+    def _recorded_s(self) -> float:
+        """Bench time up to which everything is in the bag, s."""
+        return self.core.gaps.recorded / self._rate if self._rate > 0.0 else 0.0
+
+    @property
+    def _rate(self) -> float:
+        return next((state.sample_rate for state in self.core.gaps.topics.values()), 0.0)
+
+    def _tell_recorded(self) -> None:
+        recorded = self.core.gaps.recorded
+        if abs(recorded - self._told_sample) >= _TELL_EVERY * self._rate:
+            self._told_sample = recorded
+            self._recorded_publisher.publish(UInt64(data=recorded))
 
     def _on_bundle(self, raw: bytes) -> None:
         try:
@@ -232,6 +266,7 @@ class RecorderNode(BenchNode):
 
     def _watch(self) -> None:
         """Flush what has waited long enough, close the bag when the run is over, and open the next one."""
+        self._is_drained, self._seen = self._last_time == self._seen, self._last_time
         self._close_when_over()
         self._open_for_announced()
 
@@ -247,7 +282,9 @@ class RecorderNode(BenchNode):
             return
         now = time.monotonic()
         silence, since_end = now - self._last_time, now - self._end_time
-        if self.core.gaps.reached(self.core.end_sample):
+        if self.in_lockstep:
+            self._close_in_lockstep(silence)
+        elif self.core.gaps.reached(self.core.end_sample):
             if since_end < _LONGEST_RAMP and self.core.awaits_ramp and self._plant_is_there:
                 return
             # A source in real time goes on: what is stamped after the end of the run breaks no silence.
@@ -258,6 +295,19 @@ class RecorderNode(BenchNode):
                 self.close("", "done")
         elif silence >= self._patience or since_end >= self._patience + _LONGEST_END:
             self.close(f"blocks up to sample {self.core.end_sample} did not arrive", "incomplete")
+
+    def _close_in_lockstep(self, silence: float) -> None:
+        """Close the bag of a run that is over when all is in it that was sent, however long that takes."""
+        if not self._is_drained or silence < self._settle_time:
+            return
+        core, end = self.core, self.core.end_sample or 0
+        lacks = not core.gaps.reached(end)
+        waits = (lacks or core.awaits_ramp) and self._plant_is_there
+        # The sequencer waits for the points, and takes the announcement back when it has them.
+        waits = waits or (self._announced.goal == self._goal != "" and self.count_publishers(ANNOUNCEMENT_TOPIC) > 0)
+        if silence < (HANG_LIMIT if waits else self._patience if lacks or core.awaits_points else 0.0):
+            return
+        self.close(f"blocks up to sample {end} did not arrive" if lacks else "", "incomplete" if lacks else "done")
 
     @property
     def _plant_is_there(self) -> bool:
@@ -273,7 +323,9 @@ class RecorderNode(BenchNode):
         if not self.context.ok():
             return
         state = "failed" if self._refusal else self.writer.state
-        text = BagState(str(self.writer.path), state, self.writer.messages, reason, self._goal).to_json()
+        lacks = 0.0 if state == "open" else self.core.lacks_s
+        told = BagState(str(self.writer.path), state, self.writer.messages, reason, self._goal, self._recorded_s, lacks)
+        text = told.to_json()
         self._state_publisher.publish(String(data=text))
 
 

@@ -139,9 +139,15 @@ class RunRecorder:
                 reason,
                 round(self.gaps.bench_time() * 1e9),
                 gaps=self.gaps.as_dict(),
+                lacks_s=round(self.lacks_s, 6),
                 malformed_messages=self.malformed,
             )
         return self.writer.failure or reason
+
+    @property
+    def lacks_s(self) -> float:
+        """Bench time that the bag lacks, s; see :meth:`nmt_record.gap_counter.GapCounter.lacking`."""
+        return self.gaps.lacking(self.end_sample)
 
     @property
     def awaits_ramp(self) -> bool:

@@ -33,16 +33,29 @@ PARAMETERS = (
     Parameter("quiet_ramp", 0.5, "s", "Half-cosine to zero at the end of a run.", low=0.0),
     Parameter("window_periods", 200, "periods", "Whole periods a window if the goal gives none.", low=1, high=1000000),
     Parameter("timeout", 60.0, "s", "Bench time a level may take to lock if the goal gives none.", low=0.0),
-    Parameter("ready_timeout", 30.0, "s", "Wall time to wait for all watched nodes before a run.", low=0.1),
+    Parameter(
+        "ready_timeout",
+        30.0,
+        "s",
+        "Time to wait for all watched nodes before a run; in lockstep only while they could work.",
+        low=0.1,
+    ),
     Parameter(
         "stall_timeout",
         20.0,
         "s",
-        "Wall time in which no block of a run may be answered; then the run is ended, except during a pause.",
+        "Time in which no block of a run may be answered, in lockstep while its nodes could work; then the run is "
+        "ended, except during a pause.",
         low=1.0,
     ),
     Parameter("recording", True, "", "A run begins only when a recorder has opened a bag for it."),
-    Parameter("points_timeout", 30.0, "s", "Wall time to wait for missing modal points after a run.", low=0.0),
+    Parameter(
+        "points_timeout",
+        30.0,
+        "s",
+        "Time to wait for missing modal points after a run; in lockstep only while the nodes could work.",
+        low=0.0,
+    ),
 )
 
 # In real time a sequencer may join a loop that has run for long, and miss blocks that the loop could not answer.

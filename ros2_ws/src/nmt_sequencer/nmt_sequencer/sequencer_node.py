@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from typing import Any
 
@@ -16,6 +17,7 @@ from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
 from nmt_core.launcher_watch import LauncherWatch
 from nmt_core.output_record import drive_sentence
+from nmt_core.process_watch import ProcessWatch
 from nmt_core.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, BagState, RunAnnouncement
 from nmt_core.vocabulary import LoopState, ResultCode, RunPhase, SteeringAct
 from nmt_core.wire import DRIVE_STOP, LEVEL, LOCK_EVENT, MODAL_POINT, RUN_STATE, STEERING, read_status
@@ -29,6 +31,7 @@ from nmt_sequencer.steering import SteeringRequest
 _GUARD_PERIOD = 0.1
 _FEEDBACK_PERIOD = 0.1
 _QUIET_TIMEOUT = 4.0
+_STILL = 1.0  # s without a block after which it is looked at what a run in lockstep waits for
 _TIMING = ("sample_rate", "block_samples")  # parameters that all nodes of a bench share
 _STATUS_TOPIC = "run_levels/_action/status"  # a topic, and thus an owner, that every action server has
 _LONGEST_END = 2.0  # s that the sequencer waits for the ramp to zero when it is told to end
@@ -53,11 +56,12 @@ class SequencerNode(BenchNode):
         self._bag = BagState("", "closed")
         self._goal: Any = None
         self._finished: Future | None = None
-        self._done_since: float | None = None
-        self._stopping_since: float | None = None
+        self._stopping_for = 0.0  # s since the end was asked for
         self._newest_wall = 0.0
         self._still_for = 0.0  # s in which this node was awake and bench time stood still
         self._guarded = time.monotonic()
+        self._process = ProcessWatch(os.getpid()) if self.in_lockstep else None
+        self._waited = 0.0  # s, for nodes to be ready or for modal points, in which all that live could have worked
         self._plant = ""
         self._plant_said: dict[str, str] | None = None
         self._plant_instance = self._joined = ""
@@ -121,7 +125,7 @@ class SequencerNode(BenchNode):
         self._pending = (goal_handle, plan, time.monotonic())
         self.get_logger().info(f"Goal accepted: run {plan.run_id} with {len(plan.levels)} levels")
         self._announce(self.core.announcement(bytes(goal_handle.goal_id.uuid).hex(), plan))
-        self._done_since = self._stopping_since = None
+        self._waited = self._stopping_for = 0.0
         try:
             await self._finished
             return self._result(goal_handle)
@@ -168,7 +172,7 @@ class SequencerNode(BenchNode):
         goal_handle, plan, since = self._pending
         missing = self.unready_nodes()
         if self._joined:  # a run before: since then a node may have gone, and its last heartbeat is not old yet
-            missing |= dict.fromkeys(self.company.unheard_since(since), "silent since the goal")
+            missing |= dict.fromkeys(self.liveness.unheard_since(since), "silent since the goal")
         own = self.missing_peers()
         second = self.second_publisher()
         recorded = self._bag_is_open
@@ -183,10 +187,10 @@ class SequencerNode(BenchNode):
             self._pending = None
             self.forget_failures()
             self._told = ""
-            self._still_for = 0.0
+            self._still_for = self._waited = 0.0
             self.core.start(plan)
             self._publish_all()
-        elif time.monotonic() - since > float(self.values["ready_timeout"]):
+        elif self._waited > float(self.values["ready_timeout"]):
             what = [f"{name} ({state})" for name, state in missing.items()]
             what += [f"the peers of topic {topic}" for topic in own]
             what += [second] if second else []
@@ -382,47 +386,68 @@ class SequencerNode(BenchNode):
 
     def _guard(self) -> None:
         """Ten times a second of wall time: readiness, cancel requests, silent nodes, the end of the run."""
+        now = time.monotonic()
+        passed = self._passed(now)
+        if self._pending is not None:
+            self._waited += passed
         self._begin_when_ready()
         machine = self.machine
-        now = time.monotonic()
         if self._goal is not None and self._goal.is_cancel_requested and machine.active:
             machine.stop(ResultCode.CANCELED, "Cancelled by the client.")
         if machine.active:
-            silent = self.silent_node()
-            if silent:
-                machine.stop(ResultCode.NODE_LOST, f"Node {silent} has fallen silent.")
+            lost = self.lost_node()
+            if lost:
+                machine.stop(ResultCode.NODE_LOST, f"{lost[0].upper()}{lost[1:]}.")
             self._stop_for_failures()
-            for name in self.company.restarted(now):
+            for name in self.liveness.restarted(now):
                 machine.stop(ResultCode.NODE_LOST, f"Node {name} was started again during the run.")
             unattended = self._launcher.complaint(now)
             if unattended:
                 machine.stop(ResultCode.NODE_LOST, unattended)
             self._stop_for_second()
-            self._stop_for_standstill(now)
+            self._stop_for_standstill(passed)
             if machine.phase == RunPhase.STOPPING or machine.stop_request is not None:
-                self._stopping_since = self._stopping_since or now
+                # Who asks for the end does not wait for a node that is stopped.
+                self._stopping_for += passed or (now - self._guarded if self._is_held_up(now) else 0.0)
                 limit = _QUIET_TIMEOUT + (0.0 if machine.pacing.lockstep else machine.pacing.quiet_ramp + 1.0)
-                if now - self._stopping_since > limit and now - self._newest_wall > _QUIET_TIMEOUT / 2:
+                if self._stopping_for > limit and now - self._newest_wall > _QUIET_TIMEOUT / 2:
                     code, reason = machine.stop_request or (machine.code, machine.reason)
                     machine.abandon(code, f"{reason} The loop no longer answers; {self._drive_sentence()}.")
             machine.work()
             self._publish_all()
         elif self._goal is not None and self._pending is None and machine.phase == RunPhase.DONE:
-            self._done_since = self._done_since or now
-            overdue = now - self._done_since > float(self.values["points_timeout"])
-            gone = self.silent_node() or self.failed_node()[0]  # nobody is left to send them
+            self._waited += passed
+            overdue = self._waited > float(self.values["points_timeout"])
+            gone = self.lost_node() or self.failed_node()[0]  # nobody is left to send them
             if overdue or gone or not self.core.missing_points:
                 self._finish()
         self._guarded = now
 
-    def _stop_for_standstill(self, now: float) -> None:
+    def _is_held_up(self, now: float) -> bool:
+        """Whether a node that the run waits for is stopped or busy."""
+        return bool(self.liveness.waited_for(now))
+
+    def _passed(self, now: float) -> float:
+        """Time since the last look that counts against nodes which do not answer, s.
+
+        A machine that was suspended, or had no processor, has not waited for so long; and in lockstep nobody waits for
+        a node that is stopped or busy.
+        """
+        most = min(now - self._guarded, 2.0 * _GUARD_PERIOD)
+        if self._process is None:
+            return most
+        if self.machine.phase == RunPhase.RUNNING and now - self._newest_wall < _STILL:
+            return 0.0
+        could = min(self._process.looked(now)[0], self.liveness.could_work(now))
+        return 0.0 if self._is_held_up(now) else min(most, could)
+
+    def _stop_for_standstill(self, passed: float) -> None:
         """End a run none of whose blocks is answered although every node is alive, as when messages are refused."""
         machine = self.machine
         if machine.phase != RunPhase.RUNNING:
             self._still_for = 0.0
             return
-        # A machine that was suspended, or had no processor, has not stood still for so long.
-        self._still_for += min(now - self._guarded, 2.0 * _GUARD_PERIOD)
+        self._still_for += passed
         limit = float(self.values["stall_timeout"])
         if self._still_for <= limit:
             return
@@ -444,7 +469,12 @@ class SequencerNode(BenchNode):
 
     def _drive_sentence(self) -> str:
         """What is known of the drive where the loop does not answer any more."""
-        return drive_sentence(self._plant_said, self._plant not in self.silent_nodes(), self.machine.pacing.lockstep)
+        return drive_sentence(self._plant_said, self._plant not in self.lost_nodes(), self.machine.pacing.lockstep)
+
+    @property
+    def is_at_work(self) -> bool:
+        """Whether a run is under way."""
+        return bool(self.machine.active)
 
     def update_counters(self) -> None:
         """Counters for the heartbeat."""

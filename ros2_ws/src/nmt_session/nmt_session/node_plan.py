@@ -12,6 +12,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nmt_core.blocks import SAMPLE_TOPICS, Quantity
 from nmt_core.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.errors import BenchError
@@ -38,6 +40,10 @@ STRATEGIES = ("stepped", "ramp")
 LOOP_TOPICS = ("drive", "frequency")
 """Topics of the loop with a message for every block."""
 _MESSAGE_BYTES = 200  # of a block besides its samples
+MOST_WAITING = 64e6
+"""Bytes of samples by which the plant may be ahead of the bag in lockstep."""
+RECORDER_LEADS = (2.0, 20.0)
+"""Least and most bench time that it may be ahead, s; the recorder tells every second of it how far the bag is."""
 RAMP_WINDOW = 20
 """Whole periods of a window of the strategy ``ramp`` unless the test says otherwise."""
 RAMP_DELAY = 1.0
@@ -287,11 +293,13 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             "pacing": test.pacing,
             "latency_blocks": test.lead_blocks,
             "watched_nodes": ["pll", "sequencer"],
+            **({"recorder_lead": _recorder_lead(rig)} if test.pacing == "lockstep" else {}),
             **({"device": test.device, "device_address": test.device_address} if test.is_on_hardware else {}),
             **({"output_record": str(bag.absolute().parent / OUTPUT_RECORD)} if test.pacing == "realtime" else {}),
         },
         "pll": {
             **timing,
+            "pacing": test.pacing,
             "linear_json": linear_json,
             "drive_point": rig.drive_point,
             "response_topic": response,
@@ -307,6 +315,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             "watched_nodes": ["plant", "pll", "extract", "recorder"],
         },
         "extract": {
+            "pacing": test.pacing,
             "rig": rig.name,
             "linear_json": linear_json,
             "harmonics": extraction.harmonics,
@@ -315,6 +324,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             "hysteresis_json": "" if layout is None else json.dumps(layout.to_mapping()),
         },
         "recorder": {
+            "pacing": test.pacing,
             "output": str(bag),
             "chunk_messages": _chunk_messages(rig, len(topics)),
             **({} if rig.recording is None else {"compression": rig.recording.compression}),
@@ -378,6 +388,12 @@ def _bundle_blocks(test: TestPlan, topics: int) -> int:
     block = 8 * int(test.rig.block_samples) * len(test.rig.sensors) + _MESSAGE_BYTES * topics
     blocks = min(test.tick_blocks, MOST_BYTES // block)
     return blocks if test.pacing == "lockstep" and blocks > 1 else 0
+
+
+def _recorder_lead(rig: Rig) -> float:
+    """Bench time by which the plant may be ahead of the bag, s: what waits for the recorder is held in memory."""
+    bytes_a_second = 8.0 * rig.sample_rate_hz * len(rig.sensors)
+    return float(np.clip(MOST_WAITING / bytes_a_second, *RECORDER_LEADS))
 
 
 def _joins_loop_input(test: TestPlan, response: str) -> bool:

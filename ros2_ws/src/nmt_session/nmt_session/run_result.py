@@ -32,7 +32,8 @@ class RunResult:
         message: one sentence.
         points: modal points in the order of the levels.
         bag: folder of the bag, None if nothing was recorded.
-        bag_state: ``closed``, ``failed``, ``open`` (the recorder did not answer) or ``lost`` (it died).
+        bag_state: ``closed``, ``failed`` (the recorder could not write on), or ``open`` (it has died or hangs).
+        lacks_s: bench time that the bag lacks, s.
         wall_time: s from the start of the first level to the end of the run.
         bench_time: s of bench time.
         lost_node: name of the node that died, empty if none did.
@@ -50,6 +51,7 @@ class RunResult:
     lost_node: str = ""
     interrupted: bool = False
     remarks: tuple[str, ...] = ()
+    lacks_s: float = 0.0
 
     @property
     def real_time_factor(self) -> float:

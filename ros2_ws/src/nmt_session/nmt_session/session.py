@@ -59,8 +59,8 @@ from nmt_session.node_plan import TestPlan, plan_nodes
 from nmt_session.run_result import Progress, RunResult
 
 _PROGRESS_PERIOD = 0.1  # s of wall time
-# Parameters of every node that concern its company on the network.
-_COMPANY = frozenset(("expected_peers", "watched_nodes", "silence_timeout", "hang_timeout"))
+# Parameters that concern what a node does among others on the network.
+_NETWORK = frozenset(("expected_peers", "watched_nodes", "silence_timeout", "hang_timeout", "recorder_lead"))
 
 _CODECS: dict[str, Any] = {
     "level": LEVEL,
@@ -456,4 +456,6 @@ def _no_time() -> float:
 
 def _complete(table: Sequence[Parameter], values: Mapping[str, Any], owner: str) -> dict[str, Any]:
     """Values for all parameters of a node's table; what concerns other processes is left out."""
-    return dict(check_values(table, {key: value for key, value in values.items() if key not in _COMPANY}, owner))
+    own = {parameter.name for parameter in table}
+    given = {key: value for key, value in values.items() if key not in _NETWORK and (key in own or key != "pacing")}
+    return dict(check_values(table, given, owner))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
+from nmt_core.hardened import json_value, read_text
 
 if TYPE_CHECKING:
     from nmt_extract.extraction_settings import ExtractionSettings
@@ -117,8 +118,9 @@ def run(arguments: argparse.Namespace) -> int:
             data.linear, data.budgets, data.budget_inputs = result.linear, budgets, known
             data.files = list_files(folder)
             write_report(data, folder / "report.html")
-    if result.loss:
-        console.print(result.loss, style="yellow", markup=False)
+    for sentence in (result.loss, _lack_of_run(bag)):
+        if sentence:
+            console.print(sentence, style="yellow", markup=False)
     print_modal_table(result.points, reference, console)
     if linear is None and settings is None:
         console.print(_comparison(result.points, recorded_points(bag)), markup=False)
@@ -174,3 +176,15 @@ def _settings(run: dict[str, object] | None, harmonics: int | None) -> Extractio
     recorded = (run or {}).get("extraction")
     values = dict(recorded) if isinstance(recorded, dict) else {}
     return ExtractionSettings.from_mapping({**values, "harmonics": harmonics})
+
+
+def _lack_of_run(bag: Bag) -> str:
+    """What a bag without a stop record lacks, as the run command noted it beside the bag; empty if nothing is known."""
+    if bag.run_stop is not None:
+        return ""
+    try:
+        run = json_value(read_text(bag.path.parent / "run.json", "The file"), "The file run.json", bounded=False)
+        lacks = float(run["result"]["bag"]["lacks_s"])
+    except (BenchError, KeyError, TypeError, ValueError):
+        return ""
+    return f"Of the run the bag lacks {lacks:.3f} s of bench time, as run.json beside it says." if lacks > 0.0 else ""

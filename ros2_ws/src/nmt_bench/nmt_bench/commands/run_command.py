@@ -259,7 +259,7 @@ def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunR
         )
         count, unit = len(bench.test.levels), bench.test.level_unit
         with RunProgress(bench.rig.sample_rate_hz, count, unit, console) as progress:
-            return bench.run(progress.update)
+            return bench.run(progress.update, progress.note)
 
 
 def _reference(choice: str | None, bench: Bench, result: RunResult) -> ReferenceCurve | None:

@@ -27,7 +27,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nmt_bench.orchestration.parent_death import die_with_parent
+from nmt_bench.orchestration.parent_death import begin_group
 
 READY, GO = b"ready", b"go"
 ROOM = 1024
@@ -37,9 +37,9 @@ MOST_DESCRIPTORS = 64
 PREPARED = (
     "nmt_core.bundle",
     "nmt_core.command_judge",
-    "nmt_core.company",
     "nmt_core.dds_profile",
     "nmt_core.launcher_watch",
+    "nmt_core.liveness",
     "nmt_core.shared_memory",
     "nmt_plant.guarded_device",
     "nmt_plant.hardware_rig",
@@ -190,8 +190,7 @@ def become(node: dict[str, Any]) -> None:
         node: ``command``, ``environment``, ``folder`` to work in (empty = as it is), ``files`` (limits of open ones)
             and ``launcher`` (process id of the parent).
     """
-    os.setsid()
-    die_with_parent()
+    begin_group()
     if os.getppid() != node["launcher"]:  # it has died in between, and its signal will not come
         os._exit(1)
     os.environ.clear()

@@ -8,18 +8,23 @@ import re
 import signal
 import subprocess
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
 from nmt_bench.orchestration.adopted_process import AdoptedProcess
-from nmt_bench.orchestration.parent_death import die_with_parent
+from nmt_bench.orchestration.parent_death import begin_group
 from nmt_bench.orchestration.prepared_nodes import NodeCommand, NodeLoader
 from nmt_core.errors import BenchError
 from nmt_core.launcher_watch import LAUNCHER
+from nmt_core.process_watch import ProcessWatch
 from nmt_session.node_plan import NODES, NodePlan
 
-_GRACE = 15.0  # s; a node that is told to end may wait for the ramp to zero, and work off what it was sent
+_GRACE = 15.0  # s in which a node that is told to end has nothing to do: it waits for the ramp to zero in vain
+_MOST_WORK = 120.0  # s of processor time that it may take for what it was sent
+_IDLE_START = 6.0  # s that a node which has not been heard of yet does nothing, after which it will not come up
+_WORKS = 0.2  # share of a core from which it does something
+_LOOK = 0.25  # s between two looks at processes
 _LOG_HEAD = re.compile(r"^\[\w+\] \[[\d.]+\] \[[^\]]*\]: ")
 
 
@@ -49,6 +54,7 @@ class NodeProcesses:
         self._loader = loader
         self._held = () if held is None else (held,)
         self._processes: dict[str, subprocess.Popen[bytes] | AdoptedProcess] = {}
+        self._starts: dict[str, _Doing] = {}
 
     def start(self) -> None:
         """Start all nodes.
@@ -97,10 +103,9 @@ class NodeProcesses:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=self._environment,
-                # Ctrl-C in the terminal is for the command line alone: it ramps the drive down first.
-                start_new_session=True,
                 pass_fds=self._held,
-                preexec_fn=die_with_parent,
+                # Ctrl-C in the terminal is for the command line alone: it ramps the drive down first.
+                preexec_fn=begin_group,
             )
         except OSError as error:
             raise BenchError(f"Node {name} cannot be started ({error}); run './nmt setup' again.") from error
@@ -113,6 +118,24 @@ class NodeProcesses:
     def first_dead(self) -> str:
         """Name of a node whose process has ended; empty if all live."""
         return next((name for name, process in self._processes.items() if process.poll() is not None), "")
+
+    def not_coming_up(self, unheard: Sequence[str]) -> str:
+        """A sentence on a node of which nothing has been heard and whose process does nothing; empty if none is so.
+
+        A busy computer is no reason: what counts is the time in which the process could have worked and did not.
+        """
+        for name in unheard:
+            process = self._processes.get(name)
+            if process is None or process.poll() is not None:
+                continue
+            doing = self._starts.setdefault(name, _Doing(process.pid))
+            if doing.look() > _IDLE_START:
+                how = "is stopped" if doing.is_stopped else "does nothing"
+                return (
+                    f"Node {name} does not come up: its process ({process.pid}) {how}; all others are ended. "
+                    f"Its log is {self._log / name}.log."
+                )
+        return ""
 
     def is_alive(self, name: str) -> bool:
         """Whether the process of a node has not ended."""
@@ -141,14 +164,52 @@ class NodeProcesses:
             if process.poll() is None:
                 process.send_signal(signal.SIGTERM)
                 process.send_signal(signal.SIGCONT)  # a stopped process would not hear of it
-        deadline = time.monotonic() + _GRACE
-        for process in self._processes.values():
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(max(0.0, deadline - time.monotonic()))
-        for process in self._processes.values():
-            if process.poll() is None:
-                process.kill()
-                process.wait()
+        left = {name: _Doing(process.pid) for name, process in self._processes.items() if process.poll() is None}
+        while left:
+            time.sleep(0.01)
+            for name, doing in list(left.items()):
+                process = self._processes[name]
+                if process.poll() is None and (doing.look() > _GRACE or doing.worked > _MOST_WORK):
+                    process.kill()
+                    process.wait()
+                if process.poll() is not None:
+                    del left[name]
+
+
+class _Doing:
+    """For how long a process has done nothing although it could have.
+
+    Args:
+        process: its id.
+
+    Attributes:
+        worked: processor time that it has used, s.
+        is_stopped: whether it was stopped at the last look.
+    """
+
+    def __init__(self, process: int) -> None:
+        self.worked, self.is_stopped = 0.0, False
+        self._idle, self._last = 0.0, time.monotonic()
+        self._watch: ProcessWatch | None = None
+        with contextlib.suppress(OSError, AttributeError):  # it has ended, or processes cannot be watched here
+            self._watch = ProcessWatch(process)
+            self._watch.begin(self._last)
+
+    def look(self) -> float:
+        """Look again if it is time; the s since it did something, and without a way to look those that have passed."""
+        now = time.monotonic()
+        passed = now - self._last
+        if passed < _LOOK:
+            return self._idle
+        self._last = now
+        free, ran = (passed, 0.0) if self._watch is None else self._watch.looked(now)
+        self.is_stopped = self._watch is not None and self._watch.is_stopped
+        self.worked += ran
+        if self.is_stopped:
+            self._idle += min(passed, 2.0 * _LOOK)
+        else:
+            self._idle = 0.0 if ran > _WORKS * passed else self._idle + max(0.0, free - ran)
+        return self._idle
 
 
 def find_executable(package: str, executable: str) -> Path:

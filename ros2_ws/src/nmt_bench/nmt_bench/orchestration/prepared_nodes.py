@@ -28,7 +28,7 @@ from typing import NamedTuple
 from nmt_bench.orchestration import node_loader
 from nmt_bench.orchestration.adopted_process import AdoptedProcess, adopted_orphans, can_adopt
 from nmt_bench.orchestration.bench_domain import ONE_THREAD
-from nmt_bench.orchestration.parent_death import die_with_parent
+from nmt_bench.orchestration.parent_death import begin_group
 from nmt_core.errors import BenchError
 
 _LONGEST = 120.0  # s; a busy computer imports for long
@@ -72,8 +72,7 @@ class NodeLoader:
                 stderr=self._words,
                 env={**os.environ, **ONE_THREAD},
                 pass_fds=(theirs.fileno(),),
-                start_new_session=True,
-                preexec_fn=die_with_parent,
+                preexec_fn=begin_group,
             )
         except OSError as error:
             os.close(self._words)

@@ -17,7 +17,7 @@ USAGE = """usage: ./nmt [--wheels | --system] COMMAND [ARGUMENTS]
 The launcher's own commands:
   setup [--fresh]             set up and nothing else; --fresh throws the old set-up away first
   doctor                      check this machine and the set-up, and say how to fix what is wrong
-  test [PYTEST ARGUMENTS]     run the tests
+  test [PYTEST ARGUMENTS]     run the tests that protect a change; --all: every test, goes on where it stopped
   shell                       a shell in the bench's environment
   ros PACKAGE EXECUTABLE ...  start one node, as `ros2 run` does (without arguments: list them)
 
@@ -80,16 +80,18 @@ def open_shell(state: dict[str, Any]) -> int:
 def run_tests(state: dict[str, Any], arguments: list[str]) -> int:
     """``test``: pytest on one worker more than there are cores, up to eight; later arguments win.
 
-    Tests with nodes wait for half of their time: for processes to start, for the clock.
+    Tests with nodes wait for half of their time: for processes to start, for the clock. A worker that has nothing to
+    do takes half of what another one still has. Without bytecode each worker would compile every test anew.
     """
     from .environment import command_environment
 
     environment = command_environment(state)
     environment.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
     environment.setdefault("ROS_LOG_DIR", os.path.join(STATE_FOLDER, "ros_log"))
-    workers = str(min(len(os.sched_getaffinity(0)) + 1, 8))
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    workers = ["-n", str(min(len(os.sched_getaffinity(0)) + 1, 8)), "--dist", "worksteal"]
     os.chdir(ROOT)
-    os.execve(VENV_PYTHON, [VENV_PYTHON, "-m", "pytest", "-n", workers, *arguments], environment)
+    os.execve(VENV_PYTHON, [VENV_PYTHON, "-m", "pytest", *workers, *arguments], environment)
 
 
 def show_version() -> int:

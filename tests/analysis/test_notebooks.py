@@ -110,7 +110,7 @@ def test_own_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(run.values("frequency_hz"), 21.7, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_diagnosis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notebook = executed("diagnosis", tmp_path, monkeypatch)
     assert pictures(notebook) == 1

@@ -30,7 +30,7 @@ def sealed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, Scores]
     return folder, made.seal, score_campaign(folder)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.timeout(900)
 def test_a_small_sealed_campaign_keeps_its_bounds(sealed: tuple[Path, str, Scores]) -> None:
     folder, seal, scores = sealed

@@ -37,7 +37,7 @@ def test_free_vibration_against_the_perturbation_solution() -> None:
     assert hz / HZ - 1.0 == pytest.approx(-5.0 / 12.0 * (QUADRATIC * amplitude / OMEGA**2) ** 2, rel=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_even_force_is_found_in_a_backbone(tmp_path: Path) -> None:
     random = np.random.default_rng(4)
     rows = ["frequency_hz,amplitude,damping_ratio"]

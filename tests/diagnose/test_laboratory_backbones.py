@@ -51,7 +51,7 @@ def diagnosed(data_folder: Path, folder: Path, name: str, scale: float = 1.0) ->
     return result
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", CUBIC)
 def test_beams_that_stretch_are_cubic_in_any_unit(data_folder: Path, tmp_path: Path, name: str) -> None:
     found = diagnosed(data_folder, tmp_path, name)
@@ -69,7 +69,7 @@ def test_beams_that_stretch_are_cubic_in_any_unit(data_folder: Path, tmp_path: P
         assert other["gap"]["closed"] == pytest.approx(found["gap"]["closed"], abs=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_bolted_joint_is_friction_and_no_air_drag(data_folder: Path, tmp_path: Path) -> None:
     found = diagnosed(data_folder, tmp_path, "bolted_backbone")
     assert found["verdict"] == "effect"

@@ -57,6 +57,7 @@ def diagnosed(*words: Any) -> Diagnosis:
     return diagnose_bags(str(model), [bag], settings=DiagnosisSettings(look_ahead=False)).diagnosis
 
 
+@pytest.mark.campaign
 def test_a_duffing_oscillator_at_four_forces(data_folder: Path, tmp_path: Path) -> None:
     keys: dict[str, object] = {"unit": "m/s^2/N", "level_unit": "N"}
     found = diagnosed(data_folder / "laboratory", tmp_path, "duffing", (0.5, 2.0, 5.0, 8.0), ONE_MODE, keys)
@@ -71,6 +72,7 @@ def test_a_duffing_oscillator_at_four_forces(data_folder: Path, tmp_path: Path) 
     assert found.gap.closed >= 0.9
 
 
+@pytest.mark.campaign
 def test_a_cantilever_that_softens_gets_its_damping_beside(data_folder: Path, tmp_path: Path) -> None:
     """A scan about the cubic spring alone ranks gaps, stops and other springs before the damping that is there."""
     keys: dict[str, object] = {"unit": "(m/s^2)/(m/s^2)", "level_unit": "g"}

@@ -89,6 +89,7 @@ def test_magnitudes_alone_tell_a_cubic_spring(tmp_path: Path) -> None:
     assert found.gap.closed >= 0.9
 
 
+@pytest.mark.campaign
 def test_magnitudes_of_the_model_raise_no_alarm(tmp_path: Path) -> None:
     assert diagnosed(*sweeps(tmp_path, 1e-6 * CUBIC)).verdict in (Verdict.NONE, Verdict.CALIBRATION)
 

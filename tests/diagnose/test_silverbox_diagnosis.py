@@ -23,7 +23,7 @@ def written(name: str) -> str:
     return text[start : text.index("```", start)]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_silverbox_lacks_a_cubic_spring(
     data_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

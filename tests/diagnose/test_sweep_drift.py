@@ -88,7 +88,7 @@ def test_noise_is_no_drift(directions: tuple[int, ...]) -> None:
     assert [found_drift(drifting(0.0, seed, directions)) for seed in range(4)] == [0.0] * 4
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_drifting_rig_is_still_a_cubic_one() -> None:
     settings = DiagnosisSettings(withheld=withheld(KNOWN), look_ahead=False)
     found = diagnose_observations(oscillator(), drifting(DRIFT), settings).diagnosis

@@ -115,7 +115,7 @@ def test_options_in_the_text_exist(page: str, text: str) -> None:
     assert_options_exist(words)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.filterwarnings("ignore:Attempting to set identical")  # the made-up recording has one frequency
 def test_commands_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those that need no nodes, on a small recording in the place of the first one's."""

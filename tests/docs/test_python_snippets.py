@@ -135,7 +135,7 @@ def test_the_backbone_of_a_model(run: Callable[[str], str]) -> None:
     assert len(lines) == 1 + 20
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.timeout(600)
 def test_diagnose(run: Callable[[str], str]) -> None:
     rig = rig_with_noise()
@@ -146,7 +146,7 @@ def test_diagnose(run: Callable[[str], str]) -> None:
     assert names == ["diagnosis.json", "model.yaml", "observables.csv", "report.html"]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.timeout(600)
 def test_a_blind_check(run: Callable[[str], str]) -> None:
     assert run("A blind check").startswith("Proportion(")

@@ -121,7 +121,7 @@ def test_coverage_factor_follows_the_degrees_of_freedom() -> None:
     assert Budget("q", 1.0, {Source.NOISE: 1e-6, Source.GAINS: 0.1}).coverage_factor == pytest.approx(1.960, abs=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("source", ["model", "test"])
 def test_intervals_hold_the_truth_as_often_as_stated(source: str) -> None:
     random = np.random.default_rng(20)
@@ -142,7 +142,7 @@ def test_intervals_hold_the_truth_as_often_as_stated(source: str) -> None:
     assert len(CHANNELS) == 5
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("kind", ["cubic", "joint"])
 def test_intervals_hold_the_truth_of_nonlinear_rigs(kind: str) -> None:
     """Beside what ideal sensors would have found; the error of single-point excitation is another part."""

@@ -124,7 +124,7 @@ def test_the_measuring_chain_does_what_it_says() -> None:
     assert ratio[[0, 3, 4]] == pytest.approx(np.ones(3), rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_bench_reads_the_foreign_laboratory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Imported, a linear chain has the frequency and damping of its matrices, and the diagnosis finds no gap."""
     chain = Chain()

@@ -9,7 +9,7 @@ from independent.campaign import INJECTED_EFFECTS, SEED, diagnosed
 from independent.laboratory import Chain, MeasuringChain
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("seed", [2, 7])
 def test_a_healthy_recording_raises_no_alarm(tmp_path: Path, seed: int) -> None:
     """Gains of 1 %, phases of 0.2°, a delay, a held drive with a third harmonic of 0.1 %.
@@ -20,7 +20,7 @@ def test_a_healthy_recording_raises_no_alarm(tmp_path: Path, seed: int) -> None:
     assert found.verdict.value == "none"
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", ["gain", "source"])
 def test_an_effect_beyond_the_tolerances_is_named(tmp_path: Path, name: str) -> None:
     truth = INJECTED_EFFECTS[name]

@@ -177,6 +177,7 @@ def expect_gap(found: dict[str, Any], stiffness: float, gap: float) -> None:
     assert found["gap"]["closed"] > 0.9
 
 
+@pytest.mark.campaign
 def test_a_bolted_joint_is_micro_slip_with_its_own_stiffness_and_exponent(tmp_path: Path) -> None:
     stiffness = 0.1 * (2.0 * np.pi * 168.0) ** 2
     structure = Structure((161.0,), (0.0012,), joint=iwan_joint(stiffness, 2e-4, -0.5))
@@ -189,6 +190,7 @@ def test_a_bolted_joint_is_micro_slip_with_its_own_stiffness_and_exponent(tmp_pa
     assert found["gap"]["closed"] > 0.9
 
 
+@pytest.mark.campaign
 def test_a_contact_that_the_model_takes_for_a_spring_is_named_when_it_slips(tmp_path: Path) -> None:
     """The model has the frequency of small amplitudes, where one slider sticks."""
     stiffness, limit = 0.08 * (2.0 * np.pi * 168.0) ** 2, 3.0
@@ -222,6 +224,7 @@ def test_a_linear_beam_with_scatter_has_no_effect(tmp_path: Path) -> None:
     assert found["verdict"] in ("none", "calibration")
 
 
+@pytest.mark.campaign
 def test_a_decay_of_a_clamped_beam_is_cubic(tmp_path: Path) -> None:
     omega = 2.0 * np.pi * 133.1
     cubic = 0.9 * omega**2 / 0.6e-3**2
@@ -236,6 +239,7 @@ def test_a_decay_of_a_clamped_beam_is_cubic(tmp_path: Path) -> None:
     assert found["gap"]["closed"] > 0.9
 
 
+@pytest.mark.campaign
 def test_a_decay_with_damping_that_grows_with_amplitude_is_named(tmp_path: Path) -> None:
     found = of_decay(tmp_path, Structure((97.0,), (0.003,), square_damping=2e7), (96.2, 0.0035), 4.0, 3.0, 2048.0, 4)
     first = found["ranking"][0]
@@ -245,6 +249,7 @@ def test_a_decay_with_damping_that_grows_with_amplitude_is_named(tmp_path: Path)
     assert found["gap"]["closed"] > 0.9
 
 
+@pytest.mark.campaign
 def test_a_fast_decay_is_looked_at_over_all_its_amplitudes(tmp_path: Path) -> None:
     """A narrow band would make one segment of its ninety periods, more certain than any of many."""
     structure = Structure((192.3, 770.9), (0.0089, 0.0089), (1.0, -0.03), square_damping=3.5e8)
@@ -256,6 +261,7 @@ def test_a_fast_decay_is_looked_at_over_all_its_amplitudes(tmp_path: Path) -> No
     assert found["gap"]["closed"] > 0.9
 
 
+@pytest.mark.campaign
 def test_contacts_of_the_first_periods_of_a_decay_are_seen(tmp_path: Path) -> None:
     """Narrow bands tell small amplitudes to a millionth; the few periods with contact must not drown in that."""
     structure = Structure((72.5, 260.3), (0.0052, 0.0052), (1.0, 0.17), stop=(4.76e5, 1.9e-4))
@@ -271,6 +277,7 @@ def test_contacts_of_the_first_periods_of_a_decay_are_seen(tmp_path: Path) -> No
     assert min(left) <= gap["after"] <= max(left)
 
 
+@pytest.mark.campaign
 def test_hum_near_the_mode_does_not_hide_what_damps_a_decay(tmp_path: Path) -> None:
     """The mode decays at 47 Hz, the mains stay at 50 Hz: they beat where the decay has become small."""
     factor = 6e6
@@ -282,11 +289,13 @@ def test_hum_near_the_mode_does_not_hide_what_damps_a_decay(tmp_path: Path) -> N
     assert any("a line of the mains beside the decaying mode" in note for note in found["notes"])
 
 
+@pytest.mark.campaign
 def test_a_decay_of_a_linear_beam_has_no_effect(tmp_path: Path) -> None:
     found = of_decay(tmp_path, Structure((133.1,), (0.0035,)), (131.5, 0.003), 3.0, 1.5, 5120.0, 2)
     assert found["verdict"] in ("none", "calibration")
 
 
+@pytest.mark.campaign
 def test_responses_at_held_forces_tell_a_gap(tmp_path: Path) -> None:
     stiffness, gap = 0.3 * (2.0 * np.pi * 133.1) ** 2, 1.5e-4
     structure = Structure((133.1,), (0.005,), stop=(stiffness, gap))
@@ -294,6 +303,7 @@ def test_responses_at_held_forces_tell_a_gap(tmp_path: Path) -> None:
     expect_gap(found, stiffness, gap)
 
 
+@pytest.mark.campaign
 def test_responses_whose_scatter_moves_the_resonance_by_its_width_tell_a_cubic_spring(tmp_path: Path) -> None:
     cubic = -0.27 * (2.0 * np.pi * 52.36) ** 2 / 0.8e-3**2
     structure = Structure((52.36,), (0.0024,), cubic=cubic)
@@ -305,12 +315,14 @@ def test_responses_whose_scatter_moves_the_resonance_by_its_width_tell_a_cubic_s
     assert found["gap"]["closed"] > 0.9
 
 
+@pytest.mark.campaign
 def test_responses_of_a_linear_beam_have_no_effect(tmp_path: Path) -> None:
     structure = Structure((133.1,), (0.0035,))
     found = of_responses(tmp_path, structure, (131.5, 0.003), (0.1, 1.0, 3.0), np.linspace(126.0, 142.0, 65), 6)
     assert found["verdict"] in ("none", "calibration")
 
 
+@pytest.mark.campaign
 def test_locked_windows_without_a_voltage_tell_a_gap(tmp_path: Path) -> None:
     """The resonance moves by 8 %, thousands of times its uncertainty: no linear model is near all levels."""
     stiffness, gap = 0.3 * (2.0 * np.pi * 133.1) ** 2, 1.5e-4
@@ -319,12 +331,14 @@ def test_locked_windows_without_a_voltage_tell_a_gap(tmp_path: Path) -> None:
     expect_gap(found, stiffness, gap)
 
 
+@pytest.mark.campaign
 def test_locked_windows_of_a_linear_beam_have_no_effect(tmp_path: Path) -> None:
     structure = Structure((133.1, 364.0), (0.0035, 0.003), (1.0, -0.6))
     found = of_windows(tmp_path, structure, (131.5, 0.003), np.geomspace(0.1, 3.0, 8), 5)
     assert found["verdict"] in ("none", "calibration")
 
 
+@pytest.mark.campaign
 def test_a_decay_with_a_cubic_spring_and_damping_that_grows_names_both(tmp_path: Path) -> None:
     """Alone another damping fits better, and what is wrong with that is not what the cubic spring lacks."""
     cubic, factor = 7.46e11, 2.155e8

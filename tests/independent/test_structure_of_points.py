@@ -52,11 +52,13 @@ def test_a_slider_that_sticks_is_a_spring() -> None:
     assert responses(stuck, 1e-3, lines) == pytest.approx(expected, rel=0.03)
 
 
+@pytest.mark.campaign
 def test_a_structure_whose_shapes_are_known_to_a_hundredth_is_healthy(tmp_path: Path) -> None:
     found, _ = diagnosed(tmp_path, "healthy", 6, count=20)
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
 
 
+@pytest.mark.campaign
 def test_a_damper_is_found_where_it_is(tmp_path: Path) -> None:
     found, own = diagnosed(tmp_path, "damping", 3, count=16)
     assert found.verdict is Verdict.EFFECT

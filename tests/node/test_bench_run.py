@@ -24,7 +24,6 @@ from nmt_record.bag_reader import Bag
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import load_rig
 
-ATTEMPTS = 3  # a busy computer without real-time priority may stop a process for half a second
 SAMPLES = ("force", "displacement", "acceleration", "voltage")
 
 
@@ -185,12 +184,12 @@ def test_nodes_with_other_blocks_are_refused(tmp_path: Path) -> None:
     ("victim", "pacing"),
     [
         ("pll", "lockstep"),
-        ("sequencer", "lockstep"),
-        ("extract", "lockstep"),
-        ("plant", "lockstep"),
         ("recorder", "lockstep"),
-        ("plant", "realtime"),
-        ("recorder", "realtime"),
+        pytest.param("sequencer", "lockstep", marks=pytest.mark.campaign),
+        pytest.param("extract", "lockstep", marks=pytest.mark.campaign),
+        pytest.param("plant", "lockstep", marks=pytest.mark.campaign),
+        pytest.param("plant", "realtime", marks=pytest.mark.campaign),
+        pytest.param("recorder", "realtime", marks=pytest.mark.campaign),
     ],
 )
 def test_a_killed_node_ends_the_run(victim: str, pacing: str, tmp_path: Path) -> None:
@@ -228,11 +227,8 @@ def test_a_killed_node_ends_the_run(victim: str, pacing: str, tmp_path: Path) ->
 
 
 def test_real_time_keeps_the_clock() -> None:
-    for _ in range(ATTEMPTS):
-        with Bench("beam", [0.7], window_periods=20, pacing="realtime", latency_blocks=10) as bench:
-            result = bench.run()
-        if "does not report" not in result.message:
-            break
+    with Bench("beam", [0.7], window_periods=20, pacing="realtime", latency_blocks=25) as bench:
+        result = bench.run()
     assert result.code == ResultCode.SUCCEEDED, result.message
     assert result.points[0].status == Status.OK
     assert 0.8 < result.real_time_factor < 1.2

@@ -14,7 +14,7 @@ from nmt_bench.cli import main
 from nmt_rig.rig import find_rig
 
 pytest.importorskip("rclpy")
-pytestmark = pytest.mark.node
+pytestmark = pytest.mark.campaign
 
 TUTORIAL = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -38,7 +38,7 @@ def only(kind):
     return pytest.mark.parametrize("kind", [kind], indirect=True)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @on_a_quiet_computer(environment)
 def test_the_demo_on_a_converter_is_the_simulated_one(kind, tmp_path):
     found, said = compare(kind, tmp_path, "--levels", "1", "--periods", "40", "--reference", "none", attempts=ATTEMPTS)
@@ -60,7 +60,7 @@ def test_a_start_finds_the_delay(kind, tmp_path):
         assert abs(measured_delay(kind, tmp_path, int(planted)) - true_delay(kind, int(planted))) <= 1
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @only("portaudio")
 @on_a_quiet_computer(environment)
 def test_a_clock_that_is_off_is_said(kind, tmp_path):
@@ -70,7 +70,7 @@ def test_a_clock_that_is_off_is_said(kind, tmp_path):
     assert any("do not share one clock" in sentence for sentence in said)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("kind", "process", "fault"),
     [("portaudio", "owner", "SIGSTOP"), ("nidaqmx", "plant", "SIGKILL")],
@@ -87,7 +87,7 @@ def test_the_port_is_at_zero_after_a_fault(kind, process, fault, tmp_path):
         assert found.step < 0.01, "along the ramp, without a click"
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @on_a_quiet_computer(environment)
 def test_a_gap_is_marked(kind, tmp_path):
     """The process at the converter is stopped now and then: blocks that are given are what was put out."""
@@ -98,7 +98,7 @@ def test_a_gap_is_marked(kind, tmp_path):
     assert found.ended == ""
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @only("portaudio")
 @on_a_quiet_computer(environment)
 def test_lost_samples_reject_their_window_only(kind, tmp_path):
@@ -133,7 +133,7 @@ def run_with_a_stop(kind, folder, out):
     return json.loads((out / "modal.json").read_text())["points"], said
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @only("nidaqmx")
 @on_a_quiet_computer(environment)
 def test_a_ring_down_on_a_converter_is_the_simulated_one(kind, tmp_path):

@@ -103,6 +103,7 @@ def test_peaks_of_random_trip_the_limits(tmp_path: Path) -> None:
     assert all("given up" in segment.fault for segment in segments(bag))
 
 
+@pytest.mark.campaign
 def test_a_killed_loop_in_a_random_test_leaves_the_drive_at_zero(tmp_path: Path) -> None:
     options = {**RANDOM, "duration": 60.0, "node_values": {"pll": {"settling_time": 0.1}}, "ramp": 0.1}
     with Bench("beam", out=tmp_path / "out", processes=True, **options) as bench:
@@ -151,6 +152,7 @@ def test_a_ring_down_is_recorded_from_its_switch_off_on(tmp_path: Path) -> None:
         assert np.abs(motion[-period:]).max() < 0.3 * np.abs(motion[:period]).max()
 
 
+@pytest.mark.campaign
 def test_a_sweep_is_the_same_in_six_processes(tmp_path: Path) -> None:
     alone, apart = (run(tmp_path / str(processes), processes=processes, **SWEEP) for processes in (False, True))
     assert alone.code == apart.code == ResultCode.SUCCEEDED

@@ -29,7 +29,7 @@ def _forbidden(*_: object) -> None:
     raise AssertionError("a figure of the model was asked for")
 
 
-@pytest.fixture(scope="module", params=list(RIGS))
+@pytest.fixture(scope="module", params=["joint_resonator", pytest.param("beam", marks=pytest.mark.campaign)])
 def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     name = request.param
     out = tmp_path_factory.mktemp("linear") / name

@@ -12,12 +12,11 @@ import pytest
 from node.signal_trials import LAUNCHER, Trial, attempt
 
 # Each process, each signal, both pacings.
+QUICK = [(LAUNCHER, "KILL", "lockstep"), ("plant", "TERM", "realtime")]
 CASES = [
-    (LAUNCHER, "KILL", "lockstep"),
     (LAUNCHER, "HUP", "realtime"),
     (LAUNCHER, "STOP", "realtime"),
     (LAUNCHER, "INT", "lockstep"),
-    ("plant", "TERM", "realtime"),
     ("plant", "STOP", "lockstep"),
     ("pll", "STOP", "realtime"),
     ("sequencer", "STOP", "lockstep"),
@@ -27,7 +26,9 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("victim", "name", "pacing"), CASES)
+@pytest.mark.parametrize(
+    ("victim", "name", "pacing"), [*QUICK, *(pytest.param(*case, marks=pytest.mark.campaign) for case in CASES)]
+)
 def test_a_signal_ends_the_run_with_the_drive_at_zero(victim: str, name: str, pacing: str, tmp_path: Path) -> None:
     outcome = attempt(Trial(victim, name, pacing), tmp_path / "out")
     # How long it takes on a busy computer is for the table of signal_trials.py.

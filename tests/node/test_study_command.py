@@ -12,6 +12,8 @@ pytest.importorskip("rclpy")
 from nmt_bench import cli
 from nmt_study import case_runner
 
+pytestmark = pytest.mark.campaign
+
 
 def test_a_study_runs_compares_and_is_not_run_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd) -> None:
     words = ["study", "levels", "--quick", "--jobs", "1", "--out", str(tmp_path / "out")]

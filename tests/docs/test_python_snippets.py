@@ -24,6 +24,7 @@ from nmt_extract import synthesise
 from nmt_extract.modal_table import read_csv
 from nmt_rig.rig import find_rig
 
+pytestmark = pytest.mark.campaign
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "use-from-python.md"
 RATE = 2000.0
 MODES = ((60.0, 0.01, (1.0, 0.6)), (210.0, 0.008, (0.5, -0.9)))
@@ -135,7 +136,6 @@ def test_the_backbone_of_a_model(run: Callable[[str], str]) -> None:
     assert len(lines) == 1 + 20
 
 
-@pytest.mark.campaign
 @pytest.mark.timeout(600)
 def test_diagnose(run: Callable[[str], str]) -> None:
     rig = rig_with_noise()
@@ -146,7 +146,6 @@ def test_diagnose(run: Callable[[str], str]) -> None:
     assert names == ["diagnosis.json", "model.yaml", "observables.csv", "report.html"]
 
 
-@pytest.mark.campaign
 @pytest.mark.timeout(600)
 def test_a_blind_check(run: Callable[[str], str]) -> None:
     assert run("A blind check").startswith("Proportion(")

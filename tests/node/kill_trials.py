@@ -25,7 +25,7 @@ from nmt_core.shared_memory import remove_dead_segments
 from nmt_session.node_plan import NODES
 
 LAUNCHER, LOADER = "launcher", "loader"
-_MARK = "NMT_KILL_TRIAL"
+MARK = "NMT_KILL_TRIAL"
 _PATIENCE = 30.0  # s for what is left to end
 _LATEST = 5.0  # s after the start of the command
 
@@ -35,7 +35,7 @@ def marked(mark: str) -> dict[int, str]:
     found = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
-            if f"{_MARK}={mark}".encode() not in (folder / "environ").read_bytes().split(b"\0"):
+            if f"{MARK}={mark}".encode() not in (folder / "environ").read_bytes().split(b"\0"):
                 continue
             words = (folder / "cmdline").read_bytes().decode().rstrip("\0").split("\0")
         except OSError:
@@ -65,7 +65,7 @@ def trial(mark: str, victim: str, moment: float) -> tuple[str, list[str]]:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        env={**os.environ, _MARK: mark},
+        env={**os.environ, MARK: mark},
         start_new_session=True,
         preexec_fn=hear_signals,
     )

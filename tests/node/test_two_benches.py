@@ -8,12 +8,14 @@ from typing import Any
 
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.node import Node
 
 from nmt_bench.harness import Bench, Progress
 from nmt_core.errors import BenchError
+from nmt_core.liveness import HUNG
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_msgs.action import RunLevels
 from nmt_pll.pll_node import PllNode
@@ -33,7 +35,7 @@ def make_node(bench: Bench, name: str, values: dict[str, Any]) -> Node:
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_a_silent_node_of_one_bench_ends_that_one_only(name: str, tmp_path: Path) -> None:
+def test_a_node_that_hangs_ends_its_own_bench_only(name: str, tmp_path: Path) -> None:
     with Bench("beam", [0.3] * 20, out=tmp_path / "first", window_periods=300) as bench:
         test = plan_test("beam", [0.2, 0.3], window_periods=60, run_id="second")
         (tmp_path / "rig.yaml").write_text(test.rig_yaml, encoding="utf-8")
@@ -46,18 +48,20 @@ def test_a_silent_node_of_one_bench_ends_that_one_only(name: str, tmp_path: Path
         bench._spin_until(client.server_is_ready, 20.0, "the second bench")
         handle = bench._await(client.send_goal_async(RunLevels.Goal(**plan.goal)), 20.0, "its answer")
         second = handle.get_result_async()
-        silenced: list[int] = []
+        hung: list[int] = []
 
-        def silence(progress: Progress) -> None:
-            if progress.state == LoopState.LOCKED and not silenced:
-                silenced.append(progress.sample)
-                bench.nodes[name]._heartbeat.cancel()
+        def hang(progress: Progress) -> None:
+            if progress.state == LoopState.LOCKED and not hung:
+                hung.append(progress.sample)
+                node = bench.nodes[name]
+                node._heartbeat.cancel()
+                node.publish_diagnostics(DiagnosticStatus.ERROR, f"{HUNG}: nothing has been done for 61 s")
 
-        first = bench.run(silence)
-        assert silenced
+        first = bench.run(hang)
+        assert hung
         bench._spin_until(second.done, 60.0, "the end of the second run")
         assert first.code == ResultCode.NODE_LOST
-        assert f"ode {name} has fallen silent" in first.message
+        assert f"ode {name} hangs" in first.message or f"ode {name} reports: hung" in first.message
         answer = second.result().result
         assert (answer.result_code, answer.levels_locked) == (ResultCode.SUCCEEDED, 2)
         assert len(answer.points) == 2

@@ -49,6 +49,7 @@ from nmt_bench.orchestration.node_processes import NodeProcesses
 from nmt_bench.orchestration.prepared_nodes import NodeLoader, take_loader
 from nmt_bench.orchestration.surroundings import check_surroundings
 from nmt_core.base_node import STATE_QOS, calm_collector
+from nmt_core.dds_profile import PROFILE_VARIABLE, lockstep_profile
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.liveness import HANG_LIMIT, Liveness
@@ -234,6 +235,11 @@ class Bench:
         self.executor = EventsExecutor(context=self.context)
         self._cleanup.callback(self._shut_executor)
         if self.use_processes:
+            if self.test.pacing == "lockstep":
+                profile = self.out / "log" / "fastdds.xml"
+                profile.parent.mkdir(exist_ok=True)
+                profile.write_text(lockstep_profile(), encoding="utf-8")
+                environment[PROFILE_VARIABLE] = str(profile.resolve())
             self.processes = NodeProcesses(self.plan, self.out, environment, loader, domain.descriptor)
             self._cleanup.callback(self.processes.end)
             self.processes.start()

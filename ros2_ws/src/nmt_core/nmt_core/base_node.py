@@ -433,7 +433,7 @@ class BenchNode(Node):  # type: ignore[misc]
 
     @property
     def end_grace(self) -> float:
-        """How long (s) a node that was told to end waits for what it still needs; in lockstep since the last message."""
+        """How long (s) a node that was told to end waits for what it needs; in lockstep since the last message."""
         return _END_GRACE
 
     def may_end(self, since: float) -> bool:

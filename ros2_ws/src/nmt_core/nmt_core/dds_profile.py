@@ -21,6 +21,7 @@ PROFILE = Path(__file__).with_name("fastdds.xml")
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 OWN_TRANSPORT = "NMT_TRANSPORT"
+LOCKSTEP_LEASE = 3600  # s
 _MIDDLEWARE = "rmw_fastrtps"
 _FIRST_PORT, _PORTS_PER_DOMAIN = 7400, 250  # of the protocol RTPS
 _NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
@@ -154,6 +155,24 @@ def two_host_profile(own_address: str, peers: Sequence[str]) -> str:
     for peers_list in root.iterfind(".//{*}participant/{*}rtps/{*}builtin/{*}initialPeersList"):
         for peer in others:
             _element(_element(_element(peers_list, "locator"), "udpv4"), "address", peer)
+    return _xml(root)
+
+
+def lockstep_profile() -> str:
+    """The bench's profile for nodes in lockstep, which wait for each other however long that takes.
+
+    Returns:
+        XML: as ``fastdds.xml``, but what was sent to a node that says nothing is kept for `LOCKSTEP_LEASE`. That a
+        process has died shows by the process itself there.
+    """
+    ElementTree.register_namespace("", _NAMESPACE)
+    root = ElementTree.parse(PROFILE).getroot()
+    for seconds in root.iterfind(".//{*}leaseDuration/{*}sec"):
+        seconds.text = str(LOCKSTEP_LEASE)
+    return _xml(root)
+
+
+def _xml(root: ElementTree.Element) -> str:
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8" ?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 

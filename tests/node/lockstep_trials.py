@@ -1,0 +1,184 @@
+"""Runs in lockstep on a computer that is too busy, and runs whose launcher or recorder is hurt: what is in their bags?
+
+./nmt shell <<< "python tests/node/lockstep_trials.py busy --count 50"        # beside six busy loops
+./nmt shell <<< "python tests/node/lockstep_trials.py launcher --count 30"    # SIGKILL of the launcher
+./nmt shell <<< "python tests/node/lockstep_trials.py recorder --count 3"     # SIGSTOP of the recorder for 20 s
+./nmt shell <<< "python tests/node/lockstep_trials.py start --count 5"        # a node that is stopped as it starts
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from node.kill_trials import MARK, marked
+from node.signal_trials import hear_signals
+
+from nmt_core.errors import BenchError
+from nmt_core.shared_memory import remove_dead_segments
+from nmt_record.bag_reader import Bag
+from nmt_session.node_plan import NODES
+
+_LONGEST = 600.0  # s of wall time, after which a run is given up
+_STOPPED = 20.0  # s that the recorder is stopped for
+_NAMED = 10.0  # s after which a node that does not come up is to be named
+_LEFT = 60.0  # s for what is left to end
+
+
+@contextlib.contextmanager
+def busy_loops(count: int) -> Iterator[None]:
+    """Programs beside that want a core each."""
+    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
+
+
+def start(out: Path, mark: str, levels: str, periods: int) -> subprocess.Popen[str]:
+    """Start a run of the beam, every node a process."""
+    words = ["run", "beam", "--levels", levels, "--periods", str(periods), "--reference", "none", "--no-report"]
+    return subprocess.Popen(
+        [sys.executable, "-m", "nmt_bench", *words, "--out", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env={**os.environ, MARK: mark},
+        start_new_session=True,
+        preexec_fn=hear_signals,
+    )
+
+
+def faults_of_bag(out: Path, whole: bool) -> list[str]:
+    """What is wrong with a bag: not at zero at its end, gaps, and where it is to be whole anything that it lacks."""
+    try:
+        bag = Bag.open(out / "bag")
+        blocks = list(bag.blocks("voltage"))
+    except BenchError as error:
+        return [str(error)]
+    faults = [] if blocks and not np.any(blocks[-1].data) else ["the last block is not at 0 V"]
+    faults += [str(bag.loss)] if whole and bag.loss else []
+    ends = [block.end_sample for block in blocks[:-1]]
+    return faults + (["it has gaps"] if ends != [block.first_sample for block in blocks[1:]] else [])
+
+
+def leftovers(mark: str) -> list[str]:
+    """Processes that stay; they are ended."""
+    end = time.monotonic() + _LEFT
+    while (left := marked(mark)) and time.monotonic() < end:
+        time.sleep(0.05)
+    for process in left:
+        os.kill(process, signal.SIGKILL)
+    remove_dead_segments()
+    return [f"left: {name} {process}" for process, name in left.items()]
+
+
+def busy(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
+    """A run to its end."""
+    del rng
+    said, _ = (command := start(out, mark, "0.3:1:3", 60)).communicate(timeout=_LONGEST)
+    faults = [] if "3 of 3 levels locked." in said and "bag closed" in said else [said.strip()[-600:]]
+    return faults + ([f"exit code {command.returncode}"] if command.returncode else []) + faults_of_bag(out, whole=True)
+
+
+def launcher(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
+    """The launcher is killed at a random moment of the run."""
+    command = start(out, mark, "0.3,0.5", 200_000)
+    log = out / "log" / "sequencer.log"
+    wait_for(lambda: log.exists() and "Level 1:" in log.read_text())
+    time.sleep(rng.uniform(0.0, 4.0))
+    command.kill()
+    command.communicate(timeout=_LEFT)
+    return leftovers(mark) + faults_of_bag(out, whole=False)
+
+
+def recorder(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
+    """The recorder is stopped for 20 s while it records."""
+    command = start(out, mark, "0.3:1:4", 200)
+    log = out / "log" / "sequencer.log"
+    wait_for(lambda: log.exists() and "Level 1 locked" in log.read_text())
+    time.sleep(rng.uniform(0.0, 0.5))
+    (process,) = (process for process, name in marked(mark).items() if name == "recorder")
+    os.kill(process, signal.SIGSTOP)
+    time.sleep(_STOPPED)
+    os.kill(process, signal.SIGCONT)
+    said, _ = command.communicate(timeout=_LONGEST)
+    held = [] if "The run waits for node recorder, which is stopped" in said else ["it was not said who holds it up"]
+    faults = [] if "4 of 4 levels locked." in said and "bag closed" in said else [said.strip()[-600:]]
+    return held + faults + faults_of_bag(out, whole=True)
+
+
+def start_of_a_node(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
+    """A node is stopped as soon as its process is there."""
+    victim = str(rng.choice(list(NODES)))
+    command = start(out, mark, "0.3", 60)
+    wait_for(lambda: victim in marked(mark).values())
+    for process, name in marked(mark).items():
+        if name == victim:
+            os.kill(process, signal.SIGSTOP)
+    began = time.monotonic()
+    said, _ = command.communicate(timeout=_LONGEST)
+    took = time.monotonic() - began
+    print(f"     {victim}: {took:.1f} s: {said.strip()[-150:]}", flush=True)
+    faults = [] if f"Node {victim} does not come up" in said else [said.strip()[-600:]]
+    return faults + ([f"it took {took:.1f} s"] if took > _NAMED + 5.0 else [])
+
+
+def wait_for(condition: object) -> None:
+    end = time.monotonic() + _LONGEST
+    while not condition():  # type: ignore[operator]
+        if time.monotonic() > end:
+            raise RuntimeError("waited in vain")
+        time.sleep(0.02)
+
+
+TRIALS = {"busy": busy, "launcher": launcher, "recorder": recorder, "start": start_of_a_node}
+
+
+def main() -> int:
+    """One line a trial, one for all; 1 if something is not as it should."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("trial", choices=TRIALS)
+    parser.add_argument("--count", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--loops", type=int, help="busy loops beside (default: 6 for busy, else none)")
+    options = parser.parse_args()
+    loops = options.loops if options.loops is not None else 6 * (options.trial == "busy")
+    rng, faulty = np.random.default_rng(options.seed), 0
+    with busy_loops(loops):
+        for number in range(options.count):
+            mark = f"lockstep-{os.getpid()}-{number}"
+            began = time.monotonic()
+            with tempfile.TemporaryDirectory(prefix="nmt-lockstep-") as folder:
+                out = Path(folder) / "out"
+                faults = TRIALS[options.trial](out, mark, rng) + leftovers(mark)
+                lacks = ""
+                with contextlib.suppress(OSError, ValueError, KeyError):
+                    lacks = f", bag lacks {json.loads((out / 'run.json').read_text())['result']['bag']['lacks_s']} s"
+            faulty += bool(faults)
+            print(
+                f"{number + 1:3d}  {time.monotonic() - began:5.1f} s, load {os.getloadavg()[0]:.0f}{lacks}  "
+                f"{faults or 'as it should'}",
+                flush=True,
+            )
+    print(f"{options.trial}: {options.count} trials, {faulty} not as they should be")
+    return int(faulty > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

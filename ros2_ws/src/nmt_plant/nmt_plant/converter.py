@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib
 import os
 import struct
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 
 from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
 
 _CHUNK_TIME = 0.004  # s of a turn
 _MOST_SLIP = 0.002  # s; a clock that is more behind goes on from the present
@@ -98,21 +98,25 @@ class SteadyClockConverter(Converter):
         sample_rate: Hz.
         log: file for the time and the values of every call, see `read_log`; empty = none.
         stop_file: path whose existence is the external stop input; empty = none.
+        clock: by which samples are due.
     """
 
-    def __init__(self, sample_rate: float, log: str = "", stop_file: str = "") -> None:
+    def __init__(
+        self, sample_rate: float, log: str = "", stop_file: str = "", clock: SteadyClock = STEADY_CLOCK
+    ) -> None:
+        self._clock = clock
         self.chunk_samples = max(1, int(_CHUNK_TIME * sample_rate))
         self._rate = sample_rate
         self._log = Path(log).open("wb", buffering=0) if log else None  # noqa: SIM115 - open as long as the output
         self._stop_file = stop_file
-        self._due = time.monotonic()
+        self._due = self._clock.now()
 
     def exchange(self, values: FloatArray) -> Taken | None:
         """Wait until the samples are due."""
-        self._due = max(self._due, time.monotonic() - _MOST_SLIP) + values.shape[1] / self._rate
-        time.sleep(max(0.0, self._due - time.monotonic()))
+        self._due = max(self._due, self._clock.now() - _MOST_SLIP) + values.shape[1] / self._rate
+        self._clock.sleep(self._due - self._clock.now())
         if self._log is not None:
-            self._log.write(struct.pack("<dqq", time.monotonic(), *values.shape) + values.tobytes())
+            self._log.write(struct.pack("<dqq", self._clock.now(), *values.shape) + values.tobytes())
         return None
 
     def stop_requested(self) -> bool:

@@ -18,7 +18,7 @@ LEAST_PEAK = 8.0
 """Peak of the correlation over its root mean square elsewhere, below which no delay is believed."""
 CLOCKS = 2e-4
 """Relative error of clocks that are not shared, up to which a delay that drifts is believed; crystals have 1e-4."""
-_MOST_TRIES = 5
+_MOST_TIMES = 5  # its own length, after which it is given up
 
 
 class Delay(NamedTuple):
@@ -70,15 +70,14 @@ class DelayProbe:
         self._settling = round(settling * sample_rate)
         run = np.concatenate([sequence, self._pause])
         self._signal = np.concatenate([np.zeros(self._settling), run, run])
-        self._tries = 0
+        self._asked = 0
         self.restart()
 
     def restart(self) -> None:
-        """Put it out again, from the beginning; one try less."""
+        """Put it out again, from the beginning."""
         self._position = 0
         self._measured: list[FloatArray] = []
         self._count = 0
-        self._tries += 1
 
     @property
     def done(self) -> bool:
@@ -87,13 +86,14 @@ class DelayProbe:
 
     @property
     def failed(self) -> bool:
-        """Whether it was begun again too often."""
-        return self._tries > _MOST_TRIES
+        """Whether it was begun again until it could have been put out whole five times."""
+        return not self.done and self._asked > _MOST_TIMES * self._signal.size
 
     def next(self, count: int) -> FloatArray:
         """What to put out next, V, shape (count,)."""
         part = self._signal[self._position : self._position + count]
         self._position += count
+        self._asked += count
         return np.concatenate([part, np.zeros(count - part.size)])
 
     def take(self, values: FloatArray, lost: bool) -> None:

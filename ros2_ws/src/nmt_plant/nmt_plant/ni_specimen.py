@@ -4,7 +4,7 @@
 
 It implements what a continuous measurement with one analog output needs (tasks, channels, timing, start, read, write,
 stop) and answers every other call with an empty response. Samples pass at their times on this computer's steady clock,
-with an error of the clock if wanted. An output that is not fed in time stops and idles at zero volts where the client
+with an error of the clock if wanted; those that are due are made up for in the next call. An output that is not fed in time stops and idles at zero volts where the client
 has asked for that, else it keeps its last value, as the hardware does.
 """
 
@@ -17,7 +17,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Sequence
 from concurrent import futures
 from pathlib import Path
@@ -27,6 +26,7 @@ import numpy as np
 
 from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_plant.hardware_rig import device_of
 from nmt_plant.jack_specimen import follow_input
 from nmt_plant.specimen import Specimen, write_port
@@ -35,7 +35,7 @@ from nmt_plant.specimen_options import add_options
 from nmt_rig.device_sections import NiDaqmxSection, StopInputSection
 from nmt_rig.rig import load_rig
 
-_STEP = 0.002  # s, of the samples that pass at once
+_MOST_AT_ONCE = 200  # samples
 _HELD = 10.0  # s of input samples that are kept unread
 _OVERWRITTEN, _TOO_LATE, _TIMEOUT = -200279, -200290, -200284
 _DEVICE_NAMES, _IDLE_BEHAVIOUR, _ZERO_VOLTS = 0x193B, 0x2240, 12526
@@ -47,7 +47,7 @@ _WORDS = {
 
 
 class Hardware:
-    """Converter and specimen: samples pass while both tasks run.
+    """Converter and specimen: samples pass while both tasks run. Calls may come from any thread.
 
     Args:
         specimen: behind the ports.
@@ -55,6 +55,11 @@ class Hardware:
         clock_error: relative.
         record: most samples of the output port that are kept.
         stop_line: V at the input of the external stop line, the last one; None = there is no such input.
+        clock: by which samples pass.
+
+    Attributes:
+        space: samples that the output's buffer holds.
+        idles_at_zero: whether an output that has stopped goes to zero, else it keeps its last value.
     """
 
     def __init__(
@@ -64,48 +69,52 @@ class Hardware:
         clock_error: float = 0.0,
         record: int = 0,
         stop_line: Callable[[], float] | None = None,
+        clock: SteadyClock = STEADY_CLOCK,
     ) -> None:
         self._specimen = specimen
         self._stop_line = stop_line
         self._rate = sample_rate * (1.0 + clock_error)
-        self.changed = threading.Condition()
+        self._clock, self._lock = clock, threading.Lock()
+        self._begun, self._passed = clock.now(), 0
         self._record = np.zeros(record)
         self.recorded = 0
         self.record_times: list[tuple[float, int]] = []
         self.idles_at_zero = False
+        self.space = 1 << 30
         self._level = 0.0
-        self._end = False
         self._forget()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
 
     def _forget(self) -> None:
-        self.input_runs = self.output_armed = False
-        self.output_failed = self.input_failed = 0
+        self._input_runs = self._output_armed = False
+        self._output_failed = self._input_failed = 0
         self._pending = np.zeros(0)
         self._measured: list[FloatArray] = []
-        self.unread = 0
-        self.space = 1 << 30
+        self._unread = 0
 
-    def _run(self) -> None:
-        step = max(1, int(_STEP * self._rate))
-        due = time.monotonic()
-        while not self._end:
-            due = max(due, time.monotonic() - 0.5) + step / self._rate
-            time.sleep(max(0.0, due - time.monotonic()))
-            with self.changed:
-                self._pass(step)
-                self.changed.notify_all()
+    def _catch_up(self) -> None:
+        """Let the samples pass that are due by now."""
+        due = int((self._clock.now() - self._begun) * self._rate) - self._passed
+        while due > 0:
+            count = min(due, _MOST_AT_ONCE)
+            self._passed += count
+            self._pass(count)
+            due -= count
+
+    def _wait(self, samples: int, end: float) -> bool:
+        """Sleep for as long as so many samples take; whether the time has come to give up."""
+        left = end - self._clock.now()
+        self._clock.sleep(min(samples / self._rate, left))
+        return left <= 0.0
 
     def _pass(self, count: int) -> None:
         """The samples of a step: what is fed goes out, what the specimen answers is kept."""
         port = np.full(count, self._level)
-        if self.input_runs and self.output_armed and not self.output_failed:
+        if self._input_runs and self._output_armed and not self._output_failed:
             fed = min(count, self._pending.size)
             port[:fed] = self._pending[:fed]
             self._pending = self._pending[fed:]
             if fed < count:
-                self.output_failed = _TOO_LATE
+                self._output_failed = _TOO_LATE
                 port[fed:] = 0.0 if self.idles_at_zero else (port[fed - 1] if fed else self._level)
         elif self.idles_at_zero:
             port[:] = 0.0
@@ -117,66 +126,76 @@ class Hardware:
         self._record[self.recorded : self.recorded + kept.size] = kept
         self.recorded += kept.size
         if kept.size:
-            self.record_times.append((time.monotonic(), self.recorded))
-        if self.input_runs:
+            self.record_times.append((self._begun + self._passed / self._rate, self.recorded))
+        if self._input_runs:
             self._measured.append(answer)
-            self.unread += count
-            if self.unread > _HELD * self._rate:
-                self.input_failed = _OVERWRITTEN
+            self._unread += count
+            if self._unread > _HELD * self._rate:
+                self._input_failed = _OVERWRITTEN
+
+    def start(self, is_input: bool) -> None:
+        """Start the input, which triggers the output, or arm the output."""
+        with self._lock:
+            self._catch_up()
+            if is_input:
+                self._input_runs = True
+            else:
+                self._output_armed = True
 
     def read(self, count: int, timeout: float) -> tuple[int, FloatArray]:
         """Error code, and (channels, count) V when they are there."""
-        end = time.monotonic() + timeout
-        with self.changed:
-            while self.unread < count and not self.input_failed:
-                if not self.changed.wait(max(0.0, end - time.monotonic())):
-                    return _TIMEOUT, np.zeros((0, 0))
-            if self.input_failed:
-                return self.input_failed, np.zeros((0, 0))
-            whole = np.concatenate(self._measured, axis=1)
-            self._measured = [whole[:, count:]]
-            self.unread -= count
-            return 0, whole[:, :count]
+        end = self._clock.now() + timeout
+        while True:
+            with self._lock:
+                self._catch_up()
+                if self._input_failed:
+                    return self._input_failed, np.zeros((0, 0))
+                if self._unread >= count:
+                    whole = np.concatenate(self._measured, axis=1)
+                    self._measured = [whole[:, count:]]
+                    self._unread -= count
+                    return 0, whole[:, :count]
+                missing = count - self._unread
+            if self._wait(missing, end):
+                return _TIMEOUT, np.zeros((0, 0))
 
     def write(self, values: FloatArray, timeout: float) -> int:
         """Error code; waits for space in the buffer."""
-        end = time.monotonic() + timeout
-        with self.changed:
-            while self._pending.size + values.size > self.space and self.input_runs and not self.output_failed:
-                if not self.changed.wait(max(0.0, end - time.monotonic())):
-                    return _TIMEOUT
-            if self.output_failed:
-                return self.output_failed
-            self._pending = np.concatenate([self._pending, values])
-            return 0
+        end = self._clock.now() + timeout
+        while True:
+            with self._lock:
+                self._catch_up()
+                if self._output_failed:
+                    return self._output_failed
+                missing = self._pending.size + values.size - self.space
+                if missing <= 0 or not self._input_runs:
+                    self._pending = np.concatenate([self._pending, values])
+                    return 0
+            if self._wait(missing, end):
+                return _TIMEOUT
 
     def stop(self) -> None:
         """Both tasks end; what waits is thrown away."""
-        with self.changed:
-            space = self.space
+        with self._lock:
+            self._catch_up()
             self._forget()
-            self.space = space
 
-    def close(self) -> None:
-        """End the thread."""
-        self._end = True
-        self._thread.join(2.0)
-
-    def write_record(self, path: Path) -> None:
-        """Write what was at the output port, V, and when, as a NumPy archive; see `specimen.write_port`."""
-        write_port(path, self._record[: self.recorded], self.record_times)
+    def at_the_port(self) -> tuple[FloatArray, FloatArray]:
+        """What was at the output port until now, V, and when: (n, 2) as of `specimen.write_port`."""
+        with self._lock:
+            self._catch_up()
+        return self._record[: self.recorded], np.array(self.record_times).reshape(-1, 2)
 
 
-def make_server(hardware: Hardware, names: str, address: str) -> tuple[Any, int]:
-    """A gRPC server of the calls, and its port.
+def make_calls(hardware: Hardware, names: str) -> Any:
+    """The calls of NI's server, as gRPC takes them.
 
     Args:
-        hardware: behind it.
+        hardware: behind them.
         names: of the devices, as NI lists them.
-        address: host:port; port 0 = any that is free.
 
     Raises:
-        BenchError: the package is missing, or the address is taken.
+        BenchError: the package is missing.
     """
     try:
         import grpc
@@ -208,11 +227,7 @@ def make_server(hardware: Hardware, names: str, address: str) -> tuple[Any, int]
             return nidaqmx_pb2.SetBufferAttributeUInt32Response()
 
         def StartTask(self, request: Any, _: Any) -> Any:  # noqa: N802
-            with hardware.changed:
-                if request.task.name.endswith("input"):
-                    hardware.input_runs = True
-                else:
-                    hardware.output_armed = True
+            hardware.start(request.task.name.endswith("input"))
             return nidaqmx_pb2.StartTaskResponse()
 
         def StopTask(self, _: Any, __: Any) -> Any:  # noqa: N802
@@ -241,8 +256,26 @@ def make_server(hardware: Hardware, names: str, address: str) -> tuple[Any, int]
     for name in dir(base):
         if not name.startswith("_") and name not in vars(Servicer) and hasattr(nidaqmx_pb2, f"{name}Response"):
             setattr(Servicer, name, empty(name))
+    return Servicer()
+
+
+def make_server(hardware: Hardware, names: str, address: str) -> tuple[Any, int]:
+    """A gRPC server of the calls, and its port.
+
+    Args:
+        hardware: behind it.
+        names: of the devices, as NI lists them.
+        address: host:port; port 0 = any that is free.
+
+    Raises:
+        BenchError: the package is missing, or the address is taken.
+    """
+    calls = make_calls(hardware, names)
+    import grpc
+    from nidaqmx._stubs import nidaqmx_pb2_grpc
+
     server = grpc.server(futures.ThreadPoolExecutor(max_workers=4))
-    nidaqmx_pb2_grpc.add_NiDAQmxServicer_to_server(Servicer(), server)
+    nidaqmx_pb2_grpc.add_NiDAQmxServicer_to_server(calls, server)
     try:
         port = server.add_insecure_port(address)
     except RuntimeError:
@@ -295,9 +328,8 @@ def run(arguments: argparse.Namespace) -> int:
     sys.stdout.flush()
     follow_input(told)
     server.stop(0.5)
-    hardware.close()
     if arguments.record is not None:
-        hardware.write_record(arguments.record)
+        write_port(arguments.record, *hardware.at_the_port())
     return 0
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
@@ -24,6 +23,7 @@ import numpy as np
 
 from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_plant.converter import Converter, Taken
 
 _CONNECT_TIME = 5.0  # s
@@ -133,6 +133,7 @@ class NiDaqmxConverter(Converter):
         buffer_blocks: blocks that the output buffer holds.
         stop: physical channel, range in V, threshold in V, and whether below it (else above) the external stop line
             asks for zero; None = there is no such line.
+        clock: by which losses follow each other, and on which the end waits.
 
     Raises:
         BenchError: the driver refuses a setting.
@@ -149,7 +150,9 @@ class NiDaqmxConverter(Converter):
         clock_source: str = "",
         buffer_blocks: int = 3,
         stop: Sequence[Any] | None = None,
+        clock: SteadyClock = STEADY_CLOCK,
     ) -> None:
+        self._clock = clock
         self._daq = load_nidaqmx()
         self.outputs, self.inputs = len(outputs), len(inputs)
         self.chunk_samples = block_samples
@@ -273,7 +276,7 @@ class NiDaqmxConverter(Converter):
         return self._stop_asked
 
     def _start_over(self, error: Exception) -> None:
-        now = time.monotonic()
+        now = self._clock.now()
         self._restarts = [*(at for at in self._restarts if now - at < _RESTARTS_WITHIN), now]
         if len(self._restarts) > _MOST_RESTARTS:
             raise RuntimeError(
@@ -296,7 +299,7 @@ class NiDaqmxConverter(Converter):
             with contextlib.suppress(self._daq.errors.Error):
                 for _ in range(self._blocks + 1):
                     self._write(np.zeros((self.outputs, self.chunk_samples)))
-                time.sleep(self._blocks * self.chunk_samples / self._rate)
+                self._clock.sleep(self._blocks * self.chunk_samples / self._rate)
             self._stop()
         for task in self._tasks:
             with contextlib.suppress(self._daq.errors.Error):

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import os
-import re
-import select
 import socket
-import subprocess
-import sys
-import time
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from nmt_core.arrays import FloatArray
+from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_core.vocabulary import OutputState, StopCause
 from nmt_plant.device import DeviceFault
 from nmt_plant.output_owner import (
@@ -30,11 +23,11 @@ from nmt_plant.output_owner import (
     quiet_message,
     read_report,
 )
+from nmt_plant.owner_process import OwnerProcess
 from nmt_plant.shared_samples import SharedSamples
 
 _SILENT = 0.5  # s without a report after which the state of the output is unknown
 _START_TIME = 90.0  # s; drivers load for long on a busy computer
-_EXCEPTION = re.compile(r"^(?:\w+\.)*\w*(?:Error|Exception): ")
 _NOTHING = OwnerReport(
     OutputState.NOT_KNOWN, StopCause.UNKNOWN, 0, 0, (0, 0), (0, 0), 0.0, 0, False, -1, 0, 0.0, 0.0, 0, ""
 )
@@ -62,6 +55,8 @@ class OutputLink:
         converter: ``module:class`` of the converter, made in the owner's process.
         arguments: keyword arguments of the converter, as JSON allows them.
         stop_input: descriptor of an external stop line: a byte on it, or its end, stops the output for good.
+        clock: on which it waits.
+        start: starts the owner.
     """
 
     def __init__(
@@ -70,13 +65,16 @@ class OutputLink:
         converter: str = "nmt_plant.converter:SteadyClockConverter",
         arguments: Mapping[str, Any] | None = None,
         stop_input: int | None = None,
+        clock: SteadyClock = STEADY_CLOCK,
+        start: Callable[..., OwnerProcess] = OwnerProcess,
     ) -> None:
         self.settings = settings
+        self._clock, self._start_owner = clock, start
         self._converter = converter
         self._arguments = {"sample_rate": settings.sample_rate} if arguments is None else dict(arguments)
         self._stop_input = stop_input
         self._channel: socket.socket | None = None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._owner: OwnerProcess | None = None
         self._samples: SharedSamples | None = None
         self._forget()
 
@@ -100,7 +98,7 @@ class OutputLink:
     @property
     def pid(self) -> int | None:
         """Process id of the owner, None before the start and after the end."""
-        return None if self._process is None else self._process.pid
+        return None if self._owner is None else self._owner.pid
 
     def start(self) -> None:
         """Start the owner; returns when it has its converter and the output is at zero.
@@ -113,28 +111,15 @@ class OutputLink:
         settings = self.settings
         samples = SharedSamples(settings.outputs, settings.inputs, settings.ring_samples)
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        descriptors = [theirs.fileno(), samples.descriptor, *([] if self._stop_input is None else [self._stop_input])]
-        command = [sys.executable, "-m", "nmt_plant.output_owner", *(str(number) for number in descriptors[:2])]
-        command += [json.dumps(asdict(settings)), self._converter, json.dumps(self._arguments)]
-        command += [str(number) for number in descriptors[2:]]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
-        self._process = subprocess.Popen(
-            command,
-            pass_fds=descriptors,
-            env=environment,
-            start_new_session=True,  # a terminal's signals are for the feeding side
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-        )
+        arguments = self._converter, self._arguments, self._stop_input
+        owner = self._owner = self._start_owner(settings, theirs, samples, *arguments)
         theirs.close()
         self._channel, self._samples = ours, samples
-        end = time.monotonic() + _START_TIME
+        end = self._clock.now() + _START_TIME
         while self._last.state is OutputState.NOT_KNOWN:
-            if self._process.poll() is not None or time.monotonic() > end or self._gone:
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    self._process.wait(2.0)
-                words = self._last_words()
+            if owner.has_ended or self._clock.now() > end or self._gone:
+                owner.wait(2.0)
+                words = owner.last_words()
                 self.close()
                 raise DeviceFault(f"the process that owns the output did not start: {words}.")
             self._listen(0.1)
@@ -145,13 +130,6 @@ class OutputLink:
                 f"what is measured comes {self._last.delay} samples after what is put out, so at least {least} blocks "
                 f"must wait at the output; lead_blocks is {settings.lead_blocks}."
             )
-
-    def _last_words(self) -> str:
-        process = self._process
-        if process is None or process.stderr is None or process.poll() is None:
-            return "it does not answer"
-        lines = process.stderr.read().decode(errors="replace").strip().splitlines()
-        return _EXCEPTION.sub("", lines[-1]).rstrip(".") if lines else f"exit code {process.returncode}"
 
     def feed(self, values: FloatArray) -> None:
         """Hand over the next samples, V, shape (outputs, n), or (n,) for one output.
@@ -183,9 +161,9 @@ class OutputLink:
         Raises:
             DeviceFault: they do not come; the state of the output is unknown.
         """
-        end = time.monotonic() + timeout
+        end = self._clock.now() + timeout
         while self._complete < samples:
-            remaining = end - time.monotonic()
+            remaining = end - self._clock.now()
             if remaining <= 0.0 or not self._listen(remaining):
                 raise DeviceFault(f"no samples come back from the output: {self.sentence}")
         memory = self._samples
@@ -207,19 +185,21 @@ class OutputLink:
         if self._channel is None:
             return False
         if timeout > 0.0:
-            select.select([self._channel], [], [], timeout)
+            self._clock.wait_to_read(self._channel, timeout)
         while True:
             try:
                 message = self._channel.recv(MESSAGE_BYTES, socket.MSG_DONTWAIT)
             except BlockingIOError:
                 return True
+            except ConnectionResetError:  # it left something unread; what it said last is still there
+                continue
             except OSError:
                 message = b""
             if not message:
                 self._gone = True
                 return False
             self._last = read_report(message)
-            self._heard = time.monotonic()
+            self._heard = self._clock.now()
             if self._last.hole[1]:
                 self._holes.append(self._last.hole)
             if self._last.lost[1]:
@@ -243,7 +223,7 @@ class OutputLink:
     def lateness(self) -> float:
         """s since the last of the samples that are available now was put out; of the block after `collect`'s last."""
         return (
-            time.monotonic()
+            self._clock.now()
             - self._last.time
             + (self._complete - self.settings.block_samples) / (self.settings.sample_rate)
         )
@@ -258,7 +238,7 @@ class OutputLink:
     def has_ended(self) -> bool:
         """Whether the owner has gone, in order or not."""
         self._listen(0.0)
-        return self._gone or self._process is None
+        return self._gone or self._owner is None
 
     @property
     def reason(self) -> str:
@@ -282,13 +262,13 @@ class OutputLink:
         self._listen(0.0)
         if self._last.state is OutputState.ENDED:
             return OutputState.ENDED
-        if self._gone or self._process is None or self._is_silent:
+        if self._gone or self._owner is None or self._is_silent:
             return OutputState.NOT_KNOWN
         return self._last.state
 
     @property
     def _is_silent(self) -> bool:
-        return time.monotonic() - self._heard > _SILENT
+        return self._clock.now() - self._heard > _SILENT
 
     @property
     def is_tripped(self) -> bool:
@@ -329,8 +309,8 @@ class OutputLink:
             DeviceFault: the owner cannot be reached.
         """
         self._send(bytes([OwnerMessage.RESET]))
-        end = time.monotonic() + timeout
-        while self.is_tripped and time.monotonic() < end:
+        end = self._clock.now() + timeout
+        while self.is_tripped and self._clock.now() < end:
             self._listen(0.02)
         return not self.is_tripped
 
@@ -340,28 +320,24 @@ class OutputLink:
         Returns:
             ENDED where the owner said that the output is at zero, otherwise NOT_KNOWN.
         """
-        process, channel, samples = self._process, self._channel, self._samples
-        if process is None or channel is None or samples is None:
+        owner, channel, samples = self._owner, self._channel, self._samples
+        if owner is None or channel is None or samples is None:
             return self._last.state
         if self.state is OutputState.NOT_KNOWN and self._is_silent:
             # Stopped or hung it cannot go to zero, and JACK repeats its last period; without it the converter does
             # what its hardware does.
-            process.kill()
+            owner.kill()
         with contextlib.suppress(DeviceFault):
             self._send(bytes([OwnerMessage.STOP]))
-        end = time.monotonic() + timeout
-        while self._listen(0.05) and time.monotonic() < end:
+        end = self._clock.now() + timeout
+        while self._listen(0.05) and self._clock.now() < end:
             pass
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(max(end - time.monotonic(), 0.1))
-        if process.poll() is None:
-            process.kill()
-            process.wait()
+        if not owner.wait(max(end - self._clock.now(), 0.1)):
+            owner.kill()
         if self._last.state is not OutputState.ENDED:
             self._last = self._last._replace(state=OutputState.NOT_KNOWN)
         channel.close()
         samples.close()
-        if process.stderr is not None:
-            process.stderr.close()
-        self._process = self._channel = self._samples = None
+        owner.close()
+        self._owner = self._channel = self._samples = None
         return self._last.state

@@ -29,8 +29,6 @@ import signal
 import socket
 import struct
 import sys
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -41,6 +39,7 @@ from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.output_record import BEAT as RECORD_BEAT
 from nmt_core.output_record import OutputRecord
+from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_core.vocabulary import OutputState, StopCause
 from nmt_plant.converter import Converter, Taken, load_converter
 from nmt_plant.delay_probe import Delay, DelayProbe
@@ -176,7 +175,7 @@ class OutputOwner:
         converter: what puts the samples out.
         stop_input: descriptor of an external stop line: a byte on it, or its end, stops for good; None = none.
         parent: process that feeds; its end is seen even where a copy of its socket lives on. None = not watched.
-        clock: steady clock, s; only for how often reports are sent.
+        clock: only for the time of reports and how often they are sent.
     """
 
     def __init__(
@@ -187,7 +186,7 @@ class OutputOwner:
         converter: Converter,
         stop_input: int | None = None,
         parent: int | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: SteadyClock = STEADY_CLOCK,
     ) -> None:
         if (converter.outputs, converter.inputs) != (settings.outputs, settings.inputs):
             raise BenchError(
@@ -443,7 +442,7 @@ class OutputOwner:
 
     def _report(self, state: OutputState) -> None:
         """Tell the feeding side; one that does not listen costs nothing. Write the record where something changed."""
-        now = self._clock()
+        now = self._clock.now()
         if self._probe is not None and state is not OutputState.NOT_KNOWN and not self._ending:
             return  # the feeding side waits until the delay is known
         if self._record is not None:

@@ -15,7 +15,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
-from time import monotonic
 from types import ModuleType
 from typing import Any
 
@@ -23,6 +22,7 @@ import numpy as np
 
 from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_plant.converter import Converter, Taken, Turn
 
 _MISSING = (
@@ -145,6 +145,7 @@ class PortAudioConverter(Converter):
         name, host_api: of the device, see `find_device`.
         frames: samples of a callback; 0 = PortAudio's choice.
         latency: s that PortAudio is asked for; None = its low one.
+        clock: by which turns are missed, and a stream stands still.
 
     Raises:
         BenchError: PortAudio, the device, its ports or its rate are not there.
@@ -159,7 +160,9 @@ class PortAudioConverter(Converter):
         host_api: str = "",
         frames: int = 0,
         latency: float | None = None,
+        clock: SteadyClock = STEADY_CLOCK,
     ) -> None:
+        self._clock = clock
         self._portaudio = load_portaudio()
         self.outputs, self.inputs = len(outputs), len(inputs)
         self.delay = -1
@@ -203,7 +206,7 @@ class PortAudioConverter(Converter):
         self._turn = turn
         with self._stream:
             called = -1
-            while not self._ended.wait(_STALL):
+            while not self._clock.wait(self._ended, _STALL):
                 if called == self._called:
                     raise RuntimeError(
                         "PortAudio's stream stands still; the sound server has ended or the cable is out"
@@ -217,7 +220,7 @@ class PortAudioConverter(Converter):
         self._called += 1
         lost = bool(status)
         if self._missed is not None:
-            lost = self._missed.look(monotonic(), frames / self._rate) or lost
+            lost = self._missed.look(self._clock.now(), frames / self._rate) or lost
         if lost:
             self._echo = max(self.delay, 0) + 2 * frames
         elif self._echo > 0:

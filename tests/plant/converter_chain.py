@@ -7,7 +7,6 @@ object with the few calls that are made of it, and NI's own client library calls
 from __future__ import annotations
 
 import functools
-import os
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -36,6 +35,7 @@ from nmt_rig.rig import load_rig
 KINDS = ("portaudio", "nidaqmx")
 RATE, BLOCK, PERIOD = 10_000.0, 200, 100
 OWNER = "owner"
+_NO_PROCESS = 1 << 30
 
 
 class OwnerThread(OwnerProcess):
@@ -51,7 +51,7 @@ class OwnerThread(OwnerProcess):
         arguments: Any,
         stop_input: int | None,
     ) -> None:
-        self.pid = os.getpid()
+        self.pid = _NO_PROCESS
         self.owner: OutputOwner | None = None
         self._clock, self._channel, self._words = clock, channel.dup(), ""
 

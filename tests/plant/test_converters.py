@@ -339,7 +339,11 @@ def close(made):
 @pytest.mark.parametrize(
     ("fault", "waits", "reason"),
     [
-        (hang, LEAD * BLOCK / RATE, "(not fed for 180 ms|no block was there to be put out); the feeding process is hung"),
+        (
+            hang,
+            LEAD * BLOCK / RATE,
+            "(not fed for 180 ms|no block was there to be put out); the feeding process is hung",
+        ),
         (end_of_the_plant, 0.0, "the process that fed the output has ended"),
         (told_to_end, 0.0, "the process that owns the output was told to end"),
         (quiet, 0.0, "operator"),

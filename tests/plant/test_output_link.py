@@ -1,4 +1,4 @@
-"""An output in a process of its own: what is known of it, and that it goes to zero when the feeding process fails."""
+"""What the feeding side knows of an output that another process owns; a few tests are on real processes."""
 
 from __future__ import annotations
 
@@ -6,29 +6,31 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from plant.converter_chain import OwnerThread
+from plant.turned_clock import TurnedClock
 
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import OutputState, StopCause, Waveform
-from nmt_plant.converter import read_log
+from nmt_plant.converter import SteadyClockConverter, read_log
 from nmt_plant.device import DeviceFault
 from nmt_plant.loopback_device import LoopbackDevice
-from nmt_plant.output_faults import FAULTS, measure
+from nmt_plant.output_faults import measure
 from nmt_plant.output_link import OutputLink
 from nmt_plant.output_owner import OwnerSettings
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.rig import load_rig
 
 RATE, BLOCK = 10_000.0, 200
-# On a busy machine the feeding side may be late by half a second without a fault.
-LEAD = 32
-PATIENT = {"deadline_blocks": 100.0, "lead_blocks": LEAD}
+LEAD = 5
 SINE = DriveCommand(Waveform.SINE, 50.0, 1.0)
 
 
@@ -40,15 +42,20 @@ def alive(process: int | None) -> bool:
     return process is not None and Path(f"/proc/{process}").exists()
 
 
-def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < end, "it does not come about"
-        time.sleep(0.005)
+def come(condition: Callable[[], bool], sleep: Callable[[float], None] = time.sleep) -> None:
+    """Wait for what another process does, however busy the computer is."""
+    for _ in range(12_000):
+        if condition():
+            return
+        sleep(0.005)
+    pytest.fail("it does not come about")
 
 
 def voltage(blocks: list[SampleBlock]) -> FloatArray:
     return next(block for block in blocks if block.quantity == Quantity.VOLTAGE).data[0]
+
+
+# -- real processes --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -66,8 +73,8 @@ def test_what_is_fed_is_put_out_logged_and_given_back(tmp_path: Path) -> None:
     assert link.state is OutputState.AT_ZERO
     for n in range(10):
         link.feed(fed[n * BLOCK : (n + 1) * BLOCK])
-    np.testing.assert_array_equal(link.collect(10 * BLOCK, 20.0).put_out[0], fed)
-    assert link.close() is OutputState.ENDED
+    np.testing.assert_array_equal(link.collect(10 * BLOCK, 60.0).put_out[0], fed)
+    assert link.close(60.0) is OutputState.ENDED
     assert not alive(process)
     values = np.concatenate([values[0] for _, values in read_log(log)])
     first = int(np.flatnonzero(values)[0])
@@ -75,24 +82,11 @@ def test_what_is_fed_is_put_out_logged_and_given_back(tmp_path: Path) -> None:
     assert values[-1] == 0.0
 
 
-def test_quiet_latches_until_reset(link: OutputLink) -> None:
-    for _ in range(40):
-        link.feed(np.ones(BLOCK))
-    until(lambda: link.state is OutputState.FOLLOWING)
-    link.quiet("operator", 0.01)
-    until(lambda: link.state is OutputState.HELD)
-    assert link.is_tripped
-    assert link.sentence == "the output is held at zero: operator."
-    link.reset()
-    until(lambda: not link.is_tripped)
-    assert link.reason == ""
-
-
 def test_after_the_death_of_the_owner_the_state_is_unknown(link: OutputLink) -> None:
     link.feed(np.ones(BLOCK))
     assert link.pid is not None
     os.kill(link.pid, signal.SIGKILL)
-    until(lambda: link.state is OutputState.NOT_KNOWN)
+    come(lambda: link.has_ended)
     assert "UNKNOWN: the process that owns it has died" in link.sentence
     with pytest.raises(DeviceFault, match="UNKNOWN"):
         link.collect(BLOCK)
@@ -105,22 +99,9 @@ def test_a_stopped_owner_is_unknown_and_does_not_stay_behind(link: OutputLink) -
     process = link.pid
     assert process is not None
     os.kill(process, signal.SIGSTOP)
-    until(lambda: link.state is OutputState.NOT_KNOWN)
-    assert link.close(timeout=0.2) is OutputState.NOT_KNOWN
+    come(lambda: link.state is OutputState.NOT_KNOWN)
+    assert link.close() is OutputState.NOT_KNOWN
     assert not alive(process)
-
-
-def test_a_stopped_owner_is_killed_before_anything_is_waited_for(link: OutputLink, monkeypatch) -> None:
-    """What it put out last may be repeated by the sound server for as long as it lives."""
-    assert link.pid is not None
-    os.kill(link.pid, signal.SIGSTOP)
-    until(lambda: link.state is OutputState.NOT_KNOWN)
-    process, done = link._process, []
-    kill, listen = process.kill, link._listen
-    monkeypatch.setattr(process, "kill", lambda: (done.append("kill"), kill()))
-    monkeypatch.setattr(link, "_listen", lambda timeout: (done.append("wait") if timeout else None, listen(timeout))[1])
-    link.close()
-    assert done[:1] == ["kill"]
 
 
 def test_an_owner_that_is_told_to_end_goes_to_zero_first(tmp_path: Path) -> None:
@@ -129,44 +110,102 @@ def test_an_owner_that_is_told_to_end_goes_to_zero_first(tmp_path: Path) -> None
     link.start()
     for _ in range(40):
         link.feed(np.ones(BLOCK))
-    until(lambda: link.state is OutputState.FOLLOWING)
+    come(lambda: link.last_report.put_out > 0)
     assert link.pid is not None
     os.kill(link.pid, signal.SIGTERM)
-    until(lambda: link.state is OutputState.ENDED)
-    assert "told to end" in link.sentence
+    come(lambda: link.state is OutputState.ENDED)
+    assert "told to end" in link.sentence or "no block was there" in link.sentence
     link.close()
     values = np.concatenate([values[0] for _, values in read_log(log)])
     assert values[-1] == 0.0
     assert np.abs(np.diff(values[values.argmax() :])).max() < 0.01, "a ramp"
 
 
-def test_an_external_stop_file_is_seen(tmp_path: Path) -> None:
-    stop = tmp_path / "stop"
-    with OutputLink(settings(lead_blocks=1), arguments={"sample_rate": RATE, "stop_file": str(stop)}) as link:
-        assert not link.is_tripped
-        stop.touch()
-        until(lambda: link.state is OutputState.HELD)
-        assert link.reason == "the external stop input"
-
-
 def test_a_converter_that_does_not_open_is_a_fault_with_its_sentence() -> None:
-    with pytest.raises(DeviceFault, match="there is no converter nowhere:Converter"):
+    with pytest.raises(DeviceFault, match="did not start: output owner: there is no converter nowhere:Converter"):
         OutputLink(settings(), converter="nowhere:Converter").start()
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "SIGSTOP",
+        "SIGKILL",
+        pytest.param("hung read", marks=pytest.mark.slow),
+        pytest.param("blocked interpreter", marks=pytest.mark.slow),
+    ],
+)
 def test_the_output_goes_to_zero_by_itself(fault: str) -> None:
-    """The order of magnitude only; `python -m nmt_plant.output_faults` measures."""
-    outcome = measure(fault, lead_blocks=25, deadline_blocks=25.0, seconds=2.0)
+    """By the samples put out, whose clock stands still with the computer; a feeder may be late by a second."""
+    outcome = measure(fault, lead_blocks=50, deadline_blocks=50.0)
     assert outcome.amplitude == pytest.approx(1.0, abs=0.01)
-    assert 0.0 < outcome.seconds < 1.9
+    assert 0.09 < outcome.seconds < 1.3
     assert outcome.largest_step < 1.3 * 2 * np.pi * 50.0 / RATE, "a ramp, not a step"
     assert outcome.left == ()
 
 
-def test_an_owned_rig_measures_what_was_put_out_a_lead_later() -> None:
+# -- on a clock of the test ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def clock() -> Iterator[TurnedClock]:
+    made = TurnedClock()
+    yield made
+    made.close()
+    assert made.failures == []
+
+
+@pytest.fixture
+def patient(clock: TurnedClock) -> dict[str, Any]:
+    """Options of a device whose owner takes part in the clock."""
+    return {"clock": clock, "start": partial(OwnerThread, clock), "lead_blocks": LEAD, "deadline_blocks": 100.0}
+
+
+def test_quiet_latches_until_reset(clock: TurnedClock) -> None:
+    with OutputLink(settings(lead_blocks=20), clock=clock, start=partial(OwnerThread, clock)) as link:
+        for _ in range(40):
+            link.feed(np.ones(BLOCK))
+        clock.sleep(0.05)
+        assert link.state is OutputState.FOLLOWING
+        link.quiet("operator", 0.01)
+        assert not link.is_tripped
+        clock.sleep(0.02)
+        assert link.state is OutputState.HELD
+        assert link.is_tripped
+        assert link.sentence == "the output is held at zero: operator."
+        assert link.reset()
+        assert not link.is_tripped
+        assert link.reason == ""
+
+
+def test_a_reset_waits_for_a_second(clock: TurnedClock) -> None:
+    with OutputLink(settings(lead_blocks=2), clock=clock, start=partial(OwnerThread, clock)) as link:
+        for _ in range(40):
+            link.feed(np.ones(BLOCK))
+        clock.sleep(0.05)
+        link.quiet("operator", 5.0)
+        clock.sleep(0.05)
+        at = clock.now()
+        assert not link.reset()
+        assert clock.now() - at == pytest.approx(1.0, abs=0.03)
+
+
+def test_samples_are_put_out_when_they_are_due_and_a_late_host_stops_the_clock(clock: TurnedClock) -> None:
+    """40 samples last 4 ms; after a standstill none comes earlier than its time after the one before, less 2 ms."""
+    converter = SteadyClockConverter(RATE, clock=clock)
+    begun = clock.now()
+    for _ in range(100):
+        converter.exchange(np.zeros((1, 40)))
+    assert clock.now() - begun == pytest.approx(0.4)
+    clock.sleep(0.1)
+    for _ in range(100):
+        converter.exchange(np.zeros((1, 40)))
+    assert clock.now() - begun == pytest.approx(0.9 - 0.002)
+
+
+def test_an_owned_rig_measures_what_was_put_out_a_lead_later(patient: dict[str, Any]) -> None:
     rig = load_rig("beam")
-    plain, owned = SimulatedRig(rig), SimulatedRig(rig, owned=True, **PATIENT)
+    plain, owned = SimulatedRig(rig), SimulatedRig(rig, owned=True, **patient)
     command = DriveCommand(Waveform.SINE, 22.0, 0.5, 0.1, harmonics=((3, 0.05j),))
     for device in (plain, owned):
         device.configure()
@@ -187,41 +226,43 @@ def test_an_owned_rig_measures_what_was_put_out_a_lead_later() -> None:
     assert owned.output_pid is None
 
 
-def test_an_owned_device_says_when_its_output_was_stopped(tmp_path: Path) -> None:
+def test_an_owned_device_says_when_its_output_was_stopped(
+    tmp_path: Path, patient: dict[str, Any], clock: TurnedClock
+) -> None:
     stop = tmp_path / "stop"
-    device = LoopbackDevice(watchdog_blocks=0, owned=True, arguments={"stop_file": str(stop)}, **PATIENT)
+    device = LoopbackDevice(watchdog_blocks=0, owned=True, arguments={"stop_file": str(stop)}, **patient)
     device.configure()
     device.start()
     try:
         device.write(SINE)
-        until(lambda: bool(voltage(device.read()).any()))
+        come(lambda: bool(voltage(device.read()).any()), clock.sleep)
         assert not device.is_quiet
         stop.touch()
-        until(lambda: bool(device.read()) and device.is_quiet)
+        come(lambda: bool(device.read()) and device.is_quiet, clock.sleep)
         assert device.tripped == "output: the external stop input"
         assert device.stop_cause is StopCause.EXTERNAL_INPUT
         assert device.read()[0].flags & BlockFlag.STOP
         with pytest.raises(BenchError, match="the external stop input still asks for zero"):
             device.reset()
         stop.unlink()
-        until(lambda: bool(device.read()) and not device._link.stop_is_set)  # type: ignore[union-attr]
+        come(lambda: bool(device.read()) and not device._link.stop_is_set, clock.sleep)  # type: ignore[union-attr]
         device.reset()
         assert device.tripped == ""
         device.write(SINE)
-        until(lambda: bool(voltage(device.read()).any()))
+        come(lambda: bool(voltage(device.read()).any()), clock.sleep)
     finally:
         device.close()
 
 
-def test_quiet_of_an_owned_device_does_not_wait_for_the_lead() -> None:
-    device = LoopbackDevice(watchdog_blocks=0, owned=True, **PATIENT)
+def test_quiet_of_an_owned_device_does_not_wait_for_the_lead(patient: dict[str, Any], clock: TurnedClock) -> None:
+    device = LoopbackDevice(watchdog_blocks=0, owned=True, **patient)
     device.configure()
     device.start()
     try:
         device.write(SINE)
-        until(lambda: bool(voltage(device.read()).any()))
+        come(lambda: bool(voltage(device.read()).any()), clock.sleep)
         device.quiet("operator", 0.01)
-        until(lambda: device.is_quiet or not device.read())
+        come(lambda: device.is_quiet or not device.read(), clock.sleep)
         sample = device.next_sample
         assert device.tripped == "operator"
         device.read()
@@ -231,30 +272,15 @@ def test_quiet_of_an_owned_device_does_not_wait_for_the_lead() -> None:
         device.close()
 
 
-def test_the_death_of_the_owner_is_a_fault_of_the_device() -> None:
-    device = LoopbackDevice(owned=True, **PATIENT)
-    device.configure()
-    device.start()
-    try:
-        device.read()
-        assert device.output_pid is not None
-        os.kill(device.output_pid, signal.SIGKILL)
-        with pytest.raises(DeviceFault, match="UNKNOWN"):
-            until(lambda: not device.read())
-        assert "UNKNOWN" in device.output_sentence
-    finally:
-        device.close()
-
-
-def test_is_ready_says_whether_a_read_would_wait() -> None:
-    device = LoopbackDevice(owned=True, **PATIENT)
+def test_is_ready_says_whether_a_read_would_wait(patient: dict[str, Any], clock: TurnedClock) -> None:
+    device = LoopbackDevice(owned=True, **patient)
     device.configure()
     device.start()
     try:
         assert device.is_ready, "the first read sets the clock going"
         device.read()
         for _ in range(LEAD + 2):
-            until(lambda: device.is_ready)
+            come(lambda: device.is_ready, clock.sleep)
             assert device._link is not None
             assert device._link.available >= BLOCK
             device.read()
@@ -264,8 +290,8 @@ def test_is_ready_says_whether_a_read_would_wait() -> None:
     assert LoopbackDevice().is_ready
 
 
-def test_an_owned_device_starts_again_at_zero() -> None:
-    device = LoopbackDevice(owned=True, **PATIENT)
+def test_an_owned_device_starts_again_at_zero(patient: dict[str, Any]) -> None:
+    device = LoopbackDevice(owned=True, **patient)
     for _ in range(2):
         device.configure()
         device.start()
@@ -278,9 +304,9 @@ def test_an_owned_device_starts_again_at_zero() -> None:
     device.close()
 
 
-def test_a_full_duplex_converter_measures_what_acts_at_the_same_time() -> None:
+def test_a_full_duplex_converter_measures_what_acts_at_the_same_time(patient: dict[str, Any]) -> None:
     """Whatever the converter's delay is, block by block the input is the output of the same samples."""
-    device = LoopbackDevice(watchdog_blocks=0, owned=True, newton_per_volt=2.0, arguments={"delay": 130}, **PATIENT)
+    device = LoopbackDevice(watchdog_blocks=0, owned=True, newton_per_volt=2.0, arguments={"delay": 130}, **patient)
     device.configure()
     device.start()
     try:
@@ -294,8 +320,8 @@ def test_a_full_duplex_converter_measures_what_acts_at_the_same_time() -> None:
         device.close()
 
 
-def test_a_loss_of_the_converter_is_a_gap_of_one_block() -> None:
-    device = LoopbackDevice(watchdog_blocks=0, owned=True, arguments={"lost_at": 750}, **PATIENT)
+def test_a_loss_of_the_converter_is_a_gap_of_one_block(patient: dict[str, Any]) -> None:
+    device = LoopbackDevice(watchdog_blocks=0, owned=True, arguments={"lost_at": 750}, **patient)
     device.configure()
     device.start()
     try:
@@ -308,18 +334,18 @@ def test_a_loss_of_the_converter_is_a_gap_of_one_block() -> None:
     assert [len(first) for first in firsts if first] == [3] * 11
 
 
-def test_a_lead_that_is_shorter_than_the_delay_of_the_converter_is_refused() -> None:
-    device = LoopbackDevice(owned=True, lead_blocks=3, arguments={"delay": 450})
+def test_a_lead_that_is_shorter_than_the_delay_of_the_converter_is_refused(patient: dict[str, Any]) -> None:
+    device = LoopbackDevice(owned=True, arguments={"delay": 450}, **patient | {"lead_blocks": 3})
     device.configure()
     with pytest.raises(DeviceFault, match="450 samples after what is put out, so at least 4 blocks"):
         device.start()
     device.close()
 
 
-def test_the_rig_measures_the_ramp_of_an_output_that_was_not_fed() -> None:
+def test_the_rig_measures_the_ramp_of_an_output_that_was_not_fed(patient: dict[str, Any], clock: TurnedClock) -> None:
     """The structure moves with what was put out, not with what was commanded."""
     rig = load_rig("beam")
-    device = SimulatedRig(rig, owned=True, lead_blocks=25)
+    device = SimulatedRig(rig, owned=True, **patient | {"lead_blocks": 25, "deadline_blocks": 25.0})
     device.configure()
     device.start()
     try:
@@ -328,7 +354,7 @@ def test_the_rig_measures_the_ramp_of_an_output_that_was_not_fed() -> None:
         assert drive[-1].any()
         link = device._link
         assert link is not None
-        until(lambda: link.state is OutputState.HELD)
+        come(lambda: link.state is OutputState.HELD, clock.sleep)
         while not device.is_quiet or not device.tripped:
             drive.append(voltage(device.read()))
         line = np.concatenate(drive)

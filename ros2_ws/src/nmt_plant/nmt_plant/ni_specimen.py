@@ -4,8 +4,9 @@
 
 It implements what a continuous measurement with one analog output needs (tasks, channels, timing, start, read, write,
 stop) and answers every other call with an empty response. Samples pass at their times on this computer's steady clock,
-with an error of the clock if wanted; those that are due are made up for in the next call. An output that is not fed in time stops and idles at zero volts where the client
-has asked for that, else it keeps its last value, as the hardware does.
+with an error of the clock if wanted; those that are due are made up for in the next call. An output that is not fed in
+time stops and idles at zero volts where the client has asked for that, else it keeps its last value, as the hardware
+does.
 """
 
 from __future__ import annotations

@@ -42,6 +42,7 @@ LEAD_BLOCKS = LEAST_LEAD
 DEADLINE_BLOCKS = float(LEAST_LEAD)
 
 _MOST_TRIALS = 20
+_HELD = 0.2  # s of zeros after which the output is at zero for good
 
 
 class LateFeederError(RuntimeError):
@@ -145,14 +146,13 @@ def _line(process: subprocess.Popen[str]) -> str:
 
 
 def measure(
-    fault: str, seconds: float = 1.0, lead_blocks: int = LEAD_BLOCKS, deadline_blocks: float = DEADLINE_BLOCKS
+    fault: str, lead_blocks: int = LEAD_BLOCKS, deadline_blocks: float = DEADLINE_BLOCKS
 ) -> FaultOutcome:
     """Cause one fault and read the owner's log.
 
     Args:
         fault: one of `FAULTS`.
         lead_blocks, deadline_blocks: as of `guarded_device.owned_output`; blocks of 20 ms.
-        seconds: how long the output is watched after it.
 
     Raises:
         RuntimeError: the feeding process did not come up.
@@ -172,7 +172,7 @@ def measure(
             if fault in ("SIGSTOP", "SIGKILL"):
                 at = time.monotonic()
                 process.send_signal(signal.SIGSTOP if fault == "SIGSTOP" else signal.SIGKILL)
-            time.sleep(seconds)
+            _until_zero(log, at, int(owner))
         left = _left(int(owner)) + shared
         calls = read_log(log)
     times = np.concatenate([np.full(values.shape[1], end) for end, values in calls])
@@ -186,6 +186,17 @@ def measure(
         float(np.abs(values[:first]).max()),
         left,
     )
+
+
+def _until_zero(log: Path, since: float, owner: int) -> None:
+    """Wait until nothing but zeros were put out for a while, or the owner has ended; for a minute at most."""
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end and Path(f"/proc/{owner}").exists():
+        values = [values[0] for at, values in read_log(log) if at > since]
+        line = np.concatenate(values) if values else np.ones(1)
+        if line.size > _HELD * _RATE and not line[-int(_HELD * _RATE) :].any():
+            return
+        time.sleep(0.05)
 
 
 def _shared_files(process: int) -> tuple[str, ...]:

@@ -17,28 +17,18 @@ from node.converter_bench import KINDS, Difference, converter_bench, differences
 MOST_FREQUENCY, MOST_DAMPING = 1e-4, 5e-3
 
 
-def compare(kind: str, folder: Path, *words: str, attempts: int = 1) -> tuple[list[Difference], str]:
+def compare(kind: str, folder: Path, *words: str) -> tuple[list[Difference], str]:
     """The test on the converter and simulated, and what the command said of the former.
 
     Args:
         kind: of the converter.
         folder: for the results, in ``run`` and ``simulated``.
         words: options of both tests.
-        attempts: how often check and test on the converter are done until they lose no sample.
     """
     simulated(kind, folder, "run", "--no-report", *words, "--out", str(folder / "simulated"))
     with converter_bench(kind, folder) as bench:
-        for turn in range(1, attempts + 1):
-            try:
-                bench.check()
-                break
-            except RuntimeError as error:
-                if "had lost samples" not in str(error) or turn == attempts:
-                    raise
-        for _ in range(attempts):
-            said = bench.command("run", "--quiet", "--force", *words, "--out", str(folder / "run"))
-            if "gaps 0" in said:
-                break
+        bench.check()
+        said = bench.command("run", "--quiet", "--force", *words, "--out", str(folder / "run"))
     return differences(folder / "run", folder / "simulated"), said
 
 

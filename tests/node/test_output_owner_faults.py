@@ -1,7 +1,8 @@
 """The plant node in real time, hung, stopped, blocked and killed: its output goes to zero by itself.
 
 Judged by the converter's own samples, as the process that owns the output records them, so that a busy machine changes
-nothing: from the sample at which the last block was fed to the first zero that is held.
+nothing: from the sample at which the last block was fed to the first zero that is held. The logic is tested on a clock
+of the test in `plant.test_converters` and `plant.test_output_owner`.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ from nmt_plant.guarded_device import LEAST_LEAD
 from nmt_record.bag_reader import Bag
 
 RATE, BLOCK = 10_000.0, 200
-LEAD = 25  # blocks; a busy machine may be late by half a second without a fault
+LEAD = 60  # blocks; a busy machine may be late by more than a second without a fault
 RAMP = 0.1  # s, limits.ramp_s of the beam
 STATED = LEAD * BLOCK / RATE + RAMP + 0.02  # s from the last block fed to zero; see run-on-hardware.md
-PATIENCE = 30.0  # s of wall time, for a busy machine
+PATIENCE = 60.0  # s of wall time, for a busy machine
 
 
 def options(tmp_path: Path, **changes: Any) -> dict[str, Any]:
@@ -48,12 +49,12 @@ def wait_for(path: Path, states: tuple[str, ...], after: int = 0) -> list[Output
         time.sleep(0.02)
 
 
-def when_driving(act: Callable[[int], Any]) -> tuple[Callable[[Progress], None], list[Any]]:
-    """A callback that acts once, at the newest sample, when the drive is on; and what the act has returned."""
+def when_driving(record: Path, act: Callable[[int], Any]) -> tuple[Callable[[Progress], None], list[Any]]:
+    """A callback that acts once, at the newest sample, when the output has moved; and what the act has returned."""
     done: list[Any] = []
 
     def look(progress: Progress) -> None:
-        if progress.sample > 2.0 * RATE and not done:
+        if not done and read_output(record)[-1:] and read_output(record)[-1].state == "FOLLOWING":
             done.append(None)
             done[0] = act(progress.sample)
 
@@ -78,7 +79,7 @@ def test_a_plant_that_is_stopped_or_killed(fault: signal.Signals, tmp_path: Path
             os.kill(pid, fault)
             return wait_for(record, ("HELD", "ENDED"), before)
 
-        look, done = when_driving(strike)
+        look, done = when_driving(record, strike)
         result = bench.run(look)
     assert done, result.message
     assert RAMP <= seconds_to_zero(done[0]) <= STATED
@@ -100,6 +101,7 @@ def block_the_interpreter() -> None:
     ctypes.PyDLL(None).usleep(int(1e6 * (STATED + 1.0)))  # PyDLL keeps the interpreter locked
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("fault", [hang, block_the_interpreter])
 def test_a_read_that_hangs(fault: Callable[[], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All nodes in one process, which hangs in the device; when it goes on, the run ends with what the owner did."""
@@ -113,7 +115,7 @@ def test_a_read_that_hangs(fault: Callable[[], None], tmp_path: Path, monkeypatc
             fault()
             return measure(drive)
 
-        look, done = when_driving(lambda _: monkeypatch.setattr(device, "_measure", hung))
+        look, done = when_driving(record, lambda _: monkeypatch.setattr(device, "_measure", hung))
         result = bench.run(look)
         lines = read_output(record)[before[0] :]
     assert done, result.message
@@ -127,10 +129,11 @@ def test_a_read_that_hangs(fault: Callable[[], None], tmp_path: Path, monkeypatc
     assert np.max(np.abs(np.diff(line))) < 0.3 * 2 * np.pi * 25 / RATE, "the recorded voltage has the ramp, no step"
 
 
+@pytest.mark.campaign
 def test_an_owner_that_is_killed_leaves_an_unknown_state_and_says_so(tmp_path: Path) -> None:
     with Bench("beam", [0.3], **options(tmp_path)) as bench:
         record = bench.out / "output.jsonl"
-        look, done = when_driving(lambda _: os.kill(bench.nodes["plant"].device.output_pid, signal.SIGKILL))
+        look, done = when_driving(record, lambda _: os.kill(bench.nodes["plant"].device.output_pid, signal.SIGKILL))
         result = bench.run(look)
     assert done, result.message
     assert result.code == ResultCode.NODE_LOST
@@ -139,6 +142,7 @@ def test_an_owner_that_is_killed_leaves_an_unknown_state_and_says_so(tmp_path: P
     assert "UNKNOWN" in output_sentence(record)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(("name", "longest"), [("pll", 1.5), ("sequencer", 3.5), ("extract", 4.0), ("recorder", 4.0)])
 def test_another_node_that_is_stopped(name: str, longest: float, tmp_path: Path) -> None:
     """The plant takes the drive to zero when commands or heartbeats stop; times as in run-on-hardware.md."""
@@ -154,7 +158,7 @@ def test_another_node_that_is_stopped(name: str, longest: float, tmp_path: Path)
             finally:
                 os.kill(pid, signal.SIGCONT)
 
-        look, done = when_driving(strike)
+        look, done = when_driving(record, strike)
         result = bench.run(look)
     assert done, result.message
     assert result.code != ResultCode.SUCCEEDED

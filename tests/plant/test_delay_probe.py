@@ -7,8 +7,6 @@ import pytest
 from scipy import signal
 
 from nmt_plant.delay_probe import DelayProbe
-from nmt_plant.output_link import OutputLink
-from nmt_plant.output_owner import OwnerSettings
 
 RATE = 10_000.0
 
@@ -65,7 +63,7 @@ def test_a_line_that_is_cut_is_not_clear():
 def test_a_delay_that_drifts_with_the_clocks_is_clear(ppm):
     """At 48 kHz both runs lie 20,223 samples apart: 50 ppm move the delay by 1.01 samples, which rounds to 1 or 2."""
     spreads = set()
-    for phase in np.arange(0.0, 1.0, 0.005):
+    for phase in np.arange(0.0, 1.0, 0.02):
         probe, position, line = DelayProbe(0.25, 48_000.0, settling=0.01), 0, np.zeros(20)
         while not probe.done:
             put_out = probe.next(4800)
@@ -97,19 +95,3 @@ def test_a_turn_that_was_lost_unseen_is_not_clear():
 def test_lost_samples_start_it_again_and_too_many_end_it():
     assert probed(Line(77), lose={30, 60}).delay().samples == 77
     assert probed(Line(77), lose=set(range(0, 5000, 20))).failed
-
-
-def test_an_owner_measures_the_delay_of_its_converter():
-    settings = OwnerSettings(
-        RATE, 200, lead_blocks=10, deadline=2.0, limit=10.0, inputs=1, probe=0.05, probe_settling=0.05
-    )
-    converter = "nmt_plant.converter:LoopbackConverter"
-    with OutputLink(settings, converter, {"sample_rate": RATE, "delay": 333}) as link:
-        report = link.last_report
-        assert report.delay == 333
-        assert report.monitor_gain == pytest.approx(1.0, abs=1e-6)
-        fed = np.cos(2 * np.pi * 50.0 * np.arange(20 * 200) / RATE)
-        for block in fed.reshape(20, 200):
-            link.feed(block)
-        got = link.collect(10 * 200, 20.0)
-        np.testing.assert_array_equal(got.measured[0], got.put_out[0])

@@ -131,8 +131,8 @@ def test_a_converter_that_does_not_open_is_a_fault_with_its_sentence() -> None:
     [
         "SIGSTOP",
         "SIGKILL",
-        pytest.param("hung read", marks=pytest.mark.slow),
-        pytest.param("blocked interpreter", marks=pytest.mark.slow),
+        pytest.param("hung read", marks=pytest.mark.campaign),
+        pytest.param("blocked interpreter", marks=pytest.mark.campaign),
     ],
 )
 def test_the_output_goes_to_zero_by_itself(fault: str) -> None:

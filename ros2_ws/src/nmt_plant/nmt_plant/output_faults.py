@@ -145,9 +145,7 @@ def _line(process: subprocess.Popen[str]) -> str:
     return line.strip()
 
 
-def measure(
-    fault: str, lead_blocks: int = LEAD_BLOCKS, deadline_blocks: float = DEADLINE_BLOCKS
-) -> FaultOutcome:
+def measure(fault: str, lead_blocks: int = LEAD_BLOCKS, deadline_blocks: float = DEADLINE_BLOCKS) -> FaultOutcome:
     """Cause one fault and read the owner's log.
 
     Args:

@@ -126,7 +126,7 @@ class Specimen:
         return np.asarray(late)
 
 
-def write_port(path: Path, values: FloatArray, times: Sequence[tuple[float, int]]) -> None:
+def write_port(path: Path, values: FloatArray, times: FloatArray | Sequence[tuple[float, int]]) -> None:
     """Write what was at an output port as a NumPy archive.
 
     Args:

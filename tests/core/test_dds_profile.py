@@ -10,10 +10,12 @@ import pytest
 
 from nmt_bench.orchestration.bench_domain import bench_environment
 from nmt_core.dds_profile import (
+    LOCKSTEP_LEASE,
     PROFILE,
     check_ports,
     check_profile,
     dds_environment,
+    lockstep_profile,
     main,
     open_ports,
     seal_transport,
@@ -40,6 +42,16 @@ def test_heartbeats_come_every_fifty_milliseconds() -> None:
     assert writer.get("is_default_profile") == "true"
     assert writer.findtext("d:times/d:heartbeatPeriod/d:sec", namespaces=NAMESPACE) == "0"
     assert writer.findtext("d:times/d:heartbeatPeriod/d:nanosec", namespaces=NAMESPACE) == "50000000"
+
+
+def test_nodes_in_lockstep_keep_what_a_silent_one_has_not_taken_and_stay_on_this_host(tmp_path: Path) -> None:
+    path = tmp_path / "profile.xml"
+    path.write_text(lockstep_profile(), encoding="utf-8")
+    check_profile(path)
+    lease = ".//d:participant/d:rtps/d:builtin/d:discovery_config/d:leaseDuration/d:sec"
+    assert addresses(path.read_text(encoding="utf-8"), lease) == [str(LOCKSTEP_LEASE)]
+    assert addresses(PROFILE.read_text(encoding="utf-8"), lease) == ["5"]
+    assert addresses(lockstep_profile(), WHITE_LIST) == ["127.0.0.1"]
 
 
 def test_benches_and_their_nodes_load_it() -> None:

@@ -226,6 +226,41 @@ def test_a_killed_node_ends_the_run(victim: str, pacing: str, tmp_path: Path) ->
         assert not blocks[-1].data.any()
 
 
+def test_in_lockstep_a_stopped_recorder_is_waited_for(tmp_path: Path) -> None:
+    """It is stopped until the plant waits for it; the bag is whole."""
+    said: list[str] = []
+    stopped: list[int] = []
+    values = {"plant": {"recorder_lead": 2.0}}
+    with Bench("beam", [0.3], out=tmp_path / "out", processes=True, window_periods=120, node_values=values) as bench:
+        assert bench.processes is not None
+        recorder = bench.processes.pids["recorder"]
+
+        def strike(progress: Progress) -> None:
+            if progress.state == LoopState.LOCKED and not stopped:
+                stopped.append(progress.sample)
+                os.kill(recorder, signal.SIGSTOP)
+
+        turn = bench._turn
+
+        def look() -> None:
+            turn()
+            if bench.client.plant_said.get("waits_for_bag") == "1" and not said:
+                said.append(bench.client.plant_said["next_sample"])
+                os.kill(recorder, signal.SIGCONT)
+
+        bench._turn = look  # type: ignore[method-assign]
+        result = bench.run(strike)
+    assert said, "the plant did not wait"
+    assert result.code == ResultCode.SUCCEEDED, result.message
+    assert (result.bag_state, result.lacks_s) == ("closed", 0.0)
+    bag = Bag.open(tmp_path / "out" / "bag")
+    assert bag.loss is None
+    assert bag.run_stop is not None
+    assert bag.run_stop["lacks_s"] == 0.0
+    run = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert run["result"]["bag"] == {"state": "closed", "lacks_s": 0.0}
+
+
 def test_real_time_keeps_the_clock() -> None:
     with Bench("beam", [0.7], window_periods=20, pacing="realtime", latency_blocks=25) as bench:
         result = bench.run()

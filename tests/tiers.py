@@ -14,6 +14,7 @@ import hashlib
 import json
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / ".nmt" / "whole-suite.jsonl"
+
+
+def with_quick(cases: Iterable[Any], *quick: Any) -> list[Any]:
+    """Cases to parametrise with, of which only some are in the first tier."""
+    return [case if case in quick else pytest.param(case, marks=pytest.mark.campaign) for case in cases]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -94,6 +94,7 @@ def test_what_an_edit_does_without_noise_is_what_harmonic_balance_says(edit: Edi
     assert measured == pytest.approx(expected, rel=0.01, abs=2e-6)
 
 
+@pytest.mark.campaign
 def test_a_finer_step_and_mesh_change_less_than_a_test_repeats() -> None:
     bench = replace(FEW, levels=(1.0,))
     fine = play_backbone(MODEL, MODEL, bench)[0]
@@ -144,6 +145,7 @@ def test_a_rig_that_cannot_be_integrated_is_a_test_that_cannot_be_made() -> None
             played(truth, MODEL, FEW)
 
 
+@pytest.mark.campaign
 def test_strengths_count_what_the_model_cannot_take() -> None:
     rig = replace(BEAM, bench=replace(FEW, levels=(0.3, 0.8), window_periods=20, duration=2.0,
                                       mesh_refinement=1, substeps=1))  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnose.observation_bags import LEVELS, altered, record, rig_with_noise, with_data
+from tiers import with_quick
 
 from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
@@ -117,7 +118,7 @@ def test_a_channel_that_the_model_does_not_have(clean: Path) -> None:
     assert not rows_of(observations, "x6").any()
 
 
-@pytest.mark.parametrize("factor", [1e3, 1e-3, 9.80665])
+@pytest.mark.parametrize("factor", with_quick([1e3, 1e-3, 9.80665], 9.80665))
 def test_wrong_units_of_a_channel(clean: Path, tmp_path: Path, factor: float) -> None:
     def change(block: SampleBlock) -> Iterator[SampleBlock]:
         if block.quantity is Quantity.DISPLACEMENT:

@@ -88,7 +88,7 @@ def beam() -> tuple[Rig, Signals, LinearTest]:
     return rig, signals, linear_test(signals, settings(rig))
 
 
-@pytest.fixture(params=["resonator", "beam"])
+@pytest.fixture(params=["resonator", pytest.param("beam", marks=pytest.mark.campaign)])
 def tested(request: pytest.FixtureRequest) -> tuple[Rig, Signals, LinearTest]:
     return request.getfixturevalue(request.param)  # type: ignore[no-any-return]
 
@@ -171,6 +171,7 @@ def test_scatter_over_seeds_is_the_stated_uncertainty():
     assert np.all(spread < 2.5)
 
 
+@pytest.mark.campaign
 def test_an_ideal_force_as_exciter(tmp_path):
     rig = load_rig("beam")
     text = rig.model_dump(mode="json", exclude_none=True)

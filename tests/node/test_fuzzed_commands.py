@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rclpy.node import Node
+from tiers import with_quick
 
 from nmt_bench.harness import Bench, Progress
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS
@@ -95,7 +96,7 @@ class Fuzzer(Node):  # type: ignore[misc]
         self.state = self.create_publisher(msg.RunState, "run_state", STATE_QOS)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", with_quick([1, 2], 1))
 def test_a_plant_that_gets_nothing_but_nonsense_keeps_its_limits(seed: int) -> None:
     rng = np.random.default_rng(seed)
     with Bench("beam", [0.3], overrides=RIG) as bench:
@@ -151,7 +152,7 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("topic", KINDS)
+@pytest.mark.parametrize("topic", with_quick(KINDS, "drive"))
 def test_a_run_under_a_thousand_senseless_messages_ends(topic: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     kind, make, service = KINDS[topic]

@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionServer, GoalResponse
 from rclpy.node import Node
 from std_srvs.srv import Trigger
+from tiers import with_quick
 
 from nmt_bench.harness import Bench, Progress
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS
@@ -67,7 +68,7 @@ KINDS: dict[str, tuple[Callable[[Stranger], None], str]] = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", with_quick(KINDS, "run state", "heartbeat"))
 def test_a_second_one_ends_the_run_by_a_ramp_and_is_named(kind: str, tmp_path: Path) -> None:
     intrude, sentence = KINDS[kind]
     with Bench("beam", [0.3] * 40, out=tmp_path / "out", window_periods=300) as bench:
@@ -90,7 +91,7 @@ def test_a_second_one_ends_the_run_by_a_ramp_and_is_named(kind: str, tmp_path: P
     assert blocks[-1].end_sample < 40 * 150_000  # it did not go on to the end
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", with_quick(KINDS, "service"))
 def test_no_run_begins_under_two(kind: str) -> None:
     intrude, sentence = KINDS[kind]
     with Bench("beam", [0.3], window_periods=10, node_values={"sequencer": {"ready_timeout": 1.0}}) as bench:

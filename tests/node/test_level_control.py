@@ -17,7 +17,13 @@ from nmt_study.case import StudyCase
 from nmt_study.case_reference import single_point_at
 
 
-@pytest.mark.parametrize(("control", "unit", "levels"), [("response", "m", (5e-5, 2e-4)), ("force", "N", (0.05, 1.0))])
+@pytest.mark.parametrize(
+    ("control", "unit", "levels"),
+    [
+        pytest.param("response", "m", (5e-5, 2e-4), marks=pytest.mark.campaign),
+        ("force", "N", (0.05, 1.0)),
+    ],
+)
 def test_a_level_is_held_and_gives_the_same_backbone(control, unit, levels):
     with Bench("beam", levels=levels, control=control, window_periods=30) as bench:
         assert bench.test.level_unit == unit

@@ -165,6 +165,7 @@ def test_a_person_starts_watches_steers_and_stops(tmp_path: Path) -> None:
     assert not list(stopped.blocks("voltage"))[-1].data.any()
 
 
+@pytest.mark.campaign
 def test_strangers_hangs_and_deaths_change_no_sample(tmp_path: Path) -> None:
     """One page is harassed, one hangs, one is killed; the samples are those of a run without a page."""
     arguments: dict[str, Any] = {"levels": [0.2, 0.5, 0.8], "window_periods": 150, "run_id": "alone"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from tiers import with_quick
 
 from nmt_bench.harness import Bench
 from nmt_core.vocabulary import ResultCode
@@ -34,7 +35,7 @@ def test_a_goal_whose_request_was_lost_is_sent_again(impatient: None, monkeypatc
     assert asked[0] == asked[1]
 
 
-@pytest.mark.parametrize("known", ["at once", "when asked again", "after the refusal"])
+@pytest.mark.parametrize("known", with_quick(["at once", "when asked again", "after the refusal"], "when asked again"))
 def test_a_goal_whose_answer_was_lost_runs_once(known: str, impatient: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server has it: it stands in the status, or the goal that is sent again is refused as known.
 

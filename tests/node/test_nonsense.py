@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rclpy.node import Node
+from tiers import with_quick
 
 from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.base_node import SAMPLES_QOS
@@ -75,7 +76,7 @@ def assert_ended_by_a_ramp(result: RunResult) -> None:
     assert np.max(np.abs(np.diff(voltage))) < 0.3 * 2 * np.pi * 25 / 10_000
 
 
-@pytest.mark.parametrize("silent", [False, True])
+@pytest.mark.parametrize("silent", with_quick([False, True], False))
 def test_a_second_publisher_of_drive_moves_nothing_and_ends_the_run(silent: bool, tmp_path: Path) -> None:
     attack = Drive(waveform=Drive.SINE, frequency_hz=22.0, amplitude=5.0)
     blind = Drive(waveform=Drive.SINE, frequency_hz=22.0, amplitude=5.0, based_on_sample=2**60)
@@ -97,6 +98,7 @@ def test_a_second_publisher_of_level_moves_nothing_and_ends_the_run(tmp_path: Pa
     assert counters["pll"]["refused"] >= len(sent)
 
 
+@pytest.mark.campaign
 def test_a_second_publisher_of_frequency_moves_nothing_and_ends_the_run(tmp_path: Path) -> None:
     sent = [Frequency(last_sample=2**60, level_sequence=2**30, state=Frequency.LOCKED), Frequency(state=200)]
     result, counters = disturbed(tmp_path / "out", Frequency, "frequency", sent)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tiers import with_quick
 
 from nmt_bench.harness import Bench
 from nmt_core.vocabulary import RecordKind, ResultCode, RunPhase, SteeringAct
@@ -79,7 +80,7 @@ def compare(live: Path, alone: Path) -> None:
         assert not different, (topic, different[:5], raws[different[0]], here[topic][different[0]])
 
 
-@pytest.mark.parametrize("name", TESTS)
+@pytest.mark.parametrize("name", with_quick(TESTS, "phase_resonance", "sweep", "limit"))
 def test_a_session_writes_the_bag_that_the_nodes_write(name: str, tmp_path: Path) -> None:
     arguments = {"run_id": name, **TESTS[name]}
     with Bench("beam", out=tmp_path / "live", **arguments) as bench:
@@ -146,6 +147,7 @@ def test_nodes_and_a_session_that_are_steered_at_the_same_samples_write_the_same
         assert all(same(*pair) for pair in zip(there[topic], here[topic], strict=True)), topic
 
 
+@pytest.mark.campaign
 def test_so_do_nodes_in_processes_of_their_own(tmp_path: Path) -> None:
     arguments = {"run_id": "processes", **TESTS["phase_resonance"]}
     with Bench("beam", out=tmp_path / "live", processes=True, **arguments) as bench:

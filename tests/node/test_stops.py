@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
+from tiers import with_quick
 
 from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.base_node import STATE_QOS
@@ -88,7 +89,7 @@ def test_quiet_stops_measures_on_and_is_released_by_reset(tmp_path: Path) -> Non
     assert_stopped(result, StopCause.QUIET, "the service quiet")
 
 
-@pytest.mark.parametrize("quality", QUALITIES)
+@pytest.mark.parametrize("quality", with_quick(QUALITIES, "best effort"))
 def test_anybody_may_stop_and_nobody_but_reset_releases(quality: str, tmp_path: Path) -> None:
     with Bench("beam", [0.3], out=tmp_path / "out", window_periods=300) as bench:
         publisher = stranger(bench).create_publisher(Bool, "emergency_stop", QUALITIES[quality])
@@ -123,7 +124,7 @@ def test_false_stops_nothing(tmp_path: Path) -> None:
     assert stops(result) == []
 
 
-@pytest.mark.parametrize("pacing", ["lockstep", "realtime"])
+@pytest.mark.parametrize("pacing", with_quick(["lockstep", "realtime"], "lockstep"))
 def test_the_external_stop_input_holds_until_it_is_released_and_reset(pacing: str, tmp_path: Path) -> None:
     line = tmp_path / "stop"
     values = {"plant": {"stop_file": str(line)}}

@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.node import Node
+from tiers import with_quick
 
 from nmt_bench.harness import Bench, Progress
 from nmt_core.errors import BenchError
@@ -34,7 +35,7 @@ def make_node(bench: Bench, name: str, values: dict[str, Any]) -> Node:
     return node
 
 
-@pytest.mark.parametrize("name", NODES)
+@pytest.mark.parametrize("name", with_quick(NODES, "pll"))
 def test_a_node_that_hangs_ends_its_own_bench_only(name: str, tmp_path: Path) -> None:
     with Bench("beam", [0.3] * 20, out=tmp_path / "first", window_periods=300) as bench:
         test = plan_test("beam", [0.2, 0.3], window_periods=60, run_id="second")

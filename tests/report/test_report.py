@@ -163,7 +163,7 @@ def test_hover_texts_are_attached(html: str) -> None:
     assert html.count("<title>level ") == 8 * 9
 
 
-@pytest.mark.parametrize(("levels", "failed"), [(1, None), (1, 0), (2, 1), (30, 3)])
+@pytest.mark.parametrize(("levels", "failed"), [(1, None), (1, 0), pytest.param(30, 3, marks=pytest.mark.campaign)])
 def test_few_and_many_levels(levels: int, failed: int | None) -> None:
     page = Page(report_html(synthetic_run(levels=levels, failed=failed)))
     assert page.open == []

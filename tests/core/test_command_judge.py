@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from nmt_core.command_judge import CommandJudge, Refusal
+from nmt_core.command_judge import CommandJudge, Refusal, Source
 from nmt_core.errors import BenchError
 
 BLOCK, HORIZON = 200, 100_000
@@ -151,3 +151,12 @@ def test_a_random_storm_moves_an_accepted_run_by_nothing() -> None:
 def test_a_judge_needs_sensible_numbers(options: dict[str, int]) -> None:
     with pytest.raises(BenchError, match="command judge"):
         CommandJudge(**{"block_samples": 1, "horizon": 1, **options})
+
+
+def test_of_a_topic_with_two_publishers_nothing_is_taken() -> None:
+    judge = fresh()
+    both = Source("gid", "/pll", alone=False)
+    assert "several publishers, /pll" in judge.judge(both, next_sample=200, based_on=199)
+    assert judge.counts["refused_second_source"] == 1
+    assert judge.last is None
+    assert judge.judge(Source("gid", "/pll"), next_sample=200, based_on=199) == ""

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnose.linear_problem import observations_of
 
 from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
-from nmt_diagnose.observations.floors import with_stated_repeatability
+from nmt_diagnose.observations.floors import Floors, repeatability, with_stated_repeatability
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_rig.rig import load_rig
@@ -58,3 +59,23 @@ def test_without_any_the_evidence_stays(tmp_path: Path) -> None:
 def test_what_cannot_be_is_refused(tmp_path: Path, wrong: str) -> None:
     with pytest.raises(BenchError, match="repeatability"):
         observations(tmp_path, f"repeatability: {wrong}\n")
+
+
+def test_the_floor_from_repeats_is_the_scatter_of_one_test() -> None:
+    """Two tests that scatter by s differ by √2 s; what their noise explains of it is no floor."""
+    draw, count, scatter, noise = np.random.default_rng(1), 900, 3e-3, 2e-3
+    first, second = (
+        observations_of(draw.normal(0.0, np.hypot(scatter, noise), count), noise, levels=np.arange(count))
+        for _ in range(2)
+    )
+    floor, _ = repeatability(first, second)
+    # 900 squares of differences scatter by 5 %, the root by 2.4 %, and more by what the noise takes off.
+    np.testing.assert_allclose(floor, scatter, rtol=0.12)
+
+
+@pytest.mark.parametrize("levels", [1, 9, 100])
+def test_levels_of_a_run_do_not_average_away_what_the_loop_holds_wrong(levels: int) -> None:
+    """The mean over n levels has 1/√n of the floor of each."""
+    floors = Floors(phase_error=1e-3)
+    each = floors.window(Part.PHASE_ERROR, levels=levels)
+    assert each / math.sqrt(levels) == pytest.approx(1e-3)

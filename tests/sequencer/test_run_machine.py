@@ -521,3 +521,14 @@ def test_old_reports_change_nothing():
 def test_plans_that_cannot_be_run_are_refused(fields, words):
     with pytest.raises(BenchError, match=words):
         plan(**fields)
+
+
+def test_a_lock_event_from_before_the_level_began_is_not_taken():
+    bench = Bench([Fate(locks=True, blocks=50)])
+    bench.start(plan())
+    bench.until(lambda: len(bench.machine.records) == 2)
+    record = bench.machine.records[-1]
+    bench.machine.on_lock(record.index, record.started - 1, record.started + 5 * BLOCK)
+    assert (record.locked_at, record.window_end) == (None, None)
+    bench.machine.on_lock(record.index, record.started, record.started + 5 * BLOCK)
+    assert (record.locked_at, record.window_end) == (record.started, record.started + 5 * BLOCK)

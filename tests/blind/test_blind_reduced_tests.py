@@ -134,6 +134,9 @@ def test_truths_find_places_on_any_rig(points: list[int]) -> None:
     bench = replace(BLIND.bench, levels=(0.02, 0.05), window_periods=10, duration=1.0)
     motion = operating_point(rig, bench)
     assert set(motion.displacement) == set(points)
+    for point, shape in zip(points, modes[0]["shape"], strict=True):  # ω² times the mass that a point sees
+        seen = modes[0].get("modal_mass_kg", 1.0) / shape**2
+        assert motion.stiffness[point] == pytest.approx(motion.omega**2 * seen)
     for name in ("cubic_stiffness", "added_mass", "two_sided_gap", "response_gain", "air_drag"):
         truth = INJECTED_EFFECTS[name]
         spots = truth.spots(rig, motion)

@@ -129,3 +129,10 @@ def test_results_agree_with_those_of_short_blocks_at_little_more_bench_time():
     for one, other in zip(chosen_blocks.points, short.points, strict=True):
         assert math.isclose(one.frequency_hz, other.frequency_hz, rel_tol=5e-6)
         assert math.isclose(one.damping_ratio, other.damping_ratio, rel_tol=5e-4)
+
+
+def test_the_loop_may_ask_for_no_more_than_the_rig_bears() -> None:
+    test = plan_test("beam", [0.1], overrides=["limits.voltage_v=7.5"])
+    plan = plan_nodes(test, Path("bag"), Path("rig.yaml"))
+    assert plan.values["pll"]["voltage_limit"] == 7.5
+    assert plan.values["plant"]["rig_file"] == "rig.yaml"

@@ -366,8 +366,11 @@ def stages(mutation: Mutation) -> list[list[str]]:
     """Arguments of one run of pytest after the other: from the nearest tests to all that are left."""
     folders = folders_of(mutation.package)
     module = mutation.file.partition("/")[2].removesuffix(".py").replace("/", ".")
-    test_files = [path for folder in folders for path in sorted((ROOT / folder).rglob("test_*.py"))]
-    nearest = [str(path.relative_to(ROOT)) for path in test_files if module in path.read_text(encoding="utf-8")]
+    stem = module.rpartition(".")[2]
+    test_files = [path for folder in folders for path in (ROOT / folder).rglob("test_*.py")]
+    importing = [path for path in test_files if module in path.read_text(encoding="utf-8")]
+    importing.sort(key=lambda path: (stem not in path.name, path.stat().st_size))
+    nearest = [str(path.relative_to(ROOT)) for path in importing]
     rest = [f"--ignore={path}" for path in nearest]
     return [*([nearest] if nearest else []), [*folders, *rest], [f"--ignore={path}" for path in (*folders, *nearest)]]
 

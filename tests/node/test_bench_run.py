@@ -261,6 +261,7 @@ def test_in_lockstep_a_stopped_recorder_is_waited_for(tmp_path: Path) -> None:
     assert run["result"]["bag"] == {"state": "closed", "lacks_s": 0.0}
 
 
+@pytest.mark.campaign
 def test_real_time_keeps_the_clock() -> None:
     with Bench("beam", [0.7], window_periods=20, pacing="realtime", latency_blocks=25) as bench:
         result = bench.run()

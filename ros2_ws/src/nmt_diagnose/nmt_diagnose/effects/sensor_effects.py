@@ -274,7 +274,8 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         equivalents={"shared_delay": "a record of the drive behind the converter"},
     ),
     _chain_effect(
-        "low_pass", "1/(1 + iω/ω_c), strength 1/ω_c", EffectParameter("time_constant", "s"), "low_pass_hz",
+        "low_pass", "1/(1 + iω/ω_c), strength 1/ω_c",
+        EffectParameter("time_constant", "s", grid=(1.0, 3.0, 10.0)), "low_pass_hz",
         _low_pass, lambda operating, channel: 0.005 / operating.omega, _low_pass_report,
         {"channel_skew": "a random test"},
     ),

@@ -119,6 +119,10 @@ def diagnose_bags(
     """
     rig = model if isinstance(model, Rig) else load_rig(str(model))
     settings = settings or DiagnosisSettings()
+    if settings.method == "measured":
+        from nmt_diagnose.core.measured import diagnose_measured
+
+        return diagnose_measured(rig, bags, floor_bags, settings, progress or (lambda _: None))
     # The other processes start while the bags are read.
     with Workers(settings.jobs) as workers:
         reading = ObservationSettings(calibration=settings.calibration)
@@ -203,6 +207,7 @@ class _Diagnoser:
         tests = residual_tests(self.observations, best.fit.residual, best.fit.used)
         final = null if verdict is not Verdict.EFFECT else best
         model = self.rig if verdict is Verdict.NONE else final.fit.parametrisation.rig(final.fit.theta)
+        leader = judgement.classes[0].head.explanation if judgement.classes else None
         warnings = warned(verdict, best, calibration, gap, accepted.members if accepted is not None else ())
         together = min(rms_left(own) for own in (null, *judged))
         warnings += tuple(filter(None, [contradiction(without, together)]))
@@ -211,7 +216,7 @@ class _Diagnoser:
             verdict=verdict,
             sentences=(
                 *sentences(
-                    verdict, where, ranking, judgement.classes, gap, ahead, calibration, rest, judgement.strained
+                    verdict, where, ranking, leader, gap, ahead, calibration, rest, judgement.strained
                 ),
                 *warnings,
             ),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from nmt_diagnose.inference.comparison_settings import ComparisonSettings
 from nmt_record.calibration_file import CalibrationSheet
@@ -22,6 +24,9 @@ class DiagnosisSettings:
         jobs: processes that share the work; the result is the same for any number.
         allow_own_model: take recordings that the model itself made for a real side, too.
         calibration: sheet of the measuring chain of the real side; None = what its bags say.
+        method: ``stated`` noise and tolerances, or noise that is ``measured``.
+        matters: smallest relative size of a gap that matters, by kind of observable (frequency, damping, response,
+            harmonics); a kind that is left out matters at any size. Of ``measured`` noise only.
     """
 
     withheld: tuple[str, ...] = ()
@@ -32,3 +37,5 @@ class DiagnosisSettings:
     jobs: int = 1
     allow_own_model: bool = False
     calibration: CalibrationSheet | None = None
+    method: Literal["stated", "measured"] = "stated"
+    matters: Mapping[str, float] = field(default_factory=dict)

@@ -10,7 +10,6 @@ from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.inference.diagnosis import Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
 from nmt_diagnose.inference.gap import NOISE
 from nmt_diagnose.inference.hypotheses import NULL
-from nmt_diagnose.inference.judgement import ExplanationClass
 
 PLACES = {
     "structure": "the structure",
@@ -29,7 +28,7 @@ def sentences(
     verdict: Verdict,
     where: Sequence[PlaceShare],
     ranking: Sequence[Ranked],
-    classes: Sequence[ExplanationClass],
+    named: Explanation | None,
     gap: Gap,
     ahead: Sequence[NextTest],
     calibration: Sequence[Recalibrated],
@@ -38,7 +37,7 @@ def sentences(
 ) -> tuple[str, ...]:
     """Where, which, how far; and what would settle the rest if something is left open.
 
-    ``ranking`` is what ``diagnosis.json`` says of ``classes``, in their order; ``strained`` says that only parameters
+    ``named`` is the explanation that ``ranking`` begins with; ``strained`` says that only parameters
     which are hard to believe tell of a gap.
     """
     if verdict is Verdict.NONE:
@@ -70,7 +69,7 @@ def sentences(
         )
     if verdict is Verdict.UNKNOWN:
         best = (
-            f"; the nearest named effect is {_title(ranking[0].effect)}{_at(classes[0].head.explanation)}"
+            f"; the nearest named effect is {_title(ranking[0].effect)}{_at(named)}"
             if ranking
             else ""
         )
@@ -83,7 +82,7 @@ def sentences(
     head = ranking[0]
     sure = "The cause is" if head.probability >= _LIKELY else "The most probable cause is"
     values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())
-    where_it_acts = _at(classes[0].head.explanation)
+    where_it_acts = _at(named)
     which = f"{sure} {_title(head.effect)}{where_it_acts} ({values}), probability {_sure(head.probability)}"
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
@@ -148,8 +147,9 @@ def _title(effect: str) -> str:
     return effect.replace("_", " ") if effect != NULL else "the model without any effect"
 
 
-def _at(explanation: Explanation) -> str:
-    details = [_detail(placement.detail) for placement in explanation.placements]
+def _at(explanation: Explanation | None) -> str:
+    placements = () if explanation is None else explanation.placements
+    details = [_detail(placement.detail) for placement in placements]
     found = " and ".join(dict.fromkeys(part for part in details if part))
     return f" at {found}" if found else ""
 

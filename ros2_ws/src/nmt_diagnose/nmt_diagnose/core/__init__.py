@@ -1,0 +1,1 @@
+"""The diagnosis that measures its noise: rows, chain, scales, search, comparison, size, verdict."""

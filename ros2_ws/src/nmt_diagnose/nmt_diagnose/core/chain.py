@@ -1,0 +1,361 @@
+"""The measuring chain as parameters: what a healthy laboratory's channels, converters and loop may be off by.
+
+Delays that all sensors of a kind share are large: they turn the phase at which a loop truly stood, and amplitudes near
+resonance go with the square of that. They are parameters of the rig like its own. Everything else is small and acts in
+proportion: one column each, what a standard deviation of it adds to the observables. Columns need no new solution of
+the model for other values, and are the same for windows, random tests, tables, decays and records.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from nmt_core.arrays import BoolArray, ComplexArray, FloatArray
+from nmt_core.blocks import Quantity
+from nmt_diagnose.core.tuned import (
+    AIM_STD,
+    DRIVE_HARMONIC_STD,
+    IMAGE_STD,
+    LOCK_STD,
+    SWEEP_SHIFT_STD,
+)
+from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, ChainTests, edited, later
+from nmt_diagnose.inference.modes_left_out import ModesLeftOut
+from nmt_diagnose.inference.shape_errors import ShapeErrors
+from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest, Test
+from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.twin.forward import Prediction
+from nmt_diagnose.twin.stepped_sine_twin import gain_error
+from nmt_rig.rig import Rig, SensorSection
+
+_MOTIONS = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
+_PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
+_COVERED = (PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest)
+_IMAGE = "image"
+_IMAGE_POWERS = 3  # of the frequency over the rate
+_GAIN_STEP, _LEAD_STEP, _CLOCK_STEP, _SHIFT_STEP = 1e-3, 1e-3, 1e-5, 1e-6
+
+
+@dataclass(frozen=True)
+class SharedDelay:
+    """Delay that all sensors of a kind share against the drive; a parameter of the rig, θ of prior N(0, 1).
+
+    Attributes:
+        quantity: kind of the sensors.
+        std: prior standard deviation, s.
+    """
+
+    quantity: Quantity
+    std: float
+
+    unit = "s"
+    value = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name among the parameters."""
+        return f"chain.delay.{self.quantity.name.lower()}"
+
+    @property
+    def place(self) -> str:
+        """Place that it belongs to."""
+        return "force_sensor" if self.quantity is Quantity.FORCE else "response_sensor"
+
+    def at(self, theta: float) -> float:
+        """Delay at θ, s."""
+        return self.std * theta
+
+    def apply(self, rig: Rig, theta: float) -> Rig:
+        """Rig with the sensors of the kind later."""
+        if theta == 0.0:
+            return rig
+        kind = self.quantity.name.lower()
+        sensors = [later(s, self.at(theta)) if s.quantity == kind else s for s in rig.sensors]
+        return rig.model_copy(update={"sensors": sensors})
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Linear part of the measuring chain.
+
+    Attributes:
+        names: of the errors.
+        columns: what a standard deviation of each adds to the observables, shape (m, r).
+        added: whether it is added to what was measured, in proportion to that; else to what the model predicts, (r,).
+    """
+
+    names: tuple[str, ...]
+    columns: FloatArray
+    added: BoolArray
+
+
+def shared_delays(observations: Observations, rig: Rig) -> tuple[SharedDelay, ...]:
+    """Delays of the kinds of sensors that refer to a voltage; none where the bench itself measured."""
+    found: dict[Quantity, float] = {}
+    for test, chain in zip(observations.tests, observations.chains, strict=False):
+        held = isinstance(test, PhaseResonanceTest) or (isinstance(test, RandomTest) and test.reference == "voltage")
+        if chain is None or not held:
+            continue
+        for channel in test.channels:
+            if channel.quantity in (*_MOTIONS, Quantity.FORCE):
+                found[channel.quantity] = chain.shared_delay_s
+    kinds = {sensor.quantity for sensor in rig.sensors}
+    return tuple(SharedDelay(own, std) for own, std in found.items() if own.name.lower() in kinds)
+
+
+def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -> Chain:
+    """Columns of all errors of the measuring chains about a solution; levels without solution tell nothing.
+
+    Args:
+        observations: the real side.
+        rig: an explanation of it.
+        prediction: of that explanation.
+    """
+    numbers = {
+        number: chain
+        for number, chain in enumerate(observations.chains)
+        if chain is not None and isinstance(observations.tests[number], _COVERED)
+    }
+    builder = _Builder(observations, rig, prediction, numbers) if numbers else None
+    found = builder.found() if builder else {}
+    found.update(_unsettled(observations))
+    found = {name: np.nan_to_num(column, posinf=0.0, neginf=0.0) for name, column in found.items()}
+    kept = [name for name, column in found.items() if np.any(column != 0.0)]
+    columns = np.column_stack([found[name] for name in kept]) if kept else np.zeros((len(observations.rows), 0))
+    return Chain(tuple(kept), columns, np.array([name.startswith(_IMAGE) for name in kept], dtype=bool))
+
+
+def _unsettled(observations: Observations) -> dict[str, FloatArray]:
+    """Amplitudes of locked windows that had not settled, one error for each level."""
+    rows, found = observations.rows, {}
+    for number, test in enumerate(observations.tests):
+        if not isinstance(test, PhaseResonanceTest):
+            continue
+        for position, level in enumerate(test.levels):
+            if any(level.amplitude_leans):
+                mine = (rows.test == number) & (rows.level == position) & (rows.part == Part.LOG_MAGNITUDE)
+                mine &= rows.channel >= 0
+                column = np.zeros(len(rows))
+                column[mine] = np.array(level.amplitude_leans)[rows.channel[mine]]
+                found[f"settling {test.name} {position}"] = column
+    return found
+
+
+class _Builder:
+    """Columns for the tests that have measuring chains."""
+
+    def __init__(
+        self, observations: Observations, rig: Rig, prediction: Prediction, chains: dict[int, MeasuringChain]
+    ) -> None:
+        self.tests = ChainTests(observations, rig, chains)
+        self.rows, self.rig = self.tests.rows, self.tests.rig
+        # Differences are taken from a solution of the same accuracy.
+        self.base = self.tests.forward.predict(self.rig, self.tests.start(prediction))
+        self.slopes = self.tests.slopes(self.base)
+
+    def found(self) -> dict[str, FloatArray]:
+        """All columns by name, of all rows."""
+        found = self._channels() | self._clock() | self._voltage() | self._hold() | self._images()
+        found |= self._aims() | self._harmonics() | self._sweeps()
+        for module in (ModesLeftOut(self.tests), ShapeErrors(self.tests)):
+            name = type(module).__name__
+            found |= {f"{name} {k}": column for k, column in enumerate(module.columns(self.base))}
+        return {name: self.tests.full(column) for name, column in found.items()}
+
+    def _changed(self, rig: Rig, step: float) -> FloatArray:
+        """Rows over a change of the rig; responses at held amplitudes have columns of their own."""
+        forward = self.tests.forward
+        moved = forward.difference(forward.predict(rig, self.base).values, self.base.values) / step
+        return np.where(self._of(SteppedSineTest), 0.0, moved)
+
+    def _of(self, *kinds: type[Test]) -> FloatArray:
+        numbers = [number for number, test in enumerate(self.tests.tests) if isinstance(test, kinds)]
+        return np.isin(self.rows.test, numbers)
+
+    def _clock(self) -> dict[str, FloatArray]:
+        moved = self.rig.model_copy(update={"clock_error": self.rig.clock_error + _CLOCK_STEP})
+        return {"clock": max(chain.clock for chain in self.tests.own) * self._changed(moved, _CLOCK_STEP)}
+
+    def _channels(self) -> dict[str, FloatArray]:
+        """Gain, delay and lead of each channel."""
+        found: dict[str, FloatArray] = {}
+        omega = 2.0 * np.pi * self.tests.tested()
+        for name, channel in self.tests.channels.items():
+            tolerance = next((c.of(name) for c in self.tests.own if name in c.channels), self.tests.own[0].of(""))
+            louder = edited(self.rig, channel, _louder)
+            found[f"gain {name}"] = tolerance.gain * self._changed(louder, _GAIN_STEP)
+            delayed = edited(self.rig, channel, later)
+            size = math.hypot(tolerance.delay_s, tolerance.phase / omega)
+            found[f"delay {name}"] = size * self._changed(delayed, DELAY_STEP_S)
+            if channel.quantity in _PIEZOELECTRIC:
+                corner = _LEAD_STEP * self.tests.tested()
+                leading = edited(self.rig, channel, lambda sensor, corner=corner: _leading(sensor, corner))
+                found[f"lead {name}"] = tolerance.phase * self._changed(leading, _LEAD_STEP)
+        return found | self._reduced()
+
+    def _reduced(self) -> dict[str, FloatArray]:
+        """Gain, phase and delay of responses over their reference, at held amplitudes."""
+        found: dict[str, FloatArray] = {}
+        for name in self.tests.channels:
+            for number, test in enumerate(self.tests.tests):
+                if not isinstance(test, SteppedSineTest):
+                    continue
+                mine = np.flatnonzero((self.rows.test == number) & self.tests.rows_of(name))
+                if not mine.size:
+                    continue
+                chain = self.tests.own[number]
+                tolerance = chain.of(name)
+                error = gain_error(test)[self.rows.level[mine], self.rows.channel[mine]]
+                omega = 2.0 * np.pi * self.rows.frequency_hz[mine]
+                turned = self.rows.part[mine] == Part.PHASE
+                late = math.hypot(tolerance.delay_s, chain.shared_delay_s)
+                for kind, column in (
+                    # Both channels of the quotient.
+                    ("gain", math.sqrt(2.0) * tolerance.gain * np.where(turned, error.imag, error.real)),
+                    ("phase", math.sqrt(2.0) * tolerance.phase * turned),
+                    ("delay", math.sqrt(2.0) * late * omega * turned),
+                ):
+                    found.setdefault(f"{kind} {name} of responses", np.zeros(len(self.rows)))[mine] = column
+        return found
+
+    def _voltage(self) -> dict[str, FloatArray]:
+        """Gain of the drive's voltage, recorded or commanded."""
+        size = max(chain.voltage_gain for chain in self.tests.own)
+        moved = tuple(
+            replace(t, levels=tuple(replace(level, drive=level.drive * (1.0 + _GAIN_STEP)) for level in t.levels))
+            if isinstance(t, PhaseResonanceTest)
+            else t
+            for t in self.tests.tests
+        )
+        both = self.tests.moved(moved, self.base) / _GAIN_STEP
+        recorded = np.zeros(len(self.rows))
+        commanded = any(isinstance(test, PhaseResonanceTest) and test.commanded for test in self.tests.tests)
+        for number, test in enumerate(self.tests.tests):
+            if isinstance(test, RandomTest) and test.reference == "voltage":
+                recorded[(self.rows.test == number) & (self.rows.part == Part.LOG_MAGNITUDE)] = 1.0
+        found = {"gain of the drive": size * (both + recorded)}
+        return found | ({"gain of the recorded voltage": size * recorded} if commanded else {})
+
+    def _hold(self) -> dict[str, FloatArray]:
+        """A drive that is held over each sample is smaller and half a sample late."""
+        found = {}
+        for commanded in (True, False):
+            direct = np.zeros(len(self.rows), dtype=np.complex128)
+            for number in self.tests.referred():
+                rate = self.tests.own[number].hold_hz
+                if getattr(self.tests.tests[number], "commanded", False) is commanded and math.isfinite(rate):
+                    mine = self.tests.linear_rows(number)
+                    share = self.rows.frequency_hz[mine] / rate
+                    direct[mine] = np.log(np.maximum(np.sinc(share), 1e-3)) - 1j * np.pi * share
+            found[f"hold of the {'commanded' if commanded else 'recorded'} drive"] = self.tests.parts(direct)
+        return found
+
+    def _images(self) -> dict[str, FloatArray]:
+        """Images of a held drive in channels without filters.
+
+        The image of order m is sin(πx) e^{-iπx} A e^{-2πi m u}/(π (m + x)), x the frequency over the rate, u the moment
+        of sampling and A the response far above the modes, which hardly changes there: all of them together are a
+        complex polynomial of x for each channel. The channel's own delay turns them as it turns its response.
+        """
+        found: dict[str, FloatArray] = {}
+        for name in self.tests.channels:
+            own = self.tests.rows_of(name)
+            added = np.zeros((_IMAGE_POWERS, len(self.rows)), dtype=np.complex128)
+            late = next((s.delay_s for s in self.rig.sensors if self.rig.sensor_channel(s) == name), 0.0)
+            for number in self.tests.referred():
+                test, rate = self.tests.tests[number], self.tests.own[number].hold_hz
+                mine = np.flatnonzero(self.tests.linear_rows(number) & own)
+                if not mine.size or not math.isfinite(rate):
+                    continue
+                channel = self.tests.channels[name]
+                view = ModelView.of(self.rig, test.drive_point)
+                frequency = self.rows.frequency_hz[mine]
+                high = view.responses([channel], rate * np.array([0.9, 1.1, 1.9, 2.1]))
+                size = float(np.median(np.abs(high)))
+                share = frequency / rate
+                plain = self._measured(number, mine)
+                turned = np.exp(-1j * np.pi * (share + 2.0 * frequency * late))
+                image = np.where(frequency < 0.5 * rate, IMAGE_STD * size * np.sin(np.pi * share) * turned / plain, 0.0)
+                added[:, mine] = image * (2.0 * share) ** np.arange(_IMAGE_POWERS)[:, None]
+            for k, images in enumerate(added):
+                for part, turned in (("re", images), ("im", 1j * images)):
+                    column = self.tests.parts(turned)
+                    found[f"{_IMAGE} {k} {part} {name}"] = column + self.slopes * self._turned(name, turned)
+        return found
+
+    def _measured(self, number: int, mine: Any) -> ComplexArray:
+        """Fundamentals per volt as they were measured, by the other of magnitude and phase, shape of ``mine``."""
+        values = self.tests.observations.values[self.tests.mine]
+        other, turned = values[self.tests.other_part()], self.rows.part == Part.PHASE
+        size, angle = np.where(turned, other, values), np.where(turned, values, other)
+        result = np.exp(size[mine] + 1j * angle[mine])
+        if isinstance(self.tests.tests[number], PhaseResonanceTest):
+            result = result / self.rows.amplitude[mine]
+        return np.asarray(result)
+
+    def _turned(self, name: str, images: ComplexArray) -> FloatArray:
+        """By how much the phase between force and response truly was off at each locked row, if images were in it."""
+        result = np.zeros(len(self.rows))
+        for number, test in enumerate(self.tests.tests):
+            if not isinstance(test, PhaseResonanceTest):
+                continue
+            force = next((c.name for c in test.channels if c.quantity is Quantity.FORCE), "")
+            sign = (name == test.response_channel) - (name == force)
+            mine = (self.rows.test == number) & self.tests.rows_of(name) & (self.rows.part == Part.PHASE)
+            for level in np.unique(self.rows.level[mine]) if sign else ():
+                angle = float(images[mine & (self.rows.level == level)][0].imag)
+                result[(self.rows.test == number) & (self.rows.level == level)] = sign * angle
+        return result
+
+    def _aims(self) -> dict[str, FloatArray]:
+        """What the loop of each test held, all levels alike: it measured with a chain of its own."""
+        return {
+            f"aim {test.name}": AIM_STD * ((self.rows.test == number) & (self.rows.part == Part.PHASE_ERROR))
+            for number, test in enumerate(self.tests.tests)
+            if isinstance(test, PhaseResonanceTest)
+        }
+
+    def _harmonics(self) -> dict[str, FloatArray]:
+        """Harmonics of the drive beyond what was recorded of them."""
+        found = {}
+        for order in (2, 3):
+            for part, share in (("re", 1.0), ("im", 1j)):
+                moved = tuple(
+                    replace(t, levels=tuple(_distorted(level, order, share) for level in t.levels))
+                    if isinstance(t, PhaseResonanceTest)
+                    else t
+                    for t in self.tests.tests
+                )
+                found[f"harmonic {order} of the drive {part}"] = self.tests.moved(moved, self.base)
+        return found
+
+    def _sweeps(self) -> dict[str, FloatArray]:
+        """Shift of the resonance in each sweep at a held amplitude."""
+        found = {}
+        for number, test in enumerate(self.tests.tests):
+            if isinstance(test, SteppedSineTest):
+                shifted = tuple(
+                    replace(t, lines_hz=t.lines_hz * (1.0 - _SHIFT_STEP)) if t is test else t for t in self.tests.tests
+                )
+                found[f"resonance in {test.name}"] = SWEEP_SHIFT_STD * self.tests.moved(shifted, self.base) / _SHIFT_STEP
+        return found
+
+
+def _distorted(level: Any, order: int, share: complex) -> Any:
+    own = list(level.drive_harmonics) + [0j] * max(0, order - 1 - len(level.drive_harmonics))
+    own[order - 2] += DRIVE_HARMONIC_STD * share
+    return replace(level, drive_harmonics=tuple(own))
+
+
+def _louder(sensor: SensorSection) -> SensorSection:
+    return sensor.model_copy(update={"gain": sensor.gain * (1.0 + _GAIN_STEP)})
+
+
+def _leading(sensor: SensorSection, corner_hz: float) -> SensorSection:
+    return sensor.model_copy(update={"high_pass_hz": (sensor.high_pass_hz or 0.0) + corner_hz})

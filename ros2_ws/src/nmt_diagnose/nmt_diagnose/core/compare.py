@@ -1,0 +1,258 @@
+"""The comparison: probabilities of no gap, of each explanation and of something unnamed; classes of equivalents."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from nmt_core.arrays import FloatArray
+from nmt_diagnose.core.fitting import Data, Metric
+from nmt_diagnose.core.search import Found
+from nmt_diagnose.core.tuned import (
+    EQUIVALENT,
+    PRIOR_EFFECT,
+    PRIOR_NONE,
+    PRIOR_PAIR,
+    PRIOR_UNNAMED,
+    SOURCE_SIZES,
+)
+from nmt_diagnose.effects.effect import Candidate
+from nmt_diagnose.effects.placement import Explanation, Placement
+from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.inference.sources import SourcePlace, places
+from nmt_rig.rig import Rig
+
+
+@dataclass(frozen=True)
+class Source:
+    """Evidence for something unnamed at a place, on top of a fit.
+
+    Attributes:
+        placement: where.
+        gain: rise of ln evidence.
+        explained: fall of the cost.
+    """
+
+    placement: Placement
+    gain: float
+    explained: float
+
+
+@dataclass(frozen=True)
+class Equivalents:
+    """Explanations that the recordings do not distinguish.
+
+    Attributes:
+        members: the most probable first, no two with the same effects.
+        probability: of all of them together.
+    """
+
+    members: tuple[Found, ...]
+    probability: float
+
+    @property
+    def head(self) -> Found:
+        """The most probable."""
+        return self.members[0]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Probabilities.
+
+    Attributes:
+        none: nothing is missing.
+        unknown: something without a name is.
+        classes: named explanations, the most probable class first.
+        places: share of each place in what is missing; sum 1 where something is.
+        log_odds: ln of everything else over none.
+        by_label: probability of none, unknown and each explanation.
+    """
+
+    none: float
+    unknown: float
+    classes: tuple[Equivalents, ...]
+    places: Mapping[Placement, float]
+    log_odds: float
+    by_label: Mapping[str, float]
+
+
+class _View(Problem):
+    """What generic sources ask of a problem: observations, and changes of the rows over their uncertainty."""
+
+    def __init__(self, data: Data, values: FloatArray) -> None:
+        object.__setattr__(self, "observations", data.observations)
+        object.__setattr__(self, "_data", data)
+        object.__setattr__(self, "_values", values)
+
+    def whitened(self, values: FloatArray) -> FloatArray:
+        """Changes (m, n) of the model's values as changes of what is compared, over σ."""
+        data: Data = object.__getattribute__(self, "_data")
+        return data.slopes(values, object.__getattribute__(self, "_values"))
+
+
+def source_places(data: Data, rig: Rig, null: Found) -> list[SourcePlace]:
+    """Places where something unnamed may sit, with what it could do to the rows."""
+    return places(data.forward, rig, null.fit.prediction, _View(data, null.fit.errors.values))
+
+
+def sources(data: Data, base: Found, found: Sequence[SourcePlace], open_from: int) -> list[Source]:
+    """Evidence for a generic source at each place on top of a fit.
+
+    Args:
+        data: what fits work on.
+        base: the fit.
+        found: places with the changes of the rows, over σ.
+        open_from: parameters from here on are of effects; their prior lets go.
+    """
+    own = base.fit
+    prior = own.parametrisation.prior_std.copy()
+    prior[open_from:] *= 1e3
+    columns = np.column_stack([own.jacobian, own.errors.slopes])
+    precision = np.concatenate([prior**-2.0, np.ones(own.errors.chain.size)])
+    metric = Metric(columns, precision, own.errors.weights)
+    result = []
+    for place in found:
+        scored = [_source(data, base, metric, precision, block) for _, block in place.families]
+        gains = np.array([gain for gain, _ in scored])
+        mean = float(np.logaddexp.reduce(gains) - math.log(gains.size))
+        result.append(Source(place.placement, mean, scored[int(np.argmax(gains))][1]))
+    return result
+
+
+def _source(
+    data: Data, base: Found, metric: Metric, precision: FloatArray, block: FloatArray
+) -> tuple[float, float]:
+    """Rise of ln evidence by a Gaussian source whose size is one of several, and the fall of the cost."""
+    errors, groups, counts = base.fit.errors, data.groups, data.counts
+    rest, taken = metric.rest(block)
+    now = np.concatenate([base.fit.theta, errors.chain])
+    pull, stiff = taken.T @ (precision * now), taken.T @ (precision[:, None] * taken)
+    before = groups.cost(errors.squares, counts)
+    gains, explained = [], 0.0
+    for size in SOURCE_SIZES:
+        weights, gain, fall = errors.weights, -math.inf, 0.0
+        for _ in range(3):
+            weighted = rest * weights[:, None]
+            normal = rest.T @ weighted + stiff
+            normal = 0.5 * (normal + normal.T) + np.eye(rest.shape[1]) / size**2
+            coefficients = np.linalg.solve(normal, weighted.T @ errors.left + pull)
+            squares = groups.sums((errors.left - rest @ coefficients) ** 2)
+            prior = float(coefficients @ coefficients) / size**2 - 2.0 * float(coefficients @ pull)
+            fall = before - groups.cost(squares, counts) - prior - float(coefficients @ stiff @ coefficients)
+            trial = 0.5 * fall - 0.5 * float(np.linalg.slogdet(normal * size**2)[1])
+            if trial <= gain:
+                break
+            gain = trial
+            weights = groups.weights(squares, counts)[groups.of]
+        gains.append(gain)
+        explained = fall if gain == max(gains) else explained
+    return float(np.logaddexp.reduce(gains) - math.log(len(gains))), explained
+
+
+def distance(left: Found, right: Found) -> float:
+    """How far two fits lie apart, in standard deviations of the learnt noise of the first."""
+    apart = left.fit.errors.left - right.fit.errors.left
+    return math.sqrt(float(apart @ (left.fit.errors.weights * apart)))
+
+
+class Hypotheses:
+    """All that competes.
+
+    Args:
+        null: the model alone.
+        named: explanations by one or two effects.
+        candidates: the library at all places.
+        alone: sources on top of the model alone.
+        behind: sources on top of the best explanation.
+    """
+
+    def __init__(
+        self,
+        null: Found,
+        named: Sequence[Found],
+        candidates: Sequence[Candidate],
+        alone: Sequence[Source],
+        behind: Sequence[Source],
+    ) -> None:
+        self.null, self.named = null, list(named)
+        self.alone, self.behind = alone, behind
+        spots: dict[str, set[object]] = {}
+        for candidate in candidates:
+            spots.setdefault(candidate.effect.name, set()).add(candidate.site.placement)
+        self._spots = {name: len(own) for name, own in spots.items()}
+
+    def _prior(self, found: Found) -> float:
+        """ln of the prior of an explanation: effects are alike, and so are the places of one."""
+        each = sum(
+            -math.log(len(self._spots)) - math.log(self._spots[candidate.effect.name]) for candidate in found.candidates
+        )
+        return each + math.log(PRIOR_EFFECT if len(found.candidates) == 1 else 2.0 * PRIOR_PAIR)
+
+    @cached_property
+    def best(self) -> Found | None:
+        """The most probable explanation."""
+        return max(self.named, key=lambda own: own.fit.log_evidence + self._prior(own), default=None)
+
+    def compared(self) -> Comparison:
+        """Probabilities of everything."""
+        zero = self.null.fit.log_evidence
+        none = math.log(PRIOR_NONE)
+        named = [own.fit.log_evidence - zero + self._prior(own) for own in self.named]
+        alone = [math.log(PRIOR_UNNAMED / max(1, len(self.alone))) + source.gain for source in self.alone]
+        best = self.best
+        behind = (
+            [max(named) + math.log(PRIOR_UNNAMED / len(self.behind)) + source.gain for source in self.behind]
+            if best is not None
+            else []
+        )
+        logs = np.array([none, *named, *alone, *behind])
+        weights = np.exp(logs - logs.max())
+        weights = weights / weights.sum()
+        count = len(named)
+        p_named, p_unnamed = weights[1 : count + 1], weights[count + 1 :]
+        by_place: dict[Placement, float] = {}
+        for own, p in zip(self.named, p_named, strict=True):
+            for placement in own.explanation.placements:
+                by_place[placement] = by_place.get(placement, 0.0) + float(p) / len(own.candidates)
+        for source, p in zip((*self.alone, *self.behind), p_unnamed, strict=True):
+            by_place[source.placement] = by_place.get(source.placement, 0.0) + float(p)
+        total = sum(by_place.values())
+        labels = {"none": float(weights[0]), "unknown": float(p_unnamed.sum())}
+        for own, p in zip(self.named, p_named, strict=True):
+            labels[own.explanation.label] = labels.get(own.explanation.label, 0.0) + float(p)
+        return Comparison(
+            float(weights[0]),
+            float(p_unnamed.sum()),
+            _classes(self.named, p_named),
+            {k: v / total for k, v in sorted(by_place.items(), key=lambda item: -item[1])} if total else {},
+            float(np.logaddexp.reduce(logs[1:]) - none) if logs.size > 1 else -math.inf,
+            labels,
+        )
+
+
+def _classes(named: Sequence[Found], weights: FloatArray) -> tuple[Equivalents, ...]:
+    """Explanations by their effects, those that the recordings do not distinguish together."""
+    groups: dict[tuple[str, ...], list[tuple[float, Found]]] = {}
+    for own, weight in zip(named, weights, strict=True):
+        groups.setdefault(own.effects, []).append((float(weight), own))
+    heads = [(sum(w for w, _ in own), max(own, key=lambda item: item[0])[1]) for own in groups.values()]
+    heads.sort(key=lambda item: -item[0])
+    result = []
+    while heads:
+        first = heads[0]
+        mine = [item for item in heads if item is first or distance(first[1], item[1]) < EQUIVALENT]
+        heads = [item for item in heads if item not in mine]
+        # With one effect more than another member an explanation says nothing new.
+        members = [own for _, own in mine if not any(set(o.effects) < set(own.effects) for _, o in mine)]
+        result.append(Equivalents(tuple(members), sum(w for w, _ in mine)))
+    return tuple(sorted(result, key=lambda item: -item.probability))
+
+
+def without(found: Sequence[Found], explanation: Explanation) -> list[Found]:
+    """All but one explanation."""
+    return [own for own in found if own.explanation != explanation]

@@ -1,0 +1,424 @@
+"""Most probable parameters of an explanation, with its chain and scales, and its evidence by Laplace's method.
+
+The model predicts y = f(θ) + U n + e: θ are parameters of the rig, n errors of the measuring chain in units of their
+standard deviations, e noise whose scales are learnt (noise.py). For each θ the best n and scales follow by a few
+reweighted linear solutions; θ itself by Levenberg's damping.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nmt_core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from nmt_core.errors import BenchError
+from nmt_diagnose.core.chain import linear_chain
+from nmt_diagnose.core.noise import Groups, groups_of, sigma_of
+from nmt_diagnose.core.tuned import CONVERGED, FIT_STEPS, LARGEST_LOG_RATIO, LARGEST_STEP, REWEIGHTINGS
+from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.observations.conditions import RandomTest
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.twin.forward import Forward, Prediction
+from nmt_rig.rig import Rig
+
+_TRIALS = 6
+
+
+class FitError(ArithmeticError):
+    """The model has no solution where the fit would have to start."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """What fits work on.
+
+    Lines of random tests are compared as complex numbers over the measured ones: noise and images of a held drive add
+    to them, however small a response is near its zeros. Gains and delays multiply what the model predicts, as they do
+    everywhere.
+
+    Attributes:
+        observations: the real side.
+        forward: predicts its rows.
+        sigma: standard deviation of each row before scales, (m,).
+        groups: rows that share a scale.
+        chain: change of the model's values by a standard deviation of each error of the measuring chain, (m, r).
+        added: what such errors add to what was measured, in proportion to that, (m, r).
+        chain_names: of these errors.
+        used: rows that are compared, (m,).
+        lines: rows of the magnitude and of the phase of each line of random tests, (2, k).
+    """
+
+    observations: Observations
+    forward: Forward
+    sigma: FloatArray
+    groups: Groups
+    chain: FloatArray
+    added: FloatArray
+    chain_names: tuple[str, ...]
+    used: BoolArray
+    lines: IntArray
+
+    def difference(self, values: FloatArray, errors: FloatArray | None = None) -> FloatArray:
+        """Measured minus predicted over σ, 0 where a row is not used, (m,).
+
+        Args:
+            values: of the model, (m,).
+            errors: of the measuring chain, (r,); None = none.
+        """
+        moved = values if errors is None else values + self.chain @ errors
+        result: FloatArray = self.observations.values - moved
+        phases = np.isin(self.observations.rows.part, (Part.PHASE, Part.PHASE_ERROR))
+        result[phases] = (result[phases] + np.pi) % (2.0 * np.pi) - np.pi
+        z = self._over_measured(moved)
+        result[self.lines[0]], result[self.lines[1]] = 1.0 - z.real, -z.imag
+        if errors is not None:
+            result -= self.added @ errors
+        return np.where(self.used, np.nan_to_num(result) / self.sigma, 0.0)
+
+    def slopes(self, columns: FloatArray, values: FloatArray) -> FloatArray:
+        """Derivatives of the model's values, (m, n), about values, as derivatives of what is compared, over σ."""
+        result = np.nan_to_num(columns, posinf=0.0, neginf=0.0)
+        z = np.nan_to_num(self._over_measured(values))[:, None]
+        turned = z * (result[self.lines[0]] + 1j * result[self.lines[1]])
+        result[self.lines[0]], result[self.lines[1]] = turned.real, turned.imag
+        return self._scaled(result)
+
+    def chain_slopes(self, values: FloatArray, errors: FloatArray) -> FloatArray:
+        """Derivatives by the errors of the measuring chain of what is compared, over σ, (m, r)."""
+        return self.slopes(self.chain, values + self.chain @ errors) + self._scaled(self.added)
+
+    def _scaled(self, columns: FloatArray) -> FloatArray:
+        return np.where(self.used[:, None], columns / self.sigma[:, None], 0.0)
+
+    def _over_measured(self, values: FloatArray) -> ComplexArray:
+        """Predicted over measured response of each line, (k,)."""
+        over = values[self.lines] - self.observations.values[self.lines]
+        return np.asarray(np.exp(np.minimum(over[0], LARGEST_LOG_RATIO) + 1j * over[1]))
+
+    @property
+    def counts(self) -> FloatArray:
+        """Used rows of each group, (K,)."""
+        return self.groups.counts(self.used)
+
+
+def lines_of(observations: Observations) -> IntArray:
+    """Rows of the magnitude and of the phase of each line of random tests that has both, (2, k)."""
+    rows = observations.rows
+    random = [number for number, test in enumerate(observations.tests) if isinstance(test, RandomTest)]
+    pairs: dict[tuple[int, int, int], dict[int, int]] = {}
+    for row in np.flatnonzero(np.isin(rows.test, random) & np.isin(rows.part, (Part.LOG_MAGNITUDE, Part.PHASE))):
+        key = int(rows.test[row]), int(rows.level[row]), int(rows.channel[row])
+        pairs.setdefault(key, {})[int(rows.part[row])] = int(row)
+    both = [(own[int(Part.LOG_MAGNITUDE)], own[int(Part.PHASE)]) for own in pairs.values() if len(own) == 2]
+    return np.array(both, dtype=np.int64).reshape(-1, 2).T
+
+
+def data_about(
+    observations: Observations, rig: Rig, near: Prediction, used: BoolArray, logarithms: bool = False
+) -> Data:
+    """What fits work on, its measuring chain about a solution.
+
+    Args:
+        observations: the real side.
+        rig: an explanation of it.
+        near: its prediction.
+        used: rows that are compared, (m,).
+        logarithms: compare logarithms of lines: far from the optimum they lead further.
+    """
+    lines = np.zeros((2, 0), dtype=np.int64) if logarithms else lines_of(observations)
+    chain = linear_chain(observations, rig, near)
+    both = chain.added & np.ones((len(observations.rows), 1), dtype=bool)
+    on_lines = np.zeros((len(observations.rows), 1), dtype=bool)
+    on_lines[lines.ravel()] = True
+    added = np.where(both & on_lines, chain.columns, 0.0)
+    return Data(
+        observations, Forward(observations.tests, observations.rows), sigma_of(observations), groups_of(observations),
+        chain.columns - added, added, chain.names, used, lines,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Best errors of the chain and scales for one prediction.
+
+    Attributes:
+        chain: in standard deviations, (r,).
+        slopes: derivatives by them, over σ, (m, r).
+        left: what they leave over σ, (m,).
+        weights: 1/s² of each row, (m,).
+        squares: Σ (e/σ)² of each group, (K,).
+        cost: −2 ln of likelihood and prior of the errors.
+        values: of the model with the errors that multiply it, (m,).
+    """
+
+    chain: FloatArray
+    slopes: FloatArray
+    left: FloatArray
+    weights: FloatArray
+    squares: FloatArray
+    cost: float
+    values: FloatArray
+
+
+def best_errors(data: Data, values: FloatArray, start: Errors | None = None) -> Errors:
+    """Errors of the chain and scales that explain the observations best, given the model's values, (m,)."""
+    groups, counts = data.groups, data.counts
+    count = data.chain.shape[1]
+
+    def at(chain: FloatArray) -> Errors:
+        left = data.difference(values, chain)
+        squares = groups.sums(left * left)
+        weights = groups.weights(squares, counts)[groups.of]
+        cost = groups.cost(squares, counts) + float(chain @ chain)
+        empty = np.zeros((0, 0))
+        return Errors(chain, empty, left, weights, squares, cost, values + data.chain @ chain)
+
+    best = at(np.zeros(count))
+    if start is not None:
+        near = at(start.chain)
+        best = near if near.cost < best.cost else best
+    slopes, damping = data.chain_slopes(values, best.chain), 0.0
+    for _ in range(REWEIGHTINGS):
+        weighted = slopes * best.weights[:, None]
+        normal = slopes.T @ weighted + np.eye(count)
+        gradient = weighted.T @ best.left - best.chain
+        for _ in range(_TRIALS):
+            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+            trial = at(best.chain + step)
+            if trial.cost < best.cost:
+                break
+            damping = max(10.0 * damping, 1e-3)
+        else:
+            break
+        fall, best = best.cost - trial.cost, trial
+        damping = 0.1 * damping if damping > 1e-4 else 0.0
+        slopes = data.chain_slopes(values, best.chain)
+        if fall < 1e-2:
+            break
+    return replace(best, slopes=slopes)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fit.
+
+    Attributes:
+        parametrisation: what θ means.
+        theta: most probable, (n,).
+        covariance: of θ, chain and scales free, (n, n).
+        errors: chain and scales.
+        jacobian: ∂f/∂θ over σ, (m, n).
+        prediction: of the model at θ, without the errors of the chain.
+        cost: −2 ln of likelihood and priors.
+        log_evidence: ln ∫ likelihood · prior, without constants of the rows.
+        promised: fall of the cost that one more step promises.
+    """
+
+    parametrisation: Parametrisation
+    theta: FloatArray
+    covariance: FloatArray
+    errors: Errors
+    jacobian: FloatArray
+    prediction: Prediction
+    cost: float
+    log_evidence: float
+    promised: float
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard uncertainties of θ, (n,)."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 1e-300)))
+
+    @property
+    def converged(self) -> bool:
+        """No step promises a fall that matters."""
+        return self.promised < CONVERGED
+
+
+class Metric:
+    """Products of whitened vectors after chain and parameters took what they can.
+
+    Args:
+        columns: of what takes, over σ, (m, k).
+        precision: inverse prior variance of each, (k,).
+        weights: of the rows, (m,).
+    """
+
+    def __init__(self, columns: FloatArray, precision: FloatArray, weights: FloatArray) -> None:
+        self._weighted = columns * weights[:, None]
+        self._weights = weights
+        self.normal = columns.T @ self._weighted + np.diag(precision)
+        self._factor = np.linalg.cholesky(self.normal + 1e-13 * np.diag(np.diag(self.normal)))
+        self._columns = columns
+
+    def rest(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What the columns leave of vectors (m, p), and how much of each column that takes, (k, p)."""
+        along = self._weighted.T @ vectors
+        taken = np.linalg.solve(self._factor.T, np.linalg.solve(self._factor, along))
+        return np.asarray(vectors - self._columns @ taken), np.asarray(taken)
+
+    @property
+    def log_determinant(self) -> float:
+        """ln det of the normal matrix."""
+        return 2.0 * float(np.sum(np.log(np.diag(self._factor))))
+
+
+def predicted(
+    data: Data, parametrisation: Parametrisation, theta: FloatArray, start: Prediction | None
+) -> Prediction | None:
+    """The model's prediction; None where the parameters make no rig, or a used row has no solution."""
+    try:
+        found = data.forward.predict(parametrisation.rig(theta), start)
+    except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+        return None
+    return found if np.all(np.isfinite(found.values[data.used])) else None
+
+
+def sensitivities(
+    data: Data, parametrisation: Parametrisation, theta: FloatArray, near: Prediction, errors: Errors
+) -> FloatArray:
+    """∂f/∂θ over σ, (m, n).
+
+    Raises:
+        FitError: the model has none there.
+    """
+    if not theta.size:
+        return np.zeros((data.sigma.size, 0))
+    try:
+        return data.slopes(data.forward.jacobian(parametrisation, theta, near), errors.values)
+    except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        raise FitError(f"the model has no sensitivities there ({error})") from error
+
+
+def fit(
+    data: Data,
+    parametrisation: Parametrisation,
+    theta: FloatArray,
+    start: Prediction | None = None,
+    jacobian: FloatArray | None = None,
+    steps: int = FIT_STEPS,
+    exact: bool = True,
+    refreshes: int = FIT_STEPS,
+) -> Fitted:
+    """Fit an explanation.
+
+    Args:
+        data: what fits work on.
+        parametrisation: what θ means.
+        theta: where to start, (n,).
+        start: a solution nearby.
+        jacobian: sensitivities near the start; None = computed.
+        steps: most steps.
+        exact: compute sensitivities anew at the end.
+        refreshes: how often they may be computed anew on the way.
+
+    Raises:
+        FitError: the model cannot be solved at the start.
+    """
+    std, lower = parametrisation.prior_std, parametrisation.lower
+    theta = np.maximum(np.asarray(theta, dtype=np.float64), lower)
+    prediction = predicted(data, parametrisation, theta, start)
+    if prediction is None:
+        raise FitError("the model has no solution for the rows that are compared")
+    errors = best_errors(data, prediction.values)
+    cost = errors.cost + float(np.sum((theta / std) ** 2))
+    fresh = jacobian is None
+    slopes = sensitivities(data, parametrisation, theta, prediction, errors) if jacobian is None else jacobian
+    damping = 1e-3
+    for _ in range(steps if theta.size else 0):
+        normal, gradient = _normal(slopes, errors, theta, std)
+        trial = None
+        for _ in range(_TRIALS):
+            step = _bounded(normal, gradient, damping, theta, lower)
+            step *= min(1.0, LARGEST_STEP / max(float(np.max(np.abs(step) / std)), 1e-300))
+            moved = np.maximum(theta + step, lower)
+            step = moved - theta
+            promised = float(2.0 * gradient @ step - step @ normal @ step)
+            if promised < 0.1 * CONVERGED:
+                break
+            found = predicted(data, parametrisation, moved, prediction)
+            if found is not None:
+                own = best_errors(data, found.values, errors)
+                total = own.cost + float(np.sum((moved / std) ** 2))
+                if total < cost:
+                    trial = found
+                    break
+            if not fresh:
+                break
+            damping = max(damping, 1e-4) * 10.0
+        if trial is None:
+            # Sensitivities from elsewhere may promise nothing where those at the estimate would lead on.
+            if fresh or refreshes <= 0 or not (exact or promised >= 0.1 * CONVERGED):
+                break
+            slopes, fresh = sensitivities(data, parametrisation, theta, prediction, errors), True
+            refreshes -= 1
+            continue
+        gained = cost - total
+        theta, prediction, errors, cost = moved, trial, own, total
+        damping *= 0.1
+        # Sensitivities change little near the optimum: they are computed anew where a step fell short.
+        fresh = gained < 0.75 * promised and refreshes > 0
+        if fresh:
+            slopes = sensitivities(data, parametrisation, theta, prediction, errors)
+            refreshes -= 1
+        if gained < 0.1 * CONVERGED:
+            break
+    if exact and not fresh:
+        slopes = sensitivities(data, parametrisation, theta, prediction, errors)
+    return _finished(parametrisation, theta, errors, slopes, prediction, cost)
+
+
+def _normal(
+    slopes: FloatArray, errors: Errors, theta: FloatArray, std: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix of θ with the chain marginalised, and the gradient."""
+    metric = Metric(errors.slopes, np.ones(errors.chain.size), errors.weights)
+    normal = metric.rest(slopes)[0].T @ (slopes * errors.weights[:, None]) + np.diag(std**-2.0)
+    gradient = slopes.T @ (errors.weights * errors.left) - theta / std**2
+    return 0.5 * (normal + normal.T), gradient
+
+
+def _bounded(
+    normal: FloatArray, gradient: FloatArray, damping: float, theta: FloatArray, lower: FloatArray
+) -> FloatArray:
+    """Damped step; parameters at their bound that would leave it stay there."""
+    free = ~((theta <= lower) & (gradient < 0.0))
+    step = np.zeros_like(theta)
+    if np.any(free):
+        matrix = normal[np.ix_(free, free)]
+        step[free] = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), gradient[free])
+    return step
+
+
+def _finished(
+    parametrisation: Parametrisation,
+    theta: FloatArray,
+    errors: Errors,
+    slopes: FloatArray,
+    prediction: Prediction,
+    cost: float,
+) -> Fitted:
+    std = parametrisation.prior_std
+    chain = Metric(errors.slopes, np.ones(errors.chain.size), errors.weights)
+    normal, gradient = _normal(slopes, errors, theta, std)
+    step = _bounded(normal, gradient, 0.0, theta, parametrisation.lower)
+    promised = float(2.0 * gradient @ step - step @ normal @ step)
+    _, of_theta = np.linalg.slogdet(normal)
+    log_evidence = -0.5 * cost - 0.5 * (chain.log_determinant + float(of_theta)) - float(np.sum(np.log(std)))
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    return Fitted(
+        parametrisation, theta, covariance, errors, slopes, prediction, cost,
+        log_evidence + parametrisation.log_prior, promised,
+    )  # fmt: skip
+
+
+def refitted(data: Data, before: Fitted) -> Fitted:
+    """The same explanation fitted to other data or other noise, from where it stands."""
+    return fit(data, before.parametrisation, before.theta, before.prediction)
+
+
+def without_rows(data: Data, used: BoolArray) -> Data:
+    """The data with fewer rows."""
+    return replace(data, used=data.used & used)

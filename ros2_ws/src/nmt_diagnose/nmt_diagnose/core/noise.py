@@ -1,0 +1,113 @@
+"""The noise of the observations: what the recordings show of each row, and one learnt scale per test and kind of row.
+
+A row has the standard deviation that its recording shows. How right that is, is learnt: the rows of one kind in one
+test share an unknown scale s, and s² has an inverse-gamma prior about 1. Marginalised in closed form the rows of a
+group are Student-distributed,
+
+    −2 ln p = (ν + n) ln(1 + χ² / ν),    χ² = Σ (e/σ)²,
+
+so a scale goes down as well as up, and the scales of the alternatives are part of their evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.arrays import BoolArray, FloatArray, IntArray
+from nmt_core.blocks import Quantity
+from nmt_diagnose.core.tuned import LOCK_STD, SCALE_DEGREES
+from nmt_diagnose.observations.conditions import RandomTest
+from nmt_diagnose.observations.observables import Observations, Part
+
+_HARMONICS = (Part.REAL, Part.IMAG)
+_CONVERTER = (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS)
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Rows that share a scale.
+
+    Attributes:
+        of: group of each row, shape (m,).
+        names: of the groups, (K,).
+        degrees: ν of the prior of each, (K,); infinite where the scale is known to be 1.
+    """
+
+    of: IntArray
+    names: tuple[str, ...]
+    degrees: FloatArray
+
+    def sums(self, squares: FloatArray) -> FloatArray:
+        """Sum over each group, (K,), of values (m,)."""
+        return np.bincount(self.of, squares, len(self.names))
+
+    def counts(self, used: BoolArray) -> FloatArray:
+        """Rows of each group, (K,)."""
+        return self.sums(used.astype(np.float64))
+
+    def cost(self, squares: FloatArray, counts: FloatArray) -> float:
+        """−2 ln p of groups with sums of squares χ², (K,), up to a constant of the rows."""
+        nu = np.where(np.isfinite(self.degrees), self.degrees, 1.0)
+        student = (nu + counts) * np.log1p(squares / nu)
+        return float(np.sum(np.where(np.isfinite(self.degrees), student, squares)))
+
+    def weights(self, squares: FloatArray, counts: FloatArray) -> FloatArray:
+        """1/s² of each group, (K,): most probable given its squares."""
+        nu = np.where(np.isfinite(self.degrees), self.degrees, 1.0)
+        return np.where(np.isfinite(self.degrees), (nu + counts) / (nu + squares), 1.0)
+
+
+def groups_of(observations: Observations) -> Groups:
+    """Groups of rows by test and kind: frequency, damping, fundamental, harmonics, lines of a response."""
+    rows = observations.rows
+    names: dict[str, int] = {}
+    of = np.zeros(len(rows), dtype=np.int64)
+    known: dict[int, bool] = {}
+    for index in range(len(rows)):
+        test = observations.tests[rows.test[index]]
+        part = Part(rows.part[index])
+        kind = _kind(test, part, int(rows.harmonic[index]), int(rows.channel[index]))
+        name = f"{test.name}: {kind}"
+        of[index] = names.setdefault(name, len(names))
+        known[int(of[index])] = part in _CONVERTER
+    degrees = np.array([np.inf if known[k] else SCALE_DEGREES for k in range(len(names))])
+    return Groups(of, tuple(names), degrees)
+
+
+def _kind(test: object, part: Part, harmonic: int, channel: int) -> str:
+    channels = getattr(test, "channels", ())
+    force = bool(channels) and channel >= 0 and channels[channel].quantity is Quantity.FORCE
+    if part is Part.LOG_FREQUENCY:
+        return "frequency"
+    if part is Part.PHASE_ERROR:
+        return "phase of the loop"
+    if part is Part.DAMPING:
+        return "damping"
+    if part in _HARMONICS and harmonic != 1:
+        return "harmonics of the force" if force else "harmonics"
+    if part in _CONVERTER:
+        return "converter"
+    if part is Part.SAMPLE:
+        return f"samples {channel}"
+    return f"lines of {channels[channel].name}" if isinstance(test, RandomTest) else "fundamental"
+
+
+def sigma_of(observations: Observations) -> FloatArray:
+    """Standard deviation of each row as its recording shows it, with what the loop may hold, shape (m,)."""
+    sigma = observations.sigma.copy()
+    rows = observations.rows
+    for number, chain in enumerate(observations.chains):
+        if chain is None:
+            continue
+        mine = rows.test == number
+        held = mine & (rows.part == Part.PHASE_ERROR)
+        sigma[held] = np.hypot(sigma[held], LOCK_STD)
+        for channel in np.unique(rows.channel[mine & (rows.part == Part.LINE)]):
+            same = mine & (rows.channel == channel)
+            sizes = observations.values[same & (rows.part == Part.LOG_MAGNITUDE)]
+            lines = same & (rows.part == Part.LINE)
+            if sizes.size:
+                sigma[lines] = np.hypot(sigma[lines], chain.mains * float(np.exp(sizes.max())))
+    return sigma

@@ -1,0 +1,348 @@
+"""The search for explanations in one pass: score test, least squares of the best, other places, one second effect.
+
+The score test says of every candidate how far the cost falls to first order, parameters and chain following. The best
+effects at their best places are then fitted from there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from nmt_core.arrays import FloatArray
+from nmt_core.errors import BenchError
+from nmt_diagnose.core.fitting import Data, FitError, Fitted, Metric, fit, predicted
+from nmt_diagnose.core.tuned import (
+    FAR_BEHIND,
+    FINALISTS,
+    FIRST_EFFECTS,
+    FIRST_PLACES,
+    FIRST_REFRESHES,
+    HEADS,
+    LEAST_GAIN,
+    LOST,
+    OTHER_PLACES,
+    SECOND_EFFECTS,
+    SECOND_GAIN,
+    WIDER_STRENGTH,
+)
+from nmt_diagnose.effects.calibration import CalibrationParameter
+from nmt_diagnose.effects.effect import Candidate
+from nmt_diagnose.effects.parametrisation import SPREADS, Parametrisation
+from nmt_diagnose.effects.placement import Explanation
+from nmt_diagnose.inference.candidate_starts import at_strength, at_zero, starts_of, strength_parameter, strength_position
+from nmt_rig.rig import Rig
+
+Told = Callable[[str], None]
+_SHOWN = 1.0  # standard deviations by which a strength of one scale has to show to first order
+
+
+@dataclass(frozen=True)
+class Found:
+    """A fitted explanation.
+
+    Attributes:
+        candidates: its effects at their places; none for the model alone.
+        fit: the fit.
+    """
+
+    candidates: tuple[Candidate, ...]
+    fit: Fitted
+
+    @cached_property
+    def explanation(self) -> Explanation:
+        """Its effects at their places as values that compare."""
+        return Explanation(tuple(candidate.cause for candidate in self.candidates))
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of its effects, sorted."""
+        return self.explanation.effects
+
+    def strength(self, member: int) -> float:
+        """Strength of one effect over its standard uncertainty."""
+        own = self.fit.parametrisation.index_of(member)
+        parameters = self.candidates[member].effect.parameters
+        sizes = np.abs(self.fit.theta[own]) / self.fit.std[own]
+        return max((float(s) for s, p in zip(sizes, parameters, strict=True) if p.kind == "strength"), default=0.0)
+
+    @property
+    def sigmas(self) -> float:
+        """Strength of its weakest effect; 0 without effects."""
+        return min((self.strength(member) for member in range(len(self.candidates))), default=0.0)
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a candidate promises on top of a fit.
+
+    Attributes:
+        candidate: its number.
+        start: its parameters, strength included.
+        gain: fall of the cost.
+        reach: standard deviations for each unit of strength.
+        column: change of the rows over the strength, over σ, (m,).
+    """
+
+    candidate: int
+    start: FloatArray
+    gain: float
+    reach: float
+    column: FloatArray
+
+
+class Search:
+    """Finds explanations of a gap.
+
+    Args:
+        data: what fits work on.
+        rig: the model as given.
+        parameters: of the model, delays of the chain among them.
+        candidates: effects at their places.
+        tell: called with a sentence as the work goes on.
+    """
+
+    def __init__(
+        self,
+        data: Data,
+        rig: Rig,
+        parameters: Sequence[CalibrationParameter],
+        candidates: Sequence[Candidate],
+        tell: Told = lambda _: None,
+    ) -> None:
+        self.data, self.rig, self.tell = data, rig, tell
+        self.parameters, self.candidates = tuple(parameters), tuple(candidates)
+
+    def parametrisation(self, candidates: Sequence[Candidate] = (), spreads: Sequence[float] = ()) -> Parametrisation:
+        """Parameters of the model and of some effects."""
+        return Parametrisation(self.rig, self.parameters, tuple(candidates), tuple(spreads))
+
+    def null(self, start: Fitted | None = None) -> Found:
+        """The model alone, its own parameters re-fitted.
+
+        Raises:
+            FitError: it has no solution.
+        """
+        own = self.parametrisation()
+        theta = own.zero if start is None else start.theta[: len(self.parameters)]
+        return Found((), fit(self.data, own, theta, None if start is None else start.prediction))
+
+    def scores(self, base: Found) -> list[Score]:
+        """All candidates on top of a fit, the best first."""
+        found = self._columns(base)
+        if not found:
+            return []
+        own, data = base.fit, self.data
+        chain = own.errors.slopes
+        columns = np.column_stack([own.jacobian, chain])
+        # The prior of a strength must not hold back what the data say: it would look like something else.
+        prior = own.parametrisation.prior_std.copy()
+        prior[len(self.parameters) :] *= 1e3
+        precision = np.concatenate([prior**-2.0, np.ones(chain.shape[1])])
+        metric = Metric(columns, precision, own.errors.weights)
+        rest, taken = metric.rest(np.column_stack([column for _, _, column, _ in found]))
+        now = np.concatenate([own.theta, own.errors.chain])
+        left, counts, groups = own.errors.left, data.counts, data.groups
+        before = groups.cost(own.errors.squares, counts)
+        result = []
+        for k, (number, start, column, signed) in enumerate(found):
+            vector, follow, weights, strength = rest[:, k], taken[:, k], own.errors.weights, 0.0
+            # What the strength takes off the priors of parameters and chain counts as what it takes off the residual.
+            pull, stiff = float(follow @ (precision * now)), float(follow @ (precision * follow))
+            square = float(vector @ (weights * vector)) + stiff
+            if not square > 1e-12:
+                continue
+            reach = math.sqrt(square)
+            for _ in range(4):
+                square = float(vector @ (weights * vector)) + stiff
+                strength = (float(vector @ (weights * left)) + pull) / square
+                if strength < 0.0 and not signed:
+                    strength = 0.0
+                squares = groups.sums((left - strength * vector) ** 2)
+                weights = groups.weights(squares, counts)[groups.of]
+            gain = before - groups.cost(squares, counts) + 2.0 * strength * pull - strength**2 * stiff
+            position = strength_position(self.candidates[number])
+            own_start = at_strength(self.candidates[number], start, start[position] or strength)
+            result.append(Score(number, own_start, gain, reach, column))
+        return sorted(result, key=lambda score: -score.gain)
+
+    def _columns(self, base: Found) -> list[tuple[int, FloatArray, FloatArray, bool]]:
+        """Number, start, column and whether either sign, of all candidates that the fit does not have yet."""
+        data, own = self.data, base.fit
+        taken = base.explanation.causes
+        pieces = [
+            (number, start)
+            for number, candidate in enumerate(self.candidates)
+            if not any(cause.same_but_for_form(candidate.cause) for cause in taken)
+            for start in starts_of(candidate)
+        ]
+        smooth = [(n, s) for n, s in pieces if s[strength_position(self.candidates[n])] == 0.0]
+        other = [(n, s) for n, s in pieces if s[strength_position(self.candidates[n])] != 0.0]
+        result = []
+        turns: dict[int, list[FloatArray]] = {}
+        for number, start in smooth:
+            turns.setdefault(number, []).append(start)
+        for turn in range(max((len(starts) for starts in turns.values()), default=0)):
+            chosen = [(n, starts[turn]) for n, starts in turns.items() if len(starts) > turn]
+            for (number, start), column in zip(chosen, self._slopes(base, chosen), strict=True):
+                candidate = self.candidates[number]
+                parameter = strength_parameter(candidate)
+                if parameter.even and not np.linalg.norm(column) > _SHOWN:
+                    other.append((number, at_strength(candidate, start, parameter.even)))
+                elif np.any(column != 0.0):
+                    result.append((number, start, column, parameter.signed))
+        for number, start in other:
+            candidate = self.candidates[number]
+            parametrisation = self.parametrisation((*base.candidates, candidate), own.parametrisation.spreads)
+            moved = predicted(data, parametrisation, np.concatenate([own.theta, start]), own.prediction)
+            if moved is None:
+                continue
+            parameter = strength_parameter(candidate)
+            errors = own.errors.chain
+            change = own.errors.left - data.difference(moved.values, errors)
+            column = change / float(start[strength_position(candidate)])
+            # What does not show to first order goes with the square: the same way for either sign.
+            result.append((number, start, column, parameter.signed and not parameter.even))
+        return result
+
+    def _slopes(self, base: Found, chosen: Sequence[tuple[int, FloatArray]]) -> list[FloatArray]:
+        """Derivatives of the rows over strengths at zero, over σ."""
+        added = [self.candidates[number] for number, _ in chosen]
+        own = self.parametrisation((*base.candidates, *added), base.fit.parametrisation.spreads)
+        theta = np.concatenate([base.fit.theta, *[at_zero(c, s) for c, (_, s) in zip(added, chosen, strict=True)]])
+        offset, which = base.fit.theta.size, []
+        for candidate in added:
+            which.append(offset + strength_position(candidate))
+            offset += len(candidate.effect.parameters)
+        try:
+            columns = self.data.forward.jacobian(own, theta, base.fit.prediction, which)
+        except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+            return [np.zeros(self.data.sigma.size) for _ in chosen]
+        return list(self.data.slopes(columns, base.fit.errors.values).T)
+
+    def added(self, base: Found, score: Score) -> Found | None:
+        """A candidate fitted on top of a fit; None where the model cannot be solved with it."""
+        candidate = self.candidates[score.candidate]
+        spreads = (*base.fit.parametrisation.spreads, 1.0)
+        own = self.parametrisation((*base.candidates, candidate), spreads)
+        start = score.start.copy()
+        position = strength_position(candidate)
+        best: Fitted | None = None
+        for share in (1.0, 0.3):
+            start[position] = share * score.start[position]
+            theta = np.concatenate([base.fit.theta, start])
+            try:
+                jacobian = self._joined(base, own, theta)
+                best = self.widened(
+                    fit(self.data, own, theta, base.fit.prediction, jacobian, exact=False, refreshes=FIRST_REFRESHES)
+                )
+                break
+            except FitError:
+                continue
+        # Worse than without it: the fit has lost its way.
+        lost = best is None or best.cost > base.fit.cost + LOST
+        return None if best is None or lost else Found((*base.candidates, candidate), best)
+
+    def _joined(self, base: Found, own: Parametrisation, theta: FloatArray) -> FloatArray:
+        """Sensitivities of a fit with those of what is added to it, over σ.
+
+        Raises:
+            FitError: the model has no solution there.
+        """
+        near = predicted(self.data, own, theta, base.fit.prediction)
+        if near is None:
+            raise FitError("the model has no solution with it")
+        which = range(base.fit.theta.size, theta.size)
+        try:
+            columns = self.data.forward.jacobian(own, theta, near, which)
+        except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            raise FitError(f"the model has no sensitivities there ({error})") from error
+        return np.column_stack([base.fit.jacobian, self.data.slopes(columns, base.fit.errors.values)])
+
+    def again(self, found: Found) -> Found:
+        """The same explanation fitted to this search's data from where it stands; itself where that fails."""
+        own = found.fit
+        try:
+            return Found(found.candidates, fit(self.data, own.parametrisation, own.theta, own.prediction))
+        except FitError:
+            return found
+
+    def all_again(self, found: Sequence[Found]) -> list[Found]:
+        """All explanations that are not far behind the best, fitted again, the best first."""
+        most = max(own.fit.log_evidence for own in found)
+        near = [own for own in found if own.fit.log_evidence > most - FAR_BEHIND][:FINALISTS]
+        return sorted(map(self.again, near), key=lambda own: -own.fit.log_evidence)
+
+    def widened(self, found: Fitted) -> Fitted:
+        """The fit with the part of its strengths' prior that makes it most probable."""
+        own = found.parametrisation
+        spreads = list(own.spread(k) for k in range(len(own.candidates)))
+        for k, candidate in enumerate(own.candidates):
+            mine = found.theta[own.index_of(k)]
+            sizes = [abs(float(v)) for v, p in zip(mine, candidate.effect.parameters, strict=True) if p.kind == "strength"]
+            wanted = max(sizes) / (WIDER_STRENGTH * 3.0)
+            spreads[k] = next((s for s in SPREADS if s >= max(wanted, spreads[k])), SPREADS[-1])
+        if spreads == [own.spread(k) for k in range(len(own.candidates))]:
+            return found
+        wider = replace(own, spreads=tuple(spreads))
+        again = fit(
+            self.data, wider, found.theta, found.prediction, found.jacobian, exact=False, refreshes=FIRST_REFRESHES
+        )
+        return self.widened(again) if again.log_evidence > found.log_evidence else found
+
+    def chosen(self, scores: Sequence[Score], effects: int, places: int, least: float) -> list[Score]:
+        """The best effects at their best places, one start each."""
+        result: list[Score] = []
+        by_effect: dict[str, list[Score]] = {}
+        for score in scores:
+            if score.gain < least:
+                break
+            candidate = self.candidates[score.candidate]
+            if candidate.effect.name not in by_effect and len(by_effect) == effects:
+                continue
+            mine = by_effect.setdefault(candidate.effect.name, [])
+            if len(mine) < places and all(score.candidate != own.candidate for own in mine):
+                mine.append(score)
+                result.append(score)
+        return result
+
+    def singles(self, null: Found, scores: Sequence[Score]) -> list[Found]:
+        """Explanations by one effect, the best first."""
+        wanted = self.chosen(scores, FIRST_EFFECTS, FIRST_PLACES, LEAST_GAIN)
+        self.tell(f"fitting {len(wanted)} explanations")
+        found = self._all(null, wanted)
+        if not found:
+            return []
+        best = found[0]
+        tried = {own.explanation for own in found}
+        others = [
+            score
+            for score in self.chosen(scores, len(self.candidates), len(self.candidates), -math.inf)
+            if self.candidates[score.candidate].effect.name in best.effects
+            and score.gain > OTHER_PLACES * scores[0].gain
+            and Explanation((self.candidates[score.candidate].cause,)) not in tried
+        ]
+        return sorted([*found, *self._all(null, others)], key=lambda own: -own.fit.log_evidence)
+
+    def pairs(self, singles: Sequence[Found]) -> list[Found]:
+        """Second effects on top of the best explanations, the best first."""
+        found: dict[Explanation, Found] = {}
+        heads: set[tuple[str, ...]] = set()
+        for single in singles:
+            if single.effects in heads or len(heads) == HEADS:
+                continue
+            heads.add(single.effects)
+            wanted = self.chosen(self.scores(single), SECOND_EFFECTS, 1, SECOND_GAIN)
+            for own in self._all(single, wanted):
+                known = found.get(own.explanation)
+                if known is None or own.fit.log_evidence > known.fit.log_evidence:
+                    found[own.explanation] = own
+        return sorted(found.values(), key=lambda own: -own.fit.log_evidence)
+
+    def _all(self, base: Found, wanted: Sequence[Score]) -> list[Found]:
+        found = [self.added(base, score) for score in wanted]
+        return sorted((own for own in found if own is not None), key=lambda own: -own.fit.log_evidence)

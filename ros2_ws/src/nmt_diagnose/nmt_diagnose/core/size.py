@@ -1,0 +1,93 @@
+"""How large a gap is in engineering terms, and whether that matters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_diagnose.core.fitting import Data
+from nmt_diagnose.core.search import Found
+from nmt_diagnose.observations.observables import Part
+
+MATTERS: dict[str, float] = {"frequency": 5e-4, "damping": 0.02, "response": 0.02, "harmonics": 1e-3}
+"""Smallest relative size that matters: of a frequency, a damping ratio, a response, a harmonic over the fundamental."""
+
+_KINDS: dict[str, tuple[Part, ...]] = {
+    "frequency": (Part.LOG_FREQUENCY,),
+    "damping": (Part.DAMPING,),
+    "response": (Part.LOG_MAGNITUDE, Part.PHASE),
+    "harmonics": (Part.REAL, Part.IMAG),
+}
+_PERCENT = 100.0
+
+
+@dataclass(frozen=True)
+class Size:
+    """Largest change that an explanation makes in each kind of observable, relative.
+
+    Attributes:
+        values: by kind of `MATTERS`; kinds without rows are left out.
+        other: it changes rows that have no such size, such as samples or lines of the mains.
+    """
+
+    values: Mapping[str, float]
+    other: bool
+
+    @property
+    def sentence(self) -> str:
+        """The size in words."""
+        parts = ", ".join(f"{_PERCENT * value:.2g} % of {_NAMES[kind]}" for kind, value in self.values.items())
+        return f"The recordings show a difference beyond their noise that is smaller than what matters: {parts}."
+
+
+_NAMES = {
+    "frequency": "the frequency",
+    "damping": "the damping",
+    "response": "a response",
+    "harmonics": "the fundamental in harmonics",
+}
+
+
+def measured_size(data: Data, null: Found, found: Found) -> Size:
+    """How far an explanation and the model alone lie apart, at the level or line where they differ most.
+
+    A line where hardly anything is left of a response counts by the response beside it: rms over each level or tenth
+    of the lines.
+    """
+    rows = data.observations.rows
+    apart = data.forward.difference(found.fit.errors.values, null.fit.errors.values)
+    values: dict[str, float] = {}
+    known = np.zeros(len(rows), dtype=bool)
+    for kind, parts in _KINDS.items():
+        mine = data.used & np.isin(rows.part, parts)
+        known |= mine
+        if not mine.any():
+            continue
+        change = np.abs(apart[mine])
+        if kind == "damping":
+            change = change / np.maximum(np.abs(data.observations.values[mine]), 1e-12)
+        keys = np.stack([rows.test[mine], rows.channel[mine], _band(rows.level[mine], rows.test[mine])])
+        _, group = np.unique(keys, axis=1, return_inverse=True)
+        counts = np.bincount(group.ravel())
+        values[kind] = float(np.sqrt(np.max(np.bincount(group.ravel(), change**2) / counts)))
+    rest = data.used & ~known
+    scaled = apart[rest] / data.sigma[rest]
+    return Size(values, bool(np.any(np.abs(scaled) > 1.0)))
+
+
+def _band(level: np.ndarray, test: np.ndarray) -> np.ndarray:
+    """Levels, or tenths of many lines."""
+    result = level.copy()
+    for number in np.unique(test):
+        mine = test == number
+        most = int(level[mine].max()) + 1
+        if most > 20:
+            result[mine] = level[mine] * 10 // most
+    return result
+
+
+def matters(size: Size, wanted: Mapping[str, float]) -> bool:
+    """Whether any kind of observable changes by as much as matters; what has no size always does."""
+    return size.other or any(value >= wanted.get(kind, 0.0) for kind, value in size.values.items())

@@ -1,0 +1,65 @@
+"""All tuned numbers of the diagnosis, each with its reason."""
+
+from __future__ import annotations
+
+import math
+
+from nmt_diagnose.observations.floors import Floors
+
+# Standard deviation of one image constant, over that of a mass line: the images of a held drive sum to a sawtooth of
+# the moment of sampling, of amplitude 1.
+IMAGE_STD = 0.6
+# What a loop may hold other than it was told: all levels alike, and each level by itself, rad.
+AIM_STD = math.radians(1.0)
+LOCK_STD = math.radians(0.5)
+# Harmonics of a drive that was not recorded, over its fundamental.
+DRIVE_HARMONIC_STD = 1e-3
+# Shift of the resonance from sweep to sweep, relative.
+SWEEP_SHIFT_STD = 3e-4
+# Degrees of freedom of the prior of a scale: stated noise is right to a factor of about 1.5.
+SCALE_DEGREES = 6.0
+# Most steps of a fit; promised fall of the cost below which it has converged; largest step in prior deviations.
+FIT_STEPS, CONVERGED, LARGEST_STEP = 25, 0.2, 3.0
+# Most reweightings of chain and scales for one prediction: near the optimum three suffice.
+REWEIGHTINGS = 20
+# Search: effects that are fitted, places of each, fall of the cost below which nothing is tried.
+FIRST_EFFECTS, FIRST_PLACES, LEAST_GAIN = 5, 2, 6.0
+# Second effects: explanations they are added to, how many to each, fall of the cost that they must promise.
+HEADS, SECOND_EFFECTS, SECOND_GAIN = 2, 2, 16.0
+# Strength over its prior deviation from which a wider part of the prior is tried.
+WIDER_STRENGTH = 2.5
+# ln of a predicted over a measured line beyond which it is as good as anywhere: keeps trial steps finite.
+LARGEST_LOG_RATIO = 3.0
+# Prior probabilities: nothing is missing, one effect is, two are, something without a name is.
+PRIOR_NONE, PRIOR_EFFECT, PRIOR_PAIR, PRIOR_UNNAMED = 0.6, 0.25, 0.05, 0.1
+# Distance in standard deviations below which two explanations are one class.
+EQUIVALENT = 3.0
+# Sizes that an unnamed source may have, in units of 1 % of force or response.
+SOURCE_SIZES = (0.003, 0.03, 0.3, 3.0)
+# ln of the odds against no gap from which a gap is claimed: one healthy recording in a hundred reaches it.
+ALARM = 3.0
+# Fall of the cost by re-fitting the model's own parameters from which that is called a calibration.
+RECALIBRATION = 25.0
+# Share of the gap that a named effect has to close for what is left to be a remainder and not something unknown.
+EXPLAINED = 0.85
+# Explanations that are told; share of the likeliest detail's probability from which another is named beside it.
+RANKED, AS_LIKELY = 8, 1.0 / 3.0
+# Times that the chain is taken anew about the model's fit; steps of a refit to a part of the rows.
+CHAIN_ROUNDS, REFIT_STEPS = 2, 4
+# Share of the rows below which a model without solutions cannot be compared.
+FEWEST_LINES_LOST = 0.3
+# Most lines of a random test.
+RANDOM_LINES = 160
+# What is left of solver and estimators without noise, far below what recordings repeat to.
+SOLVER = Floors(
+    log_frequency=1e-6, phase_error=0.0, log_magnitude=1e-5, force_log_magnitude=1e-5, phase=1e-5, harmonic=1e-6,
+    model_harmonics=100, frf=1e-5, stepped=1e-5, images=0.0, decay_log_frequency=1e-6, decay_damping=1e-3,
+    decay_shape=1e-5,
+)  # fmt: skip
+# Explanations that are fitted again about the best one, how far in ln evidence they may lie behind, and the rise of
+# the cost over the model alone from which a fit has lost its way.
+FINALISTS, FAR_BEHIND, LOST = 8, 40.0, 20.0
+# Times that sensitivities are computed anew in the first fit of a candidate.
+FIRST_REFRESHES = 3
+# Share of the best fall of the cost from which the best effect is fitted at its other places, too.
+OTHER_PLACES = 0.1

@@ -1,0 +1,115 @@
+"""What a diagnosis says of the comparison, in the terms of ``diagnosis.json``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from nmt_diagnose.core.chain import SharedDelay
+from nmt_diagnose.core.compare import Comparison
+from nmt_diagnose.core.fitting import Data
+from nmt_diagnose.core.search import Found
+from nmt_diagnose.core.tuned import AS_LIKELY, RANKED
+from nmt_diagnose.effects.placement import Explanation, joined
+from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Recalibrated, Share, Value
+from nmt_diagnose.inference.gap import Closed
+
+
+def ranked_rows(comparison: Comparison, shares: Mapping[Explanation, Closed]) -> tuple[Ranked, ...]:
+    """The leading explanations, the most probable first, with parameters and shares of the gap that they close."""
+    result = []
+    for group in comparison.classes[:RANKED]:
+        head = group.head
+        share = shares.get(head.explanation)
+        placements = head.explanation.placements
+        result.append(
+            Ranked(
+                effect=joined(cause.effect for cause in head.explanation.causes),
+                place=head.explanation.kinds,
+                detail=joined(placement.detail for placement in placements if placement.detail),
+                probability=group.probability,
+                equivalents=tuple(joined(own.effects) for own in group.members[1:]),
+                parameters=parameters(head),
+                closed=Share(share.value, share.low, share.high) if share else Share(*[math.nan] * 3),
+                sigmas=head.sigmas,
+                converged=head.fit.converged,
+            )
+        )
+    return tuple(result)
+
+
+def parameters(found: Found) -> dict[str, Value]:
+    """Reported parameters with standard uncertainties, carried through to first order (GUM, 5.2)."""
+    own, theta = found.fit.parametrisation, found.fit.theta
+    result: dict[str, Value] = {}
+    for index, candidate in enumerate(found.candidates):
+        mine = own.index_of(index)
+        covariance = found.fit.covariance[mine, mine]
+        for name, (value, unit) in own.reported(theta, index).items():
+            slopes = np.empty(mine.stop - mine.start)
+            for position, k in enumerate(range(mine.start, mine.stop)):
+                moved = theta.copy()
+                step = 0.1 * found.fit.std[k]
+                moved[k] += step
+                slopes[position] = (own.reported(moved, index)[name][0] - value) / step
+            variance = float(slopes @ covariance @ slopes) if np.all(np.isfinite(slopes)) else math.inf
+            label = f"{candidate.label}.{name}" if len(found.candidates) > 1 else name
+            result[label] = Value(value, math.sqrt(max(variance, 0.0)), unit)
+    return result
+
+
+def place_rows(comparison: Comparison, explained: Mapping[str, float]) -> tuple[PlaceShare, ...]:
+    """Probability of each place, and the share of the gap that a source there can account for."""
+    kinds: dict[str, float] = {}
+    details: dict[str, dict[str, float]] = {}
+    for placement, p in comparison.places.items():
+        kinds[placement.kind] = kinds.get(placement.kind, 0.0) + p
+        own = details.setdefault(placement.kind, {})
+        own[placement.detail] = own.get(placement.detail, 0.0) + p
+    weights = {kind: max(explained.get(kind, 0.0), 0.0) * p for kind, p in kinds.items()}
+    total = sum(weights.values())
+    result = []
+    for kind, p in sorted(kinds.items(), key=lambda item: -item[1]):
+        if p > 0.005:
+            best = max(details[kind].values())
+            detail = joined(sorted(what for what, q in details[kind].items() if what and q > AS_LIKELY * best))
+            result.append(PlaceShare(kind, detail, weights[kind] / total if total > 0.0 else p, p))
+    return tuple(result)
+
+
+def calibration_rows(found: Found) -> tuple[Recalibrated, ...]:
+    """The model's own parameters before and after; those of the measuring chain are none of them."""
+    result = []
+    for k, parameter in enumerate(found.fit.parametrisation.calibration):
+        if isinstance(parameter, SharedDelay):
+            continue
+        theta, std = float(found.fit.theta[k]), float(found.fit.std[k])
+        value = parameter.at(theta)
+        result.append(
+            Recalibrated(
+                parameter.name, parameter.value, value, abs(value + parameter.offset) * parameter.std * std,
+                parameter.unit, parameter.std, theta / std if std > 0.0 else 0.0,
+            )
+        )  # fmt: skip
+    return tuple(result)
+
+
+def candidate_row(found: Found, null: Found, data: Data) -> dict[str, Any]:
+    """A fitted explanation as ``diagnosis.json`` has it."""
+    own = found.fit
+    return {
+        "label": found.explanation.label,
+        "effect": joined(found.effects) or "none",
+        "place": found.explanation.kinds,
+        "chi_square": float(own.errors.left @ own.errors.left),
+        "penalty": float(np.sum((own.theta / own.parametrisation.prior_std) ** 2)),
+        "cost": own.cost,
+        "rows": int(data.used.sum()),
+        "parameters": int(own.theta.size - null.fit.theta.size),
+        "log_evidence": own.log_evidence - null.fit.log_evidence,
+        "sigmas": found.sigmas,
+        "converged": own.converged,
+    }

@@ -93,6 +93,8 @@ def add_parser(subparsers: Subparsers) -> None:
         help="take recordings that were simulated from the model itself, too: they show what a rig without a gap looks "
         "like",
     )
+    # For comparison only: noise that the recordings show in place of stated noise and tolerances.
+    parser.add_argument("--method", choices=("stated", "measured"), default="stated", help=argparse.SUPPRESS)
     add_jobs(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress display")
     add_task_page_option(parser)
@@ -117,6 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.page.task_feed import task_page
+    from nmt_diagnose.core.size import MATTERS
     from nmt_diagnose.effects.library import effect_named
     from nmt_diagnose.inference.diagnose import diagnose_bags
     from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
@@ -146,6 +149,8 @@ def run(arguments: argparse.Namespace) -> int:
             jobs=jobs,
             allow_own_model=arguments.allow_own_model,
             calibration=calibration,
+            method=arguments.method,
+            matters=MATTERS,
         )
         outcome = diagnose_bags(rig, arguments.real, arguments.floor, settings, progress.update)
         progress.update("writing the report")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,10 @@ from nmt_diagnose.core.tuned import (
     AIM_STD,
     DRIVE_HARMONIC_STD,
     IMAGE_STD,
-    LOCK_STD,
     SWEEP_SHIFT_STD,
 )
+from nmt_diagnose.effects.calibration import CalibrationParameter
+from nmt_diagnose.effects.placement import PlaceKind
 from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, ChainTests, edited, later
 from nmt_diagnose.inference.modes_left_out import ModesLeftOut
 from nmt_diagnose.inference.shape_errors import ShapeErrors
@@ -43,29 +45,21 @@ _GAIN_STEP, _LEAD_STEP, _CLOCK_STEP, _SHIFT_STEP = 1e-3, 1e-3, 1e-5, 1e-6
 
 
 @dataclass(frozen=True)
-class SharedDelay:
+class SharedDelay(CalibrationParameter):
     """Delay that all sensors of a kind share against the drive; a parameter of the rig, θ of prior N(0, 1).
 
     Attributes:
         quantity: kind of the sensors.
-        std: prior standard deviation, s.
     """
 
-    quantity: Quantity
-    std: float
+    quantity: Quantity = Quantity.UNKNOWN
 
-    unit = "s"
-    value = 0.0
-
-    @property
-    def name(self) -> str:
-        """Name among the parameters."""
-        return f"chain.delay.{self.quantity.name.lower()}"
-
-    @property
-    def place(self) -> str:
-        """Place that it belongs to."""
-        return "force_sensor" if self.quantity is Quantity.FORCE else "response_sensor"
+    @classmethod
+    def of(cls, quantity: Quantity, std: float) -> SharedDelay:
+        """Delay of a kind of sensors, prior standard deviation in s."""
+        name = f"chain.delay.{quantity.name.lower()}"
+        place: PlaceKind = "force_sensor" if quantity is Quantity.FORCE else "response_sensor"
+        return cls(name, "s", (), std, place, 0.0, quantity=quantity)
 
     def at(self, theta: float) -> float:
         """Delay at θ, s."""
@@ -102,11 +96,11 @@ def shared_delays(observations: Observations, rig: Rig) -> tuple[SharedDelay, ..
         held = isinstance(test, PhaseResonanceTest) or (isinstance(test, RandomTest) and test.reference == "voltage")
         if chain is None or not held:
             continue
-        for channel in test.channels:
+        for channel in getattr(test, "channels", ()):
             if channel.quantity in (*_MOTIONS, Quantity.FORCE):
                 found[channel.quantity] = chain.shared_delay_s
     kinds = {sensor.quantity for sensor in rig.sensors}
-    return tuple(SharedDelay(own, std) for own, std in found.items() if own.name.lower() in kinds)
+    return tuple(SharedDelay.of(own, std) for own, std in found.items() if own.name.lower() in kinds)
 
 
 def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -> Chain:
@@ -174,7 +168,7 @@ class _Builder:
         moved = forward.difference(forward.predict(rig, self.base).values, self.base.values) / step
         return np.where(self._of(SteppedSineTest), 0.0, moved)
 
-    def _of(self, *kinds: type[Test]) -> FloatArray:
+    def _of(self, *kinds: type[Test]) -> BoolArray:
         numbers = [number for number, test in enumerate(self.tests.tests) if isinstance(test, kinds)]
         return np.isin(self.rows.test, numbers)
 
@@ -195,7 +189,7 @@ class _Builder:
             found[f"delay {name}"] = size * self._changed(delayed, DELAY_STEP_S)
             if channel.quantity in _PIEZOELECTRIC:
                 corner = _LEAD_STEP * self.tests.tested()
-                leading = edited(self.rig, channel, lambda sensor, corner=corner: _leading(sensor, corner))
+                leading = edited(self.rig, channel, partial(_leading, corner_hz=corner))
                 found[f"lead {name}"] = tolerance.phase * self._changed(leading, _LEAD_STEP)
         return found | self._reduced()
 
@@ -338,12 +332,14 @@ class _Builder:
     def _sweeps(self) -> dict[str, FloatArray]:
         """Shift of the resonance in each sweep at a held amplitude."""
         found = {}
-        for number, test in enumerate(self.tests.tests):
+        for test in self.tests.tests:
             if isinstance(test, SteppedSineTest):
                 shifted = tuple(
                     replace(t, lines_hz=t.lines_hz * (1.0 - _SHIFT_STEP)) if t is test else t for t in self.tests.tests
                 )
-                found[f"resonance in {test.name}"] = SWEEP_SHIFT_STD * self.tests.moved(shifted, self.base) / _SHIFT_STEP
+                found[f"resonance in {test.name}"] = (
+                    SWEEP_SHIFT_STD * self.tests.moved(shifted, self.base) / _SHIFT_STEP
+                )
         return found
 
 

@@ -124,9 +124,7 @@ def sources(data: Data, base: Found, found: Sequence[SourcePlace], open_from: in
     return result
 
 
-def _source(
-    data: Data, base: Found, metric: Metric, precision: FloatArray, block: FloatArray
-) -> tuple[float, float]:
+def _source(data: Data, base: Found, metric: Metric, precision: FloatArray, block: FloatArray) -> tuple[float, float]:
     """Rise of ln evidence by a Gaussian source whose size is one of several, and the fall of the cost."""
     errors, groups, counts = base.fit.errors, data.groups, data.counts
     rest, taken = metric.rest(block)

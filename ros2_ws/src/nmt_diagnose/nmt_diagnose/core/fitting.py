@@ -7,7 +7,6 @@ reweighted linear solutions; θ itself by Levenberg's damping.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -370,9 +369,7 @@ def fit(
     return _finished(parametrisation, theta, errors, slopes, prediction, cost)
 
 
-def _normal(
-    slopes: FloatArray, errors: Errors, theta: FloatArray, std: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _normal(slopes: FloatArray, errors: Errors, theta: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Normal matrix of θ with the chain marginalised, and the gradient."""
     metric = Metric(errors.slopes, np.ones(errors.chain.size), errors.weights)
     normal = metric.rest(slopes)[0].T @ (slopes * errors.weights[:, None]) + np.diag(std**-2.0)

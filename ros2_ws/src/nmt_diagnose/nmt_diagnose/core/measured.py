@@ -103,7 +103,7 @@ def find(rig: Rig, observations: Observations, settings: DiagnosisSettings, tell
     Raises:
         BenchError: the model has no solution for any of the observations.
     """
-    parameters: tuple[CalibrationParameter | SharedDelay, ...] = (
+    parameters: tuple[CalibrationParameter, ...] = (
         *calibration_parameters(rig),
         *shared_delays(observations, rig),
     )
@@ -128,14 +128,14 @@ def find(rig: Rig, observations: Observations, settings: DiagnosisSettings, tell
     first = Hypotheses(null, named, candidates, alone, [])
     behind = sources(data, first.best, found, len(parameters)) if first.best is not None else []
     comparison = Hypotheses(null, named, candidates, alone, behind).compared()
-    explained = {}
+    explained: dict[str, float] = {}
     for source in alone:
         explained[source.placement.kind] = max(explained.get(source.placement.kind, 0.0), source.explained)
     return Findings(data, search, given, null, tuple(named), comparison, explained)
 
 
 def _null(
-    rig: Rig, observations: Observations, parameters: Sequence[CalibrationParameter | SharedDelay]
+    rig: Rig, observations: Observations, parameters: Sequence[CalibrationParameter]
 ) -> tuple[Observations, Prediction, Found, Data]:
     """The model alone: first by logarithms, then with its chain about where it stands."""
     try:
@@ -164,7 +164,9 @@ def _about(rig: Rig, observations: Observations, near: Fitted, used: BoolArray) 
     return data_about(observations, own, prediction, used & np.isfinite(prediction.values))
 
 
-def judged(rig: Rig, observations: Observations, settings: DiagnosisSettings, tell: Told) -> DiagnosisOutcome:
+def judged(
+    rig: Rig, observations: Observations, settings: DiagnosisSettings, tell: Told = lambda _: None
+) -> DiagnosisOutcome:
     """The whole diagnosis of observations that have been read."""
     held = splits(observations, settings.hold_out)
     findings = find(rig, observations, settings, tell)
@@ -225,9 +227,7 @@ def judged(rig: Rig, observations: Observations, settings: DiagnosisSettings, te
         remainder=rest,
     )
     model = rig if verdict is Verdict.NONE else _rig_of(best, len(calibration))
-    return DiagnosisOutcome(
-        diagnosis, seen, rig, model, given.values, null.fit.errors.values, best.fit.errors.values
-    )
+    return DiagnosisOutcome(diagnosis, seen, rig, model, given.values, null.fit.errors.values, best.fit.errors.values)
 
 
 def _group_rms(data: Data, found: Found) -> dict[str, float]:
@@ -273,10 +273,8 @@ def _closed(findings: Findings, best: Found, held: Sequence[Split], seed: int) -
     """How much of the gap an explanation closes on rows that its fit did not see."""
     pairs = []
     for split in held:
-        both = [_unseen(findings.data, own, split, best) for own in (findings.null, best)]
-        if all(own is not None for own in both):
-            before, after = both
-            assert before is not None and after is not None
+        before, after = (_unseen(findings.data, own, split, best) for own in (findings.null, best))
+        if before is not None and after is not None:
             pairs.append((before, after, split.held_out & findings.data.used))
     return closed(findings.data.observations, pairs, seed)
 

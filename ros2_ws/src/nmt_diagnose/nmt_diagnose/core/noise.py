@@ -41,7 +41,7 @@ class Groups:
 
     def sums(self, squares: FloatArray) -> FloatArray:
         """Sum over each group, (K,), of values (m,)."""
-        return np.bincount(self.of, squares, len(self.names))
+        return np.asarray(np.bincount(self.of, squares, len(self.names)), dtype=np.float64)
 
     def counts(self, used: BoolArray) -> FloatArray:
         """Rows of each group, (K,)."""

@@ -34,7 +34,13 @@ from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.parametrisation import SPREADS, Parametrisation
 from nmt_diagnose.effects.placement import Explanation
-from nmt_diagnose.inference.candidate_starts import at_strength, at_zero, starts_of, strength_parameter, strength_position
+from nmt_diagnose.inference.candidate_starts import (
+    at_strength,
+    at_zero,
+    starts_of,
+    strength_parameter,
+    strength_position,
+)
 from nmt_rig.rig import Rig
 
 Told = Callable[[str], None]
@@ -280,13 +286,15 @@ class Search:
     def widened(self, found: Fitted) -> Fitted:
         """The fit with the part of its strengths' prior that makes it most probable."""
         own = found.parametrisation
-        spreads = list(own.spread(k) for k in range(len(own.candidates)))
+        spreads = [own.spread(k) for k in range(len(own.candidates))]
         for k, candidate in enumerate(own.candidates):
             mine = found.theta[own.index_of(k)]
-            sizes = [abs(float(v)) for v, p in zip(mine, candidate.effect.parameters, strict=True) if p.kind == "strength"]
+            sizes = [
+                abs(float(v)) for v, p in zip(mine, candidate.effect.parameters, strict=True) if p.kind == "strength"
+            ]
             wanted = max(sizes) / (WIDER_STRENGTH * 3.0)
             spreads[k] = next((s for s in SPREADS if s >= max(wanted, spreads[k])), SPREADS[-1])
-        if spreads == [own.spread(k) for k in range(len(own.candidates))]:
+        if all(spread == own.spread(k) for k, spread in enumerate(spreads)):
             return found
         wider = replace(own, spreads=tuple(spreads))
         again = fit(

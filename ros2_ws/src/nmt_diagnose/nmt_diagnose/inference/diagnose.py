@@ -215,9 +215,7 @@ class _Diagnoser:
         diagnosis = Diagnosis(
             verdict=verdict,
             sentences=(
-                *sentences(
-                    verdict, where, ranking, leader, gap, ahead, calibration, rest, judgement.strained
-                ),
+                *sentences(verdict, where, ranking, leader, gap, ahead, calibration, rest, judgement.strained),
                 *warnings,
             ),
             where=where,

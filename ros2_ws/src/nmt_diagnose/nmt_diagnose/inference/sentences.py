@@ -49,12 +49,12 @@ def sentences(
         )
     if verdict is Verdict.CALIBRATION:
         moved = sorted(calibration, key=lambda item: -abs(item.sigmas))[:3]
-        named = "; ".join(
+        farthest = "; ".join(
             f"{m.name} {value_text(m.start, math.nan)} to {value_text(m.to, m.std, m.unit)}" for m in moved
         )
         return (
             "The gap lies in parameters that the model already has.",
-            f"No unmodelled effect is needed; the parameters that moved most beside their uncertainty: {named}.",
+            f"No unmodelled effect is needed; the parameters that moved most beside their uncertainty: {farthest}.",
             _how_far(gap, "Re-fitting them"),
         )
     place = _where(where)
@@ -68,11 +68,7 @@ def sentences(
             *_ahead(ahead),
         )
     if verdict is Verdict.UNKNOWN:
-        best = (
-            f"; the nearest named effect is {_title(ranking[0].effect)}{_at(named)}"
-            if ranking
-            else ""
-        )
+        best = f"; the nearest named effect is {_title(ranking[0].effect)}{_at(named)}" if ranking else ""
         return (
             place,
             f"Nothing in the library explains it{best}.",

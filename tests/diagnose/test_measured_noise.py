@@ -1,0 +1,164 @@
+"""The diagnosis that measures its noise: scales, complex lines, verdicts under noise that is stated wrongly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnose.twin_observations import chain, observations_of_twin, real
+from scipy.integrate import quad
+
+from nmt_core.blocks import Quantity
+from nmt_diagnose.core.chain import SharedDelay
+from nmt_diagnose.core.fitting import best_errors, data_about
+from nmt_diagnose.core.measured import judged
+from nmt_diagnose.core.noise import Groups, groups_of
+from nmt_diagnose.core.size import MATTERS
+from nmt_diagnose.effects.library import library
+from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.twin.forward import Forward
+from nmt_rig.rig import Rig
+
+MODEL = chain()
+KNOWN = ("cubic_stiffness", "phase_offset", "viscous_damping", "response_gain")
+WITHHELD = tuple(effect.name for effect in library() if effect.name not in KNOWN)
+HARDENING = real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}])
+
+
+def observed(truth: Rig, seed: int = 6) -> Observations:
+    return observations_of_twin(truth, seed=seed, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
+
+
+def stated(observations: Observations, factor: float) -> Observations:
+    """The same recordings with all uncertainties stated so many times as large."""
+    return replace(observations, std=factor * observations.std, floor=factor * observations.floor)
+
+
+def diagnosed(observations: Observations, **settings: object) -> Diagnosis:
+    return judged(MODEL, observations, DiagnosisSettings(withheld=WITHHELD, **settings)).diagnosis  # type: ignore[arg-type]
+
+
+def test_marginal_scale_is_the_integral_over_all_scales() -> None:
+    nu, rows = 6.0, 9
+    groups = Groups(np.zeros(rows, dtype=np.int64), ("all",), np.array([nu]))
+
+    def density(squares: float) -> float:
+        # s² is inverse-gamma distributed with shape and scale ν/2.
+        def integrand(v: float) -> float:
+            return float(v ** (-rows / 2) * np.exp(-squares / (2 * v)) * v ** (-nu / 2 - 1) * np.exp(-nu / (2 * v)))
+
+        return quad(integrand, 1e-3, np.inf, limit=200)[0]
+
+    counts = np.array([float(rows)])
+    cost = [groups.cost(np.array([squares]), counts) for squares in (4.0, 40.0)]
+    assert cost[1] - cost[0] == pytest.approx(-2.0 * np.log(density(40.0) / density(4.0)), rel=1e-6)
+
+
+def test_known_scales_stay_one() -> None:
+    groups = Groups(np.array([0, 0, 1]), ("learnt", "known"), np.array([6.0, np.inf]))
+    counts = groups.counts(np.ones(3, dtype=bool))
+    weights = groups.weights(np.array([100.0, 100.0]), counts)
+    assert weights[0] < 0.1
+    assert weights[1] == 1.0
+    assert groups.cost(np.array([0.0, 7.0]), counts) == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize("factor", [0.4, 3.0])
+def test_a_healthy_rig_is_healthy_whatever_noise_is_stated(factor: float) -> None:
+    found = diagnosed(stated(observed(MODEL), factor))
+    assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+    assert found.gap.after == pytest.approx(1.0, abs=0.25)
+
+
+def test_uncertainties_follow_the_noise_that_is_there() -> None:
+    found = [diagnosed(stated(observed(HARDENING), factor)).ranking[0] for factor in (1.0, 3.0)]
+    assert [own.effect for own in found] == ["cubic_stiffness", "cubic_stiffness"]
+    one, three = (own.parameters["k"] for own in found)
+    # Five levels tell their own noise against the prior of a scale.
+    assert one.std < three.std < 0.8 * 3.0 * one.std
+    assert three.value == pytest.approx(2e8, abs=4.0 * three.std)
+
+
+def test_an_effect_is_named_placed_and_closes_the_gap() -> None:
+    found = diagnosed(observed(HARDENING))
+    assert found.verdict is Verdict.EFFECT
+    assert (found.ranking[0].effect, found.ranking[0].detail) == ("cubic_stiffness", "2")
+    assert found.where[0].place == "structure"
+    assert found.gap.closed > 0.8
+    assert found.ranking[0].converged
+
+
+def test_a_gap_below_what_matters_is_none_and_told_with_its_size() -> None:
+    wanted = dict.fromkeys(MATTERS, 10.0)
+    found = diagnosed(observed(HARDENING), matters=wanted)
+    assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+    assert "smaller than what matters" in found.sentences[-1]
+    assert found.ranking[0].effect == "cubic_stiffness"
+
+
+def laboratory(observations: Observations) -> Observations:
+    own = MeasuringChain(hold_hz=1000.0)
+    return replace(observations, chains=(own,) * len(observations.tests))
+
+
+def test_images_of_a_held_drive_add_to_lines_however_small_a_response_is() -> None:
+    observations = laboratory(observations_of_twin(MODEL, seed=1, drives=(0.1, 0.4)))
+    near = Forward(observations.tests, observations.rows).predict(MODEL)
+    used = np.isfinite(near.values)
+    data = data_about(observations, MODEL, near, used)
+    image = [k for k, name in enumerate(data.chain_names) if name.startswith("image 0")]
+    assert image
+    errors = np.zeros(len(data.chain_names))
+    errors[image[0]] = 1.0
+    clean = observations.values + np.zeros(len(used))
+    # What is recorded is the response and the image beside it.
+    size, turned = data.lines
+    response = np.exp(clean[size] + 1j * clean[turned])
+    added = data.added[size, image[0]] + 1j * data.added[turned, image[0]]
+    seen = response * (1.0 + added)
+    values = clean.copy()
+    values[size], values[turned] = np.log(np.abs(seen)), np.angle(seen)
+    moved = data_about(replace(observations, values=values), MODEL, near, used)
+    with_image = best_errors(moved, near.values).cost
+    without = best_errors(
+        replace(moved, added=np.zeros_like(moved.added), chain=np.zeros_like(moved.chain)), near.values
+    )
+    assert with_image < without.cost
+
+
+def test_a_gain_within_the_tolerance_of_its_channel_is_no_effect() -> None:
+    within, beyond = (
+        laboratory(observed(real(MODEL, sensors=_with_gain(gain)))) for gain in (1.01, 1.2)
+    )  # fmt: skip
+    assert diagnosed(within).verdict in (Verdict.NONE, Verdict.CALIBRATION)
+    found = diagnosed(beyond)
+    assert found.verdict is Verdict.EFFECT
+    assert found.ranking[0].effect == "response_gain"
+
+
+def _with_gain(gain: float) -> list[dict[str, object]]:
+    sensors = [sensor.model_dump() for sensor in MODEL.sensors]
+    number = next(k for k, sensor in enumerate(sensors) if sensor["quantity"] == "acceleration")
+    sensors[number]["gain"] = gain
+    return sensors
+
+
+def test_delays_that_a_kind_of_sensors_shares_are_parameters_of_the_rig() -> None:
+    delay = SharedDelay.of(Quantity.ACCELERATION, 1e-4)
+    late = delay.apply(MODEL, 2.0)
+    for before, after in zip(MODEL.sensors, late.sensors, strict=True):
+        expected = 2e-4 if before.quantity == "acceleration" else 0.0
+        assert after.delay_s - before.delay_s == pytest.approx(expected)
+    assert delay.apply(MODEL, 0.0) is MODEL
+
+
+def test_rows_of_one_kind_in_one_test_share_a_scale() -> None:
+    observations = observed(MODEL)
+    groups = groups_of(observations)
+    for part in (Part.LOG_FREQUENCY, Part.PHASE_ERROR):
+        assert np.unique(groups.of[observations.rows.part == part]).size == 1
+    assert np.unique(groups.of).size == len(groups.names)

@@ -270,8 +270,12 @@ def test_what_is_measured_comes_with_its_index_and_losses_are_marked() -> None:
     assert reports[-1].taken > 400
     assert reports[-1].delay == 60
     np.testing.assert_array_equal(bench.samples.measured.read(0, 200), measured(0, 200))
-    np.testing.assert_array_equal(bench.samples.measured.read(250, 200), measured(250, 200))
-    assert [report.lost for report in reports if report.lost[1]] == [(200, 250)]
+    np.testing.assert_array_equal(bench.samples.measured.read(350, 150), measured(350, 150))
+    lost = [report.lost for report in reports if report.lost[1]]
+    assert (lost[0][0], lost[-1][1]) == (200, 350), (
+        "and as long as what was put out before is on its way, in whole turns"
+    )
+    assert reports[-1].lost_turns == 1
     bench.end()
 
 

@@ -246,14 +246,23 @@ def run(arguments: argparse.Namespace) -> int:
             server.close()
 
 
-def follow_input(told: threading.Event, *ends: Callable[[], bool]) -> None:
-    """Wait for an event, for one of the ends, or for the end of the standard input where it is a pipe."""
+def follow_input(
+    told: threading.Event, *ends: Callable[[], bool], meanwhile: Callable[[], None] = lambda: None
+) -> None:
+    """Wait for an event, for one of the ends, or for the end of the standard input where it is a pipe.
+
+    Args:
+        told: the event.
+        *ends: asked ten times a second.
+        meanwhile: done as often.
+    """
     follow = False
     with contextlib.suppress(OSError, ValueError):
         follow = stat.S_ISFIFO(os.fstat(sys.stdin.fileno()).st_mode)
     while not told.is_set() and not any(end() for end in ends):
         if follow and select.select([sys.stdin], [], [], 0.0)[0] and not os.read(sys.stdin.fileno(), 100):
             return
+        meanwhile()
         told.wait(0.1)
 
 

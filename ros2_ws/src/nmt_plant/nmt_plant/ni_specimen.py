@@ -101,6 +101,11 @@ class Hardware:
             self._pass(count)
             due -= count
 
+    def keep_up(self) -> None:
+        """Let samples pass while nobody calls; now and then, so that the next call need not make up for many."""
+        with self._lock:
+            self._catch_up()
+
     def _wait(self, samples: int, end: float) -> bool:
         """Sleep for as long as so many samples take; whether the time has come to give up."""
         left = end - self._clock.now()
@@ -183,8 +188,7 @@ class Hardware:
 
     def at_the_port(self) -> tuple[FloatArray, FloatArray]:
         """What was at the output port until now, V, and when: (n, 2) as of `specimen.write_port`."""
-        with self._lock:
-            self._catch_up()
+        self.keep_up()
         return self._record[: self.recorded], np.array(self.record_times).reshape(-1, 2)
 
 
@@ -327,7 +331,7 @@ def run(arguments: argparse.Namespace) -> int:
         f"{', '.join(specimen.channels)}\n"
     )
     sys.stdout.flush()
-    follow_input(told)
+    follow_input(told, meanwhile=hardware.keep_up)
     server.stop(0.5)
     if arguments.record is not None:
         write_port(arguments.record, *hardware.at_the_port())

@@ -166,7 +166,6 @@ class NiDaqmxConverter(Converter):
         self._measured = np.zeros((self.inputs + (stop is not None), block_samples))
         self._running = False
         self._restarts: list[float] = []
-        self._echo = 0
         device = str(inputs[0][0]).partition("/")[0]
         self._tasks: list[Any] = []
         try:
@@ -263,13 +262,11 @@ class NiDaqmxConverter(Converter):
                 raise RuntimeError(f"NI-DAQmx: {_first_line(error)}") from error
             self._start_over(error)
             return Taken(np.zeros((self.inputs, values.shape[1])), True)
-        lost = self._echo > 0
-        self._echo = max(self._echo - 1, 0)
         if self._stop_line is not None:
             _, _, threshold, below = self._stop_line
             level = self._measured[-1]
             self._stop_asked = bool(np.median(level) < threshold if below else np.median(level) > threshold)
-        return Taken(self._measured[: self.inputs].copy(), lost)
+        return Taken(self._measured[: self.inputs].copy())
 
     def stop_requested(self) -> bool:
         """Whether the stop line asked for zero in most of the samples of the last block."""
@@ -284,8 +281,6 @@ class NiDaqmxConverter(Converter):
                 f"({_first_line(error)}); give larger blocks (block_samples) or a larger output buffer (buffer_blocks)"
             ) from error
         self._stop()
-        # What waited in the buffer was never put out: what is measured until it would have been belongs to nothing.
-        self._echo = self._blocks + 1
 
     def _stop(self) -> None:
         self._running = False

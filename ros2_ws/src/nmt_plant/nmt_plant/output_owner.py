@@ -213,6 +213,7 @@ class OutputOwner:
         self._lost_turns = self._turn_samples = 0
         self._begun = False
         self._fed = self._next = self._taken = 0
+        self._in_step = 0  # what is measured from this index on belongs to what was put out
         self._void = 0  # what was fed before this index is not put out any more
         self._since_feed = 0
         self._moving = False
@@ -392,7 +393,9 @@ class OutputOwner:
         count = taken.values.shape[1]
         end = self._taken + count
         self._lost_turns += taken.lost
-        if taken.lost or end - self._needed > self._settings.ring_samples:
+        if taken.lost:  # what is still on its way was not put out in step with what comes
+            self._in_step = end + self._delay_samples
+        if self._taken < self._in_step or end - self._needed > self._settings.ring_samples:
             self._lost = _together(self._lost, (self._taken, end))
         else:
             self._samples.measured.write(self._taken, taken.values)

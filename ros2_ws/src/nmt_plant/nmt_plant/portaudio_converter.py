@@ -180,7 +180,6 @@ class PortAudioConverter(Converter):
         apis = self._portaudio.query_hostapis()
         host = apis[self._portaudio.query_devices(number)["hostapi"]]["name"]
         self._missed = MissedTurns() if "jack" in host.lower() else None
-        self._echo = 0  # samples after a loss that are still out of step with what was put out
         try:
             self._stream = self._portaudio.Stream(
                 samplerate=sample_rate,
@@ -221,11 +220,6 @@ class PortAudioConverter(Converter):
         lost = bool(status)
         if self._missed is not None:
             lost = self._missed.look(self._clock.now(), frames / self._rate) or lost
-        if lost:
-            self._echo = max(self.delay, 0) + 2 * frames
-        elif self._echo > 0:
-            self._echo -= frames
-            lost = True
         if self.stated < 0 and not status:
             self._take_stated_delay(frames, time)
         taken = Taken((measured[:, self._in_ports] * self._in_scale).T.astype(np.float64), lost)

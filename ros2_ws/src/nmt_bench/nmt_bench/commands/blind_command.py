@@ -38,6 +38,7 @@ def add_parser(subparsers: Subparsers) -> None:
     _add_make(parts)
     _add_run(parts)
     _add_score(parts)
+    _add_explain(parts)
     _add_calibrate(parts)
     _add_strengths(parts)
 
@@ -95,6 +96,14 @@ def _add_score(parts: Subparsers) -> None:
         "--docs", metavar="FILE", type=Path, nargs="?", const=Path("docs/diagnosis-results.md"),
         help="write the score sheet as a page of the documentation, too (default: docs/diagnosis-results.md)",
     )  # fmt: skip
+
+
+def _add_explain(parts: Subparsers) -> None:
+    part = parts.add_parser(
+        "explain", help="of an opened case: cost of model, winner and truth under the same noise, and what follows"
+    )
+    part.add_argument("case", metavar="CASE", help="number of the case, as in its folder")
+    _add_folder(part)
 
 
 def _add_calibrate(parts: Subparsers) -> None:
@@ -157,7 +166,14 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: a folder, seed or option is refused.
     """
-    parts = {"make": _make, "run": _run, "score": _score, "calibrate": _calibrate, "strengths": _strengths}
+    parts = {
+        "make": _make,
+        "run": _run,
+        "score": _score,
+        "explain": _explain,
+        "calibrate": _calibrate,
+        "strengths": _strengths,
+    }
     status = parts[arguments.part](arguments)
     sys.stdout.flush()
     return status
@@ -222,6 +238,28 @@ def _score(arguments: argparse.Namespace) -> int:
     for line in print_scores(scores):
         _console().print(line, markup=False)
     _console().print(f"written: {', '.join(str(file) for file in files)}", markup=False)
+    return EXIT_DONE
+
+
+def _explain(arguments: argparse.Namespace) -> int:
+    from nmt_blind.campaign.explain import explain_case
+
+    found = explain_case(arguments.out, arguments.case)
+    null, winner, truth = found.costs
+    console = _console()
+    lines = [
+        f"case {found.case}: truth {found.truth or 'none'}, drawn at {found.drawn:g} standard deviations",
+        f"cost of the model alone {null:.1f}",
+        f"cost of the winner, {found.winner}: {winner:.1f} ({winner - null:+.1f}), "
+        f"ln evidence {found.evidence[0]:+.1f}",
+        f"cost of the truth: {truth:.1f} ({truth - null:+.1f}), ln evidence {found.evidence[1]:+.1f}; "
+        f"{found.sigma:.1f} standard deviations under this noise",
+        "learnt scales, of the model alone, the winner and the truth:",
+        *(f"  {name}: {a:.2f}, {b:.2f}, {c:.2f}" for name, (a, b, c) in found.scales.items()),
+        f"what follows: {found.follows}",
+    ]
+    for line in lines:
+        console.print(line, markup=False, soft_wrap=True)
     return EXIT_DONE
 
 

@@ -457,6 +457,18 @@ def _trained(train: Path | None, folder: Path) -> tuple[Method | None, str]:
     return FeatureClassifier(usable), str(train)
 
 
+def opened_truth(folder: Path) -> dict[str, Any]:
+    """What is true of the cases of a campaign of development, or of a sealed one that was opened.
+
+    Raises:
+        BenchError: its seal has not been opened, or it is no campaign.
+    """
+    seal = _read(folder / "seal.json")
+    if seal.get("purpose") != "development" and not (folder / _OPENED_FILE).is_file():
+        raise BenchError(f"The seal of {folder} has not been opened; './nmt blind score' opens it.")
+    return _opened(folder, seal)
+
+
 def development_cases(folder: Path) -> tuple[ScoredCase, ...]:
     """Diagnosed cases of a campaign from which anything may be learned: of development, or sealed and opened since.
 

@@ -92,9 +92,19 @@ def diagnose_measured(
     Raises:
         BenchError: bags or rig cannot be used.
     """
+    return judged(rig, observed(rig, bags, floor_bags, settings, progress), settings, progress)
+
+
+def observed(
+    rig: Rig,
+    bags: Sequence[Path | str],
+    floor_bags: Sequence[Path | str],
+    settings: DiagnosisSettings,
+    progress: Told,
+) -> Observations:
+    """Rows of the bags with the noise that they show; arguments as for :func:`diagnose_measured`."""
     reading = ObservationSettings(calibration=settings.calibration, floors=SOLVER, lines=RANDOM_LINES)
-    observations = read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
-    return judged(rig, observations, settings, progress)
+    return read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
 
 
 def find(rig: Rig, observations: Observations, settings: DiagnosisSettings, tell: Told = lambda _: None) -> Findings:

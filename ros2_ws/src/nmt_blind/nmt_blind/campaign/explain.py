@@ -1,0 +1,220 @@
+"""Why a diagnosis came to what it said: the true parameters under the same noise as the winner's.
+
+A miss is judged before anything is changed. The case is diagnosed with measured noise, then the truth is fitted to the
+same rows from its true parameters. Costs of model alone, winner and truth, the strength that the truth has there, and
+the learnt scales tell whether the search, the priors, the physics, the noise or the information failed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from nmt_blind.campaign.run import read_public
+from nmt_blind.campaign.score import opened_truth
+from nmt_core.arrays import FloatArray
+from nmt_core.errors import BenchError
+from nmt_diagnose.core.fitting import FitError, fit
+from nmt_diagnose.core.measured import Findings, find, observed
+from nmt_diagnose.core.search import Found
+from nmt_diagnose.effects.effect import Candidate
+from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.inference.candidate_starts import starts_of
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.observations.observables import Observations
+from nmt_rig.rig import Rig, load_rig
+
+_SAME = 2.0  # difference of costs that is none
+_SEEN = 5.0  # standard deviations from which recordings show an effect
+_HALF = 0.5  # share of the drawn strength below which noise hides it
+_OFF = 1.5  # learnt scale from which a group of rows is predicted wrongly
+
+
+@dataclass(frozen=True)
+class Account:
+    """What is known of one case.
+
+    Attributes:
+        case: its number.
+        truth: labels of the true effects; empty for a healthy case.
+        drawn: strength that the generator states, standard deviations; 0 for a healthy case.
+        winner: label of the most probable explanation; ``none`` for the model alone.
+        costs: of null, winner and truth; NaN where the truth has no fit.
+        evidence: ln evidence of winner and truth over null.
+        sigma: strength of the truth under the learnt noise, standard deviations.
+        scales: learnt scale of each group of rows under null, winner and truth.
+        follows: found, search, priors, physics, noise, information, or healthy.
+    """
+
+    case: str
+    truth: str
+    drawn: float
+    winner: str
+    costs: tuple[float, float, float]
+    evidence: tuple[float, float]
+    sigma: float
+    scales: Mapping[str, tuple[float, float, float]]
+    follows: str
+
+
+def explain_case(folder: Path, case: str) -> Account:
+    """Account of a case of a campaign whose truth may be known.
+
+    Args:
+        folder: the campaign's folder.
+        case: its number.
+
+    Raises:
+        BenchError: there is no such case, it has no bags, or its seal has not been opened.
+    """
+    truth = {str(entry["case"]): entry for entry in opened_truth(folder)["cases"]}
+    if case not in truth:
+        raise BenchError(f"The campaign {folder} has no case {case}; it has {min(truth)} to {max(truth)}.")
+    own = folder / "cases" / case
+    bags = [own / test for test in read_public(folder)["tests"]]
+    if not (own / "bags.json").is_file():
+        raise BenchError(f"Case {case} of {folder} has no bags; go on with './nmt blind make'.")
+    rig = load_rig(str(own / "model.yaml"))
+    withheld = tuple(word for word in str(truth[case]["withheld"]).split(",") if word)
+    settings = DiagnosisSettings(withheld=withheld, look_ahead=False, method="measured")
+    return account(rig, observed(rig, bags, (), settings, lambda _: None), settings, truth[case])
+
+
+def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, truth: Mapping[str, Any]) -> Account:
+    """Account of observations whose truth is known.
+
+    Args:
+        rig: the model.
+        observations: the real side.
+        settings: of the diagnosis.
+        truth: the case's entry in the sealed file.
+    """
+    findings = find(rig, observations, settings)
+    null = findings.null
+    leader = findings.comparison.classes[0].head if findings.comparison.classes else None
+    raised = leader is not None and findings.comparison.none < leader_probability(findings)
+    winner = leader if leader is not None and raised else null
+    true = _fitted(findings, rig, truth)
+    fits = [null, winner, true or null]
+    costs = null.fit.cost, winner.fit.cost, true.fit.cost if true is not None else math.nan
+    evidence = tuple(own.fit.log_evidence - null.fit.log_evidence for own in fits[1:])
+    scales = {
+        name: tuple(float(np.sqrt(own.fit.errors.squares[k] / findings.data.counts[k])) for own in fits)
+        for k, name in enumerate(findings.data.groups.names)
+        if findings.data.counts[k]
+    }
+    sigma = math.sqrt(max(0.0, costs[0] - costs[2])) if true is not None else math.nan
+    drawn = min((float(effect["sigma"]) for effect in truth["effects"]), default=0.0)
+    named = frozenset(str(effect["name"]) for effect in truth["effects"])
+    members = findings.comparison.classes[0].members if raised else (null,)
+    found = any(frozenset(member.effects) == named for member in members)
+    return Account(
+        str(truth["case"]),
+        " + ".join(f"{effect['name']}@{effect['detail']}" for effect in truth["effects"]),
+        drawn,
+        winner.explanation.label,
+        costs,
+        (evidence[0], evidence[1]),
+        sigma,
+        {name: (own[0], own[1], own[2]) for name, own in scales.items()},
+        follows(found, bool(truth["effects"]), costs, evidence, sigma, drawn, [own[2] for own in scales.values()]),
+    )
+
+
+def leader_probability(findings: Findings) -> float:
+    """Probability of the most probable class."""
+    return findings.comparison.classes[0].probability
+
+
+def follows(
+    found: bool,
+    sick: bool,
+    costs: Sequence[float],
+    evidence: Sequence[float],
+    sigma: float,
+    drawn: float,
+    scales: Sequence[float],
+) -> str:
+    """What a miss comes from.
+
+    Args:
+        found: the winner is the truth.
+        sick: something is true.
+        costs: of null, winner and truth.
+        evidence: of winner and truth over null.
+        sigma: strength of the truth under the learnt noise.
+        drawn: strength that the generator states.
+        scales: learnt scale of each group of rows at the truth.
+    """
+    if found:
+        return "found" if sick else "healthy"
+    if math.isnan(sigma):
+        return "physics"  # the library has no fit of the truth
+    if costs[2] < costs[1] - _SAME:
+        return "search" if evidence[1] > evidence[0] else "priors"
+    if max(scales, default=1.0) > _OFF:
+        return "physics"
+    if sigma < _HALF * drawn and drawn >= _SEEN:
+        return "noise"
+    return "information" if sigma < _SEEN else "priors"
+
+
+def _fitted(findings: Findings, rig: Rig, truth: Mapping[str, Any]) -> Found | None:
+    """The truth fitted from its true parameters; None where the library lacks it or the model has no solution."""
+    search = findings.search
+    chosen: list[tuple[Candidate, FloatArray]] = []
+    for effect in truth["effects"]:
+        candidate = _candidate(search.candidates, str(effect["name"]), str(effect["detail"]))
+        if candidate is None:
+            return None
+        chosen.append((candidate, parameters_of(candidate, rig, effect.get("figures", {}))))
+    edits = {tuple(edit["path"]): edit["value"] for edit in truth["edits"] if edit["kind"] == "set"}
+    start = findings.null.fit.theta.copy()
+    for k, parameter in enumerate(search.parameters):
+        if parameter.path in edits:
+            value = float(edits[parameter.path])
+            start[k] = math.log((value + parameter.offset) / (parameter.value + parameter.offset)) / parameter.std
+    own = search.parametrisation([candidate for candidate, _ in chosen])
+    theta = np.concatenate([start, *[values for _, values in chosen]])
+    try:
+        return Found(tuple(c for c, _ in chosen), search.widened(fit(findings.data, own, theta, None)))
+    except FitError:
+        return None
+
+
+def _candidate(candidates: Sequence[Candidate], name: str, detail: str) -> Candidate | None:
+    """The library's candidate of a true effect at its place."""
+    spot = detail.split(" at ")[0].split(" with ")[0]
+    mine = [candidate for candidate in candidates if candidate.effect.name == name]
+    here = [candidate for candidate in mine if candidate.site.placement.detail == spot]
+    return next(iter(here or mine), None)
+
+
+def parameters_of(candidate: Candidate, rig: Rig, figures: Mapping[str, float]) -> FloatArray:
+    """Dimensionless parameters of a candidate that are reported as some figures, (parameters,)."""
+    own = Parametrisation(rig, (), (candidate,))
+
+    def off(theta: FloatArray) -> FloatArray:
+        reported = own.reported(theta, 0)
+        return np.array([
+            (min(max(reported[name][0], -1e12), 1e12) - value) / (abs(value) or 1.0)
+            for name, value in figures.items()
+            if name in reported
+        ])  # fmt: skip
+
+    best = None
+    for begin in starts_of(candidate):
+        begin = np.where(begin == 0.0, 1.0, begin)
+        if not off(begin).size:
+            return begin
+        for sign in (1.0, -1.0):
+            found = least_squares(off, sign * begin, xtol=1e-12, ftol=1e-12)
+            best = found if best is None or found.cost < best.cost else best
+    assert best is not None
+    return np.asarray(best.x, dtype=np.float64)

@@ -324,6 +324,7 @@ def imported(signals: Signals, folder: Path, segments: list[dict[str, Any]]) -> 
     return Bag.open(folder / "bag")
 
 
+@pytest.mark.campaign
 def test_a_recording_gives_what_its_windows_give(resonator, tmp_path):
     rig, signals, _ = resonator
     seconds = [{"kind": "random", "start": 0.0, "stop": 10.0, "level": 0.1, "band_hz": [12.0, 1900.0]}]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from diagnose.observation_bags import record, rig_with_noise
 from numpy.typing import NDArray
+from tiers import with_quick
 
 from nmt_core.arrays import FloatArray
 from nmt_diagnose.effects.library import candidates
@@ -40,7 +41,7 @@ def found(windows: list[tuple[FloatArray, FloatArray]], hz: float = 50.0) -> NDA
     return np.array([[line.amplitudes for line in lines if line], [line.std for line in lines if line]])
 
 
-@pytest.mark.parametrize("seconds", [2.0, 10.0])
+@pytest.mark.parametrize("seconds", with_quick([2.0, 10.0], 2.0))
 def test_windows_without_a_line_scatter_about_zero_as_stated(seconds: float) -> None:
     amplitudes, std = found([window(seed, seconds) for seed in range(120)])
     z = amplitudes / std

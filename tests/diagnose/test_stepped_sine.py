@@ -435,6 +435,7 @@ def diagnosis_of(scale: float) -> Diagnosis:
     return diagnose_observations(oscillator(), observations_of(tests), settings).diagnosis
 
 
+@pytest.mark.campaign
 def test_amplitudes_in_other_units_change_nothing() -> None:
     plain, small, large = (diagnosis_of(scale) for scale in (1.0, 0.01, 100.0))
     assert plain.verdict is Verdict.EFFECT

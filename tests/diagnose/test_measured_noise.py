@@ -14,14 +14,20 @@ from nmt_diagnose.core.chain import SharedDelay
 from nmt_diagnose.core.fitting import best_errors, data_about
 from nmt_diagnose.core.measured import judged
 from nmt_diagnose.core.noise import Groups, groups_of
+from nmt_diagnose.core.search import Score, Search
 from nmt_diagnose.core.size import MATTERS
-from nmt_diagnose.effects.library import library
+from nmt_diagnose.effects.calibration import calibration_parameters
+from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel
 from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.row_table import Place, RowTable
 from nmt_diagnose.twin.forward import Forward
-from nmt_rig.rig import Rig
+from nmt_diagnose.twin.operating_range import operating_range
+from nmt_rig.rig import Rig, validate_rig
+from nmt_rig.rig_file import RigDocument
 
 MODEL = chain()
 KNOWN = ("cubic_stiffness", "phase_offset", "viscous_damping", "response_gain")
@@ -162,3 +168,61 @@ def test_rows_of_one_kind_in_one_test_share_a_scale() -> None:
     for part in (Part.LOG_FREQUENCY, Part.PHASE_ERROR):
         assert np.unique(groups.of[observations.rows.part == part]).size == 1
     assert np.unique(groups.of).size == len(groups.names)
+
+
+@pytest.mark.parametrize("start", [20.0, 100.0])
+def test_a_strength_beyond_its_ordinary_prior_is_found_from_where_the_score_puts_it(start: float) -> None:
+    """A strength that its prior holds back would be taken for noise: the scale of the noise would grow instead."""
+    search, cubic = _table_search()
+    null = search.null()
+    found = search.added(null, Score(cubic, np.array([start]), 0.0, 1.0, np.zeros(search.data.sigma.size)), lost=np.inf)
+    assert found is not None
+    (value,) = found.fit.parametrisation.values(found.fit.theta, 0).values()
+    assert value == pytest.approx(CUBIC, rel=0.1)
+
+
+def test_strong_effects_are_climbed_from_low_levels() -> None:
+    search, _ = _table_search()
+    null = search.null()
+    best = search.singles(null, search.scores(null))[0]
+    assert best.effects == ("cubic_stiffness",)
+    (value,) = best.fit.parametrisation.values(best.fit.theta, 0).values()
+    assert value == pytest.approx(CUBIC, rel=0.1)
+
+
+CUBIC = 2.1e12
+
+
+def _table_search() -> tuple[Search, int]:
+    """A backbone of seven amplitudes, its cubic force 1.3 times the linear one at the top, scatter 0.6 %."""
+    model = validate_rig(
+        RigDocument(
+            "one_mode",
+            {
+                "name": "one_mode",
+                "structure": {
+                    "kind": "modal",
+                    "modes": [{"frequency_hz": 133.1, "damping_ratio": 0.0035, "modal_mass_kg": 1.0}],
+                },
+                "test": {"levels": "0.01:1:8"},
+            },
+            {},
+        )
+    )
+    amplitudes = np.linspace(5e-5, 6.5e-4, 7)
+    linear = (2.0 * np.pi * 133.1) ** 2
+    omega = np.sqrt(linear + 0.75 * CUBIC * amplitudes**2)
+    channel = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1, ideal=True)
+    test = BackboneTable("table", 1, channel, amplitudes)
+    table = RowTable()
+    scatter = 0.006 * np.random.default_rng(4).standard_normal(7)
+    for k, amplitude in enumerate(amplitudes):
+        place = Place(k, np.nan, omega[k] / (2.0 * np.pi), amplitude)
+        table.add(Part.LOG_FREQUENCY, float(np.log(omega[k]) + scatter[k]), 0.006, 0.0, place, 0, 1)
+    observations = table.observations(test)
+    given = Forward(observations.tests, observations.rows).predict(model)
+    data = data_about(observations, model, given, np.isfinite(given.values))
+    every = candidates(model, operating_range(model, observations.tests, observations=observations))
+    known = [own for own in every if own.effect.name in ("cubic_stiffness", "air_drag", "one_sided_stop")]
+    search = Search(data, model, calibration_parameters(model), known)
+    return search, next(k for k, own in enumerate(known) if own.effect.name == "cubic_stiffness")

@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.arrays import BoolArray, FloatArray
 from nmt_core.errors import BenchError
-from nmt_diagnose.core.fitting import Data, FitError, Fitted, Metric, fit, predicted
+from nmt_diagnose.core.fitting import Data, FitError, Fitted, Metric, fit, predicted, without_rows
 from nmt_diagnose.core.tuned import (
     FAR_BEHIND,
     FINALISTS,
@@ -28,11 +28,12 @@ from nmt_diagnose.core.tuned import (
     OTHER_PLACES,
     SECOND_EFFECTS,
     SECOND_GAIN,
+    STRAINED,
     WIDER_STRENGTH,
 )
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate
-from nmt_diagnose.effects.parametrisation import SPREADS, Parametrisation
+from nmt_diagnose.effects.parametrisation import SPREADS, STRENGTH_STD, Parametrisation
 from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.inference.candidate_starts import (
     at_strength,
@@ -41,6 +42,7 @@ from nmt_diagnose.inference.candidate_starts import (
     strength_parameter,
     strength_position,
 )
+from nmt_diagnose.observations.conditions import RandomTest
 from nmt_rig.rig import Rig
 
 Told = Callable[[str], None]
@@ -230,13 +232,14 @@ class Search:
             return [np.zeros(self.data.sigma.size) for _ in chosen]
         return list(self.data.slopes(columns, base.fit.errors.values).T)
 
-    def added(self, base: Found, score: Score) -> Found | None:
+    def added(self, base: Found, score: Score, lost: float = LOST) -> Found | None:
         """A candidate fitted on top of a fit; None where the model cannot be solved with it."""
         candidate = self.candidates[score.candidate]
-        spreads = (*base.fit.parametrisation.spreads, 1.0)
-        own = self.parametrisation((*base.candidates, candidate), spreads)
         start = score.start.copy()
         position = strength_position(candidate)
+        known = [base.fit.parametrisation.spread(k) for k in range(len(base.candidates))]
+        # A strength that its prior holds back would be taken for noise.
+        own = self.parametrisation((*base.candidates, candidate), (*known, _spread_of(float(start[position]))))
         best: Fitted | None = None
         for share in (1.0, 0.3):
             start[position] = share * score.start[position]
@@ -250,8 +253,9 @@ class Search:
             except FitError:
                 continue
         # Worse than without it: the fit has lost its way.
-        lost = best is None or best.cost > base.fit.cost + LOST
-        return None if best is None or lost else Found((*base.candidates, candidate), best)
+        if best is None or best.cost > base.fit.cost + lost:
+            return None
+        return Found((*base.candidates, candidate), best)
 
     def _joined(self, base: Found, own: Parametrisation, theta: FloatArray) -> FloatArray:
         """Sensitivities of a fit with those of what is added to it, over σ.
@@ -286,21 +290,17 @@ class Search:
     def widened(self, found: Fitted) -> Fitted:
         """The fit with the part of its strengths' prior that makes it most probable."""
         own = found.parametrisation
-        spreads = [own.spread(k) for k in range(len(own.candidates))]
+        spreads = []
         for k, candidate in enumerate(own.candidates):
-            mine = found.theta[own.index_of(k)]
-            sizes = [
-                abs(float(v)) for v, p in zip(mine, candidate.effect.parameters, strict=True) if p.kind == "strength"
-            ]
-            wanted = max(sizes) / (WIDER_STRENGTH * 3.0)
-            spreads[k] = next((s for s in SPREADS if s >= max(wanted, spreads[k])), SPREADS[-1])
+            mine = zip(found.theta[own.index_of(k)], candidate.effect.parameters, strict=True)
+            spreads.append(_spread_of(max(abs(float(value)) for value, p in mine if p.kind == "strength")))
         if all(spread == own.spread(k) for k, spread in enumerate(spreads)):
             return found
         wider = replace(own, spreads=tuple(spreads))
         again = fit(
             self.data, wider, found.theta, found.prediction, found.jacobian, exact=False, refreshes=FIRST_REFRESHES
         )
-        return self.widened(again) if again.log_evidence > found.log_evidence else found
+        return again if again.log_evidence > found.log_evidence else found
 
     def chosen(self, scores: Sequence[Score], effects: int, places: int, least: float) -> list[Score]:
         """The best effects at their best places, one start each."""
@@ -353,4 +353,83 @@ class Search:
 
     def _all(self, base: Found, wanted: Sequence[Score]) -> list[Found]:
         found = [self.added(base, score) for score in wanted]
-        return sorted((own for own in found if own is not None), key=lambda own: -own.fit.log_evidence)
+        if not base.candidates and self._strained(base):
+            for number in dict.fromkeys(score.candidate for score in wanted):
+                found += [self.climbed(number), self.from_below(number)]
+        best: dict[Explanation, Found] = {}
+        for own in found:
+            if own is not None:
+                known = best.get(own.explanation)
+                if known is None or own.fit.log_evidence > known.fit.log_evidence:
+                    best[own.explanation] = own
+        return sorted(best.values(), key=lambda own: -own.fit.log_evidence)
+
+    def _strained(self, base: Found) -> bool:
+        """Whether a fit leaves so much in any group of rows that its parameters are bent by what is missing."""
+        counts = self.data.counts
+        scales = np.sqrt(base.fit.errors.squares / np.maximum(counts, 1.0))
+        return bool(np.any(scales[np.isfinite(self.data.groups.degrees)] > STRAINED))
+
+    def climbed(self, number: int) -> Found | None:
+        """A candidate fitted to the lowest levels from the model as given, then to more of them, then to all.
+
+        What is strong bends the model's own parameters before it is named; at low levels it is weak.
+        """
+        found: Found | None = None
+        for used in self._stages:
+            data = without_rows(self.data, used)
+            part = Search(data, self.rig, self.parameters, [self.candidates[number]])
+            try:
+                if found is None:
+                    low = Found((), fit(data, self.parametrisation(), self.parametrisation().zero))
+                    scores = part.scores(low)
+                    found = part.added(low, scores[0]) if scores else None
+                else:
+                    own = found.fit
+                    again = fit(data, own.parametrisation, own.theta, own.prediction)
+                    found = Found(found.candidates, part.widened(again))
+            except FitError:
+                return None
+            if found is None:
+                return None
+        return found
+
+    def from_below(self, number: int) -> Found | None:
+        """A candidate fitted from the parameters that the lowest levels tell and the strength that all levels promise.
+
+        For forces that go with a power of the amplitude that is a straight line of ω² over that power.
+        """
+        below = self._below
+        if below is None:
+            return None
+        part = Search(self.data, self.rig, self.parameters, [self.candidates[number]])
+        scores = part.scores(below)
+        return part.added(below, scores[0], lost=math.inf) if scores else None
+
+    @cached_property
+    def _below(self) -> Found | None:
+        """The model alone with the parameters that the lowest levels tell."""
+        own = self.parametrisation()
+        try:
+            low = fit(without_rows(self.data, self._stages[0]), own, own.zero)
+            return Found((), fit(self.data, own, low.theta, low.prediction, steps=0))
+        except FitError:
+            return None
+
+    @cached_property
+    def _stages(self) -> tuple[BoolArray, ...]:
+        """Rows of the lowest third of the levels, of two thirds, and all; of what has no levels all."""
+        rows, tests = self.data.observations.rows, self.data.observations.tests
+        kinds = np.array([type(test).__name__ for test in tests])[rows.test]
+        rank = np.zeros(len(rows))
+        for kind in np.unique(kinds):
+            mine = kinds == kind
+            levels = np.unique(rows.amplitude[mine])
+            if kind != RandomTest.__name__ and levels.size > 2:
+                rank[mine] = np.searchsorted(levels, rows.amplitude[mine]) / levels.size
+        return rank < 1.0 / 3.0, rank < 2.0 / 3.0, np.ones(len(rows), dtype=bool)
+
+
+def _spread_of(strength: float) -> float:
+    """The narrowest part of a strength's prior that does not hold it back."""
+    return next((spread for spread in SPREADS if abs(strength) <= WIDER_STRENGTH * STRENGTH_STD * spread), SPREADS[-1])

@@ -63,3 +63,5 @@ FINALISTS, FAR_BEHIND, LOST = 8, 40.0, 20.0
 FIRST_REFRESHES = 3
 # Share of the best fall of the cost from which the best effect is fitted at its other places, too.
 OTHER_PLACES = 0.1
+# Learnt scale of a group of rows from which explanations are also climbed from low levels.
+STRAINED = 2.0

@@ -278,6 +278,17 @@ def test_every_gap_is_marked_and_nothing_else(kind, tells, seconds, delay):
         assert device.figures.lost_turns >= 4
 
 
+def test_gaps_are_not_taken_for_a_delay_that_moves():
+    with chain("portaudio", delay=237, lead_blocks=40) as made:
+        device = made.start()
+        made.stop_owner(np.arange(1.5, 7.0, 0.23), 0.011)
+        for _ in range(6):
+            drive(device, 50)
+        assert device.figures.lost_turns > 10
+        assert abs(device.figures.drift) < 0.1, "and the others give figures"
+        assert not any("delay" in each for each in device.warnings)
+
+
 def test_ni_starts_over_five_times_in_ten_seconds_and_no_more():
     for apart, ends in ((2.1, False), (1.5, True)):
         with chain("nidaqmx", lead_blocks=40) as made:

@@ -10,7 +10,7 @@ from diagnose.twin_observations import chain, observations_of_twin, real
 from scipy.integrate import quad
 
 from nmt_core.blocks import Quantity
-from nmt_diagnose.core.chain import SharedDelay
+from nmt_diagnose.core.chain import SharedDelay, linear_chain
 from nmt_diagnose.core.fitting import best_errors, data_about
 from nmt_diagnose.core.measured import judged
 from nmt_diagnose.core.noise import Groups, groups_of
@@ -226,3 +226,16 @@ def _table_search() -> tuple[Search, int]:
     known = [own for own in every if own.effect.name in ("cubic_stiffness", "air_drag", "one_sided_stop")]
     search = Search(data, model, calibration_parameters(model), known)
     return search, next(k for k, own in enumerate(known) if own.effect.name == "cubic_stiffness")
+
+
+def test_a_channel_may_turn_all_frequencies_by_the_same_angle() -> None:
+    observations = laboratory(observations_of_twin(MODEL, drives=(0.1, 0.4)))
+    near = Forward(observations.tests, observations.rows).predict(MODEL)
+    found = linear_chain(observations, MODEL, near)
+    channels = observations.tests[1].channels
+    column = found.columns[:, found.names.index(f"phase {channels[0].name}")]
+    rows = observations.rows
+    lines = (rows.test == 1) & (rows.channel == 0)
+    assert column[lines & (rows.part == Part.PHASE)] == pytest.approx(np.radians(0.2))
+    assert not column[lines & (rows.part == Part.LOG_MAGNITUDE)].any()
+    assert not column[(rows.test == 1) & (rows.channel == 1)].any()

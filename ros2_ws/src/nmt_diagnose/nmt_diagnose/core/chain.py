@@ -25,7 +25,7 @@ from nmt_diagnose.core.tuned import (
 )
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.placement import PlaceKind
-from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, ChainTests, edited, later
+from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, ChainTests, edited, later
 from nmt_diagnose.inference.modes_left_out import ModesLeftOut
 from nmt_diagnose.inference.shape_errors import ShapeErrors
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest, Test
@@ -40,7 +40,8 @@ _MOTIONS = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 _PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
 _COVERED = (PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest)
 _IMAGE = "image"
-_IMAGE_POWERS = 3  # of the frequency over the rate
+# Powers of the frequency over the rate, and how much larger each may be than the one before.
+_IMAGE_POWERS, _IMAGE_GROWTH = 4, 6.0
 _GAIN_STEP, _LEAD_STEP, _CLOCK_STEP, _SHIFT_STEP = 1e-3, 1e-3, 1e-5, 1e-6
 
 
@@ -172,6 +173,11 @@ class _Builder:
         numbers = [number for number, test in enumerate(self.tests.tests) if isinstance(test, kinds)]
         return np.isin(self.rows.test, numbers)
 
+    def _on_fundamentals(self, column: FloatArray) -> FloatArray:
+        """A column of windows and random tests on magnitudes and phases of fundamentals and lines alone."""
+        own = np.isin(self.rows.part, FUNDAMENTAL) & self._of(PhaseResonanceTest, RandomTest, RingDownTest)
+        return np.where(own, column, 0.0)
+
     def _clock(self) -> dict[str, FloatArray]:
         moved = self.rig.model_copy(update={"clock_error": self.rig.clock_error + _CLOCK_STEP})
         return {"clock": max(chain.clock for chain in self.tests.own) * self._changed(moved, _CLOCK_STEP)}
@@ -179,14 +185,16 @@ class _Builder:
     def _channels(self) -> dict[str, FloatArray]:
         """Gain, delay and lead of each channel."""
         found: dict[str, FloatArray] = {}
-        omega = 2.0 * np.pi * self.tests.tested()
         for name, channel in self.tests.channels.items():
             tolerance = next((c.of(name) for c in self.tests.own if name in c.channels), self.tests.own[0].of(""))
             louder = edited(self.rig, channel, _louder)
             found[f"gain {name}"] = tolerance.gain * self._changed(louder, _GAIN_STEP)
             delayed = edited(self.rig, channel, later)
-            size = math.hypot(tolerance.delay_s, tolerance.phase / omega)
-            found[f"delay {name}"] = size * self._changed(delayed, DELAY_STEP_S)
+            found[f"delay {name}"] = tolerance.delay_s * self._changed(delayed, DELAY_STEP_S)
+            turned = 1j * self.tests.rows_of(name).astype(np.complex128)
+            found[f"phase {name}"] = tolerance.phase * (
+                self._on_fundamentals(self.tests.parts(turned)) + self.slopes * self._turned(name, turned)
+            )
             if channel.quantity in _PIEZOELECTRIC:
                 corner = _LEAD_STEP * self.tests.tested()
                 leading = edited(self.rig, channel, partial(_leading, corner_hz=corner))
@@ -258,6 +266,7 @@ class _Builder:
         complex polynomial of x for each channel. The channel's own delay turns them as it turns its response.
         """
         found: dict[str, FloatArray] = {}
+        self._image_size = np.zeros(len(self.rows))
         for name in self.tests.channels:
             own = self.tests.rows_of(name)
             added = np.zeros((_IMAGE_POWERS, len(self.rows)), dtype=np.complex128)
@@ -271,12 +280,13 @@ class _Builder:
                 view = ModelView.of(self.rig, test.drive_point)
                 frequency = self.rows.frequency_hz[mine]
                 high = view.responses([channel], rate * np.array([0.9, 1.1, 1.9, 2.1]))
-                size = float(np.median(np.abs(high)))
+                size = float(np.max(np.abs(high)))
                 share = frequency / rate
                 plain = self._measured(number, mine)
                 turned = np.exp(-1j * np.pi * (share + 2.0 * frequency * late))
                 image = np.where(frequency < 0.5 * rate, IMAGE_STD * size * np.sin(np.pi * share) * turned / plain, 0.0)
-                added[:, mine] = image * (2.0 * share) ** np.arange(_IMAGE_POWERS)[:, None]
+                added[:, mine] = image * (_IMAGE_GROWTH * share) ** np.arange(_IMAGE_POWERS)[:, None]
+            self._image_size = np.maximum(self._image_size, np.abs(added[0]))
             for k, images in enumerate(added):
                 for part, turned in (("re", images), ("im", 1j * images)):
                     column = self.tests.parts(turned)
@@ -308,12 +318,17 @@ class _Builder:
         return result
 
     def _aims(self) -> dict[str, FloatArray]:
-        """What the loop of each test held, all levels alike: it measured with a chain of its own."""
-        return {
-            f"aim {test.name}": AIM_STD * ((self.rows.test == number) & (self.rows.part == Part.PHASE_ERROR))
-            for number, test in enumerate(self.tests.tests)
-            if isinstance(test, PhaseResonanceTest)
-        }
+        """What the loop of each test held, all levels alike: it measured with a chain of its own.
+
+        One of the two chains may have filters that keep images out, and the other none.
+        """
+        found = {}
+        for number, test in enumerate(self.tests.tests):
+            if isinstance(test, PhaseResonanceTest):
+                mine = self.rows.test == number
+                size = float(np.max(self._image_size[mine & (self.rows.part == Part.PHASE)], initial=0.0))
+                found[f"aim {test.name}"] = math.hypot(AIM_STD, size) * (mine & (self.rows.part == Part.PHASE_ERROR))
+        return found
 
     def _harmonics(self) -> dict[str, FloatArray]:
         """Harmonics of the drive beyond what was recorded of them."""

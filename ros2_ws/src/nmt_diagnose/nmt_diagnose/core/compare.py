@@ -21,7 +21,7 @@ from nmt_diagnose.core.tuned import (
     SOURCE_SIZES,
 )
 from nmt_diagnose.effects.effect import Candidate
-from nmt_diagnose.effects.placement import Explanation, Placement
+from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.sources import SourcePlace, places
 from nmt_rig.rig import Rig
@@ -249,8 +249,3 @@ def _classes(named: Sequence[Found], weights: FloatArray) -> tuple[Equivalents, 
         members = [own for _, own in mine if not any(set(o.effects) < set(own.effects) for _, o in mine)]
         result.append(Equivalents(tuple(members), sum(w for w, _ in mine)))
     return tuple(sorted(result, key=lambda item: -item.probability))
-
-
-def without(found: Sequence[Found], explanation: Explanation) -> list[Found]:
-    """All but one explanation."""
-    return [own for own in found if own.explanation != explanation]

@@ -411,11 +411,6 @@ def _finished(
     )  # fmt: skip
 
 
-def refitted(data: Data, before: Fitted) -> Fitted:
-    """The same explanation fitted to other data or other noise, from where it stands."""
-    return fit(data, before.parametrisation, before.theta, before.prediction)
-
-
 def without_rows(data: Data, used: BoolArray) -> Data:
     """The data with fewer rows."""
     return replace(data, used=data.used & used)

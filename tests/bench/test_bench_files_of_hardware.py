@@ -25,6 +25,9 @@ from nmt_rig.rig import load_rig
 from nmt_session.node_plan import NodePlan
 
 
+OF_THE_NODE = ("expected_peers", "pacing", "recorder_lead")  # parameters of the recorder that its bag does not need
+
+
 @pytest.fixture
 def rig_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The beam with a channel map of its own, and a check that passed: a delay of two blocks and a sample."""
@@ -43,7 +46,7 @@ def rig_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def recorded(plan: NodePlan, run_json: str | None = None) -> Bag:
     """The bag of a run that ends at once."""
-    given = {name: value for name, value in plan.values["recorder"].items() if name != "expected_peers"}
+    given = {name: value for name, value in plan.values["recorder"].items() if name not in OF_THE_NODE}
     recorder = RunRecorder(check_values(PARAMETERS, given, "recorder"), run_json=run_json)
     recorder.close("done", "")
     return Bag.open(Path(given["output"]))
@@ -65,7 +68,7 @@ def test_the_nodes_drive_the_converter_and_the_bag_names_it(rig_file: Path, tmp_
 
 def test_a_further_goal_on_the_same_nodes_is_of_the_same_device(rig_file: Path, tmp_path: Path) -> None:
     plan = write_bench_files(str(rig_file), tmp_path / "out", tmp_path / "out")
-    given = {name: value for name, value in plan.values["recorder"].items() if name != "expected_peers"}
+    given = {name: value for name, value in plan.values["recorder"].items() if name not in OF_THE_NODE}
     second = RunAnnouncement("goal 2", "again", {"levels": [0.1]})
     bag = recorded(plan, described_run(check_values(PARAMETERS, given, "recorder"), second))
     assert bag.run_start is not None

@@ -138,7 +138,7 @@ def test_as_accurate_as_the_loop_that_solves_for_every_place(kind):
     assert found.corners > 60
     assert found.corners == pytest.approx(whole.corners, rel=0.02)
     errors = [np.sqrt(np.mean((values - exact) ** 2, axis=1) / np.mean(exact**2, axis=1)) for values in (y, z)]
-    assert np.all(errors[0] < 1.2 * errors[1])
+    assert np.all(errors[0] < np.maximum(1.2 * errors[1], 1e-6))  # below that both are exact
     assert np.all(errors[0] < 2e-4)
     np.testing.assert_allclose(
         found.slider_dissipation, fine.slider_dissipation, rtol=1e-3, atol=1e-5 * fine.slider_dissipation.max()

@@ -10,6 +10,7 @@ setup(
         ("share/nmt_session", ["package.xml"]),
     ],
     install_requires=[
+        "numpy>=1.26",
         "PyYAML>=6.0",
     ],
     extras_require={"test": ["pytest"]},

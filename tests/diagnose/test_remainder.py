@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -68,8 +67,7 @@ def test_of_noise_nothing_is_left(observations: Observations) -> None:
     weak = replace(LEFT, before=0.9, after=0.8, closed=0.3)
     assert remainder(observations, weak, left_in(observations, Part.LOG_FREQUENCY, 1.2), rows) is None
     ranked = Ranked("clipping", "force_sensor", "f1", 0.9, (), {}, Share(0.3, 0.1, 0.5), 9.0)
-    head = SimpleNamespace(head=SimpleNamespace(explanation=SimpleNamespace(placements=())))
-    said = sentences(Verdict.EFFECT, (), (ranked,), (head,), weak, (), ())[2]  # type: ignore[arg-type]
+    said = sentences(Verdict.EFFECT, (), (ranked,), None, weak, (), ())[2]
     assert said.endswith("The uncertainties of the held-out data allow 1, so they hardly show it.")
 
 
@@ -80,11 +78,9 @@ def test_the_answer_says_how_much_is_left_and_where(observations: Observations) 
         "cubic_stiffness", "structure", "2", 0.95, (), {"k": Value(1.0, 0.1, "N/m³")}, Share(0.94, 0.9, 0.97), 9.0
     )
 
-    head = SimpleNamespace(head=SimpleNamespace(explanation=SimpleNamespace(placements=())))
-
     def said(of: Remainder | None) -> str:
         where = (PlaceShare("structure", "2", 1.0, 1.0),)
-        return sentences(Verdict.EFFECT, where, (ranked,), (head,), LEFT, (), (), of)[2]  # type: ignore[arg-type]
+        return sentences(Verdict.EFFECT, where, (ranked,), None, LEFT, (), (), of)[2]
 
     assert "It explains 94 %; 6 % is left, most of it in levels: frequency at the highest levels" in said(rest)
     assert "left" not in said(None)

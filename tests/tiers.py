@@ -25,8 +25,13 @@ KEPT = ROOT / ".nmt" / "whole-suite.jsonl"
 
 
 def with_quick(cases: Iterable[Any], *quick: Any) -> list[Any]:
-    """Cases to parametrise with, of which only some are in the first tier."""
-    return [case if case in quick else pytest.param(case, marks=pytest.mark.campaign) for case in cases]
+    """Cases to parametrise with, of which only some are in the first tier; a tuple has a value for each name."""
+    return [
+        case
+        if case in quick
+        else pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.campaign)
+        for case in cases
+    ]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -78,6 +78,7 @@ def test_smaller_parameters_name_what_the_notebook_has(path: Path) -> None:
     assert changed - {"KEPT"} <= given - {"OUT"}
 
 
+@pytest.mark.campaign
 def test_virtual_experiment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notebook = executed("virtual_experiment", tmp_path, monkeypatch)
     assert pictures(notebook) == 1
@@ -90,6 +91,7 @@ def test_virtual_experiment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert (run.folder / "everything.nc").exists()
 
 
+@pytest.mark.campaign
 def test_joint_resonator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notebook = executed("joint_resonator", tmp_path, monkeypatch)
     assert pictures(notebook) == 3
@@ -101,6 +103,7 @@ def test_joint_resonator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert damping[-1] > 2 * damping[0]
 
 
+@pytest.mark.campaign
 def test_own_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notebook = executed("own_data", tmp_path, monkeypatch)
     assert pictures(notebook) == 1

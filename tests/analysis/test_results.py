@@ -72,6 +72,7 @@ def test_a_notebook_shows_a_table(run: nmt.RunResults) -> None:
     assert "frequency_hz_std" in page
 
 
+@pytest.mark.campaign
 def test_figures_of_a_run(run: nmt.RunResults, tmp_path: Path) -> None:
     write_report(synthetic_run(), run.folder / "report.html")
     out = tmp_path / "figures"

@@ -62,6 +62,7 @@ def test_wrong_options(capsys: pytest.CaptureFixture[str], words: tuple[str, str
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.campaign
 def test_many_levels_have_a_report_and_their_growth(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benchmark_figures, "_MANY", 8)
     monkeypatch.setattr(benchmark_figures, "_READ_LEVELS", (2, 4))
@@ -72,6 +73,7 @@ def test_many_levels_have_a_report_and_their_growth(monkeypatch: pytest.MonkeyPa
     assert figures["report of 8 levels: page"].met
 
 
+@pytest.mark.campaign
 def test_contacts_and_channels_have_their_speeds() -> None:
     assert contact_speed(3, 1, 0.02) > 0.0
     assert contact_speed(3, 1, 0.02, every_place=True) > 0.0

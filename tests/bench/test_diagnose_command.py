@@ -108,6 +108,7 @@ def test_a_wrong_gain_is_found_placed_and_mended(
     assert "response gain" in (out / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.campaign
 def test_the_new_rig_file_leaves_no_gap(gain_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The same bag against a model that has the wrong gain already."""
     out = tmp_path / "out"
@@ -119,6 +120,7 @@ def test_the_new_rig_file_leaves_no_gap(gain_bag: Path, tmp_path: Path, capsys: 
     assert "lacks" not in capsys.readouterr().out
 
 
+@pytest.mark.campaign
 def test_a_next_test_runs_the_recorded_rig_and_keeps_the_answer(
     gain_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -424,6 +424,7 @@ def test_orphans_are_adopted_for_a_moment_only() -> None:
     assert not adopts()
 
 
+@pytest.mark.campaign
 def test_benches_of_several_threads_start_their_nodes(tmp_path: Path) -> None:
     codes: list[int] = []
 

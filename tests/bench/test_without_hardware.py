@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tiers import with_quick
 
 GONE = {
     "no PortAudio": {"sounddevice": "raise OSError('PortAudio library not found')"},
@@ -40,26 +41,26 @@ def said(words: str, gone: str, folder: Path) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "gone", "sentence"),
-    [
-        ("check beam --device portaudio --out OUT", "no PortAudio", "type 'sudo apt install libportaudio2'"),
-        ("run beam --device portaudio --out OUT", "no PortAudio", "type 'sudo apt install libportaudio2'"),
-        ("check beam --device portaudio --out OUT", "no sounddevice", "type: pip install sounddevice"),
-        ("specimen beam", "no libjack", "type 'sudo apt install jackd2'"),
-        ("specimen beam", "no JACK-Client", "type: pip install JACK-Client"),
-        ("specimen beam", "nothing changed", "type 'sudo apt install jackd2'"),
-        ("check beam --device nidaqmx --out OUT", "no nidaqmx", "type: pip install 'nidaqmx[grpc]'"),
-        ("run beam --device nidaqmx --out OUT", "nothing changed", "install it from ni.com"),
-        ("linear beam --device nidaqmx --out OUT", "nothing changed", "install it from ni.com"),
-        (
-            "sweep beam --force 1 --from 20 --to 22 --device nidaqmx@127.0.0.1:9 --out OUT",
-            "nothing changed",
-            "answers at",
-        ),
-        ("specimen beam --device nidaqmx --address 127.0.0.1:0", "no nidaqmx", "type: pip install 'nidaqmx[grpc]'"),
-    ],
-)
+CASES = [
+    ("check beam --device portaudio --out OUT", "no PortAudio", "type 'sudo apt install libportaudio2'"),
+    ("run beam --device portaudio --out OUT", "no PortAudio", "type 'sudo apt install libportaudio2'"),
+    ("check beam --device portaudio --out OUT", "no sounddevice", "type: pip install sounddevice"),
+    ("specimen beam", "no libjack", "type 'sudo apt install jackd2'"),
+    ("specimen beam", "no JACK-Client", "type: pip install JACK-Client"),
+    ("specimen beam", "nothing changed", "type 'sudo apt install jackd2'"),
+    ("check beam --device nidaqmx --out OUT", "no nidaqmx", "type: pip install 'nidaqmx[grpc]'"),
+    ("run beam --device nidaqmx --out OUT", "nothing changed", "install it from ni.com"),
+    ("linear beam --device nidaqmx --out OUT", "nothing changed", "install it from ni.com"),
+    (
+        "sweep beam --force 1 --from 20 --to 22 --device nidaqmx@127.0.0.1:9 --out OUT",
+        "nothing changed",
+        "answers at",
+    ),
+    ("specimen beam --device nidaqmx --address 127.0.0.1:0", "no nidaqmx", "type: pip install 'nidaqmx[grpc]'"),
+]
+
+
+@pytest.mark.parametrize(("words", "gone", "sentence"), with_quick(CASES, CASES[0], CASES[7]))
 def test_what_is_missing_is_one_sentence_with_exit_code_2(words, gone, sentence, tmp_path):
     code, output, errors = said(words, gone, tmp_path)
     assert code == 2, errors

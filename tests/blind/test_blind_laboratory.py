@@ -163,6 +163,7 @@ def test_strengths_count_what_the_model_cannot_take() -> None:
     assert sensitivity.sigma(()) == 0.0
 
 
+@pytest.mark.campaign
 def test_what_every_laboratory_has_is_no_effect() -> None:
     """One standard deviation to either side of each tolerance, of leads too, and of a shifted resonance as well."""
     rig = blind_rig("modal_beam")

@@ -100,6 +100,7 @@ def test_settling_finds_phase_resonance_of_a_hardening_rig() -> None:
     assert abs(np.angle(response / force / 1j)) < 0.01
 
 
+@pytest.mark.campaign
 def test_cases_have_tables_and_decays_that_the_importer_reads(tmp_path: Path) -> None:
     assert record_tables(tmp_path / "tables", DUFFING, MODEL, BLIND.bench, 5).trouble == ""
     tables = observable_tables(Bag.open(tmp_path / "tables"))

@@ -31,6 +31,7 @@ def test_what_cannot_be_held_out_is_a_sentence(names: list[str], sentence: str) 
         splits(observations, names)
 
 
+@pytest.mark.campaign
 def test_no_fit_sees_a_test_that_is_held_out() -> None:
     """The random test is of another rig: with it held out the estimate is that of the levels alone."""
     model = chain()

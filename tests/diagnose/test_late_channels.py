@@ -26,7 +26,7 @@ LATE = {"acceleration": 85e-6, "force": -23e-6, "displacement": 31e-6}
 GAINS = {"acceleration": 0.99, "force": 1.01, "displacement": 1.006}
 
 
-@pytest.mark.parametrize("filtered", [True, False])
+@pytest.mark.parametrize("filtered", [pytest.param(True, marks=pytest.mark.campaign), False])
 def test_late_channels_are_no_gap(tmp_path: Path, filtered: bool) -> None:
     """On top of its resonance a random test tells damping to 1e-3: windows at a wrong phase contradict it."""
     rig = blind_rig("modal_beam")
@@ -50,6 +50,7 @@ def test_late_channels_are_no_gap(tmp_path: Path, filtered: bool) -> None:
     assert found.features["chi_square_null"] < 1.2 * rows
 
 
+@pytest.mark.campaign
 def test_filters_behind_a_shaker_keep_images_out(tmp_path: Path) -> None:
     """What images of a held drive may be off by is more noise than what is not there: less is left over it."""
     rig = blind_rig("beam")

@@ -50,6 +50,7 @@ def without_each(parts: Sequence[Observations]) -> tuple[list[LeftOut], float]:
     return [item for item in each if item is not None], min(rms_left(own) for own in (null, *heads))
 
 
+@pytest.mark.campaign
 def test_recordings_of_one_rig_agree() -> None:
     found, together = without_each(
         [recording(name, real(MODEL, local_elements=[CUBIC]), k) for k, name in enumerate("abc")]

@@ -79,6 +79,7 @@ def test_no_observable_is_a_phase_and_the_noise_is_that_of_the_magnitudes(tmp_pa
     assert observations.std == pytest.approx(NOISE, rel=0.3)
 
 
+@pytest.mark.campaign
 def test_magnitudes_alone_tell_a_cubic_spring(tmp_path: Path) -> None:
     found = diagnosed(*sweeps(tmp_path, CUBIC))
     assert found.verdict is Verdict.EFFECT

@@ -163,6 +163,7 @@ def test_a_single_fit_that_stopped_far_away_goes_on_from_a_pair_with_a_weak_memb
     assert own.pruned(singles, [pair])[0][0] is singles[0]
 
 
+@pytest.mark.campaign
 def test_a_strong_stop_is_fitted_to_its_optimum() -> None:
     """Gap and stiffness bend the model's own parameters first; the truth is reached from the parameters as given."""
     stop = {"kind": "two_sided_gap", "point": 2, "stiffness_n_m": 20000.0, "gap_m": 1.5e-4}

@@ -212,7 +212,7 @@ def test_second_drive_point_and_hidden_voltage_offset(noisy: tuple[Rig, Path], t
     assert test[0].drive_point == 4
 
 
-@pytest.mark.parametrize("noise", [1.0, 30.0])
+@pytest.mark.parametrize("noise", [1.0, pytest.param(30.0, marks=pytest.mark.campaign)])
 def test_random_responses_of_a_linear_rig_are_normally_distributed(tmp_path: Path, noise: float) -> None:
     squares = []
     for seed in range(3):

@@ -52,6 +52,7 @@ def _p(observations, residual, name, where=None):
     return _named(_tests(observations, residual), name, where)
 
 
+@pytest.mark.campaign
 def test_white_residuals_give_uniform_p_values():
     observations = run_observations(down=True)
     generator = np.random.default_rng(6)

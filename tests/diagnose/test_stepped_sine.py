@@ -250,6 +250,7 @@ def rig_from(text: str, folder: Path) -> Rig:
     return load_rig(path)
 
 
+@pytest.mark.campaign
 def test_noise_turns_the_phase_of_a_strong_nonlinearity_by_more_than_its_first_order() -> None:
     """1.5 % of the amplitude moves the resonance by its half width: what is left of the true rig is noise all the same.
 

@@ -86,6 +86,7 @@ def test_work_of_a_helper_that_dies_is_done_all_the_same() -> None:
             assert workers.map(fatal_elsewhere, HERE, list(range(30))) == [-k for k in range(30)]
 
 
+@pytest.mark.campaign
 def test_contests_give_the_same_bits_for_any_number_of_processes() -> None:
     model = chain()
     cubic = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2.0e8}

@@ -89,6 +89,7 @@ def test_uncertainty_of_biased_indicators_covers_their_bias(monte_carlo, name):
     assert np.median(stated) < 6.0 * np.median(error)
 
 
+@pytest.mark.campaign
 def test_fitted_frequency_is_covered(monte_carlo):
     *_, point = monte_carlo
     points = [point(0.03, seed, known_phase=False) for seed in range(100)]

@@ -43,6 +43,7 @@ def damping_ratio(chain: Chain) -> float:
     return float(-mode.real / abs(mode))
 
 
+@pytest.mark.campaign
 def test_the_integrator_agrees_with_an_adaptive_one() -> None:
     """Fixed steps of Runge–Kutta against DOP853 with tight tolerances, all nonlinear forces at work."""
     lab = Laboratory(STRONG, PLAIN, sample_rate=5000.0, substeps=48)
@@ -71,6 +72,7 @@ def test_the_integrator_agrees_with_an_adaptive_one() -> None:
     assert ours[:, 1] == pytest.approx(forces, abs=2e-5 * np.max(np.abs(forces)))
 
 
+@pytest.mark.campaign
 def test_energy_is_balanced() -> None:
     """What the drive puts in over a period at steady state is what resistance and dampers take out."""
     chain = replace(Chain(), cubic=2e9)

@@ -82,6 +82,7 @@ def test_random_is_no_data_for_modal_points(random_run: RunResult) -> None:
         extract_bag(random_run.bag or Path())
 
 
+@pytest.mark.campaign
 def test_random_is_the_same_in_six_processes_and_another_with_another_seed(
     random_run: RunResult, tmp_path: Path
 ) -> None:

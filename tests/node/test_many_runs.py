@@ -90,6 +90,7 @@ def test_a_run_begins_on_nodes_that_have_worked_for_long(tmp_path: Path) -> None
         assert send(bench, levels=[0.2], window_periods=5).result_code == ResultCode.SUCCEEDED
 
 
+@pytest.mark.campaign
 def test_nodes_may_be_started_again_between_runs(tmp_path: Path) -> None:
     """The others go on from where they are; a plant that is new counts its samples from zero."""
     out = tmp_path / "out"

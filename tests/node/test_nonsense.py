@@ -77,6 +77,7 @@ def assert_ended_by_a_ramp(result: RunResult) -> None:
 
 
 @pytest.mark.parametrize("silent", with_quick([False, True], False))
+@pytest.mark.campaign
 def test_a_second_publisher_of_drive_moves_nothing_and_ends_the_run(silent: bool, tmp_path: Path) -> None:
     attack = Drive(waveform=Drive.SINE, frequency_hz=22.0, amplitude=5.0)
     blind = Drive(waveform=Drive.SINE, frequency_hz=22.0, amplitude=5.0, based_on_sample=2**60)

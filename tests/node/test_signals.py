@@ -12,14 +12,15 @@ import pytest
 from node.signal_trials import LAUNCHER, Trial, attempt
 
 # Each process, each signal, both pacings.
-QUICK = [(LAUNCHER, "KILL", "lockstep"), ("plant", "TERM", "realtime")]
+QUICK = [(LAUNCHER, "KILL", "lockstep")]
 CASES = [
     (LAUNCHER, "HUP", "realtime"),
     (LAUNCHER, "STOP", "realtime"),
     (LAUNCHER, "INT", "lockstep"),
-    ("plant", "STOP", "lockstep"),
+    ("plant", "TERM", "realtime"),
+    ("plant", "STOP", "realtime"),
     ("pll", "STOP", "realtime"),
-    ("sequencer", "STOP", "lockstep"),
+    ("sequencer", "STOP", "realtime"),
     ("sequencer", "HUP", "realtime"),
     ("extract", "KILL", "lockstep"),
     ("recorder", "TERM", "lockstep"),

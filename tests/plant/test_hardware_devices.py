@@ -44,6 +44,7 @@ def test_a_converter_that_does_not_open_is_named():
     assert Path(f"/proc/{device.output_pid}").exists() is False
 
 
+@pytest.mark.campaign
 def test_looking_for_channels_leaves_no_grpc_in_the_process_that_asks():
     """Its threads would not survive the fork of the nodes, which then crash."""
     code = (

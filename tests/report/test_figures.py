@@ -133,6 +133,7 @@ def test_width_and_letters(redrawn: dict[str, tuple[dict[str, Any], Figure]]) ->
         assert box.y1 < height + 0.04, name
 
 
+@pytest.mark.campaign
 def test_files_of_every_format(report: Path, tmp_path: Path) -> None:
     written = write_figures(report, tmp_path, ["svg", "pdf", "png", "eps"], names=["damping"])
     assert [figure.name for figure in written] == ["damping"]

@@ -154,6 +154,7 @@ def test_text_from_outside_is_escaped() -> None:
     assert "a &lt; b &amp; c" in text
 
 
+@pytest.mark.campaign
 def test_the_same_data_give_the_same_page(html: str) -> None:
     assert report_html(synthetic_run()) == html
 

@@ -119,6 +119,7 @@ def test_a_recorded_rig_gives_the_same_block_again(tmp_path):
     assert again.block_reason == ""
 
 
+@pytest.mark.campaign
 def test_results_agree_with_those_of_short_blocks_at_little_more_bench_time():
     results = []
     for changes in ([], ["block_samples=200"]):

@@ -59,6 +59,7 @@ def timeless(path: Path) -> Any:
     return values
 
 
+@pytest.mark.campaign
 def test_a_killed_worker_costs_no_case_of_a_study(tmp_path: Path) -> None:
     cases = [small_case(0.2), small_case(0.3)]
     here = CaseStore(tmp_path / "here", "noise")
@@ -77,6 +78,7 @@ def test_a_killed_worker_costs_no_case_of_a_study(tmp_path: Path) -> None:
         assert timeless(tmp_path / "there" / name) == timeless(tmp_path / "here" / name)
 
 
+@pytest.mark.campaign
 def test_a_killed_worker_costs_no_case_of_a_blind_check(tmp_path: Path) -> None:
     here = make(tmp_path / "here")
     killed: list[int] = []

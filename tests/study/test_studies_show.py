@@ -39,6 +39,9 @@ def shown(module, results):
     return output
 
 
+pytestmark = pytest.mark.campaign
+
+
 @pytest.mark.parametrize("name", STUDIES)
 def test_cases_are_well_formed(name):
     module = load_study(name)

@@ -16,8 +16,8 @@ from nmt_core.errors import BenchError
 from nmt_core.hardened import read_text
 from nmt_core.parameters import Parameter
 from nmt_core.run_announcement import RunAnnouncement
-from nmt_core.vocabulary import ResultCode, RunPhase
-from nmt_core.wire import RUN_STATE, BlockReader
+from nmt_core.vocabulary import ResultCode, RunPhase, StopCause
+from nmt_core.wire import DRIVE_STOP, RUN_STATE, BlockReader
 from nmt_record.bag_writer import COMPRESSIONS, BagWriter, parse_run
 from nmt_record.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, parse_topic
 from nmt_record.gap_counter import GapCounter
@@ -113,6 +113,7 @@ class RunRecorder:
         self._ended_well = False
         self._end_reason = ""
         self._newest_voltage: bytes | None = None
+        self._device_failed = False
         self._callbacks: dict[str, Callable[[bytes], None]] = {}
         for topic in self.topics:
             self.writer.add_topic(topic.name, topic.message_type, topic.service)
@@ -151,8 +152,12 @@ class RunRecorder:
 
     @property
     def awaits_ramp(self) -> bool:
-        """Whether the run ended early and the newest block of the voltage, if there is any, is not at zero yet."""
-        return self.end_sample is not None and not self._ended_well and not self.drive_at_zero
+        """Whether the run ended early and the newest block of the voltage, if there is any, is not at zero yet.
+
+        A device that has failed gives no more blocks.
+        """
+        awaited = self.end_sample is not None and not self._ended_well and not self._device_failed
+        return awaited and not self.drive_at_zero
 
     @property
     def awaits_points(self) -> bool:
@@ -187,8 +192,17 @@ class RunRecorder:
             return on_block
         if name == "run_state":
             return self._on_run_state
+        if name == "drive_stop":
+            return self._on_stop
         stamped = local_definitions().fields(topic.message_type)[:1] in (("stamp",), ("header",))
         return lambda raw: self._write(name, stamped, raw)
+
+    def _on_stop(self, raw: bytes) -> None:
+        self._write("drive_stop", True, raw)
+        try:
+            self._device_failed = DRIVE_STOP.read(raw).cause is StopCause.DEVICE
+        except ValueError:
+            self.malformed += 1
 
     def _on_run_state(self, raw: bytes) -> None:
         self._write("run_state", True, raw)

@@ -401,7 +401,7 @@ class SequencerNode(BenchNode):
             self._stop_for_failures()
             for name in self.liveness.restarted(now):
                 machine.stop(ResultCode.NODE_LOST, f"Node {name} was started again during the run.")
-            unattended = self._launcher.complaint(now)
+            unattended = "" if self.in_lockstep else self._launcher.complaint(now)
             if unattended:
                 machine.stop(ResultCode.NODE_LOST, unattended)
             self._stop_for_second()
@@ -409,8 +409,10 @@ class SequencerNode(BenchNode):
             if machine.phase == RunPhase.STOPPING or machine.stop_request is not None:
                 # Who asks for the end does not wait for a node that is stopped.
                 self._stopping_for += passed or (now - self._guarded if self._is_held_up(now) else 0.0)
-                limit = _QUIET_TIMEOUT + (0.0 if machine.pacing.lockstep else machine.pacing.quiet_ramp + 1.0)
-                if self._stopping_for > limit and now - self._newest_wall > _QUIET_TIMEOUT / 2:
+                limit = _QUIET_TIMEOUT + (0.0 if self.in_lockstep else machine.pacing.quiet_ramp + 1.0)
+                still = now - self._newest_wall
+                gone = self.in_lockstep and bool(lost) and still > _STILL  # no block will come without that node
+                if gone or (self._stopping_for > limit and still > _QUIET_TIMEOUT / 2):
                     code, reason = machine.stop_request or (machine.code, machine.reason)
                     machine.abandon(code, f"{reason} The loop no longer answers; {self._drive_sentence()}.")
             machine.work()

@@ -336,6 +336,7 @@ def test_demo_is_the_run_of_the_beam(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert pretended_run.seen[0].out == str(Path("out") / "demo-2")
 
 
+@pytest.mark.campaign
 def test_extract_writes_its_files_and_repeats_itself(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag")
     status, out, err = run(capsys, "extract", str(bag), "--out", str(tmp_path / "out"))

@@ -27,6 +27,7 @@ RIG = short_rig()
 MODEL = RIG.model()
 
 
+@pytest.mark.campaign
 def test_the_same_seed_gives_the_same_files(tmp_path: Path) -> None:
     first, second = make(tmp_path / "a"), make(tmp_path / "b")
     assert (first.seal, first.trail) == (second.seal, second.trail)

@@ -204,6 +204,7 @@ def test_a_second_definition_is_found():
         assert not second_definitions(ast.parse(text)), text
 
 
+@pytest.mark.campaign
 def test_nobody_else_defines_a_state_flag_kind_or_unit():
     files = [*SOURCES.glob("nmt_*/nmt_*/**/*.py"), *(ROOT / "tests").rglob("*.py")]
     assert len(files) > 200

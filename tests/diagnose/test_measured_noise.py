@@ -80,6 +80,7 @@ def test_a_healthy_rig_is_healthy_whatever_noise_is_stated(factor: float) -> Non
     assert found.gap.after == pytest.approx(1.0, abs=0.25)
 
 
+@pytest.mark.campaign
 def test_uncertainties_follow_the_noise_that_is_there() -> None:
     found = [diagnosed(stated(observed(HARDENING), factor)).ranking[0] for factor in (1.0, 3.0)]
     assert [own.effect for own in found] == ["cubic_stiffness", "cubic_stiffness"]

@@ -134,6 +134,7 @@ def test_phase_at_lock_and_frequency_belong_together(noisy: tuple[Rig, Path]) ->
         assert level.phase_error == pytest.approx(exact, abs=6.0 * level.phase_error_std + 2e-4)
 
 
+@pytest.mark.campaign
 def test_stated_uncertainties_are_those_of_the_residuals(tmp_path: Path) -> None:
     ratios, harmonics = [], []
     for seed in range(3):
@@ -184,6 +185,7 @@ def test_without_recorded_phase_or_voltage_the_force_is_held(noisy: tuple[Rig, P
         assert wrapped(phase(bare, "x4") - phase(whole, "x4") + phase(whole, "f2")) == pytest.approx(0.0, abs=2e-3)
 
 
+@pytest.mark.campaign
 def test_with_voltage_but_without_phase_the_voltage_is_the_frame(noisy: tuple[Rig, Path], tmp_path: Path) -> None:
     rig, bag = noisy
 
@@ -346,6 +348,7 @@ def test_ring_down_of_friction_ends_at_the_sticking_rig(tmp_path: Path) -> None:
     assert damping[2] == pytest.approx(sticking, rel=0.02)
 
 
+@pytest.mark.campaign
 def test_stepped_sines_have_no_row_for_the_phase(noisy: tuple[Rig, Path], tmp_path: Path) -> None:
     rig, bag = noisy
     stepped = altered(bag, tmp_path / "st", events=lambda m: dataclasses.replace(m, test=int(TestKind.STEPPED_SINE)))

@@ -119,6 +119,7 @@ def test_a_decay_that_starts_at_twice_its_frequency(rate: float) -> None:
     assert np.abs(z_scores(observations, rig())).max() > 100.0
 
 
+@pytest.mark.campaign
 def test_uncertainties_are_those_of_the_noise() -> None:
     rate, found = 1000.0, []
     for seed in range(25):

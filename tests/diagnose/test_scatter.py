@@ -117,6 +117,7 @@ def test_lines_of_sweeps_that_scatter_as_stated_have_no_more() -> None:
         assert not scatter_floor(*sweeps(2e-3, 2e-3, seed)).any()
 
 
+@pytest.mark.campaign
 def test_lines_of_sweeps_that_had_not_settled() -> None:
     found = [scatter_floor(*sweeps(2e-3, 4e-3, seed)) for seed in range(20)]
     more = math.sqrt(4e-3**2 - 2e-3**2)

@@ -171,6 +171,7 @@ def folds(force: float) -> tuple[float, float]:
     return float(three[0]), float(three[-1])
 
 
+@pytest.mark.campaign
 def test_a_sweep_follows_its_branch_and_jumps_at_the_folds() -> None:
     force, hz = 5.0, np.linspace(48.0, 57.0, 91)
     low, high = folds(force)

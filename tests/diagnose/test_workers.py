@@ -43,7 +43,7 @@ def fatal_elsewhere(home: int, item: int) -> int:
     return -item
 
 
-@pytest.mark.parametrize("jobs", [1, 3])
+@pytest.mark.parametrize("jobs", [1, pytest.param(3, marks=pytest.mark.campaign)])
 def test_results_come_in_the_order_of_the_items(jobs: int) -> None:
     others = set(multiprocessing.active_children())
     with Workers(jobs) as workers:

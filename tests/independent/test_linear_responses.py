@@ -111,7 +111,8 @@ def test_sensors_within_their_tolerances_are_no_gap(tmp_path: Path, seed: int, s
     assert not found["warnings"]
 
 
-@pytest.mark.parametrize("seed", [101, pytest.param(106, marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", [101, 106])
 def test_modes_outside_the_band_are_no_gap(tmp_path: Path, seed: int) -> None:
     """The model has the first mode only; the others add a tenth to a third of it at the ends of the band."""
     assert diagnosed(tmp_path, seed, NARROW, modes=1)["verdict"] in ("none", "calibration")

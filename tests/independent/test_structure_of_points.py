@@ -26,6 +26,7 @@ def test_linear_responses_are_those_of_the_modes() -> None:
     assert responses(own, 1.0, lines) == pytest.approx(expected, rel=2e-3)
 
 
+@pytest.mark.campaign
 def test_a_cubic_spring_stiffens_the_mode_by_its_own_motion() -> None:
     """ω² = ω₁² + ¾ k₃ φ⁴ q² for a spring at a point with the shape φ, other modes far away."""
     own = linear()

@@ -88,6 +88,7 @@ def _midline(stiffness: float, limit: float, reach: float) -> float:
     return 0.5 * (loading + unloading)
 
 
+@pytest.mark.campaign
 def test_loops_are_written_and_shown(finished: RunResult) -> None:
     assert finished.bag is not None
     folder = finished.bag.parent

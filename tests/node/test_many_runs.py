@@ -81,6 +81,7 @@ def test_three_goals_give_three_bags_that_extract_bit_for_bit(pacing: str, tmp_p
         assert len(names) == 3
 
 
+@pytest.mark.campaign
 def test_a_run_begins_on_nodes_that_have_worked_for_long(tmp_path: Path) -> None:
     """Longer than a message may name a sample ahead: that is counted from where the run before has ended."""
     with Bench("beam", [0.1], out=tmp_path / "out") as bench:

@@ -71,6 +71,7 @@ def test_sweep_leaves_what_the_contract_says(swept: Path) -> None:
     assert json.loads((swept / "run.json").read_text())["linear"] is None
 
 
+@pytest.mark.campaign
 def test_stepped_sine_is_the_models_steady_response(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = folder / "stepped"
     arguments = ["--force", "14.65", "--from", "370", "--to", "368", "--stepped", "5", "--periods", "40"]

@@ -217,7 +217,7 @@ STARTS = {
     ("start", "form"),
     [
         ("by hand", "static peers"),
-        ("range widened", "static peers"),
+        pytest.param("range widened", "static peers", marks=pytest.mark.campaign),
         *(pytest.param(start, "static peers", marks=pytest.mark.campaign) for start in STARTS if "by the" in start),
         pytest.param("built-in transports asked for", "static peers", marks=pytest.mark.campaign),
         pytest.param("by hand", "peer list in XML", marks=pytest.mark.campaign),

@@ -35,6 +35,7 @@ def test_what_is_missing_is_one_sentence(tmp_path, monkeypatch):
         list_devices()
 
 
+@pytest.mark.campaign
 def test_a_converter_that_does_not_open_is_named():
     rig = load_rig("beam")
     device = HardwareRig(rig, device_of(rig, "nidaqmx", "127.0.0.1:9"))

@@ -88,6 +88,7 @@ def test_a_page_for_every_verdict(verdict: Verdict) -> None:
     assert page.count('<figure id="map-') == len(report.observations.tests)
 
 
+@pytest.mark.campaign
 def test_the_same_report_is_the_same_page() -> None:
     pages = {diagnosis_page(fixture.report(Verdict.EFFECT, fixture.one_test())) for _ in range(2)}
     assert len(pages) == 1
@@ -112,6 +113,7 @@ def test_an_unexplained_gap_does_not_offer_its_parameters() -> None:
     assert "model.yaml keeps the ones given" in text
 
 
+@pytest.mark.campaign
 def test_hostile_names_stay_text() -> None:
     report = fixture.report(Verdict.EFFECT, fixture.one_test())
     bad = "<script>alert(1)</script>&\"'"
@@ -130,6 +132,7 @@ def test_hostile_names_stay_text() -> None:
     assert parser.open == []
 
 
+@pytest.mark.campaign
 def test_what_was_not_found_leaves_the_page_whole() -> None:
     report = fixture.report(Verdict.EFFECT)
     nan = np.full(len(report.observations.rows), math.nan)

@@ -147,6 +147,7 @@ def test_files_of_every_format(report: Path, tmp_path: Path) -> None:
     assert [path.suffix for path in again[0].files] == [".svg", ".pdf", ".csv"]
 
 
+@pytest.mark.campaign
 def test_figures_of_a_diagnosis(tmp_path: Path) -> None:
     (tmp_path / "report.html").write_text(diagnosis_page(fixture.report(Verdict.EFFECT)))
     names = [str(figure["name"]) for figure in report_figures(tmp_path)]

@@ -70,6 +70,7 @@ def test_a_run_with_a_script_for_a_name_and_a_channel() -> None:
     assert f"<h1>{BAD}</h1>" in unescape(page)
 
 
+@pytest.mark.campaign
 def test_a_diagnosis_with_a_script_for_a_rig_and_a_channel() -> None:
     report = fixture.report(Verdict.EFFECT, fixture.one_test())
     (head, *rest), worst = report.diagnosis.ranking, report.diagnosis.residual_tests[0]

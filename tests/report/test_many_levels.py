@@ -92,6 +92,7 @@ def test_error_bars_of_many_points_are_recorded_and_drawn_as_those_of_few() -> N
     assert ways[0] == ways[1]
 
 
+@pytest.mark.campaign
 def test_crowded_figures_keep_every_level_in_their_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     few, many = 5, MOST_CURVES + 6
     monkeypatch.setattr(backbone_figures, "MOST_MARKS", many - 1)

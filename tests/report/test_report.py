@@ -171,6 +171,7 @@ def test_few_and_many_levels(levels: int, failed: int | None) -> None:
     assert ("backbone" in page.ids) == (not (levels == 1 and failed == 0))
 
 
+@pytest.mark.campaign
 def test_sparse_data() -> None:
     data = synthetic_run(levels=3, failed=None, reference=False)
     bare = replace(
@@ -192,6 +193,7 @@ def test_sparse_data() -> None:
     assert "no modal point" in report_html(empty)
 
 
+@pytest.mark.campaign
 def test_displacement_offset_unknown_with_accelerometers() -> None:
     data = synthetic_run(levels=3, failed=None)
     points = []

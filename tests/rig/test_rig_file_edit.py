@@ -43,6 +43,7 @@ def with_effect(rig: Rig, candidate: Candidate) -> Rig:
     return candidate.effect.apply(rig, candidate.site, values)
 
 
+@pytest.mark.campaign
 def test_every_effect_of_the_library_can_be_written(tmp_path: Path) -> None:
     rig = load_rig("beam")
     text = find_rig("beam").read_text(encoding="utf-8")

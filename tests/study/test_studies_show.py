@@ -39,9 +39,6 @@ def shown(module, results):
     return output
 
 
-pytestmark = pytest.mark.campaign
-
-
 @pytest.mark.parametrize("name", STUDIES)
 def test_cases_are_well_formed(name):
     module = load_study(name)
@@ -59,6 +56,7 @@ def test_an_unknown_study_is_refused():
         load_study("x")
 
 
+@pytest.mark.campaign
 def test_exciter_location():
     results = [perfect_result(replace(case, harmonics=5)) for case in exciter_location.cases(True)]
     output = shown(exciter_location, results)
@@ -70,6 +68,7 @@ def test_exciter_location():
     np.testing.assert_allclose(ranges[0], ranges[1], rtol=5e-3)
 
 
+@pytest.mark.campaign
 def test_noise():
     results = []
     for case in noise.cases(True):
@@ -114,6 +113,7 @@ def test_linear_modes():
     assert len(output.extra_rows) == (2 + 2 * 3) * len(q)
 
 
+@pytest.mark.campaign
 def test_levels():
     results = [perfect_result(replace(case, harmonics=5)) for case in levels.cases(True)]
     output = shown(levels, results)
@@ -122,6 +122,7 @@ def test_levels():
     assert not shown(levels, results).findings[0].holds
 
 
+@pytest.mark.campaign
 def test_joint_stiffness():
     results = []
     for case in joint_stiffness.cases(True):
@@ -136,6 +137,7 @@ def test_joint_stiffness():
     assert [finding.holds for finding in verdicts] == [True]
 
 
+@pytest.mark.campaign
 def test_bench_time():
     results = [perfect_result(replace(case, harmonics=5)) for case in bench_time.cases(True)]
     for result in results:

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from nmt_bench.orchestration.bench_domain import BenchDomain
 from nmt_core.shared_memory import remove_dead_segments
@@ -33,10 +33,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 _LOG_FOLDER = pytest.StashKey[str]()
 
 
-# The same examples every time where a failure would stop everybody; new ones on one's own machine.
-settings.register_profile("ci", derandomize=True, deadline=None)
-if os.environ.get("CI"):
-    settings.load_profile("ci")
+# The same examples every time where a failure would stop everybody; new ones on one's own machine. How long an example
+# takes says how busy the computer is, and nothing of the program.
+settings.register_profile(
+    "nmt", derandomize=bool(os.environ.get("CI")), deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("nmt")
 
 
 def pytest_configure(config: pytest.Config) -> None:

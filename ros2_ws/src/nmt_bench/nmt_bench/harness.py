@@ -540,7 +540,8 @@ class Bench:
             self.processes.end()
         begun = moved = time.monotonic()
         written = client.recorded
-        while client.bag.state == "open" and "recorder" != lost != "sequencer" and time.monotonic() - moved < _STILL:
+        ended = ("recorder", "sequencer")
+        while client.bag.state == "open" and lost not in ended and time.monotonic() - moved < _STILL:
             self._turn()
             lost = lost or self._lost_node(time.monotonic())
             if client.recorded != written:
@@ -551,7 +552,7 @@ class Bench:
         bag = self.out / "bag"
         if client.bag.state == "failed" or (bag / "metadata.yaml").exists():
             closed = "failed" if client.bag.state == "failed" else "closed"
-            if lost not in ("recorder", "sequencer"):
+            if lost not in ended:
                 return closed, client.bag.lacks_s
         else:
             closed = "open"

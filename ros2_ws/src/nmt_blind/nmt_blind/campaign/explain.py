@@ -134,7 +134,7 @@ def leader_probability(findings: Findings) -> float:
 
 def follows(
     found: bool,
-    sick: bool,
+    has_effect: bool,
     costs: Sequence[float],
     evidence: Sequence[float],
     sigma: float,
@@ -145,7 +145,7 @@ def follows(
 
     Args:
         found: the winner is the truth.
-        sick: something is true.
+        has_effect: an effect was drawn.
         costs: of null, winner and truth.
         evidence: of winner and truth over null.
         sigma: strength of the truth under the learnt noise.
@@ -153,7 +153,7 @@ def follows(
         scales: learnt scale of each group of rows at the truth.
     """
     if found:
-        return "found" if sick else "healthy"
+        return "found" if has_effect else "healthy"
     if math.isnan(sigma):
         return "physics"  # the library has no fit of the truth
     if costs[2] < costs[1] - _SAME:

@@ -66,12 +66,10 @@ class SharedDelay(CalibrationParameter):
         """Delay at θ, s."""
         return self.std * theta
 
-    def apply(self, rig: Rig, theta: float) -> Rig:
-        """Rig with the sensors of the kind later."""
-        if theta == 0.0:
-            return rig
+    def moved(self, rig: Rig, before: float, theta: float) -> Rig:
+        """Rig with the sensors of the kind later by the difference."""
         kind = self.quantity.name.lower()
-        sensors = [later(s, self.at(theta)) if s.quantity == kind else s for s in rig.sensors]
+        sensors = [later(s, self.at(theta - before)) if s.quantity == kind else s for s in rig.sensors]
         return rig.model_copy(update={"sensors": sensors})
 
 

@@ -8,6 +8,7 @@ reweighted linear solutions; θ itself by Levenberg's damping.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from nmt_core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.core.chain import linear_chain
 from nmt_diagnose.core.noise import Groups, groups_of, sigma_of
-from nmt_diagnose.core.tuned import CONVERGED, FIT_STEPS, LARGEST_LOG_RATIO, LARGEST_STEP, REWEIGHTINGS
+from nmt_diagnose.core.tuned import BROYDEN_TRUST, CONVERGED, FIT_STEPS, LARGEST_LOG_RATIO, LARGEST_STEP, REWEIGHTINGS
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
@@ -68,13 +69,17 @@ class Data:
         """
         moved = values if errors is None else values + self.chain @ errors
         result: FloatArray = self.observations.values - moved
-        phases = np.isin(self.observations.rows.part, (Part.PHASE, Part.PHASE_ERROR))
+        phases = self._phases
         result[phases] = (result[phases] + np.pi) % (2.0 * np.pi) - np.pi
         z = self._over_measured(moved)
         result[self.lines[0]], result[self.lines[1]] = 1.0 - z.real, -z.imag
         if errors is not None:
             result -= self.added @ errors
         return np.where(self.used, np.nan_to_num(result) / self.sigma, 0.0)
+
+    def change(self, before: FloatArray, after: FloatArray, errors: Errors) -> FloatArray:
+        """Change of what is compared from one prediction of the model, (m,), to another, over σ."""
+        return self.difference(before, errors.chain) - self.difference(after, errors.chain)
 
     def slopes(self, columns: FloatArray, values: FloatArray) -> FloatArray:
         """Derivatives of the model's values, (m, n), about values, as derivatives of what is compared, over σ."""
@@ -86,7 +91,23 @@ class Data:
 
     def chain_slopes(self, values: FloatArray, errors: FloatArray) -> FloatArray:
         """Derivatives by the errors of the measuring chain of what is compared, over σ, (m, r)."""
-        return self.slopes(self.chain, values + self.chain @ errors) + self._scaled(self.added)
+        result, added, turned = self._chain_over_sigma
+        result = result.copy()
+        z = np.nan_to_num(self._over_measured(values + self.chain @ errors))[:, None] * turned
+        for rows, change in zip(self.lines, (z.real, z.imag), strict=True):
+            result[rows] = np.where(self.used[rows, None], change / self.sigma[rows, None], 0.0) + added[rows]
+        return result
+
+    @cached_property
+    def _phases(self) -> BoolArray:
+        return np.isin(self.observations.rows.part, (Part.PHASE, Part.PHASE_ERROR))
+
+    @cached_property
+    def _chain_over_sigma(self) -> tuple[FloatArray, FloatArray, ComplexArray]:
+        """All columns of the chain over σ as far as they do not turn with lines; added ones; of lines, before turning."""
+        added = self._scaled(self.added)
+        plain = np.nan_to_num(self.chain, posinf=0.0, neginf=0.0)
+        return self._scaled(plain) + added, added, plain[self.lines[0]] + 1j * plain[self.lines[1]]
 
     def _scaled(self, columns: FloatArray) -> FloatArray:
         return np.where(self.used[:, None], columns / self.sigma[:, None], 0.0)
@@ -355,12 +376,14 @@ def fit(
             refreshes -= 1
             continue
         gained = cost - total
+        changed = data.change(prediction.values, trial.values, own)
+        slopes = slopes + np.outer(changed - slopes @ step, step) / float(step @ step)
+        fresh = False
         theta, prediction, errors, cost = moved, trial, own, total
         damping *= 0.1
-        # Sensitivities change little near the optimum: they are computed anew where a step fell short.
-        fresh = gained < 0.75 * promised and refreshes > 0
-        if fresh:
-            slopes = sensitivities(data, parametrisation, theta, prediction, errors)
+        # Broyden's update follows what a step showed; sensitivities are computed anew where one fell short of it.
+        if gained < BROYDEN_TRUST * promised and refreshes > 0:
+            slopes, fresh = sensitivities(data, parametrisation, theta, prediction, errors), True
             refreshes -= 1
         if gained < 0.1 * CONVERGED:
             break

@@ -21,8 +21,10 @@ from nmt_diagnose.core.tuned import (
     CHAIN_ROUNDS,
     EXPLAINED,
     FEWEST_LINES_LOST,
+    OPEN,
     RANDOM_LINES,
     RECALIBRATION,
+    REFIT_REFRESHES,
     REFIT_STEPS,
     SOLVER,
 )
@@ -280,24 +282,35 @@ def _verdict(
 
 
 def _closed(findings: Findings, best: Found, held: Sequence[Split], seed: int) -> Closed:
-    """How much of the gap an explanation closes on rows that its fit did not see."""
+    """How much of the gap an explanation closes on rows that its fit did not see.
+
+    A split whose fit leaves open what the explanation does to the rows held out says nothing of it.
+    """
+    data, null = findings.data, findings.null
+    change = (best.fit.errors.left - null.fit.errors.left) * np.sqrt(best.fit.errors.weights)
     pairs = []
     for split in held:
-        before, after = (_unseen(findings.data, own, split, best) for own in (findings.null, best))
-        if before is not None and after is not None:
-            pairs.append((before, after, split.held_out & findings.data.used))
-    return closed(findings.data.observations, pairs, seed)
+        rows = split.held_out & data.used
+        before, after = (_unseen(data, own, split, best) for own in (null, best))
+        if before is not None and after is not None and rows.any():
+            if rms(after[1][rows]) <= OPEN * rms(change[rows]):
+                pairs.append((before[0], after[0] / np.hypot(1.0, after[1]), rows))
+    return closed(data.observations, pairs, seed)
 
 
-def _unseen(data: Data, found: Found, split: Split, best: Found) -> FloatArray | None:
-    """Residual of all rows by a fit to some, in standard deviations of the noise that the best fit leaves, (m,).
+def _unseen(data: Data, found: Found, split: Split, best: Found) -> tuple[FloatArray, FloatArray] | None:
+    """Residual of all rows by a fit to some and uncertainty of its prediction, over the noise that the best fit leaves.
 
     What is predicted is the rig; how the measuring chain was when the rest was measured, those rows tell themselves.
     """
     part = replace(data, used=data.used & split.fitted)
-    own = found.fit
+    own, scale = found.fit, np.sqrt(best.fit.errors.weights)
     try:
-        refit = fit(part, own.parametrisation, own.theta, own.prediction, own.jacobian, REFIT_STEPS, False, 0)
+        refit = fit(
+            part, own.parametrisation, own.theta, own.prediction, own.jacobian, REFIT_STEPS, False, REFIT_REFRESHES
+        )
     except FitError:
         return None
-    return best_errors(data, refit.prediction.values, own.errors).left * np.sqrt(best.fit.errors.weights)
+    left = best_errors(data, refit.prediction.values, own.errors).left
+    open_of_it = np.sqrt(np.einsum("mi,ij,mj->m", own.jacobian, refit.covariance, own.jacobian))
+    return left * scale, open_of_it * scale

@@ -353,7 +353,9 @@ class Search:
 
     def _all(self, base: Found, wanted: Sequence[Score]) -> list[Found]:
         found = [self.added(base, score) for score in wanted]
-        if not base.candidates and self._strained(base):
+        fits = [own for own in found if own is not None]
+        best_yet = max(fits, key=lambda own: own.fit.log_evidence, default=base)
+        if not base.candidates and self._strained(best_yet):
             for number in dict.fromkeys(score.candidate for score in wanted):
                 found += [self.climbed(number), self.from_below(number)]
         best: dict[Explanation, Found] = {}

@@ -20,6 +20,8 @@ SWEEP_SHIFT_STD = 3e-4
 SCALE_DEGREES = 6.0
 # Most steps of a fit; promised fall of the cost below which it has converged; largest step in prior deviations.
 FIT_STEPS, CONVERGED, LARGEST_STEP = 25, 0.2, 3.0
+# Share of the promised fall of the cost below which sensitivities are computed anew after a step.
+BROYDEN_TRUST = 0.75
 # Most reweightings of chain and scales for one prediction: near the optimum three suffice.
 REWEIGHTINGS = 20
 # Search: effects that are fitted, places of each, fall of the cost below which nothing is tried.
@@ -44,8 +46,11 @@ RECALIBRATION = 25.0
 EXPLAINED = 0.85
 # Explanations that are told; share of the likeliest detail's probability from which another is named beside it.
 RANKED, AS_LIKELY = 8, 1.0 / 3.0
-# Times that the chain is taken anew about the model's fit; steps of a refit to a part of the rows.
-CHAIN_ROUNDS, REFIT_STEPS = 2, 4
+# Times that the chain is taken anew about the model's fit; steps of a refit to a part of the rows, and how often
+# sensitivities are computed anew in it.
+CHAIN_ROUNDS, REFIT_STEPS, REFIT_REFRESHES = 2, 8, 2
+# Uncertainty of a prediction over the change that an explanation makes, both rms, up to which held-out rows judge it.
+OPEN = 0.3
 # Share of the rows below which a model without solutions cannot be compared.
 FEWEST_LINES_LOST = 0.3
 # Most lines of a random test.

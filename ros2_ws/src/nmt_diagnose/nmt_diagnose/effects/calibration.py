@@ -55,7 +55,11 @@ class CalibrationParameter:
 
     def apply(self, rig: Rig, theta: float) -> Rig:
         """Rig with the parameter at θ."""
-        return rig if theta == 0.0 else with_value(rig, self.path, self.at(theta))
+        return self.moved(rig, 0.0, theta)
+
+    def moved(self, rig: Rig, before: float, theta: float) -> Rig:
+        """Rig with the parameter moved from one θ to another."""
+        return rig if theta == before else with_value(rig, self.path, self.at(theta) if theta != 0.0 else self.value)
 
     def at(self, theta: float) -> float:
         """Value at θ."""

@@ -114,12 +114,23 @@ class Parametrisation:
 
     def rig(self, theta: FloatArray) -> Rig:
         """Rig of parameters θ; the base itself at zero."""
-        rig = self.base
-        for parameter, entry in zip(self.calibration, theta[: len(self.calibration)], strict=True):
-            rig = parameter.apply(rig, float(entry))
+        rig = self._calibrated(theta[: len(self.calibration)])
         for index, candidate in enumerate(self.candidates):
             rig = candidate.effect.apply(rig, candidate.site, self.values(theta, index))
         return rig
+
+    def _calibrated(self, theta: FloatArray) -> Rig:
+        """The base with its own parameters at θ: what changed since the last call is changed."""
+        known, rig = self._last[0]
+        for parameter, before, entry in zip(self.calibration, known, theta, strict=True):
+            if entry != before:
+                rig = parameter.moved(rig, float(before), float(entry))
+        self._last[0] = (np.array(theta), rig)
+        return rig
+
+    @cached_property
+    def _last(self) -> list[tuple[FloatArray, Rig]]:
+        return [(np.zeros(len(self.calibration)), self.base)]
 
     def reported(self, theta: FloatArray, candidate: int) -> Reported:
         """Parameters that a candidate is reported by, with units."""

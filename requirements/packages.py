@@ -64,7 +64,7 @@ LIBRARIES = {
     # Ubuntu 24.04 has version 1.10, to which the key python3-pydantic leads; the rig file needs version 2.
     "pydantic": Library("pydantic", ">=2.5"),
     "pyuff": Library("pyuff", ">=2.4"),
-    "rich": Library("rich", ">=13.7", apt="python3-rich"),
+    "rich": Library("rich", ">=13.7", "python3-rich", "python3-rich"),
     "pandas": Library("pandas", ">=2.0", apt="python3-pandas", extra="analysis"),
     # What is asked of its tables of types changes from version to version.
     "rosbags": Library("rosbags", "==0.11.9"),
@@ -103,9 +103,10 @@ NOT_IN_THE_WHEELS = frozenset({"launch", "launch_ros"})
 
 KNOWN_KEYS = frozenset(
     f"python3-{name}"
-    for name in ("aiohttp", "jinja2", "joblib", "matplotlib", "numpy", "pytest", "ruamel.yaml", "scipy", "yaml")
+    for name in ("aiohttp", "jinja2", "joblib", "matplotlib", "numpy", "pytest", "rich", "ruamel.yaml", "scipy", "yaml")
 )
-"""Keys of rosdep/python.yaml for Ubuntu, read in ros/rosdistro at 000730dc5f916eb05b15d3f183bd1c17bf1b4722."""
+"""Keys of rosdep/python.yaml for Ubuntu, read in ros/rosdistro at 000730dc5f916eb05b15d3f183bd1c17bf1b4722; that of rich
+came later, with pull request 43386."""
 
 
 @cache

@@ -78,6 +78,17 @@ def test_smaller_parameters_name_what_the_notebook_has(path: Path) -> None:
     assert changed - {"KEPT"} <= given - {"OUT"}
 
 
+def test_a_notebook_runs_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for path in NOTEBOOKS:
+        cells = [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
+        beginning = "\n".join(cell.source for cell in cells[:2])
+        old = tmp_path / "out" / path.stem / "bag"
+        old.mkdir(parents=True)
+        exec(compile(beginning, path.name, "exec"), {})
+        assert not old.exists()
+
+
 @pytest.mark.campaign
 def test_virtual_experiment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notebook = executed("virtual_experiment", tmp_path, monkeypatch)

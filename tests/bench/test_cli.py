@@ -89,6 +89,7 @@ def test_wrong_usage_is_one_sentence(capsys: pytest.CaptureFixture[str], words: 
         (("blind", "scroe"), "score"),
         (("run", "baem"), "beam"),
         (("help", "sewep"), "sweep"),
+        (("help", "blind", "mkae"), "make"),
     ],
 )
 def test_a_mistyped_word_gets_a_proposal(
@@ -103,6 +104,32 @@ def test_a_mistyped_word_gets_a_proposal(
 def test_help_of_a_command_is_that_of_its_option(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(capsys, "help", "extract") == run(capsys, "extract", "--help")
     assert run(capsys, "help") == run(capsys, "--help")
+    assert run(capsys, "help", "blind", "make") == run(capsys, "blind", "make", "--help")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("run", "x" * 5000, "--out", "out"), "there is no rig xxx"),
+        (("export", "x" * 5000), "xxx…: this name is too long for a file"),
+        (("export", "nowhere", "--format", "hdf5"), "There is no bag at nowhere"),
+        (("check", "beam", "--device", "simulated"), "give --device portaudio or nidaqmx"),
+        (("run", "beam", "--levels", "0,5"), "decimals have a point"),
+    ],
+)
+def test_what_is_refused_says_how_to_go_on(
+    capsys: pytest.CaptureFixture[str], words: tuple[str, ...], sentence: str
+) -> None:
+    status, _, err = run(capsys, *words)
+    assert status == 2
+    assert one_sentence(err)
+    assert sentence in err
+    assert len(err) < 500
+
+
+def test_check_offers_no_simulated_device(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "simulated," not in run(capsys, "check", "--help")[1]
+    assert "simulated," in run(capsys, "run", "--help")[1]
 
 
 def test_rigs_are_listed_with_their_descriptions(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import resource
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from nmt_bench import cli
+from nmt_bench.commands.output_folder import OutputFolder
 from nmt_bench.orchestration.surroundings import LEAST_FILES, check_surroundings
 from nmt_core.errors import BenchError
 
@@ -20,7 +23,8 @@ from nmt_core.errors import BenchError
 def limits(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
     """The limit of open files, played: soft and hard."""
     now = [(1024, 4096)]
-    monkeypatch.setattr(resource, "getrlimit", lambda _: now[-1])
+    unlimited = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+    monkeypatch.setattr(resource, "getrlimit", lambda what: now[-1] if what == resource.RLIMIT_NOFILE else unlimited)
     monkeypatch.setattr(resource, "setrlimit", lambda _, pair: now.append(pair))
     return now
 
@@ -43,6 +47,37 @@ def test_too_few_open_files_are_refused(tmp_path: Path, limits: list[tuple[int, 
     limits.append((24, 24))
     with pytest.raises(BenchError, match=rf"24 open files and the nodes need {LEAST_FILES}.*ulimit -n"):
         check_surroundings(tmp_path / "out", tmp_path)
+
+
+def test_too_little_address_space_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (700 * 2**20, 700 * 2**20))
+    monkeypatch.setattr(resource, "setrlimit", lambda *_: None)
+    with pytest.raises(BenchError, match="700 MiB of address space and the nodes need 2048; .*ulimit -v unlimited"):
+        check_surroundings(tmp_path / "out", tmp_path)
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("pthread_create failed"), ImportError("failed to map")])
+def test_a_command_without_memory_ends_with_a_sentence(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_: object) -> int:
+        raise error
+
+    monkeypatch.setattr(cli, "run_parsed", fail)
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (700 * 2**20, 700 * 2**20))
+    assert cli.main(["extract", "bag", "--out", "out"]) == 2
+    said = capsys.readouterr().err
+    assert "700 MiB of address space are too few" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("live", [True, False])
+@pytest.mark.parametrize("failure", [None, FileNotFoundError("gone")])
+def test_a_deleted_results_folder_is_one_sentence(tmp_path: Path, live: bool, failure: Exception | None) -> None:
+    with pytest.raises(BenchError, match="was deleted while the command wrote to it"), contextlib.ExitStack() as stack:
+        shutil.rmtree(stack.enter_context(OutputFolder(tmp_path / "out", live=live)))
+        if failure is not None:
+            raise failure
 
 
 def test_shared_memory_that_cannot_be_written_is_refused(
@@ -73,6 +108,7 @@ def test_a_disk_without_space_is_refused(
         (errno.EMFILE, "a.csv: this shell allows too few open files"),
         (errno.EROFS, "a.csv: this cannot be written"),
         (errno.EACCES, "a.csv: access is denied"),
+        (errno.ENAMETOOLONG, "a.csv: this name is too long"),
     ],
 )
 def test_what_the_system_refuses_is_one_sentence(

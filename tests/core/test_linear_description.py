@@ -116,7 +116,17 @@ def test_a_missing_key_is_named(linear, name):
 
 @pytest.mark.parametrize(
     "change",
-    [{"surplus": 1}, {"points": 3}, {"shapes": [["a", "b"], [1, 2]]}, {"shapes": None}, {"target_mode": "0"}],
+    [
+        {"frequencies_rad_s": [[100.0, 700.0], [1.0, 2.0]]},
+        {"frequencies_rad_s": ["100", "700"]},
+        {"drive_point_shape": [0.1]},
+        {"moving_mass_kg": [[0.1]]},
+        {"surplus": 1},
+        {"points": 3},
+        {"shapes": [["a", "b"], [1, 2]]},
+        {"shapes": None},
+        {"target_mode": "0"},
+    ],  # fmt: skip
 )
 def test_a_key_that_is_unknown_or_of_the_wrong_kind_is_refused(linear, change):
     with pytest.raises(BenchError, match="not complete or not well-formed"):

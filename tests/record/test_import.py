@@ -59,6 +59,13 @@ def test_the_bag_holds_the_recording_bit_for_bit(tmp_path: Path) -> None:
     ]
 
 
+def test_a_slow_clock_costs_no_message_a_sample(tmp_path: Path) -> None:
+    segment = {"kind": "record", "start": 0.0, "stop": 590.0}
+    run = read_import(write(tmp_path, sidecar(sample_rate=20.0, segments=[segment])))
+    write_import(run, tmp_path / "bag", "rig", "", {})
+    assert Bag.open(tmp_path / "bag").topics["force"][1] == run.samples / 200
+
+
 def test_two_imports_are_the_same_file(tmp_path: Path) -> None:
     path = write(tmp_path / "in")
     one = write_import(read_import(path), tmp_path / "1" / "bag", "r", "", {})

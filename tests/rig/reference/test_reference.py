@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -27,6 +29,17 @@ def test_reference_of_the_beam_meets_the_given_table(rig, published_backbone) ->
     reference = compute_reference(rig, 7, q)
     np.testing.assert_allclose(reference.omega_rad_s, omega, rtol=1e-4)
     np.testing.assert_allclose(reference.damping_ratio, damping, rtol=1e-4)
+
+
+def test_a_mode_alone_under_an_ideal_force_is_computed_without_warnings(tmp_path) -> None:
+    mode = "{frequency_hz: 133.1, damping_ratio: 0.0035, modal_mass_kg: 1.0}"
+    (tmp_path / "one.yaml").write_text(
+        f"name: one\nstructure: {{kind: modal, modes: [{mode}]}}\ntest: {{levels: '1'}}\n"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        reference = compute_reference(load_rig(tmp_path / "one.yaml"), 3, [1e-5, 1e-4])
+    np.testing.assert_allclose(reference.damping_ratio, 0.0035, rtol=1e-9)
 
 
 def test_written_file_has_the_fixed_columns_and_the_same_numbers(rig, tmp_path) -> None:

@@ -14,6 +14,8 @@ import contextlib
 import errno
 import importlib
 import os
+import re
+import resource
 import sys
 from collections.abc import Sequence
 from types import ModuleType
@@ -114,6 +116,7 @@ _REASONS = {
     errno.EPERM: "access is denied; choose another file or folder, or change its owner",
     errno.EMFILE: "this shell allows too few open files; type 'ulimit -n 1024' and the command again",
     errno.ENFILE: "this computer has no file handles left; end other programs",
+    errno.ENAMETOOLONG: "this name is too long for a file; give a shorter one",
 }
 """What the user can fix where the operating system refuses."""
 
@@ -252,7 +255,8 @@ def _run(words: list[str], end: _End) -> int:
     except OSError as error:
         if error.errno not in _REASONS:
             return _unexpected(command, error, words, end)
-        where = f"{error.filename}: " if error.filename else ""
+        name = str(error.filename or "")
+        where = f"{name[:100]}{'…' if len(name) > 100 else ''}: " if name else ""
         end.sentence = _complain(command, f"{where}{_REASONS[error.errno]}.")
         return EXIT_USER
     except Exception as error:
@@ -318,8 +322,24 @@ def _missing_module(name: str) -> str:
     return f"'{library}' is not installed, although nmt needs it; type: pip install --force-reinstall nmt."
 
 
+_NO_MEMORY = re.compile(r"pthread_create|start new thread|failed to map|Could not find/load shared|allocate memory")
+
+
+def _memory_sentence(error: Exception) -> str:
+    """What to say where memory was not enough; empty if that is not what failed."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and (isinstance(error, MemoryError) or _NO_MEMORY.search(str(error))):
+        return f"{limit / 2**20:.0f} MiB of address space are too few for this; type 'ulimit -v unlimited' before it."
+    if isinstance(error, MemoryError):
+        return f"The memory of this computer is not enough for this ({_first_line(error)}); give it less data at once."
+    return ""
+
+
 def _unexpected(command: str | None, error: Exception, words: Sequence[str], end: _End) -> int:
-    """Say that something failed which should not, and where the details are."""
+    """Say that something failed which should not, and where the details are; or that memory was not enough."""
+    if sentence := _memory_sentence(error):
+        end.sentence = _complain(command, sentence)
+        return EXIT_USER
     log = write_error_log(words)
     sentence = f"This should not have happened ({type(error).__name__}: {_first_line(error)}); details are in {log}."
     end.sentence = _complain(command, sentence)

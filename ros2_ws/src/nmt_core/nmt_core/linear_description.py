@@ -44,6 +44,8 @@ _LARGEST = {
     "displacement_per_volt": 1e6,
 }
 """What no structure on a shaker exceeds, in the units of the attributes."""
+_FORMS = ("a number", "a list of numbers", "a list of lists of numbers, one for each point")
+_DIMENSIONS = {"frequencies_rad_s": 1, "damping_ratios": 1, "shapes": 2}
 _NOT_NEGATIVE = ("frequencies_rad_s", "plant_frequency_rad_s")
 
 
@@ -160,7 +162,10 @@ def _check_magnitudes(values: dict[str, Any]) -> None:
     for key, largest in _LARGEST.items():
         if key not in values:
             continue
-        numbers = np.array(values[key], dtype=np.float64)
+        numbers = np.array(values[key])  # of lists of unequal lengths a ValueError
+        dimensions = _DIMENSIONS.get(key, 0)
+        if numbers.ndim != dimensions or (numbers.size and numbers.dtype.kind not in "iuf"):
+            raise TypeError(f"{key} must be {_FORMS[dimensions]}")
         known = numbers[~np.isnan(numbers)] if key in ("force_per_volt", "displacement_per_volt") else numbers.ravel()
         bad = known[~(np.abs(known) <= largest)]
         if bad.size:

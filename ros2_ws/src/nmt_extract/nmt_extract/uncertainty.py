@@ -51,7 +51,8 @@ def jackknife(values: FloatArray, whole: float) -> float:
     mean = float(values.mean())
     deviations = values - mean
     variance = (count - 1) / count * float((deviations * deviations).sum())
-    return math.sqrt(variance + ((count - 1) * (mean - whole)) ** 2)
+    bias = (count - 1) * (mean - whole)
+    return math.sqrt(variance + bias * bias)
 
 
 def slope_uncertainty(time: FloatArray, values: FloatArray) -> float:

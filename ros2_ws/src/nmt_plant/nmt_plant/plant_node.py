@@ -11,6 +11,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, UInt64
 from std_srvs.srv import Trigger
@@ -181,8 +182,10 @@ class PlantNode(BenchNode):
             self.create_subscription(UInt64, RECORDED_TOPIC, self._on_recorded, STATE_QOS)
         self._stops = self.create_publisher(DriveStop, "drive_stop", STATE_QOS)
         self.claim("drive_stop")
+        # One of them fits whoever stops, so that the others do not is nothing to warn of.
+        calm = SubscriptionEventCallbacks(use_default_callbacks=False)
         for service in _EMERGENCY_QOS:
-            self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, service)
+            self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, service, event_callbacks=calm)
         self.bench_service(Trigger, "quiet", self._quiet)
         self.bench_service(Trigger, "reset", self._reset)
         self._guard_timer = self.steady_timer(_GUARD_PERIOD, self._guard)

@@ -33,7 +33,7 @@ from nmt_record.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, Observab
 from nmt_record.side_tables import BlockRow, read_block_table, read_loop_table
 from nmt_record.unit_table import factor_to_si
 
-_BLOCK_SECONDS = 0.02
+_BLOCK_SECONDS, _LEAST_BLOCK = 0.02, 200  # s, samples: each block costs a message, however slow the clock is
 
 
 @dataclass(frozen=True)
@@ -285,9 +285,10 @@ def _made_states(run: ImportedRun) -> list[LoopStatus]:
     """States that tell which levels did not lock, if some did not; one at the end of each stretch of 20 ms."""
     if all(segment.section.locked for segment in run.segments):
         return []
-    size = max(1, round(_BLOCK_SECONDS * run.sample_rate))
+    size = max(_LEAST_BLOCK, round(_BLOCK_SECONDS * run.sample_rate))
     ends = np.arange(run.first_sample + size - 1, run.first_sample + run.samples + size - 1, size)
     ends = np.minimum(ends, run.first_sample + run.samples - 1)
+    ends = np.union1d(ends, [segment.stop_sample - 1 for segment in run.segments if not segment.section.locked])
     states = []
     for end in ends.tolist():
         segment = next((s for s in run.segments if s.first_sample <= end < s.stop_sample), None)
@@ -411,7 +412,7 @@ class _Messages:
 
     def _even_blocks(self) -> list[BlockRow]:
         run = self._run
-        size = max(1, round(_BLOCK_SECONDS * run.sample_rate))
+        size = max(_LEAST_BLOCK, round(_BLOCK_SECONDS * run.sample_rate))
         return [
             BlockRow(run.first_sample + first, min(size, run.samples - first), UNKNOWN_PHASE, {})
             for first in range(0, run.samples, size)

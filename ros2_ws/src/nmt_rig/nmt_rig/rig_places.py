@@ -36,10 +36,10 @@ def find_rig(path_or_name: str | Path) -> Path:
     if re.fullmatch(r"[A-Za-z0-9_-]+", str(path_or_name)):
         for folder in _rig_folders():
             candidate = folder / f"{path_or_name}.yaml"
-            if candidate.is_file():
+            if os.path.isfile(candidate):
                 return candidate
-    known = rig_names()
+    known, name = rig_names(), str(path_or_name)[:200]
     raise BenchError(
-        f"there is no rig {path_or_name}; give the path of a rig file or one of: {', '.join(known) or 'none'}"
-        f"{did_you_mean(str(path_or_name), known)}."
+        f"there is no rig {name}; give the path of a rig file or one of: {', '.join(known) or 'none'}"
+        f"{did_you_mean(name, known)}."
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,6 +14,7 @@ DIRECTIONS = ("up", "down", "both")
 SPACINGS = ("geometric", "linear")
 MAX_LEVELS = 1000
 
+_DECIMAL_COMMA = re.compile(r"(?<![\d.])0,\d|\d,\d+:|:\d+,\d")
 _SYNTAX = "write 'a:b:n' for n levels from a to b in geometric steps, 'a:b:n:linear' for equal steps, or a list 'a,b,c'"
 
 
@@ -29,6 +31,10 @@ def parse_levels(text: str) -> list[float]:
         BenchError: the text is not a plan, or a level is not positive and finite.
     """
     where = f"Levels '{text}'"
+    if _DECIMAL_COMMA.search(text):
+        raise BenchError(
+            f"{where}: decimals have a point, as in 0.5; a comma separates levels, and none of them is zero."
+        )
     if ":" in text:
         parts = [part.strip() for part in text.split(":")]
         if len(parts) not in (3, 4) or (len(parts) == 4 and parts[3] not in SPACINGS):

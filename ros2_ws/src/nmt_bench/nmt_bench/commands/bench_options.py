@@ -36,15 +36,16 @@ def add_latency_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--latency-blocks", metavar="N", type=int, default=0, help=_LATENCY)
 
 
-def add_device_option(parser: argparse.ArgumentParser) -> None:
-    """``--device``."""
+def add_device_option(parser: argparse.ArgumentParser, simulated: bool = True) -> None:
+    """``--device``; ``simulated``: whether the command knows what to do with a simulated rig."""
+    words = ("simulated, ", ", else simulated") if simulated else ("", "")
     parser.add_argument(
         "--device",
         metavar="KIND",
         default="",
-        help="what is driven: simulated, portaudio, nidaqmx, or nidaqmx@HOST:PORT for NI's device server; a converter "
-        "that the rig file does not describe is taken for the simulated specimen's (default: the rig file's device, "
-        "else simulated)",
+        help=f"what is driven: {words[0]}portaudio, nidaqmx, or nidaqmx@HOST:PORT for NI's device server; a converter "
+        f"that the rig file does not describe is taken for the simulated specimen's (default: the rig file's device"
+        f"{words[1]})",
     )
 
 

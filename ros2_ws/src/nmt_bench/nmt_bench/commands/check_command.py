@@ -36,7 +36,7 @@ def add_parser(subparsers: Subparsers) -> None:
     )
     parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
     add_output_options(parser, "check.json, report.html")
-    add_device_option(parser)
+    add_device_option(parser, simulated=False)
     parser.add_argument("--levels", metavar="PLAN", help="planned levels, V, as for './nmt run' (default: the rig's)")
     parser.add_argument("--linear", metavar="FILE", type=Path, help="linear.json whose resonance is expected")
     parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
@@ -71,7 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
     kind, address = parsed_device(arguments.device, rig)
     if kind in ("", "simulated"):
         raise BenchError(
-            f"Rig {rig.name} is simulated, there is nothing to check; write a section 'device', or --device."
+            f"Rig {rig.name} is simulated and has no converter to check; give --device portaudio or nidaqmx, or write a "
+            "section 'device' into the rig file."
         )
     linear = read_linear(arguments.linear) if arguments.linear is not None else None
     levels = parse_levels(arguments.levels or rig.test.levels)

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
+_OTHER_NAMES = {"hdf5": "h5", "hdf": "h5", "matlab": "mat", "uff58": "uff", "unv": "uff"}
+
+
 def add_parser(subparsers: Subparsers) -> None:
     """Add the command and its options."""
     parser = subparsers.add_parser(
@@ -35,6 +38,7 @@ def add_parser(subparsers: Subparsers) -> None:
     )
     parser.add_argument(
         "--format",
+        type=lambda word: _OTHER_NAMES.get(word.lower(), word.lower()),
         choices=FORMATS,
         default="uff",
         help="uff: one dataset 58 a channel, binary (58b); csv; npz; h5: HDF5; mat: MATLAB 5 (default: uff)",

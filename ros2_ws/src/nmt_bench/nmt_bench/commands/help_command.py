@@ -16,7 +16,9 @@ def add_parser(subparsers: Subparsers[argparse.ArgumentParser]) -> None:
         help="the commands, or the options of one",
         description="Shows the list of commands, or the description and options of one: the same as COMMAND --help.",
     )
-    parser.add_argument("topic", metavar="COMMAND", nargs="?", help="the command (default: the list of all)")
+    parser.add_argument(
+        "topic", metavar="COMMAND", nargs="*", help="the command, and its part as in 'blind make' (default: the list)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -25,16 +27,17 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: there is no such command.
     """
-    from nmt_bench.cli import COMMANDS, build_parser
+    from nmt_bench.cli import build_parser
     from nmt_core.proposal import did_you_mean
 
-    name = arguments.topic
-    parser = build_parser(name)
-    if name is None:
-        parser.print_help()
-        return 0
-    if name not in COMMANDS:
-        raise BenchError(f"There is no command '{name}'{did_you_mean(name, COMMANDS)}; './nmt help' lists all.")
-    group = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
-    group.choices[name].print_help()
+    parser: argparse.ArgumentParser = build_parser(next(iter(arguments.topic), None))
+    for name in arguments.topic:
+        parts = next((action for action in parser._actions if isinstance(action, argparse._SubParsersAction)), None)
+        known = {} if parts is None else parts.choices
+        if name not in known:
+            raise BenchError(
+                f"There is no command '{' '.join(arguments.topic)}'{did_you_mean(name, known)}; './nmt help' lists all."
+            )
+        parser = known[name]
+    parser.print_help()
     return 0

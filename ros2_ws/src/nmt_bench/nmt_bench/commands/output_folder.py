@@ -78,7 +78,7 @@ class OutputFolder:
     Without ``live`` the command writes to a hidden folder beside ``path``, whose contents are moved in place
     when the block ends well and removed when it does not: what is in ``path`` is always whole. With ``live``
     the command writes in place, for recordings that must survive a killed process; an empty folder is removed
-    again.
+    again. A folder that somebody deletes meanwhile is the sentence that the command ends with.
 
     Args:
         path: the folder of the results.
@@ -87,7 +87,7 @@ class OutputFolder:
 
     Raises:
         BenchError: on entry, if the folder cannot be made, is not a folder, or is not empty and ``force`` is
-        not set.
+        not set; on exit, if it is no longer there.
     """
 
     def __init__(self, path: Path | str, force: bool = False, live: bool = False) -> None:
@@ -118,8 +118,13 @@ class OutputFolder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if not self._work.is_dir() and (kind is None or issubclass(kind, Exception)):
+            raise BenchError(
+                f"The results folder {self._work} was deleted while the command wrote to it, so its results are lost; "
+                "run the command again."
+            ) from error
         if self._live:
-            if kind is not None and self._made and not any(self.path.iterdir()):
+            if kind is not None and self._made and self.path.is_dir() and not any(self.path.iterdir()):
                 self.path.rmdir()
             return
         try:

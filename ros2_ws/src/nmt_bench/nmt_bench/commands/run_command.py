@@ -167,7 +167,7 @@ def _run(arguments: argparse.Namespace) -> int:
             reference, unwritten, interrupted = evaluate(
                 result, bench, folder, arguments.reference, not arguments.no_report, sheet
             )
-    _summarise(result, bench, reference, console, folder, unwritten)
+        _summarise(result, bench, reference, console, folder, unwritten)
     sys.stdout.flush()
     if result.interrupted or interrupted:
         return EXIT_INTERRUPTED
@@ -386,7 +386,7 @@ def _summarise(
         )
     for line in result.remarks:
         console.print(line, markup=False)
-    if unwritten:
+    if unwritten and folder.is_dir():
         console.print(unwritten, style="red", markup=False, soft_wrap=True)
     if (folder / "report.html").exists():
         console.print(f"Report: {(folder / 'report.html').resolve()}", markup=False, soft_wrap=True)

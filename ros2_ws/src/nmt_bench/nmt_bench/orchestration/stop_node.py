@@ -7,6 +7,7 @@ import time
 
 import rclpy
 from rclpy.context import Context
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -40,7 +41,9 @@ class StopNode(Node):  # type: ignore[misc]
             "nmt_stop", context=context, namespace=namespace, enable_rosout=False, start_parameter_services=False
         )
         self.answer: DriveStop | None = None
-        self._publisher = self.create_publisher(Bool, "emergency_stop", STATE_QOS)
+        self._publisher = self.create_publisher(
+            Bool, "emergency_stop", STATE_QOS, event_callbacks=PublisherEventCallbacks(use_default_callbacks=False)
+        )
         self.create_subscription(msg.DriveStop, "drive_stop", self._on_stop, STATE_QOS, raw=True)
         self.say()
 

@@ -13,6 +13,7 @@ LEAST_FILES = 128
 """Open files that a process of the bench needs."""
 _WANTED_FILES = 1024
 _LEAST_FREE_MB = 16
+_LEAST_ADDRESSES = 2**31  # bytes; a process of the bench maps 1.5 GB
 
 
 def check_surroundings(out: Path, shared_memory: Path = Path("/dev/shm")) -> None:
@@ -25,7 +26,7 @@ def check_surroundings(out: Path, shared_memory: Path = Path("/dev/shm")) -> Non
         shared_memory: where shared memory lives.
 
     Raises:
-        BenchError: too few open files, no shared memory, or no space for results.
+        BenchError: too few open files, too little address space, no shared memory, or no space for results.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft != resource.RLIM_INFINITY and soft < _WANTED_FILES:
@@ -36,6 +37,12 @@ def check_surroundings(out: Path, shared_memory: Path = Path("/dev/shm")) -> Non
                 f"This shell allows {most} open files and the nodes need {LEAST_FILES}; raise the limit with "
                 f"'ulimit -n {_WANTED_FILES}', or have the administrator raise it."
             )
+    addresses = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if addresses != resource.RLIM_INFINITY and addresses < _LEAST_ADDRESSES:
+        raise BenchError(
+            f"This shell gives a process {addresses / 2**20:.0f} MiB of address space and the nodes need "
+            f"{_LEAST_ADDRESSES / 2**20:.0f}; raise the limit with 'ulimit -v unlimited'."
+        )
     if not shared_memory.is_dir() or not os.access(shared_memory, os.W_OK | os.X_OK):
         raise BenchError(
             f"Shared memory ({shared_memory}) cannot be written, and the nodes talk through it; mount it so, for "

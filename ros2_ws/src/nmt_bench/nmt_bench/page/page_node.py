@@ -21,6 +21,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.context import Context
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -94,7 +95,9 @@ class PageNode(BenchNode):
         )
         self._streams: list[tuple[str, Any]] = []
         self._bag = ""
-        self.stop_publisher = self.create_publisher(Bool, "emergency_stop", 10)
+        self.stop_publisher = self.create_publisher(
+            Bool, "emergency_stop", 10, event_callbacks=PublisherEventCallbacks(use_default_callbacks=False)
+        )
         self.steer_client = self.create_client(Steer, "steer")
         self.run_client = ActionClient(self, RunLevels, "run_levels")
         self.bench_subscription(msg.RunState, "run_state", self._on_state, STATE_QOS, raw=True)

@@ -176,9 +176,12 @@ class EpmcProblem:
         omega, excitation = z[r * size + 2] * self.linear_frequency, z[r * size + 3] * self.linear_frequency
         force = self.local.forces(z[: r * size].reshape(r, size) * amplitude, omega)[0]
         amplitudes = self.basis.to_complex(-force / amplitude).T
-        shapes = harmonic_responses(self.impedance, self.basis, omega, excitation, self.local.directions.T, amplitudes)
+        first = self.basis.fundamental
+        shapes = harmonic_responses(
+            self.impedance, self.basis, omega, excitation, self.local.directions.T, amplitudes, first
+        )
         _, _, modal = self._evaluate(z)
-        shapes[self.basis.fundamental] = self.impedance.shapes @ modal
+        shapes[first] = self.impedance.shapes @ modal
         return shapes
 
 

@@ -360,13 +360,16 @@ def harmonic_responses(
     self_excitation: float,
     inputs: FloatArray,
     amplitudes: ComplexArray,
+    skipped: int = -1,
 ) -> ComplexArray:
     """Amplitudes of all unknowns q, (n_orders, n), for complex input amplitudes (n_orders, p) on ``inputs``
-    (n, p)."""
-    result = np.empty((basis.orders.size, impedance.shapes.shape[0]), dtype=np.complex128)
+    (n, p); zero at the position ``skipped``, where the self-excited mode may have no stiffness left."""
+    result = np.zeros((basis.orders.size, impedance.shapes.shape[0]), dtype=np.complex128)
     modal_inputs = impedance.shapes.T @ inputs
     damping = impedance.damping - self_excitation * impedance.mass
     for position, order in enumerate(basis.orders):
+        if position == skipped:
+            continue
         s = 1j * order * angular_frequency
         given = modal_inputs @ amplitudes[position]
         if impedance.diagonal:

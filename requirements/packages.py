@@ -105,8 +105,8 @@ KNOWN_KEYS = frozenset(
     f"python3-{name}"
     for name in ("aiohttp", "jinja2", "joblib", "matplotlib", "numpy", "pytest", "rich", "ruamel.yaml", "scipy", "yaml")
 )
-"""Keys of rosdep/python.yaml for Ubuntu, read in ros/rosdistro at 000730dc5f916eb05b15d3f183bd1c17bf1b4722; that of rich
-came later, with pull request 43386."""
+"""Keys of rosdep/python.yaml for Ubuntu, read in ros/rosdistro at 000730dc5f916eb05b15d3f183bd1c17bf1b4722; that of
+rich came later, with pull request 43386."""
 
 
 @cache

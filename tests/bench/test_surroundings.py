@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import resource
@@ -52,7 +51,7 @@ def test_too_few_open_files_are_refused(tmp_path: Path, limits: list[tuple[int, 
 def test_too_little_address_space_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (700 * 2**20, 700 * 2**20))
     monkeypatch.setattr(resource, "setrlimit", lambda *_: None)
-    with pytest.raises(BenchError, match="700 MiB of address space and the nodes need 2048; .*ulimit -v unlimited"):
+    with pytest.raises(BenchError, match=r"700 MiB of address space and the nodes need 2048; .*ulimit -v unlimited"):
         check_surroundings(tmp_path / "out", tmp_path)
 
 
@@ -74,10 +73,10 @@ def test_a_command_without_memory_ends_with_a_sentence(
 @pytest.mark.parametrize("live", [True, False])
 @pytest.mark.parametrize("failure", [None, FileNotFoundError("gone")])
 def test_a_deleted_results_folder_is_one_sentence(tmp_path: Path, live: bool, failure: Exception | None) -> None:
-    with pytest.raises(BenchError, match="was deleted while the command wrote to it"), contextlib.ExitStack() as stack:
-        shutil.rmtree(stack.enter_context(OutputFolder(tmp_path / "out", live=live)))
-        if failure is not None:
-            raise failure
+    folder = OutputFolder(tmp_path / "out", live=live)
+    shutil.rmtree(folder.__enter__())
+    with pytest.raises(BenchError, match="was deleted while the command wrote to it"):
+        folder.__exit__(None if failure is None else type(failure), failure, None)
 
 
 def test_shared_memory_that_cannot_be_written_is_refused(

@@ -126,7 +126,7 @@ def test_a_missing_key_is_named(linear, name):
         {"shapes": [["a", "b"], [1, 2]]},
         {"shapes": None},
         {"target_mode": "0"},
-    ],  # fmt: skip
+    ],
 )
 def test_a_key_that_is_unknown_or_of_the_wrong_kind_is_refused(linear, change):
     with pytest.raises(BenchError, match="not complete or not well-formed"):

@@ -71,8 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
     kind, address = parsed_device(arguments.device, rig)
     if kind in ("", "simulated"):
         raise BenchError(
-            f"Rig {rig.name} is simulated and has no converter to check; give --device portaudio or nidaqmx, or write a "
-            "section 'device' into the rig file."
+            f"Rig {rig.name} is simulated and has no converter to check; give --device portaudio or nidaqmx, or write "
+            "a section 'device' into the rig file."
         )
     linear = read_linear(arguments.linear) if arguments.linear is not None else None
     levels = parse_levels(arguments.levels or rig.test.levels)

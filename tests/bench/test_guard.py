@@ -121,6 +121,11 @@ def test_orders_become_requests() -> None:
         {"act": "change_levels", "levels": [float("nan")]},
         {"act": "change_levels", "levels": [-1.0]},
         {"act": "change_levels", "levels": [1e999]},
+        {"act": "change_levels", "levels": [1e308]},
+        {"act": "change_levels", "levels": [10**400]},
+        {"act": "change_levels", "levels": [True]},
+        {"act": "change_levels", "levels": ["1"]},
+        {"act": "change_levels", "levels": [[1.0]]},
     ],
 )
 def test_orders_that_mean_nothing_are_refused(order: dict[str, object]) -> None:

@@ -225,10 +225,16 @@ def test_orders_come_at_a_limited_rate_and_stops_do_not() -> None:
     async def test() -> None:
         async with page() as (server, bench, client):
             own = await log_in(server, client)
+            stranger = {**own, "Cookie": f"{server.guard.cookie}=somebody"}
+            async with aiohttp.ClientSession() as other:
+                for _ in range(450):
+                    async with other.post(f"{server.guard.origin}/steer", json={}, headers=stranger) as answer:
+                        assert answer.status in (403, 429)
             statuses = []
             for _ in range(40):
                 async with client.post(f"{server.guard.origin}/steer", json={"act": "pause"}, headers=own) as answer:
                     statuses.append(answer.status)
+            assert statuses[:8] == [200] * 8  # whatever a stranger has sent
             assert 429 in statuses
             assert len(bench.asked) < 40
             for _ in range(60):

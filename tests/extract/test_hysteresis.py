@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from extract.synthetic import Stream, extract, lock_event
+from extract.synthetic import Stream, extract, linear_description, lock_event
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
@@ -138,7 +138,9 @@ def test_a_modal_point_carries_it_if_the_rig_declares_it():
     layout = HysteresisLayout(2, 4, 5, M1, M3)
     topics = ("force", "acceleration")
     lock = lock_event(0, 3000, 111, frequency_hz=370.0)
-    point = extract(stream, lock, settings=ExtractionSettings(topics=topics, hysteresis=layout))
+    shapes = np.column_stack([rows[:, 1].real / np.abs(rows[:, 1]).max(), [1.0, -1.0, 1.0, -1.0]])
+    linear = linear_description(shapes)
+    point = extract(stream, lock, linear=linear, settings=ExtractionSettings(topics=topics, hysteresis=layout))
     expected = hysteresis_loop(LAYOUT, OMEGA, accelerations, force).damping_ratio
     assert point.hysteresis_damping == pytest.approx(expected, rel=1e-2)
     assert 0.0 < point.hysteresis_damping_std < 0.01 * expected

@@ -231,7 +231,7 @@ def test_sensors_that_do_not_fit_are_named(linear, reason):
 def test_silence_is_rejected():
     point = extract(pure(0.0, np.zeros(4)), LOCK)
     assert point.status is Status.REJECTED
-    assert "no force or no response" in point.reason
+    assert "f2 is dead" in point.reason
 
 
 def test_numbers_that_do_not_depend_on_who_asks():

@@ -7,6 +7,7 @@ horizons reach loop and plant over two more. The scheduler picks which channel m
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -29,13 +30,14 @@ def status(
 
 @dataclass(frozen=True)
 class Fate:
-    """What becomes of a level: blocks until the lock (None = lost then), blocks of the window, loss in it."""
+    """What becomes of a level: blocks until the lock (None = lost then), blocks of the window, loss in it, response."""
 
     blocks: int = 4
     locks: bool = True
     window: int = 6
     lost_after: int | None = None
     limit_after: int | None = None
+    answers: bool = True
 
 
 @dataclass
@@ -92,6 +94,8 @@ class MiniLoop:
         ):
             self.flags = BlockFlag.LIMIT
         self.newest = status(end - 1, self.index, self.sequence, self.state, self.flags, reason)
+        if not fate.answers:
+            self.newest = self.newest._replace(phase_error=math.nan)
         return self.newest, lock
 
 

@@ -247,6 +247,17 @@ def test_a_level_without_lock_ends_the_run_if_so_planned(pacing, fate):
 
 
 @PACINGS
+def test_no_higher_level_follows_one_without_response(pacing):
+    blind = Fate(locks=False, answers=False)
+    bench = finished([Fate(), blind, Fate()], pacing)
+    assert amplitudes(bench) == [1.0, 2.0, 0.0]
+    assert bench.machine.code == ResultCode.LOCK_LOST
+    assert "Level 2 had no force or no response (level 1 did not lock), so no higher level" in bench.machine.reason
+    assert amplitudes(finished([blind, Fate()], pacing, levels=(2.0, 1.0))) == [2.0, 1.0, 0.0]
+    assert amplitudes(finished([blind, Fate()], pacing, levels=(1.0, 2.0), open_loop_abort=False)) == [1.0, 2.0, 0.0]
+
+
+@PACINGS
 def test_a_limit_ends_the_run(pacing):
     bench = finished([Fate(), Fate(limit_after=2)], pacing)
     assert amplitudes(bench) == [1.0, 2.0, 0.0]

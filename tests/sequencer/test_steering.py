@@ -251,8 +251,8 @@ def test_what_cannot_be_done_is_refused_with_a_sentence() -> None:
     ("fields", "words"),
     [
         ({"act": SteeringAct.UNKNOWN}, "Nothing is asked"),
-        ({"act": SteeringAct.CHANGE_LEVELS, "levels": (float("nan"),)}, "finite and > 0"),
-        ({"act": SteeringAct.CHANGE_LEVELS, "levels": (0.0,)}, "finite and > 0"),
+        ({"act": SteeringAct.CHANGE_LEVELS, "levels": (float("nan"),)}, "positive and finite"),
+        ({"act": SteeringAct.CHANGE_LEVELS, "levels": (0.0,)}, "positive and finite"),
         ({"act": SteeringAct.PAUSE, "source": "x" * 101}, "at most 100"),
         ({"act": SteeringAct.PAUSE, "source": "a\nb"}, "printable"),
         ({"act": SteeringAct.RESUME, "at_sample": 1}, "at once"),

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 import signal
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from nmt_bench.channel_figures import large_rig
+from nmt_bench.page.server import steering_request
+from nmt_bench.page.start_goal import goal_of, start_request
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
+from nmt_core.parameters import check_values
 from nmt_core.records import DriveCommand, LockEvent, LoopStatus, RunState
-from nmt_core.vocabulary import LoopState, PointStatus, Quantity, ResultCode, RunPhase, Waveform
+from nmt_core.vocabulary import LoopState, PointStatus, Quantity, ResultCode, RunPhase, SteeringAct, Waveform
 from nmt_core.wire import LOCK_EVENT
 from nmt_extract.offline import extract_bag
 from nmt_plant.device import DeviceFault
@@ -22,6 +30,9 @@ from nmt_plant.oscillator import OscillatorBlock
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_record.bag_reader import Bag
 from nmt_rig.rig import load_rig
+from nmt_sequencer.run_core import PARAMETERS as SEQUENCER
+from nmt_sequencer.run_core import RunCore
+from nmt_sequencer.steering import SteeringRequest
 from nmt_session import Progress, Session, TestPlan, plan_test
 from nmt_session.node_plan import plan_nodes
 
@@ -239,3 +250,44 @@ def test_the_loop_takes_its_input_joined_with_many_channels(pacing: str, channel
     if joined:
         assert values["plant"]["drive_point"] == plan.rig.drive_point
         assert "loop_input:1" in values["plant"]["expected_peers"]
+
+
+def absurd_levels() -> list[Any]:
+    """A hundred values that are no level of a rig with a limit of 50 V."""
+    strange: list[Any] = [True, False, None, "2", "", [1.0], {}, 1j, b"1", math.nan, math.inf, -math.inf, 0.0, -1.0]
+    strange += [1e308, 10**400, -(10**400), 50.001, np.float64(1e300), object()]
+    return strange + list(10.0 ** np.random.default_rng(5).uniform(1.7, 308.0, 100 - len(strange)))
+
+
+def test_no_way_to_give_levels_passes_the_limit_or_ends_a_test() -> None:
+    given = plan_nodes(one_level(), Path("bag"), Path("rig.yaml"))
+    known = {parameter.name for parameter in SEQUENCER}
+    values = {name: value for name, value in given.values["sequencer"].items() if name in known}
+    core = RunCore(check_values(SEQUENCER, values, "sequencer"))
+    change = SteeringAct.CHANGE_LEVELS
+    ways: dict[str, Callable[[list[Any]], Any]] = {
+        "page": lambda levels: session.steer(steering_request({"act": "change_levels", "levels": levels})),
+        "page's start": lambda levels: goal_of(start_request({"levels": repr(levels)[1:-1]}), given.run["plan"]),
+        "service": lambda levels: session.steer(SteeringRequest(change, levels=tuple(levels))),
+        "action": lambda levels: core.plan({**given.goal, "levels": levels}),
+    }
+    refused = Counter[str]()
+    amplitudes = set()
+
+    def listen(_: str, record: Any) -> None:
+        if isinstance(record, DriveCommand):
+            amplitudes.add(record.amplitude)
+        if not isinstance(record, LockEvent):
+            return
+        for value, (way, ask) in itertools.product(absurd_levels(), ways.items()):
+            try:
+                answer = ask([0.3, value, 0.4])
+            except BenchError as error:
+                answer = str(error)
+            refused[way] += isinstance(answer, str) and bool(answer)
+
+    with Session(one_level(), record=False, listener=listen) as session:
+        result = session.run()
+    assert refused == dict.fromkeys(ways, 100)
+    assert (result.code, [point.status for point in result.points]) == (ResultCode.SUCCEEDED, [PointStatus.OK])
+    assert max(amplitudes) == 0.5

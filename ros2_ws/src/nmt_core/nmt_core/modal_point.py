@@ -52,7 +52,7 @@ class ModalPoint:
     Attributes:
         level_index: level number in the plan.
         status: what became of the level.
-        reason: one sentence if there are no values, else empty.
+        reason: one sentence why there are no values, or which channels were left out of them and why; else empty.
         level: target amplitude, in ``level_unit``.
         level_unit: V, N, m or m/s^2.
         time_ns: bench time of the last sample of the window, ns.

@@ -9,6 +9,7 @@ from nmt_core.blocks import SampleBlock
 from nmt_core.linear_description import LinearDescription
 from nmt_core.records import LockEvent
 from nmt_core.vocabulary import LoopState
+from nmt_extract.channel_judge import ChannelHistory
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns, rejected_point
@@ -43,6 +44,7 @@ class Extractor:
         )
         self.add_record = self._assembler.add_record
         self._levels: dict[int, tuple[float, str]] = {}
+        self._history = ChannelHistory()
         self._passed_over: set[int] = set()
         self._lock_samples: dict[int, int] = {}
         self._state = 0
@@ -98,7 +100,7 @@ class Extractor:
             if isinstance(window, SpoiledWindow):
                 points.append(rejected_point(window.lock, window.sample_rate, window.reason))
             else:
-                points.append(modal_point(window, self.linear, self.settings))
+                points.append(modal_point(window, self.linear, self.settings, self._history))
         for point in points:
             self._counts[point.status] += 1
         return points

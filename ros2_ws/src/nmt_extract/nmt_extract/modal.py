@@ -12,6 +12,8 @@ from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_extract import channel_judge
+from nmt_extract.channel_judge import ChannelHistory
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.harmonics import Moments, resolvable_harmonics, segment_moments, solve_moments, whole_period_bounds
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
@@ -121,7 +123,12 @@ def modal_quantities(
     )
 
 
-def modal_point(window: Window, linear: LinearDescription, settings: ExtractionSettings | None = None) -> ModalPoint:
+def modal_point(
+    window: Window,
+    linear: LinearDescription,
+    settings: ExtractionSettings | None = None,
+    history: ChannelHistory | None = None,
+) -> ModalPoint:
     """Modal properties of a window with their standard uncertainties.
 
     Displacements come from displacement sensors if all points of the linear modes have one, else from
@@ -135,17 +142,24 @@ def modal_point(window: Window, linear: LinearDescription, settings: ExtractionS
     that phase resonance is met to the phase error only: Δω ≈ δ̃ ω̃ Δφ. The uncertainty of the linear shapes
     is not included.
 
+    Every channel is judged, see :mod:`nmt_extract.channel_judge`. One that is faulty is left out: what its point does
+    is taken from the shape of the last level without a fault, fitted to the other channels. How badly it fits them, and
+    how much the result differs with the linear modes in its place, is part of each uncertainty. Without such a level,
+    without a force or without a response at the drive point the window is rejected.
+
     Args:
         window: from :class:`nmt_extract.window.WindowAssembler`.
         linear: linear modes Φ at the response points.
         settings: None = defaults.
+        history: last level without a fault, which a window without one replaces; None = there is none.
 
     Returns:
-        The point; with status ``REJECTED`` and the reason if the window cannot be evaluated.
+        The point; with status ``REJECTED`` and the reason if the window cannot be evaluated. A point with values names
+        the channels that were left out as its reason.
     """
     settings = settings or ExtractionSettings()
     try:
-        return _Evaluation(window, linear, settings).point()
+        return _Evaluation(window, linear, settings, history or ChannelHistory()).point()
     except BenchError as error:
         return rejected_point(window.lock, window.sample_rate, str(error))
 
@@ -153,13 +167,19 @@ def modal_point(window: Window, linear: LinearDescription, settings: ExtractionS
 class _Evaluation:
     """One window on its way to a modal point; set 0 is the whole window, set k lacks sub-window k."""
 
-    def __init__(self, window: Window, linear: LinearDescription, settings: ExtractionSettings) -> None:
+    def __init__(
+        self, window: Window, linear: LinearDescription, settings: ExtractionSettings, history: ChannelHistory
+    ) -> None:
         self.window = window
         self.linear = linear
         self.settings = settings
+        self.history = history
+        self.faults: dict[int, str] = {}  # by row of the window
+        self.other_shapes: list[ComplexArray] = []  # with what else could be in the place of what is left out
         self._find_rows()
         self._find_phase()
         self._find_harmonics()
+        self._judge_channels()
 
     def _find_rows(self) -> None:
         self.force_row = self._row(Quantity.FORCE, self.linear.drive_point)
@@ -187,6 +207,9 @@ class _Evaluation:
                 "No kind of response sensor covers all points "
                 f"({', '.join(map(str, self.linear.points))}) of the linear modes."
             )
+        self._find_drive_rows()
+
+    def _find_drive_rows(self) -> None:
         candidates = (self.shape_quantity, *_RESPONSES)
         self.drive_row, self.drive_quantity = self._first_row(candidates)
         self.gamma_row, self.gamma_quantity = self._first_row((Quantity.ACCELERATION, *candidates))
@@ -200,9 +223,10 @@ class _Evaluation:
     def _first_row(self, quantities: tuple[Quantity, ...]) -> tuple[int, Quantity]:
         for quantity in quantities:
             row = self._row(quantity, self.linear.drive_point)
-            if row is not None:
+            if row is not None and row not in self.faults:
                 return row, quantity
-        raise BenchError(f"No response is measured at drive point {self.linear.drive_point}.")
+        faulty = f": {self.fault_words}" if self.faults else "."
+        raise BenchError(f"No response is measured at drive point {self.linear.drive_point}{faulty}")
 
     def _points_of(self, quantity: Quantity) -> str:
         points = [str(c.point) for c in self.window.channels if c.quantity is quantity]
@@ -268,25 +292,110 @@ class _Evaluation:
             self.frequency_hz[1:] = rest_advance / rest_time
             self.frequency_std = jackknife(self.frequency_hz[1:], frequency)
 
+    def _judge_channels(self) -> None:
+        """Find the faulty channels of those in use; BenchError where too little is left without them."""
+        window, linear, faults = self.window, self.linear, self.faults
+        assert self.force_row is not None
+        rows = sorted({self.force_row, self.drive_row, self.gamma_row, *self.shape_rows})
+        for row in rows:
+            if np.ptp(window.data[row]) == 0.0:
+                faults[row] = "is dead: it does not move"
+                continue
+            flat = channel_judge.flat_top(window.data[row], window.samples / self.advance)
+            if flat is not None:
+                faults[row] = f"is flat-topped at {flat:.4g} {window.channels[row].quantity.unit}"
+        whole = self.amplitudes[0]
+        noise = channel_judge.noise_rms(window.data, whole)
+        names = tuple(channel.name for channel in window.channels)
+        history = self.history if self.history.knows(names) else None
+        shape = self.amplitudes[:, self.shape_rows, 1]
+        sound = [k for k, row in enumerate(self.shape_rows) if row not in faults]
+        basis = channel_judge.linear_basis(linear.shape_matrix, linear.target_mode, len(sound) - 1)
+        suspects = [k for k in sound if history is not None and self.shape_rows[k] in history.faulty]
+        neighbour = None if history is None else history.shape
+        off = channel_judge.off_its_shape(shape[0], self._shape_std(shape), basis, neighbour, sound, suspects)
+        for index, (words, by_neighbour) in off.items():
+            of = f"of level {self.history.level_index + 1}" if by_neighbour else "that the linear modes have"
+            faults[self.shape_rows[index]] = f"{words}, by the shape {of}"
+        if history is not None:
+            rms = window.data.std(axis=1)
+            judged = [row for row in rows if row not in faults]
+            faults.update(channel_judge.noise_jumps(noise, rms, history.noise, judged))
+        if not faults:
+            if channel_judge.strange_shape(shape[0], linear.shape_matrix):
+                raise BenchError(
+                    "The shape is not one that the linear modes can have: look at the channels, at the points of the "
+                    "linear description, and at which mode was locked."
+                )
+            self.history.take(names, window.lock.level_index, shape[0], noise)
+            return
+        self.history.faulty = frozenset(faults)
+        self._leave_out(history)
+
+    def _leave_out(self, history: ChannelHistory | None) -> None:
+        """Put the shape of the level before in the place of faulty channels; BenchError where that cannot be done."""
+        linear = self.linear
+        if self.force_row in self.faults:
+            raise BenchError(f"The force is not measured: {self.fault_words}")
+        self._find_drive_rows()
+        gone = [k for k, row in enumerate(self.shape_rows) if row in self.faults]
+        kept = [k for k in range(len(self.shape_rows)) if k not in gone]
+        if gone and (history is None or len(kept) < 2 or self.settings.power_balance):
+            raise BenchError(f"A channel is faulty, and no level without it says what it should be: {self.fault_words}")
+        if not gone or history is None:
+            return
+        shape = self.amplitudes[:, self.shape_rows, 1]
+        neighbour = history.shape[:, np.newaxis]
+        filled = channel_judge.predicted(neighbour, shape, kept)
+        misfit = np.linalg.norm((shape - filled)[0, kept]) / np.linalg.norm(shape[0, kept])
+        modes = channel_judge.linear_basis(linear.shape_matrix, linear.target_mode, len(kept))
+        for guess in (filled * (1.0 + misfit), channel_judge.predicted(modes, shape, kept)):
+            other = shape.copy()
+            other[:, gone] = guess[:, gone]
+            self.other_shapes.append(other)
+        rows = [self.shape_rows[k] for k in gone]
+        self.amplitudes[:, rows] = complex(math.nan, math.nan)
+        self.amplitudes[:, rows, 1] = filled[:, gone]
+
+    @property
+    def fault_words(self) -> str:
+        """What is wrong with which channel, one sentence."""
+        return "; ".join(f"{self.window.channels[row].name} {why}" for row, why in sorted(self.faults.items())) + "."
+
+    def _shape_std(self, shape: ComplexArray) -> FloatArray:
+        """Standard uncertainty of the magnitudes of a shape, from the sets without one sub-window."""
+        if not self.parts:
+            return np.full(shape.shape[1], math.nan)
+        away = np.abs(shape[1:] - shape[1:].mean(axis=0)) ** 2
+        return np.asarray(np.sqrt((self.parts - 1) / self.parts * away.sum(axis=0)))
+
+    def _values(self, omega: FloatArray, shape: ComplexArray) -> ModalQuantities:
+        return modal_quantities(
+            omega,
+            self.amplitudes[:, self.force_row],
+            self._integrated(self.amplitudes[:, self.drive_row], self.drive_quantity, omega, 0),
+            self._integrated(self.amplitudes[:, self.gamma_row], self.gamma_quantity, omega, 2),
+            shape,
+            self.linear.shape_matrix,
+            self.linear.target_mode,
+        )
+
     def point(self) -> ModalPoint:
         linear = self.linear
         omega = 2.0 * np.pi * self.frequency_hz
         force = self.amplitudes[:, self.force_row]
         shape = self._integrated(self.amplitudes[:, self.shape_rows], self.shape_quantity, omega, 0)
-        values = modal_quantities(
-            omega,
-            force,
-            self._integrated(self.amplitudes[:, self.drive_row], self.drive_quantity, omega, 0),
-            self._integrated(self.amplitudes[:, self.gamma_row], self.gamma_quantity, omega, 2),
-            shape[:, :, 1],
-            linear.shape_matrix,
-            linear.target_mode,
-        )
+        values = self._values(omega, shape[:, :, 1])
         measured = {name: getattr(values, name) for name in EVALUATED}
-        if self.settings.hysteresis is not None:
+        if self.settings.hysteresis is not None and not self.faults:
             measured["hysteresis_damping"] = self._hysteresis(self.settings.hysteresis, omega, force)
         fields = {name: float(value[0]) for name, value in measured.items()}
         fields.update({f"{name}_std": self._uncertainty(name, value) for name, value in measured.items()})
+        for other in self.other_shapes:
+            changed = self._values(omega, other * (1j * omega[:, np.newaxis]) ** -_INTEGRATIONS[self.shape_quantity])
+            for name in EVALUATED:
+                change = float(getattr(changed, name)[0]) - fields[name]
+                fields[f"{name}_std"] = math.hypot(fields[f"{name}_std"], change)
         fields["frequency_hz"] = float(self.frequency_hz[0])
         fields["frequency_hz_std"] = self.frequency_std
         fields["omega_rad_s"] = float(omega[0])
@@ -304,7 +413,7 @@ class _Evaluation:
         return ModalPoint(
             level_index=lock.level_index,
             status=Status.OK,
-            reason="",
+            reason=f"Left out: {self.fault_words}" if self.faults else "",
             level=lock.level,
             level_unit=lock.level_unit,
             time_ns=bench_time_ns(lock.window_end - 1, window.sample_rate),

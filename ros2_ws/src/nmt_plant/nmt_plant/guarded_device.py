@@ -19,12 +19,13 @@ import numpy as np
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock, rounded
 from nmt_core.errors import BenchError
+from nmt_core.excitation import PEAK_FACTOR
 from nmt_core.ramp import half_cosine
 from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import OutputState, StopCause, Waveform
 from nmt_plant.device import Device, DeviceFault, DeviceState
 from nmt_plant.limits import ChannelLimit, LimitGuard, OpenLoop, watch_rows
-from nmt_plant.oscillator import PEAK_FACTOR, Oscillator, OscillatorBlock, check_command, load_filters
+from nmt_plant.oscillator import Oscillator, OscillatorBlock, check_command, load_filters
 from nmt_plant.output_guard import OutputGuard, default_slew
 from nmt_plant.output_link import OutputLink
 from nmt_plant.output_owner import OwnerSettings

@@ -16,12 +16,10 @@ from numba import njit
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import OscillatorPhase
 from nmt_core.errors import BenchError
+from nmt_core.excitation import PEAK_FACTOR
 from nmt_core.ramp import half_cosine
 from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-
-PEAK_FACTOR = 4.0
-"""Peak by rms that a random drive is taken to reach; Gaussian noise passes it once in some 16,000 values."""
 
 _LONGEST_RAMP = 86_400.0  # s
 _MOST_HARMONICS = 200

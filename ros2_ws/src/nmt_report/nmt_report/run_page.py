@@ -105,7 +105,8 @@ def _faults(data: RunReportData) -> list[str]:
     faults = [
         f"Level {point.level_index + 1} ({significant(point.level)} {unit_text(point.level_unit)}): "
         f"{status_text(point.status)}{f': {point.reason}' if point.reason else ''}"
-        for point in data.failed_points
+        for point in data.points
+        if point.reason or point.status != Status.OK
     ]
     if data.loss:
         faults.insert(0, data.loss)

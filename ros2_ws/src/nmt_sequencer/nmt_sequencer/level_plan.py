@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.excitation import PEAK_FACTOR
+from nmt_core.parameters import Parameter
+from nmt_core.vocabulary import ControlKind, TestKind
 
 DIRECTIONS = ("up", "down", "both")
 SPACINGS = ("geometric", "linear")
 MAX_LEVELS = 1000
+MAX_LEVEL = 1e6  # in any unit: no laboratory has more
+LIMIT_PARAMETERS = tuple(
+    Parameter(f"largest_{kind}", 0.0, unit, f"Largest level of {kind} that the rig allows; 0 = none is given.", low=0.0)
+    for kind, unit in (("voltage", "V"), ("force", "N"), ("response", "unit of the response"))
+)
 
 _DECIMAL_COMMA = re.compile(r"(?<![\d.])0,\d|\d,\d+:|:\d+,\d")
 _SYNTAX = "write 'a:b:n' for n levels from a to b in geometric steps, 'a:b:n:linear' for equal steps, or a list 'a,b,c'"
@@ -72,18 +82,70 @@ def spaced_levels(first: float, last: float, count: int, spacing: str = "geometr
     return levels
 
 
-def check_levels(levels: Sequence[float], where: str) -> list[float]:
-    """The levels as a list.
+def check_levels(levels: Sequence[Any], where: str) -> list[float]:
+    """The levels as a list of numbers.
 
     Raises:
-        BenchError: none, too many, or one that is not positive and finite.
+        BenchError: none, too many, or one that is not a number, not positive or not finite.
     """
     if not levels or len(levels) > MAX_LEVELS:
         raise BenchError(f"{where}: a plan needs 1 to {MAX_LEVELS} levels, got {len(levels)}.")
     for level in levels:
-        if not (math.isfinite(level) and level > 0):
+        if isinstance(level, bool) or not isinstance(level, int | float):
+            raise BenchError(f"{where}: every level must be a number, got {str(level)[:40]!r}.")
+        if not 0 < level < math.inf:
             raise BenchError(f"{where}: every level must be positive and finite, got {level}.")
-    return list(levels)
+        if level > MAX_LEVEL:
+            raise BenchError(f"{where}: every level must be at most {MAX_LEVEL:g}, got {str(level)[:40]}.")
+    return [float(level) for level in levels]
+
+
+@dataclass(frozen=True)
+class LevelLimits:
+    """Largest levels that a rig allows, V, N and the unit of its response; 0 = none is given.
+
+    Whoever takes levels asks here: the plan of a test, the goal of a run, a request to steer, the page.
+    """
+
+    largest_voltage: float = 0.0
+    largest_force: float = 0.0
+    largest_response: float = 0.0
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> LevelLimits:
+        """From the parameters of the sequencer, or from the description of a run; what is not there is no limit."""
+        return cls(*(float(values.get(parameter.name) or 0.0) for parameter in LIMIT_PARAMETERS))
+
+    def check(self, levels: Sequence[Any], control: int, test: TestKind, where: str = "Plan") -> list[float]:
+        """The levels as a list of numbers.
+
+        Args:
+            levels: in the unit of the control.
+            control: what they are, as in ``nmt_msgs/Level``.
+            test: kind of test; the peaks of a random drive count.
+            where: what the sentence begins with.
+
+        Raises:
+            BenchError: as :func:`check_levels`, or one is beyond the limit.
+        """
+        checked = check_levels(levels, where)
+        kind = ControlKind(control or ControlKind.VOLTAGE)
+        limit = getattr(self, f"largest_{kind.label}", 0.0)
+        unit = {ControlKind.VOLTAGE: " V", ControlKind.FORCE: " N"}.get(kind, "")
+        highest = max(checked)
+        if not limit or highest * (PEAK_FACTOR if test is TestKind.RANDOM else 1.0) <= limit:
+            return checked
+        if test is TestKind.RANDOM:
+            raise BenchError(
+                f"{where}: peaks of a random drive of {highest:g} V rms reach {PEAK_FACTOR:g} times as much, beyond "
+                f"the limit of the rig ({limit:g} V); lower the level."
+            )
+        raise BenchError(
+            f"{where}: level {highest:g}{unit} is beyond the limit of the rig ({limit:g}{unit}); lower the level."
+        )
+
+
+NO_LIMITS = LevelLimits()
 
 
 def directed(levels: Sequence[float], direction: str) -> list[float]:

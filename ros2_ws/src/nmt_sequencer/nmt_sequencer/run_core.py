@@ -14,6 +14,7 @@ from nmt_core.parameters import Parameter
 from nmt_core.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
 from nmt_core.run_announcement import RunAnnouncement
 from nmt_core.vocabulary import ControlKind, ResultCode, RunPhase, StopCause
+from nmt_sequencer.level_plan import LIMIT_PARAMETERS, LevelLimits
 from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
 from nmt_sequencer.steering import SteeringRequest
 
@@ -33,6 +34,12 @@ PARAMETERS = (
     Parameter("quiet_ramp", 0.5, "s", "Half-cosine to zero at the end of a run.", low=0.0),
     Parameter("window_periods", 200, "periods", "Whole periods a window if the goal gives none.", low=1, high=1000000),
     Parameter("timeout", 60.0, "s", "Bench time a level may take to lock if the goal gives none.", low=0.0),
+    Parameter(
+        "open_loop_abort",
+        True,
+        "",
+        "End a phase resonance test where a higher level would follow one that had no force or no response.",
+    ),
     Parameter(
         "ready_timeout",
         30.0,
@@ -56,6 +63,7 @@ PARAMETERS = (
         "Time to wait for missing modal points after a run; in lockstep only while the nodes could work.",
         low=0.0,
     ),
+    *LIMIT_PARAMETERS,
 )
 
 # In real time a sequencer may join a loop that has run for long, and miss blocks that the loop could not answer.
@@ -96,7 +104,8 @@ class RunCore:
                 lockstep=values["pacing"] == "lockstep",
                 quiet_ramp=float(values["quiet_ramp"]),
                 latency_blocks=int(values["latency_blocks"]),
-            )
+            ),
+            LevelLimits.of(values),
         )
         self.points: dict[int, ModalPoint] = {}
         self._published: tuple[Any, ...] = ()
@@ -126,10 +135,11 @@ class RunCore:
             window_periods=goal["window_periods"] or int(v["window_periods"]),
             timeout=goal["timeout"] or float(v["timeout"]),
             stop_on_lost_lock=goal["stop_on_lost_lock"],
+            open_loop_abort=bool(v["open_loop_abort"]),
             excitation=Excitation.from_goal(goal),
             frequencies_hz=tuple(goal["frequencies_hz"]),
         )
-        plan.check(float(v["sample_rate"]))
+        plan.check(float(v["sample_rate"]), self.machine.limits)
         return plan
 
     def announcement(self, goal: str, plan: RunPlan) -> RunAnnouncement:

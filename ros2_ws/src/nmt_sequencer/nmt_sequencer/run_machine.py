@@ -11,6 +11,7 @@ sample give the same samples in every run; a run that is not steered knows nothi
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 
@@ -19,7 +20,7 @@ from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
 from nmt_core.records import LevelCommand, LoopStatus, Steering
 from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase, SteeringAct
-from nmt_sequencer.level_plan import check_levels
+from nmt_sequencer.level_plan import NO_LIMITS, LevelLimits, check_levels
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest
 
 NO_HORIZON = 2**62
@@ -39,6 +40,7 @@ class RunPlan:
         window_periods: whole periods to capture.
         timeout: bench time a level may take to lock, s; 0 = no limit.
         stop_on_lost_lock: end the run at the first level that does not lock.
+        open_loop_abort: end the run where a higher level would follow one that was lost without force or response.
         excitation: kind of test and its settings.
         frequencies_hz: frequency of each level; empty = none given.
     """
@@ -50,6 +52,7 @@ class RunPlan:
     window_periods: int = 200
     timeout: float = 30.0
     stop_on_lost_lock: bool = False
+    open_loop_abort: bool = True
     excitation: Excitation = field(default_factory=Excitation)
     frequencies_hz: tuple[float, ...] = ()
 
@@ -64,8 +67,9 @@ class RunPlan:
         if self.window_periods < 1:
             raise BenchError(f"A window needs at least one period, got {self.window_periods}.")
 
-    def check(self, sample_rate: float) -> None:
-        """Refuse (BenchError) an excitation that a bench of this sample rate (Hz) cannot do."""
+    def check(self, sample_rate: float, limits: LevelLimits = NO_LIMITS) -> None:
+        """Refuse (BenchError) what a bench of this sample rate (Hz) cannot do, and what its rig does not allow."""
+        limits.check(self.levels, self.control, self.excitation.test)
         self.excitation.check(self.frequencies_hz, len(self.levels), self.control, sample_rate)
 
 
@@ -126,6 +130,7 @@ class RunMachine:
     """
 
     pacing: Pacing
+    limits: LevelLimits = NO_LIMITS
     phase: RunPhase = RunPhase.IDLE
     plan: RunPlan | None = None
     code: ResultCode = ResultCode.UNKNOWN
@@ -147,6 +152,7 @@ class RunMachine:
     _quiet_at: int | None = None
     _lock_events: set[int] = field(default_factory=set)
     _loss_reasons: dict[int, str] = field(default_factory=dict)
+    _unanswered: set[int] = field(default_factory=set)
     _steering: list[SteeringRequest] = field(default_factory=list)
     _end_request: SteeringRequest | None = None
     _acts: list[Steering] = field(default_factory=list)
@@ -205,6 +211,7 @@ class RunMachine:
         self.records.clear()
         self._lock_events.clear()
         self._loss_reasons.clear()
+        self._unanswered.clear()
         self._ticks.clear()
         self._quiet_at = None
         self.stop_request = self.plant_stop = None
@@ -321,7 +328,7 @@ class RunMachine:
             plan = with_rest(plan, index, request.levels, request.frequencies_hz)
         elif request.act is SteeringAct.REPEAT_LEVEL:
             plan = with_repetition(plan, index, min(request.level_index, index))
-        plan.check(self.pacing.sample_rate)
+        plan.check(self.pacing.sample_rate, self.limits)
         return plan
 
     def take_acts(self) -> list[Steering]:
@@ -422,6 +429,9 @@ class RunMachine:
                 self._unacknowledged.popleft()
         if report.state == LoopState.LOCK_LOST and report.reason:
             self._loss_reasons[report.level_index] = report.reason
+        if report.state in (LoopState.ACQUIRING, LoopState.LOCKED):
+            # The phase is not a number where force or response is missing.
+            (self._unanswered.add if math.isnan(report.phase_error) else self._unanswered.discard)(report.level_index)
         if report.last_sample > self.newest:
             self.newest = report.last_sample
             self.report = report
@@ -537,6 +547,15 @@ class RunMachine:
             record.ended = report.last_sample
             if plan.stop_on_lost_lock:
                 why = f"Level {record.index + 1} did not hold lock: {record.reason}."
+                self._quiet(effective, ResultCode.LOCK_LOST, why)
+                return
+            following = plan.levels[record.index + 1 : record.index + 2]
+            is_open = plan.open_loop_abort and plan.excitation.test.gives_modal_points
+            if is_open and record.index in self._unanswered and following and following[0] > record.amplitude:
+                why = (
+                    f"Level {record.index + 1} had no force or no response ({record.reason}), so no higher level "
+                    "follows; look at the sensors at the drive point and at their cables."
+                )
                 self._quiet(effective, ResultCode.LOCK_LOST, why)
                 return
         elif self._window_over(record, report.last_sample + 1):

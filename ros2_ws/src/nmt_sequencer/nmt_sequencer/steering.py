@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import SteeringAct
-from nmt_sequencer.level_plan import MAX_LEVELS
+from nmt_sequencer.level_plan import MAX_LEVELS, check_levels
 
 if TYPE_CHECKING:
     from nmt_sequencer.run_machine import RunPlan
@@ -48,9 +47,8 @@ class SteeringRequest:
             raise BenchError("Nothing is asked of the run; name the act, see the message Steering.")
         if len(self.source) > _LONGEST_SOURCE or not self.source.isprintable():
             raise BenchError(f"The source of a request must be at most {_LONGEST_SOURCE} printable characters.")
-        for level in self.levels:
-            if not (math.isfinite(level) and level > 0.0):
-                raise BenchError(f"A level must be finite and > 0, got {level}.")
+        if self.levels:
+            check_levels(self.levels, "The levels to come")
         if self.act is SteeringAct.RESUME and self.at_sample:
             raise BenchError("A run goes on at once; leave at_sample at 0.")
 

@@ -25,14 +25,13 @@ from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_plant.guarded_device import LEAST_LEAD
 from nmt_plant.hardware_rig import HARDWARE_LEAD
-from nmt_plant.oscillator import PEAK_FACTOR
 from nmt_pll.loop_settings import settings_from
 from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
 from nmt_record.run_device import SIMULATED_RIG, converter_name
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS, SPECIMEN
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import Rig
-from nmt_sequencer.level_plan import check_levels
+from nmt_sequencer.level_plan import LevelLimits
 
 PACINGS = ("lockstep", "realtime")
 
@@ -124,7 +123,6 @@ class TestPlan:
     block_reason: str = ""
 
     def __post_init__(self) -> None:
-        check_levels(self.levels, "The test")
         if self.pacing not in PACINGS:
             raise BenchError(f"Pacing '{self.pacing}' is not known; use {' or '.join(PACINGS)}.")
         if self.device not in ("", *SIMULATED_OR_CONVERTERS):
@@ -132,6 +130,8 @@ class TestPlan:
         if self.is_on_hardware and self.pacing != "realtime":
             raise BenchError("A test on hardware is in real time; leave out --pacing lockstep.")
         control = ControlKind.named(self.control)
+        limits = level_limits(self.rig)
+        limits.check(self.levels, control, TestKind.named(self.test), f"The test of rig {self.rig.name}")
         if self.strategy not in STRATEGIES:
             raise BenchError(f"Strategy '{self.strategy}' is not known; use {' or '.join(STRATEGIES)}.")
         if self.latency_blocks < 0:
@@ -149,17 +149,6 @@ class TestPlan:
             raise BenchError("The strategy ramp is one of phase resonance tests; leave the strategy at stepped.")
         rate = float(self.rig.sample_rate_hz)
         self.excitation.check(self.level_frequencies_hz, len(self.levels), control, rate)
-        limit = self.rig.limits.voltage_v
-        if kind is TestKind.RANDOM and limit is not None and PEAK_FACTOR * max(self.levels) > limit:
-            raise BenchError(
-                f"Peaks of a random drive of {max(self.levels):g} V rms reach {PEAK_FACTOR:g} times as much, beyond "
-                f"the limit of rig {self.rig.name} (limits.voltage_v: {limit:g} V); lower the level."
-            )
-        if self.control == "voltage" and limit is not None and max(self.levels) > limit:
-            raise BenchError(
-                f"Level {max(self.levels):g} V is beyond the limit of rig {self.rig.name} "
-                f"(limits.voltage_v: {limit:g} V); lower the level."
-            )
 
     @property
     def lead_blocks(self) -> int:
@@ -313,6 +302,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             "latency_blocks": test.lead_blocks,
             "tick_blocks": test.tick_blocks,
             "watched_nodes": ["plant", "pll", "extract", "recorder"],
+            **vars(level_limits(rig)),
         },
         "extract": {
             "pacing": test.pacing,
@@ -365,6 +355,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             **{key: value for key, value in goal.items() if key != "run_id"},
             "test": test.excitation.test.label,
             "pacing": test.pacing,
+            **vars(level_limits(rig)),
         },
         "block": {"samples": int(rig.block_samples), "reason": test.block_reason},
         "device": device,
@@ -378,6 +369,17 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     values["recorder"]["run_json"] = json.dumps(run)
     values["recorder"]["rig_yaml"] = test.rig_yaml
     return NodePlan(values, run, goal)
+
+
+def level_limits(rig: Rig) -> LevelLimits:
+    """Largest levels that the limits of a rig allow."""
+    limits = rig.limits
+    response = {
+        Quantity.ACCELERATION: limits.acceleration_m_s2,
+        Quantity.VELOCITY: limits.velocity_m_s,
+        Quantity.DISPLACEMENT: limits.displacement_m,
+    }[next(quantity for quantity in Quantity if quantity.topic == _response_topic(rig))]
+    return LevelLimits(*(float(limit or 0.0) for limit in (limits.voltage_v, limits.force_n, response)))
 
 
 def _bundle_blocks(test: TestPlan, topics: int) -> int:

@@ -98,19 +98,19 @@ def _table(
 def print_modal_table(
     points: Sequence[ModalPoint], reference: ReferenceCurve | None = None, console: Console | None = None
 ) -> None:
-    """Print :func:`modal_table`, and below it why levels gave no result."""
+    """Print :func:`modal_table`, and below it why levels gave no result, or one without some channel."""
     console = console or make_console()
     if not points:
         console.print("No modal point.")
         return
     console.print(modal_table(points, reference, console.width))
     for point in points:
-        if point.status != Status.OK:
+        if point.reason or point.status != Status.OK:
             level = f"{significant(point.level)} {unit_text(point.level_unit)}"
             reason = f": {point.reason}" if point.reason else ""
             console.print(
                 Text(
                     f"Level {point.level_index + 1} ({level}) {status_text(point.status)}{reason}",
-                    style="red",
+                    style="yellow" if point.status == Status.OK else "red",
                 )
             )

@@ -425,7 +425,7 @@ class LiveView:
         """What has become of a level: waiting, present, done, rejected, not locked or skipped, and why."""
         point = self._points.get(index)
         if point is not None:
-            return ("done", "") if point.status is PointStatus.OK else (status_text(point.status), point.reason)
+            return "done" if point.status is PointStatus.OK else status_text(point.status), point.reason
         for act in reversed(self._acts):
             given_up = act.act in (SteeringAct.SKIP_LEVEL, SteeringAct.REPEAT_LEVEL)
             if act.taken and given_up and act.level_index == index < present:

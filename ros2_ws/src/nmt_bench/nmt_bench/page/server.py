@@ -16,11 +16,12 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from nmt_bench.page.bench_link import BenchLink
 from nmt_bench.page.door import Door
-from nmt_bench.page.guard import Bucket, Guard, Role
+from nmt_bench.page.guard import Guard, Role
 from nmt_bench.page.start_goal import start_request
 from nmt_bench.page.stop_door import StopDoor
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import SteeringAct
+from nmt_sequencer.level_plan import check_levels
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -104,8 +105,6 @@ class PageServer:
         self.guard = Guard(self._socket.getsockname()[1])
         self.stop_door = StopDoor(link.emergency_stop, self.guard.own_page)
         self.refused = 0
-        self._requests = Bucket(100.0, 400)
-        self._orders = Bucket(5.0, 10)
         self._viewers: dict[web.WebSocketResponse, _Viewer] = {}
         self._files = {name: _file(name) for name in (*_FILES, view.PAGE)}
 
@@ -164,7 +163,8 @@ class PageServer:
         changes = request.method == "POST" or request.path == "/live"
         if changes and not self.guard.own_page(request.headers.get("Origin")):
             return self._refuse(403, "Only the page of this server may ask for this.")
-        if request.path != "/stop" and not self._requests.take():
+        session = request.cookies.get(self.guard.cookie, "")
+        if request.path != "/stop" and not self.guard.requests(session).take():
             return self._refuse(429, "Too many requests.")
         try:
             return await handler(request)
@@ -231,11 +231,11 @@ class PageServer:
     # -- orders --------------------------------------------------------------------------------------------------
 
     async def _order(self, request: web.Request) -> dict[str, Any]:
-        if not self._orders.take():
-            self.refused += 1
-            raise web.HTTPTooManyRequests
-        if self._role(request) is not Role.STEER:
+        session = request.cookies.get(self.guard.cookie, "")
+        if self.guard.role(session) is not Role.STEER:
             raise web.HTTPForbidden
+        if not self.guard.orders(session).take():
+            raise web.HTTPTooManyRequests
         if request.content_type != "application/json":
             raise web.HTTPUnsupportedMediaType
         try:
@@ -365,13 +365,15 @@ def steering_request(order: dict[str, Any]) -> SteeringRequest:
     if unknown:
         raise BenchError(f"A request to steer has no '{sorted(unknown)[0][:40]}'.")
     levels = order.get("levels", [])
-    if not isinstance(levels, list) or not all(isinstance(item, int | float) for item in levels):
+    if not isinstance(levels, list):
         raise BenchError("The levels must be a list of numbers.")
+    if levels:
+        levels = check_levels(levels, "The levels to come")
     index = order.get("level_index", PRESENT_LEVEL)
     if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index <= PRESENT_LEVEL:
         raise BenchError("The number of a level must be a whole number from 0.")
     act = SteeringAct.named(str(order.get("act"))[:40])
-    return SteeringRequest(act, index, tuple(float(item) for item in levels), source="the live page")
+    return SteeringRequest(act, index, tuple(levels), source="the live page")
 
 
 def _file(name: str) -> bytes:

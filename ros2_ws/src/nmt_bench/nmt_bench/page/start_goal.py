@@ -8,7 +8,7 @@ from typing import Any
 from nmt_bench.page.bench_link import StartRequest
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
-from nmt_sequencer.level_plan import parse_levels
+from nmt_sequencer.level_plan import LevelLimits, parse_levels
 
 _KEPT = (
     "control",
@@ -53,11 +53,12 @@ def goal_of(request: StartRequest, before: Mapping[str, Any]) -> dict[str, Any]:
         before: plan of the run before, as its bag describes it; may be empty.
 
     Raises:
-        BenchError: the run before gave each level a frequency of its own.
+        BenchError: a level is beyond the limits of the rig, or the run before gave each a frequency of its own.
     """
     goal: dict[str, Any] = {name: before[name] for name in _KEPT if name in before}
     label = before.get("test")
     goal["test"] = int(next((kind for kind in TestKind if kind and kind.label == label), TestKind.PHASE_RESONANCE))
+    LevelLimits.of(before).check(request.levels, goal.get("control", 0), TestKind(goal["test"]), "The levels")
     frequencies = list(before.get("frequencies_hz") or ())
     if frequencies and len(set(frequencies)) > 1 and len(frequencies) != len(request.levels):
         raise BenchError(

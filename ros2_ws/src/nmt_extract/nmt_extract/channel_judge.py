@@ -1,0 +1,263 @@
+"""Each channel of a window judged by what the others say: dead, flat-topped, off its shape, noisy.
+
+A fault is told from a nonlinear shape by where it sits. A structure that changes its shape changes it at many points;
+without a faulty channel the rest of the shape fits its neighbour, or the linear modes, much better than with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nmt_core.arrays import ComplexArray, FloatArray
+
+_FLAT, _EDGE = 3e-3, 3e-2  # of half the peak to peak: depth of a flat top, and of its edge
+_FLAT_SHARE = 0.04  # of a period; a sine has 0.025 there
+_ISOLATED, _ISOLATED_LINEAR = 10.0, 15.0  # a channel's deviation over that of all others together
+_OFF_OWN = 0.05  # of a channel's own value
+_OFF_LINEAR = 0.35  # of the largest value of the shape: linear modes have errors of their own
+_OFF_CLEAR, _CLEAR = 0.1, 50.0  # the same where the deviation is so much larger than that of all others
+_LEAST = 0.02  # of the largest value: smaller deviations do not matter
+_SURE = 5.0  # standard deviations
+_NOISE_JUMP, _NOISE_SHARE = 10.0, 0.05  # over the level before; of the channel's rms
+_STRANGE = 0.5  # correlation with all that the linear modes can do
+
+
+@dataclass
+class ChannelHistory:
+    """What the last level without a fault looked like.
+
+    Attributes:
+        names: of the channels.
+        level_index: of that level; -1 = none yet.
+        shape: its fundamental at the points of the linear modes, in any unit, shape ``(points,)``.
+        noise: rms of each channel that no harmonic explains, in the channel's unit.
+        faulty: channels that were faulty at the level before, by row.
+    """
+
+    names: tuple[str, ...] = ()
+    level_index: int = -1
+    shape: ComplexArray = field(default_factory=lambda: np.empty(0, dtype=np.complex128))
+    noise: FloatArray = field(default_factory=lambda: np.empty(0))
+    faulty: frozenset[int] = frozenset()
+
+    def knows(self, names: Sequence[str]) -> bool:
+        """Whether there is a level of the same channels."""
+        return self.level_index >= 0 and self.names == tuple(names)
+
+    def take(self, names: Sequence[str], level_index: int, shape: ComplexArray, noise: FloatArray) -> None:
+        """Take a level without a fault."""
+        self.names, self.level_index, self.shape, self.noise = tuple(names), level_index, shape, noise
+        self.faulty = frozenset()
+
+
+def noise_rms(data: FloatArray, amplitudes: ComplexArray) -> FloatArray:
+    """What no harmonic explains.
+
+    Args:
+        data: shape ``(channels, samples)``, whole periods.
+        amplitudes: harmonics 0..H, shape ``(channels, H + 1)``.
+
+    Returns:
+        rms, shape ``(channels,)``.
+    """
+    total = np.einsum("ij,ij->i", data, data) / data.shape[1]
+    explained = amplitudes[:, 0].real ** 2 + 0.5 * (np.abs(amplitudes[:, 1:]) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(total - explained, 0.0)))
+
+
+def flat_top(values: FloatArray, samples_per_period: float) -> float | None:
+    """Where a signal is cut off.
+
+    A cut leaves more samples within a small depth of the extreme than a sine has there, and fewer just below: its edges
+    are as steep as those of a sine cut so. A body that comes to rest against friction approaches its rest slowly.
+
+    Args:
+        values: shape ``(samples,)``, whole periods.
+        samples_per_period: of the fundamental.
+
+    Returns:
+        The value of the flat top, or None.
+    """
+    top, bottom = float(values.max()), float(values.min())
+    half = 0.5 * (top - bottom)
+    for extreme, depth in ((top, top - values), (bottom, values - bottom)):
+        below = depth[depth > 1e-6 * half]
+        if below.size == 0 or below.min() > _FLAT * half:
+            continue  # steps of a converter, or always the same few samples of a period: nothing is seen of the edge
+        share = np.count_nonzero(depth <= _FLAT * half) / values.size
+        # A period of few samples, always the same ones, may hold its extreme twice.
+        if share - 2.0 / samples_per_period <= _FLAT_SHARE:
+            continue
+        edge = np.count_nonzero(depth <= _EDGE * half) / values.size - share
+        cut = math.cos(math.pi * min(share, 0.5))
+        steep = math.acos(cut * (1.0 - _EDGE) / (1.0 - _FLAT)) / math.pi - min(share, 0.5)
+        if edge <= 1.5 * steep + 0.5 / samples_per_period:
+            return extreme
+    return None
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A channel beside what the others predict of it.
+
+    Attributes:
+        index: of the point in the shape.
+        ratio: measured over predicted.
+        share: of the deviation in the largest value of the shape.
+        isolation: the deviation over that of all others together when this one is left out.
+    """
+
+    index: int
+    ratio: complex
+    share: float
+    isolation: float
+
+    @property
+    def own(self) -> float:
+        """Deviation in terms of the larger one of measured and predicted."""
+        return abs(self.ratio - 1.0) / max(abs(self.ratio), 1.0)
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        size, turn = abs(self.ratio), math.degrees(np.angle(self.ratio))
+        if size < 0.05:
+            return "does not follow the excitation"
+        if abs(turn) > 150.0:
+            turned = "with the wrong sign"
+        else:
+            turned = f"{abs(turn):.0f}° {'early' if turn > 0 else 'late'}" if abs(turn) >= 2.0 else "in phase"
+        return f"measures {size:.2f} times what the other channels say, {turned}"
+
+
+def predicted(basis: ComplexArray, shape: ComplexArray, kept: Sequence[int]) -> ComplexArray:
+    """The shape that a basis makes of the kept points.
+
+    Args:
+        basis: shape ``(points, columns)``.
+        shape: shape ``(..., points)``.
+        kept: points that are fitted.
+
+    Returns:
+        Shape ``(..., points)``.
+    """
+    rows = list(kept)
+    return np.asarray(shape[..., rows] @ np.linalg.pinv(basis[rows]).T @ basis.T)
+
+
+def deviations(basis: ComplexArray, shape: ComplexArray, kept: Sequence[int]) -> list[Deviation]:
+    """Each of the kept points left out in turn; empty where the basis leaves nothing to compare.
+
+    Args:
+        basis: shape ``(points, columns)``.
+        shape: shape ``(points,)``.
+        kept: points that are judged.
+    """
+    if len(kept) - 1 <= basis.shape[1]:
+        return []
+    found = []
+    for index in kept:
+        others = [k for k in kept if k != index]
+        guess = predicted(basis, shape, others)
+        scale = max(float(np.abs(shape[others]).max()), abs(guess[index]))
+        rest = max(float(np.linalg.norm((shape - guess)[others])), 1e-9 * scale)
+        away = abs(shape[index] - guess[index])
+        ratio = complex(shape[index] / guess[index]) if guess[index] != 0.0 else complex(math.inf, 0.0)
+        found.append(Deviation(index, ratio, float(away / scale), float(away / rest)))
+    return found
+
+
+def linear_basis(shapes: FloatArray, target: int, points: int) -> ComplexArray:
+    """The linear modes, or the target mode where so many points do not determine them with something to spare."""
+    chosen = shapes if points > shapes.shape[1] else shapes[:, [target]]
+    return chosen.astype(np.complex128)
+
+
+def off_its_shape(
+    shape: ComplexArray,
+    std: FloatArray,
+    linear: ComplexArray,
+    neighbour: ComplexArray | None,
+    points: Sequence[int],
+    suspects: Sequence[int] = (),
+) -> dict[int, tuple[str, bool]]:
+    """Points whose channel alone does not fit the neighbouring level or the linear modes.
+
+    Linear modes have errors of their own: a small deviation from them counts where the neighbouring level had none.
+
+    Args:
+        shape: fundamental, shape ``(points,)``.
+        std: its standard uncertainty, same unit and shape; NaN = not known.
+        linear: see :func:`linear_basis`.
+        neighbour: shape of a level before without a fault, same shape; None = there is none.
+        points: that are judged.
+        suspects: that were faulty at the level before; no sensor mends itself.
+
+    Returns:
+        The words why, and whether it was the neighbouring level, by point.
+    """
+    kept = list(points)
+    found: dict[int, tuple[str, bool]] = {}
+    bases = [linear] if neighbour is None else [neighbour[:, np.newaxis], linear]
+    before = [] if neighbour is None else deviations(linear, neighbour, range(shape.size))
+    fitted = {each.index for each in before if each.share < _LEAST}
+    largest = float(np.abs(shape).max())
+
+    def is_off(each: Deviation, to_linear: bool) -> bool:
+        turned = each.ratio.real < 0.0 or abs(each.ratio) < 0.05
+        plain = each.share > _OFF_LINEAR or (each.share > _OFF_CLEAR and each.isolation > _CLEAR)
+        needed = _ISOLATED
+        if to_linear and not (turned or plain):
+            if each.index not in fitted:
+                return False
+            needed = _ISOLATED_LINEAR
+        if each.index in suspects:
+            needed *= 0.25
+        sure = not each.share * largest <= _SURE * std[each.index]
+        return sure and each.own > _OFF_OWN and each.share > _LEAST and each.isolation > needed
+
+    while True:
+        off = [
+            (each, basis is not linear)
+            for basis in bases
+            for each in deviations(basis, shape, kept)
+            if is_off(each, basis is linear)
+        ]
+        if not off:
+            return found
+        worst, by_neighbour = max(off, key=lambda item: item[0].isolation)
+        found[worst.index] = worst.words, by_neighbour
+        kept.remove(worst.index)
+
+
+def strange_shape(shape: ComplexArray, shapes: FloatArray) -> bool:
+    """Whether a shape is neither one of the linear modes nor, where there are more points than modes, made of them."""
+    size = float(np.linalg.norm(shape))
+    if size == 0.0:
+        return True
+    each = np.abs(shapes.T @ shape) / (np.linalg.norm(shapes, axis=0) * size)
+    best = float(each.max()) ** 2
+    if shapes.shape[0] > shapes.shape[1]:
+        whole = predicted(shapes.astype(np.complex128), shape, range(shape.size))
+        best = max(best, float(np.linalg.norm(whole) / size) ** 2)
+    return best < _STRANGE
+
+
+def noise_jumps(noise: FloatArray, rms: FloatArray, before: FloatArray, rows: Sequence[int]) -> Mapping[int, str]:
+    """Rows whose noise alone has risen since the level before, with the words why.
+
+    Args:
+        noise, rms, before: of each row: what no harmonic explains, all, and the noise of the level before.
+        rows: that are judged.
+    """
+    rise = {row: noise[row] / max(before[row], 1e-6 * rms[row], 1e-300) for row in rows}
+    found = {}
+    for row in rows:
+        usual = float(np.median([rise[other] for other in rows if other != row] or [1.0]))
+        if rise[row] > _NOISE_JUMP * max(usual, 1.0) and noise[row] > _NOISE_SHARE * rms[row]:
+            found[row] = f"has {100.0 * noise[row] / rms[row]:.0f} % of noise, much more than at the level before"
+    return found

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from diagnose.linear_problem import FunctionModel, Plain
-from diagnose.linear_problem import observations_of as plain_observations
 from diagnose.test_stepped_sine import CUBIC, first_order, observations_of, oscillator, swept
 from diagnose.twin_tests import chain, level, locked, rows_of
 
-from nmt_diagnose.inference.fit import fit
-from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.twin.demand import UnsolvedError
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.twin_settings import TwinSettings
@@ -84,20 +80,3 @@ def test_a_needed_line_without_solution_ends_the_prediction() -> None:
     with pytest.raises(UnsolvedError):
         far.predict(oscillator(50.0 * CUBIC), whole, needed=level_of == 2)
     assert np.all(np.isnan(far.predict(oscillator(50.0 * CUBIC), whole).values))
-
-
-def test_a_fit_for_its_estimate_only_finds_the_same() -> None:
-    x = np.linspace(0.0, 1.0, 40)
-
-    def model(theta: np.ndarray) -> np.ndarray:
-        return np.asarray(np.exp(0.3 * theta[0] * x) + theta[1] * x)
-
-    measured = model(np.array([1.2, 0.4])) + 0.02 * np.random.default_rng(5).standard_normal(x.size)
-    observations = plain_observations(measured, 0.02)
-    used = np.arange(x.size) < 30
-    own = Plain.of(2, 2.0)
-    whole = fit(Problem(observations, FunctionModel(model)), own, np.zeros(2), used)
-    only = fit(Problem(observations, FunctionModel(model)), own, np.zeros(2), used, only=True)
-    assert np.array_equal(whole.theta, only.theta)
-    assert np.isfinite(whole.residual).all()
-    assert np.isnan(only.residual[~used]).all()

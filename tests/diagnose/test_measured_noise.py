@@ -10,16 +10,15 @@ from diagnose.twin_observations import chain, observations_of_twin, real
 from scipy.integrate import quad
 
 from nmt_core.blocks import Quantity
-from nmt_diagnose.core.chain import SharedDelay, linear_chain
-from nmt_diagnose.core.fitting import best_errors, data_about
-from nmt_diagnose.core.measured import judged
-from nmt_diagnose.core.noise import Groups, groups_of
-from nmt_diagnose.core.search import Score, Search
-from nmt_diagnose.core.size import MATTERS
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
+from nmt_diagnose.inference.chain import SharedDelay, linear_chain
+from nmt_diagnose.inference.diagnose import diagnose_observations
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
+from nmt_diagnose.inference.fitting import best_errors, data_about
+from nmt_diagnose.inference.noise import Groups, groups_of
+from nmt_diagnose.inference.search import Score, Search
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel
 from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part
@@ -45,7 +44,7 @@ def stated(observations: Observations, factor: float) -> Observations:
 
 
 def diagnosed(observations: Observations, **settings: object) -> Diagnosis:
-    return judged(MODEL, observations, DiagnosisSettings(withheld=WITHHELD, **settings)).diagnosis  # type: ignore[arg-type]
+    return diagnose_observations(MODEL, observations, DiagnosisSettings(withheld=WITHHELD, **settings)).diagnosis  # type: ignore[arg-type]
 
 
 def test_marginal_scale_is_the_integral_over_all_scales() -> None:

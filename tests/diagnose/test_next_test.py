@@ -2,39 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from diagnose.linear_problem import FunctionModel, Plain, observations_of
-from diagnose.test_judgement import CUBIC, DRAG
+from diagnose.linear_problem import FunctionModel, observations_of
 from diagnose.twin_tests import chain
 
+from nmt_diagnose.effects.effect import Candidate, Site
+from nmt_diagnose.effects.library import effect_named
+from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference import next_test
-from nmt_diagnose.inference.fit import fit
-from nmt_diagnose.inference.fitted_model import FittedModel
-from nmt_diagnose.inference.judgement import ExplanationClass
+from nmt_diagnose.inference.comparison import Comparison, Equivalents
 from nmt_diagnose.inference.next_test import Proposal, next_tests
-from nmt_diagnose.inference.problem import Problem
+from nmt_diagnose.inference.search import Found
 
 RIG = chain()
 SIGMA = 0.5
+MEASURED = observations_of(np.zeros(20), 1.0)
 
 
-class Linear(Plain):
-    """A parametrisation whose rig says which explanation it is of."""
+CUBIC, DRAG = (
+    Candidate(effect_named(name), Site(Placement.at("structure", 2), {"k": 1.0, "c2": 1.0}, 2))
+    for name in ("cubic_stiffness", "air_drag")
+)
 
-    def rig(self, theta: np.ndarray) -> Any:
-        return (self.names[0], np.asarray(theta, dtype=float))
+
+def fitted(candidate: Candidate, theta: float, std: float) -> Found:
+    """An explanation y = column θ with what has been measured of θ; its rig says which explanation it is of."""
+    own = SimpleNamespace(names=(candidate.label,), rig=lambda values: (candidate.label, np.asarray(values)))
+    fit = SimpleNamespace(theta=np.array([theta]), covariance=np.array([[std**2]]), parametrisation=own)
+    return Found((candidate,), fit)  # type: ignore[arg-type]
 
 
-def fitted(candidate: Any, column: np.ndarray, measured: np.ndarray) -> FittedModel:
-    """An explanation y = column θ, fitted to what has been measured."""
-    plain = Plain(np.array([3.0]), np.array([-np.inf]), (candidate.label,))
-    problem = Problem(observations_of(measured, 1.0), FunctionModel(lambda t: column * t[0]))
-    result = fit(problem, plain, np.zeros(1))
-    return FittedModel((candidate,), replace(result, parametrisation=Linear(plain.prior_std, plain.lower, plain.names)))
+def compared(*classes: tuple[tuple[Found, ...], float], none: float = 0.0) -> Comparison:
+    return Comparison(none, 0.0, tuple(Equivalents(*own) for own in classes), {}, 10.0, {})
 
 
 @pytest.fixture
@@ -51,6 +54,9 @@ def future(monkeypatch: pytest.MonkeyPatch) -> dict[str, np.ndarray]:
             name, theta = rig
             return FunctionModel(lambda t: columns[name] * t[0]).predict(theta)
 
+        def difference(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+            return a - b
+
         def jacobian(self, parametrisation: Any, theta: Any, prediction: Any, which: Any = None) -> np.ndarray:
             return columns[parametrisation.names[0]][:, None]
 
@@ -58,18 +64,15 @@ def future(monkeypatch: pytest.MonkeyPatch) -> dict[str, np.ndarray]:
     return columns
 
 
-def competing() -> list[FittedModel]:
-    generator = np.random.default_rng(4)
-    column = generator.standard_normal(20)
-    measured = 2.0 * column + generator.standard_normal(20)
-    return [fitted(CUBIC, column, measured), fitted(DRAG, column + 0.1 * generator.standard_normal(20), measured)]
+def competing() -> tuple[Found, Found]:
+    return fitted(CUBIC, 2.0, 0.2), fitted(DRAG, 1.9, 0.2)
 
 
 def proposal() -> Proposal:
     return Proposal("a test", "./nmt run", observations_of(np.zeros(6), SIGMA))
 
 
-def expected(future: dict[str, np.ndarray], a: FittedModel, b: FittedModel) -> float:
+def expected(future: dict[str, np.ndarray], a: Found, b: Found) -> float:
     """√(Δᵀ (σ² + J C Jᵀ)⁻¹ Δ) with a true and b adapting."""
     ja, jb = future[a.explanation.label], future[b.explanation.label]
     gap = ja * a.fit.theta[0] - jb * b.fit.theta[0]
@@ -84,12 +87,11 @@ def test_the_expected_distance_is_that_of_dense_algebra(
     least = min(expected(future, a, b), expected(future, b, a))
     assert least > 3.0
     monkeypatch.setattr(next_test, "proposals", lambda rig, observations: [proposal()])
-    classes = [ExplanationClass(a, (a,), 0.6), ExplanationClass(b, (b,), 0.3)]
-    (found,) = next_tests(RIG, observations_of(np.zeros(20), 1.0), a, classes, None)  # type: ignore[arg-type]
+    (found,) = next_tests(RIG, MEASURED, a, compared(((a,), 0.6), ((b,), 0.3)))
     assert found.expected_sigma == pytest.approx(least, rel=1e-6)
     assert found.separates == ("cubic_stiffness", "air_drag")
     # Members of one class are distinguished just so.
-    (same,) = next_tests(RIG, observations_of(np.zeros(20), 1.0), a, [ExplanationClass(a, (a, b), 0.95)], None)  # type: ignore[arg-type]
+    (same,) = next_tests(RIG, MEASURED, a, compared(((a, b), 0.95)))
     assert same == found
 
 
@@ -99,8 +101,7 @@ def test_a_test_that_cannot_tell_is_not_proposed(
     a, b = competing()
     future[DRAG.label] = future[CUBIC.label] * a.fit.theta[0] / b.fit.theta[0]
     monkeypatch.setattr(next_test, "proposals", lambda rig, observations: [proposal()])
-    classes = [ExplanationClass(a, (a, b), 0.9)]
-    assert next_tests(RIG, observations_of(np.zeros(20), 1.0), a, classes, None) == ()  # type: ignore[arg-type]
+    assert next_tests(RIG, MEASURED, a, compared(((a, b), 0.9))) == ()
 
 
 def test_one_sure_explanation_needs_no_further_test(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,6 +110,5 @@ def test_one_sure_explanation_needs_no_further_test(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(next_test, "proposals", never)
     a, b = competing()
-    classes = [ExplanationClass(a, (a,), 0.97), ExplanationClass(b, (b,), 0.01)]
-    assert next_tests(RIG, observations_of(np.zeros(20), 1.0), a, classes, None) == ()  # type: ignore[arg-type]
-    assert next_tests(RIG, observations_of(np.zeros(20), 1.0), a, [], None) == ()  # type: ignore[arg-type]
+    assert next_tests(RIG, MEASURED, a, compared(((a,), 0.97), ((b,), 0.01))) == ()
+    assert next_tests(RIG, MEASURED, a, compared()) == ()

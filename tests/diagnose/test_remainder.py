@@ -7,14 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose.test_amplitude_scales import backbone
 from diagnose.test_warnings import GAP
 from diagnose.twin_observations import chain, observations_of_twin
 
-from nmt_diagnose.inference.confidence import confidence
-from nmt_diagnose.inference.diagnose import _Diagnoser
 from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Remainder, Share, Value, Verdict
-from nmt_diagnose.inference.gap import Closed
 from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.sentences import sentences
 from nmt_diagnose.observations.observables import Observations, Part
@@ -84,15 +80,3 @@ def test_the_answer_says_how_much_is_left_and_where(observations: Observations) 
 
     assert "It explains 94 %; 6 % is left, most of it in levels: frequency at the highest levels" in said(rest)
     assert "left" not in said(None)
-
-
-@pytest.mark.parametrize(
-    ("before", "laboratory", "share"), [(20.0, True, 0.15), (5.0, True, 0.03), (20.0, False, 0.03)]
-)
-def test_a_laboratory_may_leave_more_of_a_strong_gap(
-    observations: Observations, before: float, laboratory: bool, share: float
-) -> None:
-    own = object.__new__(_Diagnoser)
-    own.confidence, own.observations = confidence(), backbone(1.0) if laboratory else observations
-    assert own._tolerated(Closed(before, 1.0, 1.0, 0.9, 0.8, 1.0)) == pytest.approx(share)
-    assert own._tolerated(None) == pytest.approx(0.03)

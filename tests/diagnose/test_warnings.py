@@ -8,24 +8,25 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from diagnose.test_judgement import CUBIC, A, fitted_model
 
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.inference.fitted_model import FittedModel
+from nmt_diagnose.inference.search import Found
 from nmt_diagnose.inference.warnings import warned, without_observables
 from nmt_diagnose.observations.origin import Origin
 
+CUBIC = Candidate(effect_named("cubic_stiffness"), Site(Placement.at("structure", 2), {"k": 1.0}, 2))
 GAP = Gap(20.0, 1.1, 1.0, 30.0, 0.99, 0.98, 1.0, {"run: frequency": {"after": 1.1}}, ("every second level",))
 MASS = Recalibrated("structure.masses_kg.0", 0.5, 0.52, 1e-3, "kg", 0.01, 4.0)
 
 
-def best(theta: float = 0.0, converged: bool = True) -> FittedModel:
-    """A fit of a model with one parameter of its own and a cubic spring."""
-    found = fitted_model(A, (CUBIC, A))
-    return replace(found, fit=replace(found.fit, theta=np.array([theta, 1.0]), converged=converged))
+def best(theta: float = 0.0, converged: bool = True, candidates: tuple[Candidate, ...] = (CUBIC,)) -> Found:
+    """A fit of a model with one parameter of its own and an effect."""
+    own = SimpleNamespace(values=lambda values, _: {p: float(values[1]) for p in ("k", "c2")})
+    fit = SimpleNamespace(theta=np.array([theta, 1.0]), converged=converged, parametrisation=own)
+    return Found(candidates, fit)  # type: ignore[arg-type]
 
 
 def test_nothing_to_mind_is_not_mentioned() -> None:
@@ -42,7 +43,7 @@ def test_a_parameter_that_nobody_would_believe(sign: float) -> None:
 def test_a_fit_that_stopped_early() -> None:
     (sentence,) = warned(Verdict.EFFECT, best(converged=False), (MASS,), GAP)
     assert sentence.startswith("The fit with cubic_stiffness@2 stopped before its optimum")
-    alone = FittedModel((), replace(best(converged=False).fit, theta=np.zeros(1)))
+    alone = best(converged=False, candidates=())
     assert warned(Verdict.CALIBRATION, alone, (MASS,), GAP)[0].startswith("The re-fit of the model stopped")
 
 
@@ -60,15 +61,12 @@ def test_an_explanation_that_is_not_the_whole() -> None:
 
 def test_drag_that_no_air_has_is_told_beside_what_looks_alike() -> None:
     drag = Candidate(effect_named("air_drag"), Site(Placement.at("structure", 1), {"c2": 1.0}, 1, limits={"c2": 0.02}))
-    found = fitted_model(A, (drag, A))
-    own = SimpleNamespace(values=lambda theta, _: {"c2": float(theta[0])}, index_of=lambda _: slice(0, 1))
-    fitted = replace(found, fit=replace(found.fit, parametrisation=own))
-    (sentence,) = warned(Verdict.EFFECT, best(), (MASS,), GAP, (best(), fitted))
+    found = best(candidates=(drag,))
+    (sentence,) = warned(Verdict.EFFECT, best(), (MASS,), GAP, (best(), found))
     assert sentence.startswith("As air_drag@1 the gap would take c2 = ")
-    times = fitted.fit.theta[0] / 0.02
-    assert f"{times:.2g} times the largest that physics allows" in sentence
-    assert warned(Verdict.UNKNOWN, best(), (MASS,), GAP, (best(), fitted)) == ()
-    within = replace(fitted, candidates=(replace(drag, site=replace(drag.site, limits={"c2": 10.0})),))
+    assert "50 times the largest that physics allows" in sentence
+    assert warned(Verdict.UNKNOWN, best(), (MASS,), GAP, (best(), found)) == ()
+    within = best(candidates=(replace(drag, site=replace(drag.site, limits={"c2": 10.0})),))
     assert warned(Verdict.EFFECT, best(), (MASS,), GAP, (best(), within)) == ()
 
 

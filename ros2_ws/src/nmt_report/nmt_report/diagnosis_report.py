@@ -10,8 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from nmt_core.number_words import percent, share_with_interval, value_text
-from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Remainder, Verdict
-from nmt_diagnose.inference.hypotheses import NULL, UNKNOWN
+from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Remainder, Verdict
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RecordTest, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_report.diagnosis_curves import Models, courses, drive_label, harmonic_courses
@@ -83,9 +82,8 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         answers=_answers(d),
         cards=_cards(d),
         notices=(*d.warnings, *d.notes),
-        footer="Residual: (measured − model) / stated standard uncertainty of the measurement. The stated one holds "
-        "tolerances of the measuring chain beside the scatter, so scatter alone leaves a root mean square of about 1 "
-        "or less; it is given beside the others. ± standard uncertainty. Model as given: the rig file; re-fitted: its "
+        footer="Residual: (measured − model) / standard deviation of the noise, as the recordings show it: noise "
+        "leaves a root mean square of about 1. ± standard uncertainty. Model as given: the rig file; re-fitted: its "
         "own parameters adjusted to these tests within what is known of them beforehand; with the effect: re-fitted "
         "with the effect added. SI units.",
     )
@@ -228,11 +226,10 @@ def _ranking(d: Diagnosis) -> Table:
         )
         rows.append((item.probability, Row(cells)))
     rest, p_rest = rest_text(d)
-    named = rest == effect_text(UNKNOWN)
     unnamed = "a source at one of the places that follows no named law"
     for label, title, p, what in (
         (NULL, effect_text(NULL), d.probabilities.get(NULL, 0.0), "the model as it is, its own parameters re-fitted"),
-        (UNKNOWN, rest, p_rest, unnamed if named else "how often that was so where the tests showed as little"),
+        (UNKNOWN, rest, p_rest, unnamed),
     ):
         accepted = "on" if (d.verdict, label) in _WINNERS else ""
         text = part("explanation", title, what, "", "")
@@ -492,25 +489,16 @@ def _input_tables(d: Diagnosis) -> list[Table]:
         names = ("Kind", "Driven at", "Levels or lines", "Observables")
         columns = (Column("Test found", kind="text"), *(Column(name) for name in names))
         tables.append(Table(columns, [Row(cells) for cells in tests], heading="Tests found in them"))
-    if len(d.left_out) > 1:
-        each = [
-            (
-                item.recording,
-                effect_text(item.leader),
-                f"{item.probability:.0%}",
-                sigma_text(item.left),
-                "—" if math.isnan(item.closed) else f"{item.closed:.0%}",
-            )
-            for item in d.left_out
+    if d.visible:
+        weakest = [
+            (effect_text(v.effect), place_text(v.place, v.detail), parameters_text(v.parameters)) for v in d.visible
         ]
         columns = (
-            Column("Without", kind="text"),
-            Column("The others say", kind="text"),
-            Column("Probability"),
-            Column("Left of them", "standard deviations"),
-            Column("Of its own gap", "closed"),
-        )
-        tables.append(Table(columns, [Row(cells) for cells in each], heading="Each recording left out"))
+            Column("Effect", kind="text"), Column("Where it would show first", kind="text wrap"),
+            Column("From", "five standard deviations", "text wrap"),
+        )  # fmt: skip
+        rows = [Row(cells) for cells in weakest]
+        tables.append(Table(columns, rows, heading="The weakest that these recordings would show"))
     return tables
 
 
@@ -521,7 +509,6 @@ def _settings(d: Diagnosis) -> list[tuple[str, str]]:
         ("Effects left out of the library", ", ".join(effect_text(name) for name in inputs.get("withheld", ()))),
         ("Held out in turn", "; ".join(inputs.get("held_out", ()))),
         ("Seed", str(inputs.get("seed", ""))),
-        ("Calibration of confidence", str(inputs.get("confidence_sha256", ""))[:16]),
         ("Version", str(inputs.get("version", ""))),
     ]
     return [(name, value) for name, value in facts if value]

@@ -9,8 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from nmt_core.number_words import percent, value_text
-from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.inference.hypotheses import NULL
+from nmt_diagnose.inference.diagnosis import NULL, Diagnosis, Verdict
 from nmt_report.diagnosis_words import (
     class_text,
     effect_text,
@@ -128,26 +127,18 @@ def recordings_table(diagnosis: Diagnosis) -> Table | None:
     return table
 
 
-def left_out_table(diagnosis: Diagnosis) -> Table | None:
-    """Each recording left out: what the others say without it."""
-    if len(diagnosis.left_out) < 2:
+def visible_table(diagnosis: Diagnosis) -> Table | None:
+    """The weakest that each effect could be and still be seen."""
+    if not diagnosis.visible:
         return None
-    table = _new("Each recording left out")
-    table.add_column("without", overflow="fold")
-    table.add_column("the others say", overflow="fold")
-    table.add_column("probability", justify="right", no_wrap=True)
-    table.add_column("left of them\nstd. dev.", justify="right", no_wrap=True)
-    table.add_column("of its own gap\nclosed", justify="right", no_wrap=True)
-    for item in diagnosis.left_out:
-        closed = "—" if math.isnan(item.closed) else f"{item.closed:.0%}"
-        cells = (
-            Text(item.recording),
-            Text(effect_text(item.leader)),
-            f"{item.probability:.0%}",
-            sigma_text(item.left),
-            closed,
-        )
-        table.add_row(*cells)
+    table = _new("The weakest that these recordings would show")
+    for head in ("effect", "where it would show first", "from"):
+        table.add_column(head, overflow="fold")
+    for item in diagnosis.visible:
+        table.add_row(
+            Text(effect_text(item.effect)), Text(place_text(item.place, item.detail)),
+            Text(parameters_text(item.parameters)),
+        )  # fmt: skip
     return table
 
 

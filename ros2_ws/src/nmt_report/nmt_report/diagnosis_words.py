@@ -9,8 +9,7 @@ from collections.abc import Mapping
 from nmt_core.errors import BenchError
 from nmt_core.number_words import plain, share_with_interval, value_text
 from nmt_diagnose.effects.library import effect_named
-from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Ranked, Value, Verdict
-from nmt_diagnose.inference.hypotheses import NULL, OTHER, UNKNOWN
+from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Ranked, Value, Verdict
 from nmt_diagnose.inference.sentences import PLACES
 from nmt_rig.rig import Rig
 
@@ -157,5 +156,5 @@ def rest_text(diagnosis: Diagnosis) -> tuple[str, float]:
     """
     unknown = diagnosis.probabilities.get(UNKNOWN, 0.0)
     if diagnosis.verdict in _NO_GAP:
-        return "an effect too weak to see", unknown + diagnosis.probabilities.get(OTHER, 0.0)
+        return "an effect too weak to see", unknown
     return effect_text(UNKNOWN), unknown

@@ -39,7 +39,6 @@ def add_parser(subparsers: Subparsers) -> None:
     _add_run(parts)
     _add_score(parts)
     _add_explain(parts)
-    _add_calibrate(parts)
     _add_strengths(parts)
 
 
@@ -106,21 +105,6 @@ def _add_explain(parts: Subparsers) -> None:
     _add_folder(part)
 
 
-def _add_calibrate(parts: Subparsers) -> None:
-    part = parts.add_parser(
-        "calibrate", help="learn from diagnosed development campaigns how reliable the features of a diagnosis are"
-    )
-    part.add_argument("campaigns", metavar="DIR", nargs="+", type=Path, help="folders of development campaigns")
-    part.add_argument("--out", metavar="FILE", type=Path, required=True, help="calibration to write, confidence.json")
-    part.add_argument(
-        "--keep",
-        metavar="K",
-        type=float,
-        default=0.0,
-        help="how firmly the present weights are kept, as the inverse variance of a prior about them (default: 0)",
-    )
-
-
 def _add_strengths(parts: Subparsers) -> None:
     strengths = parts.add_parser("strengths", help="table of strengths of all effects of a rig, in standard deviations")
     strengths.add_argument("--rig", choices=RIGS, default="beam", help="the rig (default: beam)")
@@ -171,7 +155,6 @@ def run(arguments: argparse.Namespace) -> int:
         "run": _run,
         "score": _score,
         "explain": _explain,
-        "calibrate": _calibrate,
         "strengths": _strengths,
     }
     status = parts[arguments.part](arguments)
@@ -260,22 +243,6 @@ def _explain(arguments: argparse.Namespace) -> int:
     ]
     for line in lines:
         console.print(line, markup=False, soft_wrap=True)
-    return EXIT_DONE
-
-
-def _calibrate(arguments: argparse.Namespace) -> int:
-    from nmt_blind.campaign.calibrate import calibrate
-    from nmt_diagnose.inference.confidence import CONFIDENCE_FILE
-
-    for item in calibrate(arguments.campaigns, CONFIDENCE_FILE, arguments.out, arguments.keep):
-        weights = ", ".join(f"{name} {weight:+.3f}" for name, weight in item.weights.items())
-        _console().print(
-            f"{item.name}: {item.cases} cases, {100 * item.share:.0f} % yes; bias {item.bias:+.3f}, {weights}; "
-            f"calibration error {item.error:.3f}, area under the curve {item.area:.3f} (on cases left out)",
-            markup=False,
-            soft_wrap=True,
-        )
-    _console().print(f"written: {arguments.out}; it is used once it is the program's own", markup=False)
     return EXIT_DONE
 
 

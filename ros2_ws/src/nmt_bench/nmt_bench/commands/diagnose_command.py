@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -93,8 +94,14 @@ def add_parser(subparsers: Subparsers) -> None:
         help="take recordings that were simulated from the model itself, too: they show what a rig without a gap looks "
         "like",
     )
-    # For comparison only: noise that the recordings show in place of stated noise and tolerances.
-    parser.add_argument("--method", choices=("stated", "measured"), default="stated", help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--matters",
+        metavar="KIND=SIZE",
+        action="append",
+        default=[],
+        help="smallest relative size of a gap that matters, of frequency (default: 0.0005), damping (0.02), response "
+        "(0.02) or harmonics over the fundamental (0.001); may be repeated",
+    )
     add_jobs(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress display")
     add_task_page_option(parser)
@@ -119,7 +126,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.page.task_feed import task_page
-    from nmt_diagnose.core.size import MATTERS
     from nmt_diagnose.effects.library import effect_named
     from nmt_diagnose.inference.diagnose import diagnose_bags
     from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
@@ -149,8 +155,7 @@ def run(arguments: argparse.Namespace) -> int:
             jobs=jobs,
             allow_own_model=arguments.allow_own_model,
             calibration=calibration,
-            method=arguments.method,
-            matters=MATTERS,
+            matters=_matters(arguments.matters),
         )
         outcome = diagnose_bags(rig, arguments.real, arguments.floor, settings, progress.update)
         progress.update("writing the report")
@@ -165,6 +170,26 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(f"Report: {(arguments.out / 'report.html').resolve()}", markup=False, soft_wrap=True)
     sys.stdout.flush()
     return EXIT_DONE
+
+
+def _matters(words: Sequence[str]) -> dict[str, float]:
+    """Smallest size that matters of each kind of observable."""
+    from nmt_diagnose.inference.diagnosis_settings import MATTERS
+
+    found = dict(MATTERS)
+    for word in words:
+        kind, _, size = word.partition("=")
+        try:
+            value = float(size)
+        except ValueError:
+            value = -1.0
+        if kind not in found or not 0.0 <= value < 1.0:
+            kinds = ", ".join(MATTERS)
+            raise BenchError(
+                f"--matters is one of {kinds} and a relative size below 1, such as frequency=0.001; got {word}."
+            )
+        found[kind] = value
+    return found
 
 
 class DiagnosisProgress:
@@ -242,11 +267,11 @@ def show(diagnosis: Diagnosis, console: Console) -> None:
 
     from nmt_report.diagnosis_tables import (
         calibration_table,
-        left_out_table,
         next_table,
         place_table,
         ranking_table,
         recordings_table,
+        visible_table,
     )
     from nmt_report.diagnosis_words import QUESTIONS, verdict_text
 
@@ -261,7 +286,7 @@ def show(diagnosis: Diagnosis, console: Console) -> None:
     console.print()
     for table in (
         ranking_table(diagnosis), place_table(diagnosis), calibration_table(diagnosis), next_table(diagnosis),
-        left_out_table(diagnosis), recordings_table(diagnosis),
+        recordings_table(diagnosis), visible_table(diagnosis),
     ):  # fmt: skip
         if table is not None:
             console.print(table)

@@ -20,13 +20,13 @@ from nmt_blind.campaign.run import read_public
 from nmt_blind.campaign.score import opened_truth
 from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_diagnose.core.fitting import FitError, fit
-from nmt_diagnose.core.measured import Findings, find, observed
-from nmt_diagnose.core.search import Found
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import starts_of
+from nmt_diagnose.inference.diagnose import Findings, find, observed
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.inference.fitting import FitError, fit
+from nmt_diagnose.inference.search import Found
 from nmt_diagnose.observations.observables import Observations
 from nmt_rig.rig import Rig, load_rig
 
@@ -82,8 +82,8 @@ def explain_case(folder: Path, case: str) -> Account:
         raise BenchError(f"Case {case} of {folder} has no bags; go on with './nmt blind make'.")
     rig = load_rig(str(own / "model.yaml"))
     withheld = tuple(word for word in str(truth[case]["withheld"]).split(",") if word)
-    settings = DiagnosisSettings(withheld=withheld, look_ahead=False, method="measured")
-    return account(rig, observed(rig, bags, (), settings, lambda _: None), settings, truth[case])
+    settings = DiagnosisSettings(withheld=withheld, look_ahead=False)
+    return account(rig, observed(rig, bags, (), settings), settings, truth[case])
 
 
 def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, truth: Mapping[str, Any]) -> Account:

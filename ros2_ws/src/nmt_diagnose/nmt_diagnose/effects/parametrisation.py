@@ -121,6 +121,8 @@ class Parametrisation:
 
     def _calibrated(self, theta: FloatArray) -> Rig:
         """The base with its own parameters at θ: what changed since the last call is changed."""
+        if not theta.any():
+            return self.base
         known, rig = self._last[0]
         for parameter, before, entry in zip(self.calibration, known, theta, strict=True):
             if entry != before:

@@ -8,7 +8,6 @@ import numpy as np
 
 from nmt_core.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate, EffectParameter
-from nmt_diagnose.inference.fitted_model import FittedModel
 
 _SHAPE_STARTS = (0.5, 1.0, 2.0)
 
@@ -47,16 +46,3 @@ def starts_of(candidate: Candidate) -> list[FloatArray]:
         else:
             grids.append(parameter.grid or (0.0,))
     return [np.array(values) for values in product(*grids)]
-
-
-def other_shapes(fitted_model: FittedModel) -> list[FloatArray]:
-    """θ with the shapes of one effect after another at each combination of its grid."""
-    result = []
-    for number, candidate in enumerate(fitted_model.candidates):
-        shapes = [k for k, parameter in enumerate(candidate.effect.parameters) if parameter.kind == "shape"]
-        own = np.arange(fitted_model.fit.theta.size)[fitted_model.fit.parametrisation.index_of(number)][shapes]
-        for start in {tuple(start[shapes]) for start in starts_of(candidate)} if shapes else ():
-            theta = fitted_model.fit.theta.copy()
-            theta[own] = start
-            result.append(theta)
-    return sorted(result, key=lambda theta: tuple(theta))

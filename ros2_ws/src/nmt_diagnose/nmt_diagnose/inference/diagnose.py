@@ -4,76 +4,55 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_diagnose.effects.placement import Explanation
-from nmt_diagnose.inference.confidence import Confidence, confidence
-from nmt_diagnose.inference.diagnosis import (
-    Diagnosis,
-    Gap,
-    LeftOut,
-    NextTest,
-    Remainder,
-    Verdict,
-)
+from nmt_core.arrays import BoolArray, FloatArray
+from nmt_core.errors import BenchError
+from nmt_diagnose.effects.calibration import CalibrationParameter, calibration_parameters
+from nmt_diagnose.effects.library import candidates as library_candidates
+from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.inference.candidate_starts import at_strength
+from nmt_diagnose.inference.chain import SharedDelay, shared_delays
+from nmt_diagnose.inference.comparison import Comparison, Equivalents, Hypotheses, source_places, sources
+from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Value, Verdict, Visible
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.discrepancy import elsewhere
-from nmt_diagnose.inference.fit import Fit
-from nmt_diagnose.inference.fitted_model import FittedModel, rms_left
-from nmt_diagnose.inference.gap import Closed, rms
-from nmt_diagnose.inference.held_out import splits
-from nmt_diagnose.inference.held_out_comparison import HeldOut, Refits
-from nmt_diagnose.inference.judgement import (
-    ExplanationClass,
-    Judgement,
-    judge,
-    with_held_out,
-    with_prior_conflict,
-    with_share_left,
-    with_share_unexplained,
-)
-from nmt_diagnose.inference.leave_one_out import contradiction, left_out, recordings
+from nmt_diagnose.inference.fitting import Data, FitError, Fitted, best_errors, data_about, fit
+from nmt_diagnose.inference.gap import Closed, closed, rms
+from nmt_diagnose.inference.held_out import Split, named_tests, splits
 from nmt_diagnose.inference.next_test import next_tests
-from nmt_diagnose.inference.prior_conflict import prior_conflict
 from nmt_diagnose.inference.progress import Progress
 from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import residual_tests
-from nmt_diagnose.inference.result_tables import (
-    candidate_entry,
-    feature_table,
-    inputs,
-    place_shares,
-    ranked,
-    recalibrated,
-)
-from nmt_diagnose.inference.search import Search
+from nmt_diagnose.inference.result_rows import calibration_rows, candidate_row, inputs, place_rows, ranked_rows
+from nmt_diagnose.inference.search import Found, Score, Search
 from nmt_diagnose.inference.sentences import sentences
-from nmt_diagnose.inference.sources import generic_sources, places
+from nmt_diagnose.inference.size import Size, matters, measured_size
+from nmt_diagnose.inference.tuned import (
+    ALARM,
+    CHAIN_ROUNDS,
+    EXPLAINED,
+    FEWEST_LINES_LOST,
+    JUDGED,
+    OPEN,
+    RANDOM_LINES,
+    RECALIBRATION,
+    REFIT_REFRESHES,
+    REFIT_STEPS,
+    SEEN,
+    SOLVER,
+    WORSE,
+)
 from nmt_diagnose.inference.warnings import warned, without_observables
-from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.twin.forward import Forward, Prediction, traced
+from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig, load_rig
-
-_JUDGED = 3
-# Probability of something unnamed from which other than the nearest explanations are not fitted to held-out data.
-_HARDLY_NAMED = 0.97
-_HELPS = 2.0
-_CHANCE = 1.0
-# Share of the gap of a laboratory's tests that a named effect may leave, and by how many times as much its interval may
-# fall short.
-_REMAINDER, _UNSURE = 0.15, 3.0
-# Gap over the noise (rms) from which what is left of it is a share of the effect rather than an effect of its own.
-_STRONG = 10.0
-# From here on the share of it that an explanation closes says whether that is what the gap is made of.
-_CLEAR = 2.0
-_SECOND = 8.0  # ln of what a second effect costs in prior, among some hundred candidates
 
 
 @dataclass(frozen=True)
@@ -82,7 +61,7 @@ class DiagnosisOutcome:
 
     Attributes:
         diagnosis: the result.
-        observations: the real side.
+        observations: the real side, its uncertainties those that were learnt.
         given: the model as given.
         model: the model with its parameters re-fitted and the accepted effect added; the given one where there is no
             gap.
@@ -96,6 +75,31 @@ class DiagnosisOutcome:
     as_given: FloatArray
     refitted: FloatArray
     final: FloatArray
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the comparison of explanations rests on.
+
+    Attributes:
+        data: rows, noise and chain, about the best explanation.
+        search: fits explanations to them.
+        given: prediction of the model as given.
+        null: the model alone.
+        named: explanations by one and two effects, the best first.
+        comparison: probabilities.
+        sources: what something unnamed at each place would explain beside the model alone.
+        visible: the weakest that each effect could be and still be seen.
+    """
+
+    data: Data
+    search: Search
+    given: Prediction
+    null: Found
+    named: tuple[Found, ...]
+    comparison: Comparison
+    sources: dict[str, float]
+    visible: tuple[Visible, ...]
 
 
 def diagnose_bags(
@@ -119,15 +123,109 @@ def diagnose_bags(
     """
     rig = model if isinstance(model, Rig) else load_rig(str(model))
     settings = settings or DiagnosisSettings()
-    if settings.method == "measured":
-        from nmt_diagnose.core.measured import diagnose_measured
+    observations = observed(rig, bags, floor_bags, settings, progress)
+    return diagnose_observations(rig, observations, settings, progress)
 
-        return diagnose_measured(rig, bags, floor_bags, settings, progress or (lambda _: None))
-    # The other processes start while the bags are read.
-    with Workers(settings.jobs) as workers:
-        reading = ObservationSettings(calibration=settings.calibration)
-        observations = read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
-        return _Diagnoser(rig, observations, settings, progress or (lambda _: None), bool(floor_bags), workers).run()
+
+def observed(
+    rig: Rig,
+    bags: Sequence[Path | str],
+    floor_bags: Sequence[Path | str] = (),
+    settings: DiagnosisSettings | None = None,
+    progress: Progress | None = None,
+) -> Observations:
+    """Rows of the bags with the noise that they show; arguments as for :func:`diagnose_bags`."""
+    settings = settings or DiagnosisSettings()
+    reading = ObservationSettings(calibration=settings.calibration, floors=SOLVER, lines=RANDOM_LINES)
+    return read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
+
+
+def find(
+    rig: Rig, observations: Observations, settings: DiagnosisSettings, tell: Progress = lambda _: None
+) -> Findings:
+    """Fit and compare all explanations.
+
+    Raises:
+        BenchError: the model has no solution for any of the observations.
+    """
+    parameters: tuple[CalibrationParameter, ...] = (
+        *calibration_parameters(rig),
+        *shared_delays(observations, rig),
+    )
+    tell("re-fitting the model's own parameters")
+    unseen = named_tests(observations, settings.hold_out)
+    observations, given, null, data = _null(rig, observations, parameters, ~unseen)
+    candidates = library_candidates(
+        rig, operating_range(rig, observations.tests, observations=observations), settings.withheld
+    )
+    search = Search(data, rig, parameters, candidates, tell)
+    tell(f"scanning {len(candidates)} candidates")
+    scores = search.scores(null)
+    singles = search.singles(null, scores)
+    tell("looking for second effects")
+    named = sorted([*singles, *search.pairs(singles)], key=lambda own: -own.fit.log_evidence)
+    if named and named[0].fit.log_evidence > null.fit.log_evidence:
+        # Errors of the chain act about the best explanation; every other competes under the same noise.
+        data = _about(rig, observations, named[0].fit, data.used)
+        search = Search(data, rig, parameters, candidates, tell)
+        null, named = search.again(null), search.all_again(named)
+    found = source_places(data, rig, null)
+    alone = sources(data, null, found, len(parameters))
+    first = Hypotheses(null, named, candidates, alone, [])
+    behind = sources(data, first.best, found, len(parameters)) if first.best is not None else []
+    comparison = Hypotheses(null, named, candidates, alone, behind).compared()
+    explained: dict[str, float] = {}
+    for source in alone:
+        explained[source.placement.kind] = max(explained.get(source.placement.kind, 0.0), source.explained)
+    return Findings(data, search, given, null, tuple(named), comparison, explained, _visible(search, scores, rig))
+
+
+def _null(
+    rig: Rig, observations: Observations, parameters: Sequence[CalibrationParameter], fitted: BoolArray
+) -> tuple[Observations, Prediction, Found, Data]:
+    """The model alone: first by logarithms, then with its chain about where it stands."""
+    try:
+        given = Forward(observations.tests, observations.rows).predict(rig)
+        observations = replace(observations, tests=traced(observations.tests, given))
+        given = Forward(observations.tests, observations.rows).predict(rig, given)
+        used = np.isfinite(given.values) & fitted
+        if used.sum() < FEWEST_LINES_LOST * fitted.sum():
+            raise FitError("it has no solution for most of the observables")
+        own = Parametrisation(rig, tuple(parameters))
+        data = data_about(observations, rig, given, used, logarithms=True)
+        found = fit(data, own, own.zero, given)
+        for _ in range(CHAIN_ROUNDS):
+            data = _about(rig, observations, found, used)
+            found = fit(data, own, found.theta, found.prediction)
+    except (FitError, ArithmeticError, np.linalg.LinAlgError) as error:
+        raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
+    return data.observations, given, Found((), found), data
+
+
+def _visible(search: Search, scores: Sequence[Score], rig: Rig) -> tuple[Visible, ...]:
+    """The weakest that each effect could be and still show by five standard deviations, where it shows first."""
+    strongest: dict[str, Score] = {}
+    for score in scores:
+        name = search.candidates[score.candidate].effect.name
+        if score.reach > 0.0 and (name not in strongest or score.reach > strongest[name].reach):
+            strongest[name] = score
+    result = []
+    for name, score in sorted(strongest.items()):
+        candidate = search.candidates[score.candidate]
+        theta = at_strength(candidate, score.start, SEEN / score.reach)
+        told = Parametrisation(rig, (), (candidate,)).reported(theta, 0)
+        values = {key: Value(value, math.nan, unit) for key, (value, unit) in told.items()}
+        placement = candidate.site.placement
+        result.append(Visible(name, placement.kind, placement.detail, values))
+    return tuple(result)
+
+
+def _about(rig: Rig, observations: Observations, near: Fitted, used: BoolArray) -> Data:
+    """What fits work on, noise of measured amplitudes and errors of the chain about a fit."""
+    observations = replace(observations, tests=traced(observations.tests, near.prediction))
+    own = near.parametrisation.rig(near.theta)
+    prediction = Forward(observations.tests, observations.rows).predict(own, near.prediction)
+    return data_about(observations, own, prediction, used & np.isfinite(prediction.values))
 
 
 def diagnose_observations(
@@ -135,240 +233,187 @@ def diagnose_observations(
     observations: Observations,
     settings: DiagnosisSettings | None = None,
     progress: Progress | None = None,
-    repeated: bool = False,
 ) -> DiagnosisOutcome:
     """Diagnose observations that have been read already; see :func:`diagnose_bags`.
 
-    ``repeated`` says that its uncertainties contain the differences of repeats.
-
     Raises:
-        BenchError: the model has no solution for any of the observations.
+        BenchError: the model has no solution for most of the observations.
     """
-    settings = settings or DiagnosisSettings()
-    with Workers(settings.jobs) as workers:
-        return _Diagnoser(rig, observations, settings, progress or (lambda _: None), repeated, workers).run()
+    settings, tell = settings or DiagnosisSettings(), progress or (lambda _: None)
+    held = splits(observations, settings.hold_out)
+    findings = find(rig, observations, settings, tell)
+    data, null, comparison = findings.data, findings.null, findings.comparison
+    tell("predicting what was held out")
+    leader = comparison.classes[0] if comparison.classes else None
+    given = best_errors(data, findings.given.values)
+    unseen = named_tests(observations, settings.hold_out)
+    finite = np.all([np.isfinite(own.fit.prediction.values) for own in (null, *findings.named)], axis=0)
+    whole = replace(data, used=data.used | (unseen & finite & np.isfinite(findings.given.values)))
+    shares = {
+        own.head.explanation: _closed(findings, whole, own.head, held, settings.seed)
+        for own in comparison.classes[:JUDGED]
+    }
+    share = None if leader is None else shares[leader.head.explanation]
+    size = None if leader is None else measured_size(data, leader.head)
+    verdict = _verdict(comparison, leader, share, size, settings, given.cost - null.fit.cost)
+    named = leader if verdict is Verdict.EFFECT else None
+    # What nothing in the library explains is told with the part that it does explain.
+    nearest = leader if verdict in (Verdict.EFFECT, Verdict.UNKNOWN) else None
+    best = named.head if named is not None else null
+    shown = nearest.head if nearest is not None else null
+    scale = scale_of(shown, verdict in (Verdict.EFFECT, Verdict.UNKNOWN))
+    as_given, before, after = (
+        best_errors(whole, values).left * scale
+        for values in (findings.given.values, null.fit.prediction.values, shown.fit.prediction.values)
+    )
+    seen = replace(data.observations, std=data.sigma / scale, floor=np.zeros_like(data.sigma))
+    rows = whole.used
+    told = share if nearest is not None else None
+    if verdict is Verdict.CALIBRATION:
+        told = _recalibrated(findings, whole, held, settings.seed)
+    gap = Gap(
+        before=told.before if told is not None and math.isfinite(told.before) else rms(before[rows]),
+        after=told.after if told is not None and math.isfinite(told.after) else rms(after[rows]),
+        floor=1.0,
+        as_given=rms(as_given[rows]),
+        closed=told.value if told is not None else math.nan,
+        low=told.low if told is not None else math.nan,
+        high=told.high if told is not None else math.nan,
+        per_observable=per_observable(seen, before, after, rows),
+        held_out=tuple(split.name for split in held),
+    )
+    rest = remainder(seen, gap, after, rows) if nearest is not None else None
+    where = place_rows(comparison, findings.sources) if nearest is not None or verdict is Verdict.UNKNOWN else ()
+    ranking = ranked_rows(data, comparison, shares)
+    calibration = calibration_rows(best)
+    ahead = next_tests(rig, seen, null, comparison) if settings.look_ahead and nearest is not None else ()
+    warnings = warned(verdict, best, calibration, gap, named.members if named is not None else ())
+    warnings += without_observables(observations)
+    explanation = leader.head.explanation if leader is not None else None
+    said = sentences(verdict, where, ranking, explanation, gap, ahead, calibration, rest)
+    if size is not None and verdict in (Verdict.NONE, Verdict.CALIBRATION) and comparison.log_odds > ALARM:
+        said = (*said, size.sentence)
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        sentences=(*said, *warnings),
+        where=where,
+        ranking=ranking,
+        probabilities=dict(comparison.by_label),
+        gap=gap,
+        next_test=ahead,
+        calibration=calibration,
+        inputs=inputs(observations, rig, held, settings),
+        notes=observations.notes + tuple(findings.given.reasons),
+        residual_map=residual_map(seen, as_given, before, after),
+        residual_tests=tuple(test.to_mapping() for test in residual_tests(seen, after, rows)),
+        candidates=tuple(candidate_row(own, null, data) for own in (null, *findings.named)),
+        features={
+            "feature:log_odds": comparison.log_odds,
+            "cost_given": given.cost,
+            "cost_null": null.fit.cost,
+            "cost_best": shown.fit.cost,
+            **{f"rms:{name}": value for name, value in _group_rms(data, shown).items()},
+        },
+        warnings=warnings,
+        remainder=rest,
+        visible=findings.visible,
+    )
+    model = rig if verdict is Verdict.NONE else _rig_of(best, len(calibration))
+    return DiagnosisOutcome(diagnosis, seen, rig, model, given.values, null.fit.errors.values, best.fit.errors.values)
 
 
-class _Diagnoser:
-    def __init__(
-        self,
-        rig: Rig,
-        observations: Observations,
-        settings: DiagnosisSettings,
-        progress: Progress,
-        repeated: bool,
-        workers: Workers,
-    ) -> None:
-        self.rig, self.observations, self.settings, self.progress = rig, observations, settings, progress
-        self.repeated, self.workers = repeated, workers
-        # Refits of the model and of the best explanations, by the rows that they were fitted to.
-        self._known: dict[bytes, list[FittedModel | None]] = {}
-        self.confidence: Confidence = confidence()
-        self.splits = splits(observations, settings.hold_out)
+def scale_of(found: Found, gap: bool = True) -> FloatArray:
+    """What residuals over σ are multiplied by to be in standard deviations of the noise, (m,).
 
-    def run(self) -> DiagnosisOutcome:
-        search = Search(self.rig, self.observations, self.settings, self.splits, self.progress, self.workers)
-        null, scan, singles, pairs = search.run()
-        self.observations, self.given = search.observations, search.given
-        self.problem, self.judged, self.comparison = search.problem, search.judged, search.comparison
-        self.progress("weighing the explanations")
-        rig = null.fit.parametrisation.rig(null.fit.theta)
-        found = places(search.forward, rig, null.fit.prediction, self.problem, self.workers)
-        sources = generic_sources(null.fit, found)
-        top = self._most_promising(null, singles, pairs)
-        leftovers = generic_sources(top.fit, found, null.fit.theta.size) if top is not None else []
-        left = (top or null).fit
-        chance = min((test.p_holm for test in residual_tests(self.observations, left.residual, left.used)), default=1.0)
-        judgement = judge(null, singles, pairs, sources, leftovers, search.candidates, self.confidence, top, chance)
-        as_given = self.judged.residual(self.given)
-        judged = [group.head for group in judgement.classes[: 1 if judgement.unknown > _HARDLY_NAMED else _JUDGED]]
-        held = self._held(null, judged)
-        without = self._left_out(null, judged)
-        shares = {head.explanation: held.closed(head.explanation) for head in judged}
-        judgement = with_held_out(judgement, held.worse(shares, 1.0 - self.confidence.explained))
-        best_share = shares.get(judgement.classes[0].head.explanation) if judgement.classes else None
-        tolerated = self._tolerated(best_share)
-        mostly = best_share is not None and best_share.low > 1.0 - _UNSURE * tolerated
-        if best_share is not None and mostly and best_share.value >= 1.0 - tolerated:
-            judgement = with_share_left(judgement, min(max(1.0 - best_share.value, 0.0), 1.0))
-        elif best_share is not None and best_share.before > _CLEAR * max(best_share.floor, 1.0):
-            judgement = with_share_unexplained(judgement, min(max(1.0 - best_share.high, 0.0), 1.0))
-        judgement = with_prior_conflict(judgement, prior_conflict(null), self.confidence)
-        accepted = self._accepted(judgement, shares)
-        verdict = self._verdict(judgement, accepted, self._recalibrated(null, as_given, held))
-        named = accepted if verdict is Verdict.EFFECT else None
-        best = null if named is None else self.comparison.fits.polished(named.head)
-        gap, rest = self._gap(verdict, null, best, as_given, held, judgement.strained)
-        ranking = ranked(judgement, shares, self.problem)
-        where = place_shares(judgement, sources, verdict)
-        self.progress("looking for the test that would decide")
-        ahead = self._next(judgement, verdict, null)
-        calibration = recalibrated(best, self.problem)
-        tests = residual_tests(self.observations, best.fit.residual, best.fit.used)
-        final = null if verdict is not Verdict.EFFECT else best
-        model = self.rig if verdict is Verdict.NONE else final.fit.parametrisation.rig(final.fit.theta)
-        leader = judgement.classes[0].head.explanation if judgement.classes else None
-        warnings = warned(verdict, best, calibration, gap, accepted.members if accepted is not None else ())
-        together = min(rms_left(own) for own in (null, *judged))
-        warnings += tuple(filter(None, [contradiction(without, together)]))
-        warnings += without_observables(self.observations)
-        diagnosis = Diagnosis(
-            verdict=verdict,
-            sentences=(
-                *sentences(verdict, where, ranking, leader, gap, ahead, calibration, rest, judgement.strained),
-                *warnings,
-            ),
-            where=where,
-            ranking=ranking,
-            probabilities=judgement.by_label,
-            gap=gap,
-            next_test=ahead,
-            calibration=calibration,
-            inputs=inputs(self.observations, self.rig, self.splits, self.settings),
-            notes=self.observations.notes + tuple(self.given.reasons),
-            residual_map=residual_map(self.observations, as_given, self._left(null.fit), self._left(best.fit)),
-            residual_tests=tuple(test.to_mapping() for test in tests),
-            candidates=tuple(candidate_entry(fitted_model, null) for fitted_model in [null, *singles, *pairs]),
-            features=feature_table(
-                judgement, null, singles, pairs, scan, sources, leftovers, as_given, chance, search.candidates
-            ),
-            warnings=warnings,
-            remainder=rest,
-            left_out=without,
+    Where there is a gap, what an explanation leaves of it makes the scale that it learns larger, and is no noise.
+    """
+    weights = found.fit.errors.weights
+    return np.asarray(np.sqrt(np.maximum(weights, 1.0) if gap else weights))
+
+
+def _group_rms(data: Data, found: Found) -> dict[str, float]:
+    """Learnt scale of each group of rows: its rms in the stated noise."""
+    values = np.sqrt(found.fit.errors.squares / np.maximum(data.counts, 1.0))
+    return dict(zip(data.groups.names, map(float, values), strict=True))
+
+
+def _rig_of(found: Found, own: int) -> Rig:
+    """The rig of an explanation; what belongs to the measuring chain stays as given."""
+    theta = found.fit.theta.copy()
+    parameters = found.fit.parametrisation.calibration
+    for k, parameter in enumerate(parameters):
+        if k >= own:
+            assert isinstance(parameter, SharedDelay)
+            theta[k] = 0.0
+    return found.fit.parametrisation.rig(theta)
+
+
+def _verdict(
+    comparison: Comparison,
+    leader: Equivalents | None,
+    share: Closed | None,
+    size: Size | None,
+    settings: DiagnosisSettings,
+    recalibrated: float,
+) -> Verdict:
+    quiet = Verdict.CALIBRATION if recalibrated > RECALIBRATION else Verdict.NONE
+    if comparison.log_odds < ALARM:
+        return quiet
+    if leader is None or (share is not None and share.value < 0.0 and share.gain < -WORSE):
+        return Verdict.UNKNOWN
+    if size is not None and not matters(size, settings.matters) and leader.probability > comparison.unknown:
+        return quiet
+    if leader.probability >= comparison.unknown:
+        return Verdict.EFFECT
+    # Something unnamed may lie behind; what closes most of the gap all the same is what it is made of.
+    most = share is not None and math.isfinite(share.value) and share.value >= EXPLAINED
+    return Verdict.EFFECT if most else Verdict.UNKNOWN
+
+
+def _closed(findings: Findings, data: Data, best: Found, held: Sequence[Split], seed: int) -> Closed:
+    """How much of the gap an explanation closes on rows that its fit did not see.
+
+    A split whose fit leaves open what the explanation does to the rows held out says nothing of it.
+    """
+    null, scale = findings.null, scale_of(best)
+    fits = [best_errors(data, own.fit.prediction.values, own.fit.errors).left for own in (null, best)]
+    change = (fits[1] - fits[0]) * scale
+    pairs = []
+    for split in held:
+        rows = split.held_out & data.used
+        before, after = (_unseen(findings.data, data, own, split) for own in (null, best))
+        if before is None or after is None or not rows.any():
+            continue
+        uncertain = after[1] * scale
+        if rms(uncertain[rows]) <= OPEN * rms(change[rows]):
+            pairs.append((before[0] * scale, after[0] * scale / np.hypot(1.0, uncertain), rows))
+    return closed(data.observations, pairs, seed)
+
+
+def _recalibrated(findings: Findings, data: Data, held: Sequence[Split], seed: int) -> Closed:
+    """How much of the gap to the model as given its own parameters close on rows that their fit did not see."""
+    null, scale = findings.null, scale_of(findings.null, False)
+    given = best_errors(data, findings.given.values).left * scale
+    pairs = []
+    for split in held:
+        after = _unseen(findings.data, data, null, split)
+        if after is not None:
+            pairs.append((given, after[0] * scale / np.hypot(1.0, after[1] * scale), split.held_out & data.used))
+    return closed(data.observations, pairs, seed)
+
+
+def _unseen(fitted: Data, whole: Data, found: Found, split: Split) -> tuple[FloatArray, FloatArray] | None:
+    """Residual of all rows by a fit to some, and uncertainty of its prediction, over σ.
+
+    What is predicted is the rig; how the measuring chain was when the rest was measured, those rows tell themselves.
+    """
+    part = replace(fitted, used=fitted.used & split.fitted)
+    own = found.fit
+    try:
+        refit = fit(
+            part, own.parametrisation, own.theta, own.prediction, own.jacobian, REFIT_STEPS, False, REFIT_REFRESHES
         )
-        return DiagnosisOutcome(
-            diagnosis,
-            self.observations,
-            self.rig,
-            model,
-            self.given.values,
-            null.fit.prediction.values,
-            final.fit.prediction.values,
-        )
-
-    def _most_promising(
-        self, null: FittedModel, singles: Sequence[FittedModel], pairs: Sequence[FittedModel]
-    ) -> FittedModel | None:
-        """The explanation to look behind; None where none beats the plain model: then there is nothing behind it."""
-        if not singles or singles[0].fit.log_evidence <= null.fit.log_evidence + _HELPS:
-            return None
-        second = pairs and pairs[0].fit.log_evidence > singles[0].fit.log_evidence + _SECOND
-        return pairs[0] if second else singles[0]
-
-    def _held(self, null: FittedModel, heads: Sequence[FittedModel]) -> HeldOut:
-        """Everything that competes to the end, re-fitted without what each split holds out."""
-        judged = None if self.judged is self.problem else self.judged
-        if self.settings.hold_out:  # no fit has seen it
-            own = {head.explanation: head for head in heads}
-            unseen: list[Refits] = [(split, null, own) for split in self.splits]
-            return HeldOut(self.observations, unseen, self.settings.seed, self.repeated, judged)
-        found: list[Refits] = []
-        wanted = [(own, split.fitted) for split in self.splits for own in (null, *heads)]
-        refits = self.comparison.all_refits(wanted)
-        self._known = {
-            split.fitted.tobytes(): refits[number * (len(heads) + 1) :][: len(heads) + 1]
-            for number, split in enumerate(self.splits)
-        }
-        for split in self.splits:
-            base, *tops = self._known[split.fitted.tobytes()]
-            if base is not None:
-                found.append((split, base, {head.explanation: top for head, top in zip(heads, tops, strict=True)}))
-        return HeldOut(self.observations, found, self.settings.seed, self.repeated, judged)
-
-    def _left_out(self, null: FittedModel, heads: Sequence[FittedModel]) -> tuple[LeftOut, ...]:
-        """What the other recordings say without each; splits by whole tests have most of the fits already."""
-        found = recordings(self.observations)
-        if len(found) < 2 or self.settings.hold_out:
-            return ()
-        missing = [recording for recording in found if (~recording.rows).tobytes() not in self._known]
-        wanted = [(own, ~recording.rows) for recording in missing for own in (null, *heads)]
-        refits = self.comparison.all_refits(wanted)
-        for number, recording in enumerate(missing):
-            self._known[(~recording.rows).tobytes()] = refits[number * (len(heads) + 1) :][: len(heads) + 1]
-        each = [left_out(recording, self._known[(~recording.rows).tobytes()]) for recording in found]
-        return tuple(item for item in each if item is not None)
-
-    def _accepted(self, judgement: Judgement, shares: dict[Explanation, Closed]) -> ExplanationClass | None:
-        """The most probable explanation that predicts held-out data no worse than the model without it.
-
-        A little worse by chance is not worse: the blocks that are held out tell how much chance there is. Nor is what
-        is worse by a small share of the gap: where held-out data hardly show it, any difference is that.
-        """
-        for group in judgement.classes[:_JUDGED]:
-            share = shares.get(group.head.explanation)
-            if share is None or not math.isfinite(share.gain) or share.gain >= -_CHANCE:
-                return group
-            if share.value >= self.confidence.explained - 1.0:
-                return group
+    except FitError:
         return None
-
-    def _verdict(
-        self,
-        judgement: Judgement,
-        accepted: ExplanationClass | None,
-        recalibrated: bool,
-    ) -> Verdict:
-        if judgement.log_odds < self.confidence.alarm:
-            return Verdict.CALIBRATION if recalibrated else Verdict.NONE
-        given_gap = judgement.unknown / max(1e-300, 1.0 - judgement.none)
-        if accepted is None or judgement.unknown > accepted.probability:
-            return Verdict.UNKNOWN
-        return Verdict.UNKNOWN if given_gap > self.confidence.unknown else Verdict.EFFECT
-
-    def _recalibrated(self, null: FittedModel, as_given: FloatArray, held: HeldOut) -> bool:
-        """Whether re-fitting the model's own parameters closed a gap that was there, also on data that no fit saw."""
-        start = self.problem.residual(self.given)
-        used = null.fit.used & np.isfinite(start)
-        fall = float(start[used] @ start[used]) - null.fit.chi_square - null.fit.penalty
-        unseen = held.closed(null.explanation, as_given).gain
-        return fall > self.confidence.recalibration and not unseen < 0.0
-
-    def _gap(
-        self,
-        verdict: Verdict,
-        null: FittedModel,
-        best: FittedModel,
-        as_given: FloatArray,
-        held: HeldOut,
-        strained: bool,
-    ) -> tuple[Gap, Remainder | None]:
-        """The gap, and what an accepted explanation, or the model's own parameters, leave of it."""
-        given = verdict is Verdict.CALIBRATION or (verdict is Verdict.UNKNOWN and strained)
-        whole = held.closed(best.explanation, as_given if given else None)
-        rows, start, after = held.pooled(null, best, as_given if given else None)
-        before, left = whole.before, whole.after
-        if not math.isfinite(before):  # no split tells the explanation: by the fits themselves
-            start, after = self._left(null.fit), self._left(best.fit)
-            before, left = rms(start[rows]), rms(after[rows])
-        gap = Gap(
-            before,
-            left,
-            whole.floor,
-            rms(as_given[rows] / held.scale(rows)),
-            whole.value,
-            whole.low,
-            whole.high,
-            per_observable(self.observations, start, after, rows),
-            held.splits,
-        )
-        return gap, remainder(self.observations, gap, after, rows) if verdict is Verdict.EFFECT else None
-
-    def _tolerated(self, share: Closed | None) -> float:
-        """Share of the gap that an explanation may leave and still be what the gap is made of.
-
-        A laboratory's rig differs from its model by more than one thing, which a gap far beyond the noise shows; the
-        bench's own simulator only as it was told.
-        """
-        strict = 1.0 - self.confidence.explained
-        if share is None or not share.before > _STRONG * max(share.floor, 1.0):
-            return strict
-        return max(_REMAINDER, strict) if elsewhere(self.observations) else strict
-
-    def _left(self, found: Fit) -> FloatArray:
-        """Residual of a fit as the gap counts it, smooth errors of the model included, shape (m,)."""
-        return found.residual if self.judged is self.problem else self.judged.residual(found.prediction)
-
-    def _next(self, judgement: Judgement, verdict: Verdict, null: FittedModel) -> tuple[NextTest, ...]:
-        if not self.settings.look_ahead or verdict in (Verdict.NONE, Verdict.CALIBRATION):
-            return ()
-        return next_tests(self.rig, self.observations, null, judgement.classes, self.workers, none=judgement.none)
+    left = best_errors(whole, refit.prediction.values, own.errors).left
+    return left, np.sqrt(np.einsum("mi,ij,mj->m", own.jacobian, refit.covariance, own.jacobian))

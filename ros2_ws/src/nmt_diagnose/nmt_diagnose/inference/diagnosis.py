@@ -12,6 +12,8 @@ from typing import Any
 from nmt_core.whole_file import write_whole
 
 FORMAT = "nmt diagnosis 1"
+NULL, UNKNOWN = "none", "unknown"
+"""Keys of ``probabilities`` beside the labels of explanations: nothing is missing, or something without a name."""
 
 
 class Verdict(str, Enum):
@@ -66,7 +68,7 @@ class Ranked:
         effect: name of the effect, two joined by `` + ``.
         place: where it acts.
         detail: point or channel.
-        probability: calibrated probability of the class it heads.
+        probability: of the class it heads.
         equivalents: other effects that these tests cannot tell from it.
         parameters: fitted parameters.
         closed: share of the held-out gap it closes.
@@ -178,22 +180,19 @@ class Recalibrated:
 
 
 @dataclass(frozen=True)
-class LeftOut:
-    """What the other recordings say without one.
+class Visible:
+    """The weakest that an effect could be and still be seen by these recordings.
 
     Attributes:
-        recording: the one that is left out.
-        leader: the explanation of the others.
-        probability: of the leader, among the explanations that were re-fitted.
-        left: rms of what it leaves of the others, in standard deviations.
-        closed: share of the gap of the recording left out that it closes; NaN where there is none.
+        effect: its name.
+        place, detail: where it would show first.
+        parameters: its parameters at five standard deviations.
     """
 
-    recording: str
-    leader: str
-    probability: float
-    left: float
-    closed: float
+    effect: str
+    place: str
+    detail: str
+    parameters: dict[str, Value]
 
 
 @dataclass(frozen=True)
@@ -231,7 +230,7 @@ class Diagnosis:
     features: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     remainder: Remainder | None = None
-    left_out: tuple[LeftOut, ...] = ()
+    visible: tuple[Visible, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""

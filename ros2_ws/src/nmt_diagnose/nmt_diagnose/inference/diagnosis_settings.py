@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
 
-from nmt_diagnose.inference.comparison_settings import ComparisonSettings
 from nmt_record.calibration_file import CalibrationSheet
+
+MATTERS: dict[str, float] = {"frequency": 5e-4, "damping": 0.02, "response": 0.02, "harmonics": 1e-3}
+"""Smallest relative size that matters: of a frequency, a damping ratio, a response, a harmonic over the fundamental."""
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,6 @@ class DiagnosisSettings:
 
     Attributes:
         withheld: effects that are left out of the library.
-        comparison: how far the comparison of explanations goes.
         seed: of the bootstrap.
         look_ahead: whether tests that would decide between what is left are sought.
         hold_out: names of tests (or of their bags) that no fit sees and the gap is judged by; empty = levels and whole
@@ -24,18 +24,15 @@ class DiagnosisSettings:
         jobs: processes that share the work; the result is the same for any number.
         allow_own_model: take recordings that the model itself made for a real side, too.
         calibration: sheet of the measuring chain of the real side; None = what its bags say.
-        method: ``stated`` noise and tolerances, or noise that is ``measured``.
         matters: smallest relative size of a gap that matters, by kind of observable (frequency, damping, response,
-            harmonics); a kind that is left out matters at any size. Of ``measured`` noise only.
+            harmonics); a kind that is left out matters at any size.
     """
 
     withheld: tuple[str, ...] = ()
-    comparison: ComparisonSettings = field(default_factory=ComparisonSettings)
     seed: int = 0
     look_ahead: bool = True
     hold_out: tuple[str, ...] = ()
     jobs: int = 1
     allow_own_model: bool = False
     calibration: CalibrationSheet | None = None
-    method: Literal["stated", "measured"] = "stated"
-    matters: Mapping[str, float] = field(default_factory=dict)
+    matters: Mapping[str, float] = field(default_factory=lambda: dict(MATTERS))

@@ -12,13 +12,6 @@ from nmt_diagnose.observations.observables import Observations
 NOISE = 1.0
 """Root mean square of residuals in standard deviations that the stated uncertainties allow."""
 _RESAMPLES = 1000
-_FEWEST = 30
-# Root mean square over median of second differences, in units of what they are for noise, from which bends of the
-# courses themselves are seen: the onset of slip or of contact.
-_BENT = 2.0
-# Shares of second differences that may be free of bends, and the quantile of a squared standard normal variable there.
-# Of five levels a run has three second differences, of which an onset bends two.
-_QUANTILES = ((0.5, 0.4549), (0.25, 0.1015))
 
 
 @dataclass(frozen=True)
@@ -47,40 +40,6 @@ def rms(residual: FloatArray) -> float:
     """Root mean square of whitened residuals; NaN without any."""
     finite = residual[np.isfinite(residual)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
-
-
-def noise_floor(observations: Observations, residual: FloatArray, rows: BoolArray) -> float:
-    """Root mean square that noise alone leaves, from second differences over neighbouring levels or lines.
-
-    What an effect adds changes slowly from level to level and drops out; noise is multiplied by √6. Stated
-    uncertainties may be larger or smaller than the scatter that is there: no model can beat the scatter. Where a course
-    bends, at the onset of slip or contact, a few second differences are many times as large as the others; the
-    floor follows from their median then, or from their lower quartile.
-
-    Args:
-        observations: the real side.
-        residual: whitened residual of any reasonable model, shape (m,).
-        rows: rows to look at.
-
-    Returns:
-        The floor; 1 where there are too few rows to tell.
-    """
-    table = observations.rows
-    good = rows & np.isfinite(residual)
-    keys = np.column_stack([table.test, table.channel, table.harmonic, table.part])[good]
-    order = np.lexsort((table.level[good], *keys.T[::-1]))
-    keys, values = keys[order], residual[good][order]
-    if values.size < 3:
-        return 1.0
-    same = np.all(keys[2:] == keys[:-2], axis=1)
-    squares = (values[2:] - 2.0 * values[1:-1] + values[:-2])[same] ** 2 / 6.0
-    if squares.size < _FEWEST:
-        return 1.0
-    floor = float(np.sqrt(np.mean(squares)))
-    for share, of_normal in _QUANTILES:
-        robust = float(np.sqrt(np.quantile(squares, share) / of_normal))
-        floor = robust if floor > _BENT * robust else floor
-    return floor
 
 
 def closed(

@@ -11,10 +11,11 @@ test tells a from b, a being true.
 
 from __future__ import annotations
 
+import itertools
 import math
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh
@@ -23,13 +24,10 @@ from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.placement import joined
-from nmt_diagnose.inference.diagnosis import NextTest
-from nmt_diagnose.inference.fitted_model import FittedModel
-from nmt_diagnose.inference.hypotheses import NULL
-from nmt_diagnose.inference.judgement import ExplanationClass
-from nmt_diagnose.inference.problem import Problem
-from nmt_diagnose.inference.scan import Projector
-from nmt_diagnose.inference.workers import Workers
+from nmt_diagnose.inference.comparison import Comparison
+from nmt_diagnose.inference.diagnosis import NULL, NextTest
+from nmt_diagnose.inference.fitting import Metric
+from nmt_diagnose.inference.search import Found
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.row_table import Place, RowTable
@@ -70,39 +68,32 @@ class Proposal:
 
 
 def next_tests(
-    rig: Rig,
-    observations: Observations,
-    null: FittedModel,
-    classes: Sequence[ExplanationClass],
-    workers: Workers | None = None,
-    most: int = 3,
-    none: float = 0.0,
+    rig: Rig, observations: Observations, null: Found, comparison: Comparison, most: int = 3
 ) -> tuple[NextTest, ...]:
     """Tests that would tell the explanations that are left apart, best first.
 
     Args:
         rig: the model.
-        observations: what has been measured.
+        observations: what has been measured, with the noise that was learnt.
         null: the model with its parameters re-fitted; what competes where there is only one explanation.
-        classes: explanations, most probable first.
-        workers: processes that share the work; None = this one alone.
+        comparison: explanations.
         most: tests to name.
-        none: probability of no effect at all.
     """
-    competing = _competing(classes, null, none)
+    competing = _competing(comparison, null)
     if len(competing) < 2:
         return ()
-    found: list[NextTest] = []
-    wanted = proposals(rig, observations)
-    for proposal, sigma in zip(wanted, (workers or Workers()).map(_separates, competing, wanted), strict=True):
+    names = tuple(joined(competitor.effects) or NULL for competitor in competing)
+    found = []
+    for proposal in proposals(rig, observations):
+        sigma = _separation(proposal, competing)
         if sigma >= _LEAST:
-            names = tuple(joined(competitor.effects) or NULL for competitor in competing)
             found.append(NextTest(proposal.text, proposal.command, names, min(sigma, _MOST)))
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
 
 
-def _competing(classes: Sequence[ExplanationClass], null: FittedModel, none: float) -> list[FittedModel]:
+def _competing(comparison: Comparison, null: Found) -> list[Found]:
     """The two explanations that most need distinguishing: of one class, or the heads of the first two."""
+    classes = comparison.classes
     if not classes:
         return []
     if len(classes[0].members) > 1:
@@ -110,39 +101,34 @@ def _competing(classes: Sequence[ExplanationClass], null: FittedModel, none: flo
     if len(classes) > 1 and classes[1].probability > 0.02 * classes[0].probability:
         return [classes[0].head, classes[1].head]
     # One explanation stands alone: nothing is left to settle, unless it hardly beats having none.
-    return [classes[0].head, null] if none > _DOUBTFUL else []
+    return [classes[0].head, null] if comparison.none > _DOUBTFUL else []
 
 
-def _separates(competing: Sequence[FittedModel], proposal: Proposal) -> float:
-    return _separation(proposal, competing)
-
-
-def _separation(proposal: Proposal, competing: Sequence[FittedModel]) -> float:
+def _separation(proposal: Proposal, competing: Sequence[Found]) -> float:
     """Least expected distance over all ordered pairs of competing hypotheses, standard deviations."""
-    problem = Problem(proposal.observations, Forward(proposal.observations.tests, proposal.observations.rows))
+    observations = proposal.observations
+    forward = Forward(observations.tests, observations.rows)
     predictions, jacobians = [], []
     try:
         for competitor in competing:
-            parametrisation = competitor.fit.parametrisation
-            prediction = problem.forward.predict(parametrisation.rig(competitor.fit.theta))
-            predictions.append(prediction)
-            jacobian = problem.forward.jacobian(parametrisation, competitor.fit.theta, prediction)
-            jacobians.append(jacobian / proposal.observations.sigma[:, None])
+            own = competitor.fit
+            prediction = forward.predict(own.parametrisation.rig(own.theta))
+            predictions.append(prediction.values)
+            slopes = forward.jacobian(own.parametrisation, own.theta, prediction)
+            jacobians.append(slopes / observations.sigma[:, None])
     except BenchError:
         return 0.0
     worst = math.inf
-    for i, own in enumerate(predictions):
-        truth = Problem(replace(proposal.observations, values=own.values), problem.forward)
-        for j, other in enumerate(competing):
-            if i == j:
-                continue
-            difference = truth.residual(predictions[j])
-            good = np.isfinite(difference) & np.all(np.isfinite(jacobians[j]), axis=1)
-            if not good.any():
-                return 0.0
-            root = np.linalg.cholesky(other.fit.covariance + 1e-12 * np.eye(other.fit.theta.size))
-            projector = Projector(jacobians[j][good] @ root, np.ones(other.fit.theta.size))
-            worst = min(worst, math.sqrt(max(0.0, float(projector.inner(difference[good], difference[good])))))
+    for i, j in itertools.permutations(range(len(competing)), 2):
+        difference = forward.difference(predictions[i], predictions[j]) / observations.sigma
+        good = np.isfinite(difference) & np.all(np.isfinite(jacobians[j]), axis=1)
+        if not good.any():
+            return 0.0
+        covariance = competing[j].fit.covariance
+        root = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance)))
+        metric = Metric(jacobians[j][good] @ root, np.ones(len(covariance)), np.ones(int(good.sum())))
+        rest, _ = metric.rest(difference[good][:, None])
+        worst = min(worst, math.sqrt(max(0.0, float(difference[good] @ rest[:, 0]))))
     return worst
 
 

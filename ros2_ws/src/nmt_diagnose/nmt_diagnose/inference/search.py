@@ -1,476 +1,437 @@
-"""The search for explanations of a gap, and for what the measuring chain did to the observations."""
+"""The search for explanations in one pass: score test, least squares of the best, other places, one second effect.
+
+The score test says of every candidate how far the cost falls to first order, parameters and chain following. The best
+effects at their best places are then fitted from there.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.arrays import BoolArray, FloatArray
 from nmt_core.errors import BenchError
-from nmt_diagnose.effects.calibration import calibration_parameters
-from nmt_diagnose.effects.library import candidates as library_candidates
-from nmt_diagnose.inference.chain_errors import chain_errors, sweep_directions, with_chain_errors, with_shared
-from nmt_diagnose.inference.comparison_settings import ComparisonSettings
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.discrepancy import elsewhere, measured_elsewhere, smooth_errors
-from nmt_diagnose.inference.explanation_fits import ExplanationFits
-from nmt_diagnose.inference.first_explanations import first_explanations
-from nmt_diagnose.inference.fit import Fit, FitError, fit
-from nmt_diagnose.inference.fitted_model import FittedModel, rms_left
-from nmt_diagnose.inference.held_images import (
-    ImageOptions,
-    image_options,
-    may_hold_images,
-    same_images,
-    with_detected_images,
+from nmt_diagnose.effects.calibration import CalibrationParameter
+from nmt_diagnose.effects.effect import Candidate
+from nmt_diagnose.effects.parametrisation import SPREADS, STRENGTH_STD, Parametrisation
+from nmt_diagnose.effects.placement import Explanation
+from nmt_diagnose.inference.candidate_starts import (
+    at_strength,
+    at_zero,
+    starts_of,
+    strength_parameter,
+    strength_position,
 )
-from nmt_diagnose.inference.held_out import Split
-from nmt_diagnose.inference.lock_noise import lock_nuisances
-from nmt_diagnose.inference.model_comparison import ModelComparison
-from nmt_diagnose.inference.problem import Problem
-from nmt_diagnose.inference.progress import Progress
-from nmt_diagnose.inference.sampling_moment import NEAR_STEPS, WIDE_STEPS, with_better_moment
-from nmt_diagnose.inference.scan import Score
-from nmt_diagnose.inference.scatter import scatter_floor
-from nmt_diagnose.inference.sweep_drift import sweep_drift
-from nmt_diagnose.inference.true_phase import LEAST_CHANGE, at_true_phases, chain_share, phase_offset, with_phases_of
-from nmt_diagnose.inference.workers import Workers
-from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, RecordTest, RingDownTest, SteppedSineTest
-from nmt_diagnose.observations.observables import Observations, Part
-from nmt_diagnose.twin.forward import Forward, Prediction, traced
-from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.inference.fitting import Data, FitError, Fitted, Metric, fit, predicted, without_rows
+from nmt_diagnose.inference.tuned import (
+    FAR_BEHIND,
+    FINALISTS,
+    FIRST_EFFECTS,
+    FIRST_PLACES,
+    FIRST_REFRESHES,
+    HEADS,
+    LEAST_GAIN,
+    LOST,
+    OTHER_PLACES,
+    SECOND_EFFECTS,
+    SECOND_GAIN,
+    STRAINED,
+    WIDER_STRENGTH,
+)
+from nmt_diagnose.observations.conditions import RandomTest
 from nmt_rig.rig import Rig
 
-# Most times that the moment at which a held random test was sampled is corrected.
-_MOMENTS = 8
-# ln of the evidence from which an effect moves the solution so far that errors of the measuring chain act otherwise.
-_MOVES = 50.0
-_OF_OBSERVATIONS = ("forward", "given", "plain", "problem", "observations", "judged", "comparison", "_undetected")
-_GOOD = 1.5  # rms of residuals of a model that may tell whether images of a held drive are there
-# ln of how much too large the noise of images that are part of the model may be.
-_AMPLE = 0.3
-_FALL = 10.0  # of χ² and penalty: what another description of held drives and phases must be worth
-_PHASES = 6  # most times that the phases of locked windows are corrected
-_TRACED, _SETTLED = 12, 0.3  # most times that they are traced anew, and change in standard deviations that ends it
-_SECONDS = 6
-# Leading elastic or dissipative effects that are tried with all of the other kind.
-_PARTNERS = 1
+Told = Callable[[str], None]
+_SHOWN = 1.0  # standard deviations by which a strength of one scale has to show to first order
+
+
+@dataclass(frozen=True)
+class Found:
+    """A fitted explanation.
+
+    Attributes:
+        candidates: its effects at their places; none for the model alone.
+        fit: the fit.
+    """
+
+    candidates: tuple[Candidate, ...]
+    fit: Fitted
+
+    @cached_property
+    def explanation(self) -> Explanation:
+        """Its effects at their places as values that compare."""
+        return Explanation(tuple(candidate.cause for candidate in self.candidates))
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of its effects, sorted."""
+        return self.explanation.effects
+
+    def strength(self, member: int) -> float:
+        """Strength of one effect over its standard uncertainty."""
+        own = self.fit.parametrisation.index_of(member)
+        parameters = self.candidates[member].effect.parameters
+        sizes = np.abs(self.fit.theta[own]) / self.fit.std[own]
+        return max((float(s) for s, p in zip(sizes, parameters, strict=True) if p.kind == "strength"), default=0.0)
+
+    @property
+    def sigmas(self) -> float:
+        """Strength of its weakest effect; 0 without effects."""
+        return min((self.strength(member) for member in range(len(self.candidates))), default=0.0)
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a candidate promises on top of a fit.
+
+    Attributes:
+        candidate: its number.
+        start: its parameters, strength included.
+        gain: fall of the cost.
+        reach: standard deviations for each unit of strength.
+        column: change of the rows over the strength, over σ, (m,).
+    """
+
+    candidate: int
+    start: FloatArray
+    gain: float
+    reach: float
+    column: FloatArray
 
 
 class Search:
-    """Finds explanations of a gap: what the observations are taken for, and what is fitted to them.
-
-    The fits tell what the measuring chain did (images of a held drive, phases at lock, scatter), and that changes what
-    is fitted; so both are found in turns.
+    """Finds explanations of a gap.
 
     Args:
+        data: what fits work on.
         rig: the model as given.
-        observations: the real side.
-        settings: of the diagnosis.
-        splits: what is held out in turn.
-        progress: called with a sentence as the work goes on.
-        workers: processes that share the work.
-
-    Attributes:
-        observations: the real side as it came to be taken.
-        forward: predicts its observables.
-        given: prediction of the model as given.
-        plain: problem without errors of the measuring chain.
-        problem: the problem that explanations are fitted to.
-        judged: the problem that gaps are counted in; in that of the fits smooth errors of the model may be noise.
+        parameters: of the model, delays of the chain among them.
         candidates: effects at their places.
-        comparison: fits and compares explanations.
+        tell: called with a sentence as the work goes on.
     """
 
     def __init__(
         self,
+        data: Data,
         rig: Rig,
-        observations: Observations,
-        settings: DiagnosisSettings,
-        splits: Sequence[Split],
-        progress: Progress,
-        workers: Workers,
+        parameters: Sequence[CalibrationParameter],
+        candidates: Sequence[Candidate],
+        tell: Told = lambda _: None,
     ) -> None:
-        self.rig, self.observations, self.settings, self.progress = rig, observations, settings, progress
-        self._splits, self._workers = splits, workers
-        self.forward = Forward(observations.tests, observations.rows)
-        self.given = self.forward.predict(rig)
-        self.plain = self._plain(self.given)
-        self._undetected = self.plain.observations
-        self.problem = with_chain_errors(self.plain, rig, self.given)
-        self.judged = self.problem
-        self.observations = self.problem.observations
-        self.candidates = library_candidates(
-            rig, operating_range(rig, observations.tests, observations=observations), settings.withheld
-        )
-        self.comparison = self._comparison()
+        self.data, self.rig, self.tell = data, rig, tell
+        self.parameters, self.candidates = tuple(parameters), tuple(candidates)
 
-    def _plain(self, near: Prediction, offset: FloatArray | None = None) -> Problem:
-        """Observations and model, with the noise of measured amplitudes propagated about a solution."""
-        tests = traced(self.observations.tests, near)
-        if any(new is not old for new, old in zip(tests, self.observations.tests, strict=True)):
-            self.observations = replace(self.observations, tests=tests)
-            self.forward = Forward(tests, self.observations.rows)
-            self.given = self.forward.predict(self.rig, near if near is self.given else self.given)
-        noise = lock_nuisances(self.observations, self.rig, self.given)
-        return Problem(self.observations, self.forward, noise, offset=offset)
+    def parametrisation(self, candidates: Sequence[Candidate] = (), spreads: Sequence[float] = ()) -> Parametrisation:
+        """Parameters of the model and of some effects."""
+        return Parametrisation(self.rig, self.parameters, tuple(candidates), tuple(spreads))
 
-    def _comparison(self) -> ModelComparison:
-        fits = ExplanationFits(
-            self.problem,
-            self.rig,
-            calibration_parameters(self.rig),
-            self.candidates,
-            _affordable(self.settings.comparison, self.observations),
-            self._splits[0].fitted if self.settings.hold_out else None,
-        )
-        return ModelComparison(fits, self.progress, self._workers)
-
-    def run(self) -> tuple[FittedModel, list[Score], list[FittedModel], list[FittedModel]]:
-        """The model alone, the scan about it, and explanations by one and by two effects, best first.
-
-        Whatever changes on the way, the model alone or the noise, explanations that were good go on from where they
-        stand: a scan about a solution that is wrong by many times the noise need not lead to them again.
+    def null(self, start: Fitted | None = None) -> Found:
+        """The model alone, its own parameters re-fitted.
 
         Raises:
-            BenchError: the model has no solution for any of the observations.
+            FitError: it has no solution.
         """
-        self.progress("re-fitting the model's own parameters")
-        try:
-            null = self.comparison.fits.polished(self.comparison.fits.null())
-        except FitError as error:
-            raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
-        # At other phases than they were told locked windows contradict a random test, with images or without.
-        null = self._with_true_phases(self._with_detected_images(self._with_true_phases(null)))
-        self.progress(f"scanning {len(self.candidates)} candidates")
-        known = first_explanations(self.comparison, null)
-        scan = self.comparison.scan(null)
-        singles, pairs = self.comparison.singles(null, scan, known), list[FittedModel]()
-        better = self.comparison.restarted(null, singles[:2])
-        if better is not null:
-            self.progress("starting anew from a better fit of the model")
-            null = better
-            scan = self.comparison.scan(null)
-            singles = self.comparison.singles(null, scan, singles)
-        if self._amplitudes_measured:
-            # The noise is traced about the best explanation: a wrong one would hide the right one behind its noise.
-            singles, pairs = self.comparison.pruned(singles, self.comparison.pairs(singles))
-        if self._retraced(null, self._leaders(singles, pairs)):
-            null = self.comparison.fits.polished(self.comparison.fits.null())
-            scan = self.comparison.scan(null)
-            singles = self.comparison.singles(null, scan, singles)
-        singles, pairs = self.comparison.pruned(singles, self.comparison.pairs(singles, pairs))
-        if self._amplitudes_measured and self._leads(pairs, singles) and self._retraced(null, pairs):
-            null = self.comparison.fits.polished(self.comparison.fits.null())
-            scan = self.comparison.scan(null)
-            singles = self.comparison.singles(null, scan, singles)
-            singles, pairs = self.comparison.pruned(singles, self.comparison.pairs(singles, pairs))
-        return null, scan, singles, pairs
+        own = self.parametrisation()
+        theta = own.zero if start is None else start.theta[: len(self.parameters)]
+        return Found((), fit(self.data, own, theta, None if start is None else start.prediction))
 
-    def _leaders(self, singles: Sequence[FittedModel], pairs: Sequence[FittedModel]) -> Sequence[FittedModel]:
-        """The explanations by two effects where they lead, else those by one."""
-        return pairs if pairs and singles and self._leads(pairs, singles) else singles
+    def scores(self, base: Found) -> list[Score]:
+        """All candidates on top of a fit, the best first."""
+        found = self._columns(base)
+        if not found:
+            return []
+        own, data = base.fit, self.data
+        chain = own.errors.slopes
+        columns = np.column_stack([own.jacobian, chain])
+        # The prior of a strength must not hold back what the data say: it would look like something else.
+        prior = own.parametrisation.prior_std.copy()
+        prior[len(self.parameters) :] *= 1e3
+        precision = np.concatenate([prior**-2.0, np.ones(chain.shape[1])])
+        metric = Metric(columns, precision, own.errors.weights)
+        rest, taken = metric.rest(np.column_stack([column for _, _, column, _ in found]))
+        now = np.concatenate([own.theta, own.errors.chain])
+        left, counts, groups = own.errors.left, data.counts, data.groups
+        before = groups.cost(own.errors.squares, counts)
+        result = []
+        for k, (number, start, column, signed) in enumerate(found):
+            vector, follow, weights, strength = rest[:, k], taken[:, k], own.errors.weights, 0.0
+            # What the strength takes off the priors of parameters and chain counts as what it takes off the residual.
+            pull, stiff = float(follow @ (precision * now)), float(follow @ (precision * follow))
+            square = float(vector @ (weights * vector)) + stiff
+            if not square > 1e-12:
+                continue
+            reach = math.sqrt(square)
+            for _ in range(4):
+                square = float(vector @ (weights * vector)) + stiff
+                strength = (float(vector @ (weights * left)) + pull) / square
+                if strength < 0.0 and not signed:
+                    strength = 0.0
+                squares = groups.sums((left - strength * vector) ** 2)
+                weights = groups.weights(squares, counts)[groups.of]
+            gain = before - groups.cost(squares, counts) + 2.0 * strength * pull - strength**2 * stiff
+            position = strength_position(self.candidates[number])
+            own_start = at_strength(self.candidates[number], start, start[position] or strength)
+            result.append(Score(number, own_start, gain, reach, column))
+        return sorted(result, key=lambda score: -score.gain)
 
-    def _retraced(self, null: FittedModel, singles: Sequence[FittedModel]) -> bool:
-        """Whether errors of measuring chain and model and scatter were traced anew, about the best explanation so far.
-
-        What the model of a strong effect is off by smoothly is noise to the comparison, and part of the stated gap.
-        """
-        if not elsewhere(self.observations):
-            return False
-        moves = bool(singles) and singles[0].fit.log_evidence > null.fit.log_evidence + _MOVES
-        near = self._with_images_of(singles[0]) if moves else null.fit
-        near, stood = self._at_true_phases(near)
-        difference = self.plain.difference(near.prediction.values)
-        scatter = scatter_floor(self.observations, difference)
-        drift = self._drift(near, difference)
-        if not moves and not stood and not scatter.any() and drift == 0.0:
-            return False
-        self.progress("tracing errors of the measuring chain and of the best explanation")
-        noisy, columns = self._trace(near, scatter, drift)
-        first, passed = near, [near.theta]
-        for _ in range(_TRACED if self._amplitudes_measured else 0):
-            # Near folds the noise of measured amplitudes depends much on the solution that it is propagated about.
-            try:
-                near = fit(self.problem, near.parametrisation, near.theta, near.used, near.prediction)
-            except FitError:
-                break
-            # It may also go in a circle.
-            if min(float(np.max(np.abs(near.theta - was) / near.std, initial=0.0)) for was in passed) < _SETTLED:
-                break
-            passed.append(near.theta)
-            drift = self._drift(near, self.plain.difference(near.prediction.values))
-            self._trace(near, scatter, drift, columns)
-        if near is not first:
-            noisy, columns = self._trace(near, scatter, drift)
-        difference = self.plain.difference(near.prediction.values)
-        smooth = np.zeros((len(self.observations.rows), 0))
-        if moves:
-            smooth = smooth_errors(self.observations, difference, self._done_by(near))
-        if self.problem.shared is None and not scatter.any() and not smooth.any():
-            return False
-        self.judged = self.problem
-        if smooth.any():
-            self.problem = with_shared(noisy, np.hstack([columns, smooth]))
-        self.comparison = self._comparison()
-        return True
-
-    def _with_detected_images(self, null: FittedModel) -> FittedModel:
-        """The model alone after random tests showed whether images of a held drive are in them."""
-        for last in (False, True):
-            observations = self.plain.observations
-            if not any(
-                may_hold_images(test, own) for test, own in zip(observations.tests, observations.chains, strict=False)
-            ):
-                return null
-            found = image_options(observations, null.fit.parametrisation.rig(null.fit.theta))
-            if found.options and (found.sure or last):
-                null = self._better_of(found, null)
-            elif not last:
-                # The nearer the model is, the clearer they show it.
-                null = self._under(observations, null, near=True)
-        return null
-
-    def _better_of(self, found: ImageOptions, null: FittedModel) -> FittedModel:
-        """The model alone under the observations, with images or without, that it fits better, if it fits one well.
-
-        If it does not, the more credible observations count where that is clear, and those before where it is not.
-        """
-        before, fits, states, densities = self.plain.observations, [], [], []
-        for option in found.options:
-            fits.append(self._with_better_moment(self._under_other(option, null)))
-            states.append(self._state())
-            images = any(isinstance(t, RandomTest) and t.sampled_at is not None for t in option.tests)
-            ample = _AMPLE * float(fits[-1].fit.used.sum()) if images else 0.0
-            densities.append(self._density(fits[-1].fit) + ample)
-        best = int(np.argmax(densities))
-        if not rms_left(fits[best]) < _GOOD:
-            if not found.sure:
-                return self._under(before, null, near=True)
-            self._return_to(states[0])
-            return self.comparison.fits.polished(max(self.comparison.fits.null(), fits[0], key=_evidence))
-        self._return_to(states[best])
-        return fits[best]
-
-    def _density(self, found: Fit) -> float:
-        """ln of the probability density of what was recorded, by a fit to it as it is described now.
-
-        Other descriptions of a held drive have other noise, and images may be off by more than what is not there: less
-        is left over it. Stated noise may be wrong by one factor for all rows.
-        """
-        rows, left = float(found.used.sum()), _objective(found)
-        scaled = 0.5 * left - 0.5 * rows * (1.0 + math.log(max(left, 1.0) / rows))
-        return found.log_evidence + scaled - self.problem.log_volume(found.used)
-
-    def _state(self) -> dict[str, Any]:
-        """What taking other observations changes."""
-        return {name: getattr(self, name) for name in _OF_OBSERVATIONS}
-
-    def _return_to(self, state: Mapping[str, Any]) -> None:
-        for name, value in state.items():
-            setattr(self, name, value)
-
-    def _with_better_moment(self, null: FittedModel) -> FittedModel:
-        """The model alone where held random tests are taken as sampled at the moment that leaves least.
-
-        Moments near the first one are tried first; others count where the model then suits the recordings better.
-        """
-        null = self._with_moments(null, NEAR_STEPS)
-        before = self._state()
-        found = self._with_moments(null, WIDE_STEPS, most=1)
-        if found is null:
-            return null
-        found = self._with_moments(found, NEAR_STEPS)
-        if _objective(found.fit) < _objective(null.fit) - _FALL:
-            return found
-        self._return_to(before)
-        return null
-
-    def _with_moments(self, null: FittedModel, steps: FloatArray, most: int = _MOMENTS) -> FittedModel:
-        """The model alone at the best moments within some steps; itself where none is better."""
-        for _ in range(most):
-            moved = with_better_moment(self.problem, null.fit, steps)
+    def _columns(self, base: Found) -> list[tuple[int, FloatArray, FloatArray, bool]]:
+        """Number, start, column and whether either sign, of all candidates that the fit does not have yet."""
+        data, own = self.data, base.fit
+        taken = base.explanation.causes
+        pieces = [
+            (number, start)
+            for number, candidate in enumerate(self.candidates)
+            if not any(cause.same_but_for_form(candidate.cause) for cause in taken)
+            for start in starts_of(candidate)
+        ]
+        smooth = [(n, s) for n, s in pieces if s[strength_position(self.candidates[n])] == 0.0]
+        other = [(n, s) for n, s in pieces if s[strength_position(self.candidates[n])] != 0.0]
+        result = []
+        turns: dict[int, list[FloatArray]] = {}
+        for number, start in smooth:
+            turns.setdefault(number, []).append(start)
+        for turn in range(max((len(starts) for starts in turns.values()), default=0)):
+            chosen = [(n, starts[turn]) for n, starts in turns.items() if len(starts) > turn]
+            for (number, start), column in zip(chosen, self._slopes(base, chosen), strict=True):
+                candidate = self.candidates[number]
+                parameter = strength_parameter(candidate)
+                if parameter.even and not np.linalg.norm(column) > _SHOWN:
+                    other.append((number, at_strength(candidate, start, parameter.even)))
+                elif np.any(column != 0.0):
+                    result.append((number, start, column, parameter.signed))
+        for number, start in other:
+            candidate = self.candidates[number]
+            parametrisation = self.parametrisation((*base.candidates, candidate), own.parametrisation.spreads)
+            moved = predicted(data, parametrisation, np.concatenate([own.theta, start]), own.prediction)
             if moved is None:
+                continue
+            parameter = strength_parameter(candidate)
+            errors = own.errors.chain
+            change = own.errors.left - data.difference(moved.values, errors)
+            column = change / float(start[strength_position(candidate)])
+            # What does not show to first order goes with the square: the same way for either sign.
+            result.append((number, start, column, parameter.signed and not parameter.even))
+        return result
+
+    def _slopes(self, base: Found, chosen: Sequence[tuple[int, FloatArray]]) -> list[FloatArray]:
+        """Derivatives of the rows over strengths at zero, over σ."""
+        added = [self.candidates[number] for number, _ in chosen]
+        own = self.parametrisation((*base.candidates, *added), base.fit.parametrisation.spreads)
+        theta = np.concatenate([base.fit.theta, *[at_zero(c, s) for c, (_, s) in zip(added, chosen, strict=True)]])
+        offset, which = base.fit.theta.size, []
+        for candidate in added:
+            which.append(offset + strength_position(candidate))
+            offset += len(candidate.effect.parameters)
+        try:
+            columns = self.data.forward.jacobian(own, theta, base.fit.prediction, which)
+        except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+            return [np.zeros(self.data.sigma.size) for _ in chosen]
+        return list(self.data.slopes(columns, base.fit.errors.values).T)
+
+    def added(self, base: Found, score: Score, lost: float = LOST) -> Found | None:
+        """A candidate fitted on top of a fit; None where the model cannot be solved with it."""
+        candidate = self.candidates[score.candidate]
+        start = score.start.copy()
+        position = strength_position(candidate)
+        known = [base.fit.parametrisation.spread(k) for k in range(len(base.candidates))]
+        # A strength that its prior holds back would be taken for noise.
+        own = self.parametrisation((*base.candidates, candidate), (*known, _spread_of(float(start[position]))))
+        best: Fitted | None = None
+        for share in (1.0, 0.3):
+            start[position] = share * score.start[position]
+            theta = np.concatenate([base.fit.theta, start])
+            try:
+                jacobian = self._joined(base, own, theta)
+                best = self.widened(
+                    fit(self.data, own, theta, base.fit.prediction, jacobian, exact=False, refreshes=FIRST_REFRESHES)
+                )
                 break
-            null = self._under(moved, null, near=True)
-        return null
+            except FitError:
+                continue
+        # Worse than without it: the fit has lost its way.
+        if best is None or best.cost > base.fit.cost + lost:
+            return None
+        return Found((*base.candidates, candidate), best)
 
-    def _with_true_phases(self, null: FittedModel) -> FittedModel:
-        """The model alone where locked windows are predicted at the phases that it tells together with the chain.
+    def _joined(self, base: Found, own: Parametrisation, theta: FloatArray) -> FloatArray:
+        """Sensitivities of a fit with those of what is added to it, over σ.
 
-        Where the model suits the recordings less then, it did not tell them.
+        Raises:
+            FitError: the model has no solution there.
         """
-        before = self._state()
-        _, moved = self._at_true_phases(null.fit)
-        if not moved:
-            return null
-        self.judged, self.comparison = self.problem, self._comparison()
-        found = self.comparison.fits.polished(self.comparison.fits.null())
-        if _objective(found.fit) > _objective(null.fit) + _FALL:
-            self._return_to(before)
-            return null
+        near = predicted(self.data, own, theta, base.fit.prediction)
+        if near is None:
+            raise FitError("the model has no solution with it")
+        which = range(base.fit.theta.size, theta.size)
+        try:
+            columns = self.data.forward.jacobian(own, theta, near, which)
+        except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            raise FitError(f"the model has no sensitivities there ({error})") from error
+        return np.column_stack([base.fit.jacobian, self.data.slopes(columns, base.fit.errors.values)])
+
+    def again(self, found: Found) -> Found:
+        """The same explanation fitted to this search's data from where it stands; itself where that fails."""
+        own = found.fit
+        try:
+            return Found(found.candidates, fit(self.data, own.parametrisation, own.theta, own.prediction))
+        except FitError:
+            return found
+
+    def all_again(self, found: Sequence[Found]) -> list[Found]:
+        """All explanations that are not far behind the best, fitted again, the best first."""
+        most = max(own.fit.log_evidence for own in found)
+        near = [own for own in found if own.fit.log_evidence > most - FAR_BEHIND][:FINALISTS]
+        return sorted(map(self.again, near), key=lambda own: -own.fit.log_evidence)
+
+    def widened(self, found: Fitted) -> Fitted:
+        """The fit with the part of its strengths' prior that makes it most probable."""
+        own = found.parametrisation
+        spreads = []
+        for k, candidate in enumerate(own.candidates):
+            mine = zip(found.theta[own.index_of(k)], candidate.effect.parameters, strict=True)
+            spreads.append(_spread_of(max(abs(float(value)) for value, p in mine if p.kind == "strength")))
+        if all(spread == own.spread(k) for k, spread in enumerate(spreads)):
+            return found
+        wider = replace(own, spreads=tuple(spreads))
+        again = fit(
+            self.data, wider, found.theta, found.prediction, found.jacobian, exact=False, refreshes=FIRST_REFRESHES
+        )
+        return again if again.log_evidence > found.log_evidence else found
+
+    def chosen(self, scores: Sequence[Score], effects: int, places: int, least: float) -> list[Score]:
+        """The best effects at their best places, one start each."""
+        result: list[Score] = []
+        by_effect: dict[str, list[Score]] = {}
+        for score in scores:
+            if score.gain < least:
+                break
+            candidate = self.candidates[score.candidate]
+            if candidate.effect.name not in by_effect and len(by_effect) == effects:
+                continue
+            mine = by_effect.setdefault(candidate.effect.name, [])
+            if len(mine) < places and all(score.candidate != own.candidate for own in mine):
+                mine.append(score)
+                result.append(score)
+        return result
+
+    def singles(self, null: Found, scores: Sequence[Score]) -> list[Found]:
+        """Explanations by one effect, the best first."""
+        wanted = self.chosen(scores, FIRST_EFFECTS, FIRST_PLACES, LEAST_GAIN)
+        self.tell(f"fitting {len(wanted)} explanations")
+        found = self._all(null, wanted)
+        if not found:
+            return []
+        best = found[0]
+        tried = {own.explanation for own in found}
+        others = [
+            score
+            for score in self.chosen(scores, len(self.candidates), len(self.candidates), -math.inf)
+            if self.candidates[score.candidate].effect.name in best.effects
+            and score.gain > OTHER_PLACES * scores[0].gain
+            and Explanation((self.candidates[score.candidate].cause,)) not in tried
+        ]
+        return sorted([*found, *self._all(null, others)], key=lambda own: -own.fit.log_evidence)
+
+    def pairs(self, singles: Sequence[Found]) -> list[Found]:
+        """Second effects on top of the best explanations, the best first."""
+        found: dict[Explanation, Found] = {}
+        heads: set[tuple[str, ...]] = set()
+        for single in singles:
+            if single.effects in heads or len(heads) == HEADS:
+                continue
+            heads.add(single.effects)
+            wanted = self.chosen(self.scores(single), SECOND_EFFECTS, 1, SECOND_GAIN)
+            for own in self._all(single, wanted):
+                known = found.get(own.explanation)
+                if known is None or own.fit.log_evidence > known.fit.log_evidence:
+                    found[own.explanation] = own
+        return sorted(found.values(), key=lambda own: -own.fit.log_evidence)
+
+    def _all(self, base: Found, wanted: Sequence[Score]) -> list[Found]:
+        found = [self.added(base, score) for score in wanted]
+        fits = [own for own in found if own is not None]
+        best_yet = max(fits, key=lambda own: own.fit.log_evidence, default=base)
+        if not base.candidates and self._strained(best_yet):
+            for number in dict.fromkeys(score.candidate for score in wanted):
+                found += [self.climbed(number), self.from_below(number)]
+        best: dict[Explanation, Found] = {}
+        for own in found:
+            if own is not None:
+                known = best.get(own.explanation)
+                if known is None or own.fit.log_evidence > known.fit.log_evidence:
+                    best[own.explanation] = own
+        return sorted(best.values(), key=lambda own: -own.fit.log_evidence)
+
+    def _strained(self, base: Found) -> bool:
+        """Whether a fit leaves so much in any group of rows that its parameters are bent by what is missing."""
+        counts = self.data.counts
+        scales = np.sqrt(base.fit.errors.squares / np.maximum(counts, 1.0))
+        return bool(np.any(scales[np.isfinite(self.data.groups.degrees)] > STRAINED))
+
+    def climbed(self, number: int) -> Found | None:
+        """A candidate fitted to the lowest levels from the model as given, then to more of them, then to all.
+
+        What is strong bends the model's own parameters before it is named; at low levels it is weak.
+        """
+        found: Found | None = None
+        for used in self._stages:
+            data = without_rows(self.data, used)
+            part = Search(data, self.rig, self.parameters, [self.candidates[number]])
+            try:
+                if found is None:
+                    low = Found((), fit(data, self.parametrisation(), self.parametrisation().zero))
+                    scores = part.scores(low)
+                    found = part.added(low, scores[0]) if scores else None
+                else:
+                    own = found.fit
+                    again = fit(data, own.parametrisation, own.theta, own.prediction)
+                    found = Found(found.candidates, part.widened(again))
+            except FitError:
+                return None
+            if found is None:
+                return None
         return found
 
-    def _at_true_phases(self, near: Fit) -> tuple[Fit, bool]:
-        """A fit with the locked windows at the phases that it tells, if it is good; whether they moved."""
-        moved = False
-        for _ in range(_PHASES if elsewhere(self.observations) else 0):
-            if near.chi_square > _GOOD**2 * max(1, int(near.used.sum())):
-                break
-            rig = near.parametrisation.rig(near.theta)
-            noisy, columns = chain_errors(self.plain, rig, near.prediction)
-            share = chain_share(noisy, columns, self.plain.difference(near.prediction.values))
-            found, change = at_true_phases(self.plain.observations, rig, near.prediction, share)
-            if change < LEAST_CHANGE:
-                break
-            kept = self.forward, self.given, self.plain, self.problem, self.observations
-            self._observe(found)
-            prediction = self.forward.predict(rig, near.prediction)
-            self.plain = replace(self.plain, offset=phase_offset(found, rig, prediction))
-            self._trace(replace(near, prediction=prediction), np.zeros(len(found.rows)), 0.0)
-            corrected = None
-            with suppress(FitError):
-                corrected = fit(self.problem, near.parametrisation, near.theta, near.used, prediction)
-            if corrected is None or _objective(corrected) > _objective(near) + _FALL:
-                self.forward, self.given, self.plain, self.problem, self.observations = kept
-                break
-            near, moved = corrected, True
-            self._undetected = with_phases_of(self._undetected, found)
-        return near, moved
+    def from_below(self, number: int) -> Found | None:
+        """A candidate fitted from the parameters that the lowest levels tell and the strength that all levels promise.
 
-    def _with_images_of(self, leader: FittedModel) -> Fit:
-        """The fit of an explanation after random tests showed, about it, whether images of a held drive are in them.
-
-        The model alone may be so far off that it takes what an effect does for images. Noise of either description may
-        be too large, so another one has to be clearly more probable.
+        For forces that go with a power of the amplitude that is a straight line of ω² over that power.
         """
-        near = leader.fit
-        options = [
-            option
-            for option in with_detected_images(self._undetected, near.parametrisation.rig(near.theta))
-            if not same_images(option, self.plain.observations)
-        ]
-        best, most = near, self._density(near)
-        kept = self.forward, self.given, self.plain, self.problem, self.observations
-        for option in options:
-            self._observe(option)
-            prediction = self.forward.predict(near.parametrisation.rig(near.theta), near.prediction)
-            self._trace(replace(near, prediction=prediction), np.zeros(len(self.observations.rows)), 0.0)
-            with suppress(FitError):
-                found = fit(self.problem, near.parametrisation, near.theta, near.used, prediction)
-                if self._density(found) > most + _AMPLE * float(found.used.sum()):
-                    best, most = found, self._density(found)
-                    kept = self.forward, self.given, self.plain, self.problem, self.observations
-        self.forward, self.given, self.plain, self.problem, self.observations = kept
-        return best
+        below = self._below
+        if below is None:
+            return None
+        part = Search(self.data, self.rig, self.parameters, [self.candidates[number]])
+        scores = part.scores(below)
+        return part.added(below, scores[0], lost=math.inf) if scores else None
 
-    def _observe(self, observations: Observations) -> None:
-        """Take other conditions of the tests for the real side."""
-        self.forward = Forward(observations.tests, observations.rows)
-        self.given = self.forward.predict(self.rig, self.given)
-        self.plain = replace(self.plain, observations=observations, forward=self.forward)
+    @cached_property
+    def _below(self) -> Found | None:
+        """The model alone with the parameters that the lowest levels tell."""
+        own = self.parametrisation()
+        try:
+            low = fit(without_rows(self.data, self._stages[0]), own, own.zero)
+            return Found((), fit(self.data, own, low.theta, low.prediction, steps=0))
+        except FitError:
+            return None
 
-    def _under(self, observations: Observations, null: FittedModel, near: bool = False) -> FittedModel:
-        """The model alone, re-fitted to observations of other chains, its errors traced about what it was.
-
-        Where it is ``near`` the new optimum the fit goes on from it.
-        """
-        self._observe(observations)
-        self._trace(null.fit, np.zeros(len(observations.rows)), 0.0)
-        self.judged, self.comparison = self.problem, self._comparison()
-        return self.comparison.fits.polished(self.comparison.fits.null(start=null.fit if near else None))
-
-    def _under_other(self, observations: Observations, null: FittedModel) -> FittedModel:
-        """The same from the parameters as given and from where the model stands, whichever is better.
-
-        Where neither is near, what is tried is not what is missing, and no climb over the levels is worth its time.
-        """
-        near = self._under(observations, null, near=True)
-        with suppress(FitError):
-            return max(near, self.comparison.fits.null(climbs=False), key=_evidence)
-        return near
-
-    @property
-    def _amplitudes_measured(self) -> bool:
-        """Whether noise is propagated by the solution: frequency responses at held amplitudes."""
-        return any(isinstance(test, SteppedSineTest) for test in self.observations.tests)
-
-    @staticmethod
-    def _leads(pairs: Sequence[FittedModel], singles: Sequence[FittedModel]) -> bool:
-        """Whether two effects move the solution far from that of one."""
-        return bool(pairs) and pairs[0].fit.log_evidence > singles[0].fit.log_evidence + _MOVES
-
-    def _drift(self, near: Fit, difference: FloatArray) -> float:
-        """Relative standard deviation of the resonance from sweep to sweep, about a fit."""
-        rig = near.parametrisation.rig(near.theta)
-        observations = self.plain.observations
-        return sweep_drift(observations, difference, sweep_directions(observations, rig, near.prediction))
-
-    def _trace(
-        self, near: Fit, scatter: FloatArray, drift: float, known: FloatArray | None = None
-    ) -> tuple[Problem, FloatArray]:
-        """Noise of measured amplitudes and errors of the measuring chain as they act about a fit: see chain_errors.
-
-        What errors of the chain do changes little with the solution: where they are ``known`` about a similar fit, only
-        the noise is new.
-        """
-        self.observations = self.plain.observations
-        self.plain = self._plain(near.prediction, self.plain.offset)
-        moved = near.parametrisation.rig(near.theta)
-        noisy, columns = chain_errors(self.plain, moved, near.prediction, scatter, drift, known)
-        self.problem = with_shared(noisy, columns)
-        self.observations = self.problem.observations
-        return noisy, columns
-
-    def _done_by(self, found: Fit) -> FloatArray:
-        """What the effects of a fit do to the observables, the model's own parameters as they are, shape (m,)."""
-        own = found.parametrisation
-        theta = found.theta[: len(own.calibration)]
-        bare = replace(own, candidates=(), spreads=())
-        without = self.forward.predict(bare.rig(theta), found.prediction)
-        return np.asarray(self.forward.difference(found.prediction.values, without.values))
+    @cached_property
+    def _stages(self) -> tuple[BoolArray, ...]:
+        """Rows of the lowest third of the levels, of two thirds, and all; of what has no levels all."""
+        rows, tests = self.data.observations.rows, self.data.observations.tests
+        kinds = np.array([type(test).__name__ for test in tests])[rows.test]
+        rank = np.zeros(len(rows))
+        for kind in np.unique(kinds):
+            mine = kinds == kind
+            levels = np.unique(rows.amplitude[mine])
+            if kind != RandomTest.__name__ and levels.size > 2:
+                rank[mine] = np.searchsorted(levels, rows.amplitude[mine]) / levels.size
+        return rank < 1.0 / 3.0, rank < 2.0 / 3.0, np.ones(len(rows), dtype=bool)
 
 
-def _objective(found: Fit) -> float:
-    """What a fit makes least, χ² and penalty of the parameters."""
-    return found.chi_square + found.penalty
-
-
-def _evidence(found: FittedModel) -> float:
-    return found.fit.log_evidence
-
-
-def _affordable(settings: ComparisonSettings, observations: Observations) -> ComparisonSettings:
-    """A record is stepped through sample by sample, a hundred times as dear as a locked level: fewer fits.
-
-    Frequency responses at held amplitudes tell stiffness and damping apart, and rigs have both: more second effects.
-    """
-    if any(isinstance(test, SteppedSineTest) for test in observations.tests):
-        settings = replace(settings, second_of_pairs=max(settings.second_of_pairs, _SECONDS))
-    if any(_shows_damping(observations, number) for number in range(len(observations.tests))):
-        settings = replace(settings, partners=max(settings.partners, _PARTNERS))
-    if not any(isinstance(test, RecordTest) for test in observations.tests):
-        return settings
-    return replace(
-        settings,
-        finalists=min(settings.finalists, 4),
-        placements=min(settings.placements, 1),
-        first_of_pairs=min(settings.first_of_pairs, 1),
-        settled=min(settings.settled, 3),
-        rounds=min(settings.rounds, 2),
-        restarts=False,
-    )
-
-
-def _shows_damping(observations: Observations, number: int) -> bool:
-    """Whether a laboratory's test tells stiffness and damping over the amplitude, and little else."""
-    if not measured_elsewhere(observations, number):
-        return False
-    if isinstance(observations.tests[number], BackboneTable):
-        return bool(np.any((observations.rows.test == number) & (observations.rows.part == Part.DAMPING)))
-    return isinstance(observations.tests[number], SteppedSineTest | RingDownTest)
+def _spread_of(strength: float) -> float:
+    """The narrowest part of a strength's prior that does not hold it back."""
+    return next((spread for spread in SPREADS if abs(strength) <= WIDER_STRENGTH * STRENGTH_STD * spread), SPREADS[-1])

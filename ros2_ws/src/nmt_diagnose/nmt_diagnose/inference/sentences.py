@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 from nmt_core.number_words import share_with_interval, significant, value_text
 from nmt_diagnose.effects.placement import Explanation
-from nmt_diagnose.inference.diagnosis import Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
+from nmt_diagnose.inference.diagnosis import NULL, Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
 from nmt_diagnose.inference.gap import NOISE
-from nmt_diagnose.inference.hypotheses import NULL
 
 PLACES = {
     "structure": "the structure",
@@ -33,12 +32,10 @@ def sentences(
     ahead: Sequence[NextTest],
     calibration: Sequence[Recalibrated],
     remainder: Remainder | None = None,
-    strained: bool = False,
 ) -> tuple[str, ...]:
     """Where, which, how far; and what would settle the rest if something is left open.
 
-    ``named`` is the explanation that ``ranking`` begins with; ``strained`` says that only parameters
-    which are hard to believe tell of a gap.
+    ``named`` is the explanation that ``ranking`` begins with.
     """
     if verdict is Verdict.NONE:
         return (
@@ -58,23 +55,8 @@ def sentences(
             _how_far(gap, "Re-fitting them"),
         )
     place = _where(where)
-    if verdict is Verdict.UNKNOWN and strained:
-        return (
-            "Where the gap lies cannot be told: the model's own parameters take it, but several of them lie far from "
-            "what is believed of them then.",
-            "Nothing in the library explains it: either the model file is wrong in all of these, or something without "
-            "a name changes them together.",
-            _how_far(gap, "Re-fitting them"),
-            *_ahead(ahead),
-        )
     if verdict is Verdict.UNKNOWN:
-        best = f"; the nearest named effect is {_title(ranking[0].effect)}{_at(named)}" if ranking else ""
-        return (
-            place,
-            f"Nothing in the library explains it{best}.",
-            f"Held-out data lie {gap.before:.2f} standard deviations (rms) from the re-fitted model; noise gives 1.",
-            *_ahead(ahead),
-        )
+        return (place, "Nothing in the library explains all of it." + _nearest(ranking, named, gap), *_ahead(ahead))
     head = ranking[0]
     sure = "The cause is" if head.probability >= _LIKELY else "The most probable cause is"
     values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())
@@ -83,6 +65,19 @@ def sentences(
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
     return (place, which + ".", _how_far(gap, "Adding it") + _left(remainder), *_ahead(ahead))
+
+
+def _nearest(ranking: Sequence[Ranked], named: Explanation | None, gap: Gap) -> str:
+    """What comes nearest, with its parameters and what it leaves."""
+    if not ranking:
+        return f" {gap.before:.2f} standard deviations (rms) lie between the recordings and the re-fitted model."
+    head = ranking[0]
+    values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())
+    closes = f" and closes {100.0 * gap.closed:.0f} % of it" if math.isfinite(gap.closed) else ""
+    return (
+        f" What comes nearest is {_title(head.effect)}{_at(named)} ({values}){closes}: from {gap.before:.2f} to "
+        f"{gap.after:.2f} standard deviations (rms) where noise gives 1."
+    )
 
 
 def _left(remainder: Remainder | None) -> str:

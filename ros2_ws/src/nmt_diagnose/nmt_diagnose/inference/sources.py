@@ -7,7 +7,7 @@ everything. Each of these families competes on its own; a place's evidence is th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,11 +16,7 @@ from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_diagnose.effects.boundary_effects import joint_placement
 from nmt_diagnose.effects.placement import Placement
-from nmt_diagnose.inference.fit import Fit
-from nmt_diagnose.inference.generic_source import SourceScore, source_score
-from nmt_diagnose.inference.problem import Problem
 from nmt_diagnose.inference.residual_map import channels_of
-from nmt_diagnose.inference.workers import Workers
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.twin.forward import Forward, Prediction
@@ -52,7 +48,11 @@ class SourcePlace:
 
 
 def places(
-    forward: Forward, rig: Rig, prediction: Prediction, problem: Problem, workers: Workers | None = None
+    forward: Forward,
+    rig: Rig,
+    prediction: Prediction,
+    observations: Observations,
+    whitened: Callable[[FloatArray], FloatArray],
 ) -> list[SourcePlace]:
     """Places where an unnamed source may sit, with what it could do.
 
@@ -60,10 +60,10 @@ def places(
         forward: the model.
         rig: rig of ``prediction``.
         prediction: solution about which the sources are small.
-        problem: observations and how it is whitened.
-        workers: processes that share the work; None = this one alone.
+        observations: the real side.
+        whitened: takes changes (m, n) of the model's values and gives those of what is compared, over σ.
     """
-    channels = {c.name: c for test in problem.observations.tests for c in channels_of(test)}
+    channels = {c.name: c for test in observations.tests for c in channels_of(test)}
     wanted: list[tuple[Placement, Source]] = [
         (Placement.at("structure", point), Source("structure", point)) for point in rig.structure.points
     ]
@@ -73,44 +73,22 @@ def places(
     responses = sorted((c for c in channels.values() if c.quantity is not Quantity.FORCE), key=lambda c: c.name)
     wanted += [(_response(rig, channel), Source("response_sensor", channel=channel.name)) for channel in responses]
     wanted += [(Placement("controller"), Source("controller")), (Placement("time"), Source("time"))]
-    found = (workers or Workers()).map(_place, (forward, rig, prediction, problem), wanted)
-    return [place for place in found if place is not None]
-
-
-def _place(shared: tuple[Forward, Rig, Prediction, Problem], item: tuple[Placement, Source]) -> SourcePlace | None:
-    """One place with what a source there could do; None where that is nothing."""
-    forward, rig, prediction, problem = shared
-    placement, source = item
-    columns, names = forward.influence(rig, prediction, source)
-    whitened = np.nan_to_num(problem.whitened(columns), posinf=0.0, neginf=0.0)
-    drift = source.kind == "time"
-    families = (("drift", whitened),) if drift else _families(whitened, names, problem.observations)
-    families = tuple((name, block) for name, block in families if block.shape[1] and np.any(block))
-    return SourcePlace(placement, families) if families else None
+    result = []
+    for placement, source in wanted:
+        columns, names = forward.influence(rig, prediction, source)
+        changes = np.nan_to_num(whitened(columns), posinf=0.0, neginf=0.0)
+        drift = source.kind == "time"
+        families = (("drift", changes),) if drift else _families(changes, names, observations)
+        families = tuple((name, block) for name, block in families if block.shape[1] and np.any(block))
+        if families:
+            result.append(SourcePlace(placement, families))
+    return result
 
 
 def _response(rig: Rig, channel: MeasuredChannel) -> Placement:
     """The sensor of a channel, at its point in the model where it is one of the model's."""
     points = [rig.sensor_point(sensor) for sensor in rig.sensors if rig.sensor_channel(sensor) == channel.name]
     return Placement.on_channel("response_sensor", channel.name, points[0] if points else channel.point)
-
-
-def generic_sources(fit: Fit, found: Sequence[SourcePlace], calibrated: int | None = None) -> list[SourceScore]:
-    """Evidence for a source at each place, on top of a fitted model.
-
-    Args:
-        fit: the fit.
-        found: places.
-        calibrated: its parameters that the model has; None = all.
-    """
-    result = []
-    for item in found:
-        scored = [source_score(fit, block, item.placement, calibrated) for _, block in item.families]
-        gains = np.array([score.gain for score in scored])
-        mean = float(np.logaddexp.reduce(gains) - np.log(gains.size))
-        best = scored[int(np.argmax(gains))]
-        result.append(SourceScore(item.placement, mean, best.explained, best.degrees_of_freedom))
-    return result
 
 
 def _joints(rig: Rig) -> list[tuple[int, ElementSection]]:

@@ -8,22 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.inference.fitted_model import FittedModel
-from nmt_diagnose.inference.physical_limits import beyond_limits
+from nmt_diagnose.inference.search import Found
+from nmt_diagnose.inference.tuned import CREDIBLE, LEFT_OVER, LIMIT_STD, SMALL_SHARE
 from nmt_diagnose.observations.observables import Observations
-
-# Standard deviations of its prior beyond which a parameter is not what a data sheet or a ruler leaves open.
-_CREDIBLE = 3.0
-# What is left over the floor from which it is more than noise, and the share of the gap from which that is a warning.
-_LEFT, _SMALL_SHARE = 2.0, 0.15
 
 
 def warned(
     verdict: Verdict,
-    best: FittedModel,
+    best: Found,
     calibration: Sequence[Recalibrated],
     gap: Gap,
-    alike: Sequence[FittedModel] = (),
+    alike: Sequence[Found] = (),
 ) -> tuple[str, ...]:
     """Sentences of warning; empty where there is nothing to mind.
 
@@ -39,7 +34,7 @@ def warned(
         what = f"The fit with {best.explanation.label}" if best.candidates else "The re-fit of the model"
         found.append(f"{what} stopped before its optimum: its values and their uncertainties are not to be relied on.")
     theta = best.fit.theta[: len(calibration)]
-    far = [(item, float(value)) for item, value in zip(calibration, theta, strict=True) if abs(value) > _CREDIBLE]
+    far = [(item, float(value)) for item, value in zip(calibration, theta, strict=True) if abs(value) > CREDIBLE]
     for item, value in sorted(far, key=lambda pair: -abs(pair[1])) if verdict is not Verdict.NONE else ():
         found.append(
             f"The fit moves {item.name} from {item.start:.4g} to {item.to:.4g} {item.unit}, {abs(value):.1f} standard "
@@ -47,8 +42,8 @@ def warned(
         )
     for member in alike if verdict is Verdict.EFFECT else ():
         found += _beyond_physics(member)
-    large = not gap.closed >= 1.0 - _SMALL_SHARE
-    if verdict is Verdict.EFFECT and large and math.isfinite(gap.after) and gap.after > _LEFT * max(gap.floor, 1.0):
+    large = not gap.closed >= 1.0 - SMALL_SHARE
+    if verdict is Verdict.EFFECT and large and math.isfinite(gap.after) and gap.after > LEFT_OVER * max(gap.floor, 1.0):
         worst = max(gap.per_observable.items(), key=lambda item: item[1]["after"], default=None)
         where = f", most of it in {worst[0]}" if worst else ""
         found.append(
@@ -74,20 +69,28 @@ def without_observables(observations: Observations) -> tuple[str, ...]:
     )
 
 
-def _beyond_physics(fitted_model: FittedModel) -> list[str]:
+def beyond_limits(found: Found) -> dict[tuple[int, str], float]:
+    """Parameters of effects that are larger than physics allows: by how many standard deviations of the limit."""
+    own, result = found.fit.parametrisation, {}
+    for index, candidate in enumerate(found.candidates):
+        values = own.values(found.fit.theta, index)
+        for name, limit in candidate.site.limits.items():
+            if abs(values[name]) > limit:
+                result[index, name] = (abs(values[name]) / limit - 1.0) / LIMIT_STD
+    return result
+
+
+def _beyond_physics(found: Found) -> list[str]:
     """Sentences on parameters larger than physics allows."""
-    if beyond_limits(fitted_model.candidates, fitted_model.fit) < _CREDIBLE:
-        return []
-    found = []
-    for index, candidate in enumerate(fitted_model.candidates):
-        values = fitted_model.fit.parametrisation.values(fitted_model.fit.theta, index)
-        for parameter in candidate.effect.parameters:
-            limit = candidate.site.limits.get(parameter.name, math.inf)
-            if abs(values[parameter.name]) > limit:
-                times = abs(values[parameter.name]) / limit
-                found.append(
-                    f"As {candidate.label} the gap would take {parameter.name} = {values[parameter.name]:.3g} "
-                    f"{parameter.unit}, {times:.2g} times the largest that physics allows there: it is something else "
-                    "that grows in the same way."
-                )
-    return found
+    result = []
+    for (index, name), far in beyond_limits(found).items():
+        if far > CREDIBLE:
+            candidate = found.candidates[index]
+            value = found.fit.parametrisation.values(found.fit.theta, index)[name]
+            unit = next(p.unit for p in candidate.effect.parameters if p.name == name)
+            result.append(
+                f"As {candidate.label} the gap would take {name} = {value:.3g} {unit}, "
+                f"{abs(value) / candidate.site.limits[name]:.2g} times the largest that physics allows there: it is "
+                "something else that grows in the same way."
+            )
+    return result

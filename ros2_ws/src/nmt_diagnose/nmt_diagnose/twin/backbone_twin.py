@@ -95,7 +95,7 @@ class BackboneTwin:
         log_omega, damping = np.full(count, np.nan), np.full(count, np.nan)
         groups: dict[int, tuple[RigParts, list[int]]] = {}
         for position, state in enumerate(states):
-            if state is not None:
+            if state is not None and state.omega > 0.0:  # one Newton step may lead anywhere
                 log_omega[position] = np.log(state.omega / (1.0 + rig.clock_error))
                 parts = self.inner.parts(rig, cache, self.inner.levels[position])
                 groups.setdefault(id(parts), (parts, []))[1].append(position)

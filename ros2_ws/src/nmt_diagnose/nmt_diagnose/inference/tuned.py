@@ -44,6 +44,10 @@ ALARM = 3.0
 RECALIBRATION = 25.0
 # Share of the gap that a named effect has to close for what is left to be a remainder and not something unknown.
 EXPLAINED = 0.85
+# Standard deviations by which held-out rows must be predicted worse for an explanation to be refused.
+WORSE = 1.0
+# Explanations whose predictions of held-out rows are judged.
+JUDGED = 3
 # Explanations that are told; share of the likeliest detail's probability from which another is named beside it.
 RANKED, AS_LIKELY = 8, 1.0 / 3.0
 # Times that the chain is taken anew about the model's fit; steps of a refit to a part of the rows, and how often
@@ -70,3 +74,12 @@ FIRST_REFRESHES = 3
 OTHER_PLACES = 0.1
 # Learnt scale of a group of rows from which explanations are also climbed from low levels.
 STRAINED = 2.0
+# Standard deviations of its prior beyond which a parameter is not credible; relative standard deviation of a limit that
+# physics sets, of a drag coefficient for example.
+CREDIBLE, LIMIT_STD = 3.0, 0.5
+# What is left over the floor from which it is more than noise, and the share of the gap from which that is a warning.
+LEFT_OVER, SMALL_SHARE = 2.0, 0.15
+# Relative standard deviation of the scale of amplitudes that a file gives without a word on its sensor.
+SCALE_STD = 0.01
+# Standard deviations at which an effect is seen.
+SEEN = 5.0

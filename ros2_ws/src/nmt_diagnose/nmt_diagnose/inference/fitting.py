@@ -14,10 +14,17 @@ import numpy as np
 
 from nmt_core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_core.errors import BenchError
-from nmt_diagnose.core.chain import linear_chain
-from nmt_diagnose.core.noise import Groups, groups_of, sigma_of
-from nmt_diagnose.core.tuned import BROYDEN_TRUST, CONVERGED, FIT_STEPS, LARGEST_LOG_RATIO, LARGEST_STEP, REWEIGHTINGS
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.inference.chain import linear_chain
+from nmt_diagnose.inference.noise import Groups, groups_of, sigma_of
+from nmt_diagnose.inference.tuned import (
+    BROYDEN_TRUST,
+    CONVERGED,
+    FIT_STEPS,
+    LARGEST_LOG_RATIO,
+    LARGEST_STEP,
+    REWEIGHTINGS,
+)
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction
@@ -104,7 +111,7 @@ class Data:
 
     @cached_property
     def _chain_over_sigma(self) -> tuple[FloatArray, FloatArray, ComplexArray]:
-        """All columns of the chain over σ as far as they do not turn with lines; added ones; of lines, before turning."""
+        """All columns over σ as far as they do not turn with lines; those added; those of lines before turning."""
         added = self._scaled(self.added)
         plain = np.nan_to_num(self.chain, posinf=0.0, neginf=0.0)
         return self._scaled(plain) + added, added, plain[self.lines[0]] + 1j * plain[self.lines[1]]

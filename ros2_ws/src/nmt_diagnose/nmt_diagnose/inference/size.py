@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_diagnose.core.fitting import Data
-from nmt_diagnose.core.search import Found
+from nmt_core.arrays import FloatArray
+from nmt_diagnose.inference.candidate_starts import at_zero
+from nmt_diagnose.inference.fitting import Data, predicted
+from nmt_diagnose.inference.search import Found
 from nmt_diagnose.observations.observables import Part
-
-MATTERS: dict[str, float] = {"frequency": 5e-4, "damping": 0.02, "response": 0.02, "harmonics": 1e-3}
-"""Smallest relative size that matters: of a frequency, a damping ratio, a response, a harmonic over the fundamental."""
 
 _KINDS: dict[str, tuple[Part, ...]] = {
     "frequency": (Part.LOG_FREQUENCY,),
@@ -28,7 +27,7 @@ class Size:
     """Largest change that an explanation makes in each kind of observable, relative.
 
     Attributes:
-        values: by kind of `MATTERS`; kinds without rows are left out.
+        values: by kind of ``MATTERS``; kinds without rows are left out.
         other: it changes rows that have no such size, such as samples or lines of the mains.
     """
 
@@ -50,14 +49,18 @@ _NAMES = {
 }
 
 
-def measured_size(data: Data, null: Found, found: Found) -> Size:
-    """How far an explanation and the model alone lie apart, at the level or line where they differ most.
+def measured_size(data: Data, found: Found) -> Size:
+    """How far an explanation lies from itself without its effects, at the level or line where they differ most.
 
     A line where hardly anything is left of a response counts by the response beside it: rms over each level or tenth
     of the lines.
     """
     rows = data.observations.rows
-    apart = data.forward.difference(found.fit.errors.values, null.fit.errors.values)
+    own = found.fit
+    without = predicted(data, own.parametrisation, without_strength(found), own.prediction)
+    if without is None:  # it has no solution without them
+        return Size({}, True)
+    apart = np.nan_to_num(data.forward.difference(own.prediction.values, without.values))
     values: dict[str, float] = {}
     known = np.zeros(len(rows), dtype=bool)
     for kind, parts in _KINDS.items():
@@ -75,6 +78,15 @@ def measured_size(data: Data, null: Found, found: Found) -> Size:
     rest = data.used & ~known
     scaled = apart[rest] / data.sigma[rest]
     return Size(values, bool(np.any(np.abs(scaled) > 1.0)))
+
+
+def without_strength(found: Found) -> FloatArray:
+    """θ of an explanation with its effects at zero strength."""
+    theta = found.fit.theta.copy()
+    for number, candidate in enumerate(found.candidates):
+        mine = found.fit.parametrisation.index_of(number)
+        theta[mine] = at_zero(candidate, theta[mine])
+    return theta
 
 
 def _band(level: np.ndarray, test: np.ndarray) -> np.ndarray:

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 
-from nmt_diagnose.core.chain import SharedDelay
-from nmt_diagnose.core.compare import Comparison
-from nmt_diagnose.core.fitting import Data
-from nmt_diagnose.core.search import Found
-from nmt_diagnose.core.tuned import AS_LIKELY, RANKED
+from nmt_core.arrays import FloatArray
 from nmt_diagnose.effects.placement import Explanation, joined
-from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Recalibrated, Share, Value
+from nmt_diagnose.inference.chain import SharedDelay, scale_columns
+from nmt_diagnose.inference.comparison import Comparison
+from nmt_diagnose.inference.diagnosis import NULL, PlaceShare, Ranked, Recalibrated, Share, Value
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.inference.fitting import Data, Metric
 from nmt_diagnose.inference.gap import Closed
+from nmt_diagnose.inference.held_out import Split
+from nmt_diagnose.inference.search import Found
+from nmt_diagnose.inference.tuned import AS_LIKELY, RANKED
+from nmt_diagnose.observations.observables import Observations
+from nmt_rig.rig import Rig
 
 
-def ranked_rows(comparison: Comparison, shares: Mapping[Explanation, Closed]) -> tuple[Ranked, ...]:
+def ranked_rows(data: Data, comparison: Comparison, shares: Mapping[Explanation, Closed]) -> tuple[Ranked, ...]:
     """The leading explanations, the most probable first, with parameters and shares of the gap that they close."""
     result = []
     for group in comparison.classes[:RANKED]:
@@ -32,7 +38,7 @@ def ranked_rows(comparison: Comparison, shares: Mapping[Explanation, Closed]) ->
                 detail=joined(placement.detail for placement in placements if placement.detail),
                 probability=group.probability,
                 equivalents=tuple(joined(own.effects) for own in group.members[1:]),
-                parameters=parameters(head),
+                parameters=parameters(data, head),
                 closed=Share(share.value, share.low, share.high) if share else Share(*[math.nan] * 3),
                 sigmas=head.sigmas,
                 converged=head.fit.converged,
@@ -41,13 +47,28 @@ def ranked_rows(comparison: Comparison, shares: Mapping[Explanation, Closed]) ->
     return tuple(result)
 
 
-def parameters(found: Found) -> dict[str, Value]:
+def covariance_with_scale(data: Data, found: Found) -> FloatArray:
+    """Covariance of θ with what the gains of the channels whose amplitudes are given would move it by, (n, n)."""
+    own = found.fit
+    columns = scale_columns(data.observations, own.parametrisation.rig(own.theta), own.prediction)
+    if not columns.shape[1]:
+        return own.covariance
+    weights = own.errors.weights
+    chain = Metric(own.errors.slopes, np.ones(own.errors.chain.size), weights)
+    moved = own.covariance @ (
+        chain.rest(own.jacobian)[0].T @ (weights[:, None] * data.slopes(columns, own.errors.values))
+    )
+    return np.asarray(own.covariance + moved @ moved.T)
+
+
+def parameters(data: Data, found: Found) -> dict[str, Value]:
     """Reported parameters with standard uncertainties, carried through to first order (GUM, 5.2)."""
     own, theta = found.fit.parametrisation, found.fit.theta
+    whole = covariance_with_scale(data, found)
     result: dict[str, Value] = {}
     for index, candidate in enumerate(found.candidates):
         mine = own.index_of(index)
-        covariance = found.fit.covariance[mine, mine]
+        covariance = whole[mine, mine]
         for name, (value, unit) in own.reported(theta, index).items():
             slopes = np.empty(mine.stop - mine.start)
             for position, k in enumerate(range(mine.start, mine.stop)):
@@ -102,7 +123,7 @@ def candidate_row(found: Found, null: Found, data: Data) -> dict[str, Any]:
     own = found.fit
     return {
         "label": found.explanation.label,
-        "effect": joined(found.effects) or "none",
+        "effect": joined(found.effects) or NULL,
         "place": found.explanation.kinds,
         "chi_square": float(own.errors.left @ own.errors.left),
         "penalty": float(np.sum((own.theta / own.parametrisation.prior_std) ** 2)),
@@ -112,4 +133,33 @@ def candidate_row(found: Found, null: Found, data: Data) -> dict[str, Any]:
         "log_evidence": own.log_evidence - null.fit.log_evidence,
         "sigmas": found.sigmas,
         "converged": own.converged,
+    }
+
+
+def inputs(
+    observations: Observations, rig: Rig, splits: Sequence[Split], settings: DiagnosisSettings
+) -> dict[str, Any]:
+    """What a diagnosis was made of, as ``diagnosis.json`` has it."""
+    tests = []
+    for number, test in enumerate(observations.tests):
+        mine = observations.rows.test == number
+        tests.append(
+            {
+                "name": test.name,
+                "kind": type(test).__name__,
+                "drive_point": test.drive_point,
+                "levels": int(np.unique(observations.rows.level[mine]).size),
+                "observables": int(mine.sum()),
+            }
+        )
+    return {
+        "bags": [
+            {"path": path, "sha256": digest, **({} if origin is None else {"origin": origin.to_mapping()})}
+            for (path, digest), origin in zip_longest(observations.inputs, observations.origins)
+        ],
+        "tests": tests,
+        "held_out": [split.name for split in splits],
+        "model": rig.name,
+        "withheld": list(settings.withheld),
+        "seed": settings.seed,
     }

@@ -10,9 +10,12 @@ from functools import cached_property
 import numpy as np
 
 from nmt_core.arrays import FloatArray
-from nmt_diagnose.core.fitting import Data, Metric
-from nmt_diagnose.core.search import Found
-from nmt_diagnose.core.tuned import (
+from nmt_diagnose.effects.effect import Candidate
+from nmt_diagnose.effects.placement import Placement
+from nmt_diagnose.inference.fitting import Data, Metric
+from nmt_diagnose.inference.search import Found
+from nmt_diagnose.inference.sources import SourcePlace, places
+from nmt_diagnose.inference.tuned import (
     EQUIVALENT,
     PRIOR_EFFECT,
     PRIOR_NONE,
@@ -20,10 +23,7 @@ from nmt_diagnose.core.tuned import (
     PRIOR_UNNAMED,
     SOURCE_SIZES,
 )
-from nmt_diagnose.effects.effect import Candidate
-from nmt_diagnose.effects.placement import Placement
-from nmt_diagnose.inference.problem import Problem
-from nmt_diagnose.inference.sources import SourcePlace, places
+from nmt_diagnose.inference.warnings import beyond_limits
 from nmt_rig.rig import Rig
 
 
@@ -81,23 +81,13 @@ class Comparison:
     by_label: Mapping[str, float]
 
 
-class _View(Problem):
-    """What generic sources ask of a problem: observations, and changes of the rows over their uncertainty."""
-
-    def __init__(self, data: Data, values: FloatArray) -> None:
-        object.__setattr__(self, "observations", data.observations)
-        object.__setattr__(self, "_data", data)
-        object.__setattr__(self, "_values", values)
-
-    def whitened(self, values: FloatArray) -> FloatArray:
-        """Changes (m, n) of the model's values as changes of what is compared, over σ."""
-        data: Data = object.__getattribute__(self, "_data")
-        return data.slopes(values, object.__getattribute__(self, "_values"))
-
-
 def source_places(data: Data, rig: Rig, null: Found) -> list[SourcePlace]:
     """Places where something unnamed may sit, with what it could do to the rows."""
-    return places(data.forward, rig, null.fit.prediction, _View(data, null.fit.errors.values))
+
+    def whitened(columns: FloatArray) -> FloatArray:
+        return data.slopes(columns, null.fit.errors.values)
+
+    return places(data.forward, rig, null.fit.prediction, data.observations, whitened)
 
 
 def sources(data: Data, base: Found, found: Sequence[SourcePlace], open_from: int) -> list[Source]:
@@ -189,6 +179,8 @@ class Hypotheses:
         each = sum(
             -math.log(len(self._spots)) - math.log(self._spots[candidate.effect.name]) for candidate in found.candidates
         )
+        # More than physics allows is as improbable as it is far beyond.
+        each -= 0.5 * sum(far**2 for far in beyond_limits(found).values())
         return each + math.log(PRIOR_EFFECT if len(found.candidates) == 1 else 2.0 * PRIOR_PAIR)
 
     @cached_property

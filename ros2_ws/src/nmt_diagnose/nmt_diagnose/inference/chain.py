@@ -17,22 +17,30 @@ import numpy as np
 
 from nmt_core.arrays import BoolArray, ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
-from nmt_diagnose.core.tuned import (
-    AIM_STD,
-    DRIVE_HARMONIC_STD,
-    IMAGE_STD,
-    SWEEP_SHIFT_STD,
-)
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.placement import PlaceKind
 from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, ChainTests, edited, later
 from nmt_diagnose.inference.modes_left_out import ModesLeftOut
 from nmt_diagnose.inference.shape_errors import ShapeErrors
-from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest, Test
+from nmt_diagnose.inference.tuned import (
+    AIM_STD,
+    DRIVE_HARMONIC_STD,
+    IMAGE_STD,
+    SCALE_STD,
+    SWEEP_SHIFT_STD,
+)
+from nmt_diagnose.observations.conditions import (
+    BackboneTable,
+    PhaseResonanceTest,
+    RandomTest,
+    RingDownTest,
+    SteppedSineTest,
+    Test,
+)
 from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
-from nmt_diagnose.twin.forward import Prediction
+from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.stepped_sine_twin import gain_error
 from nmt_rig.rig import Rig, SensorSection
 
@@ -68,6 +76,8 @@ class SharedDelay(CalibrationParameter):
 
     def moved(self, rig: Rig, before: float, theta: float) -> Rig:
         """Rig with the sensors of the kind later by the difference."""
+        if theta == before:
+            return rig
         kind = self.quantity.name.lower()
         sensors = [later(s, self.at(theta - before)) if s.quantity == kind else s for s in rig.sensors]
         return rig.model_copy(update={"sensors": sensors})
@@ -140,6 +150,42 @@ def _unsettled(observations: Observations) -> dict[str, FloatArray]:
     return found
 
 
+def scale_columns(observations: Observations, rig: Rig, prediction: Prediction) -> FloatArray:
+    """What a standard deviation of the gain of each channel whose amplitudes a test gives moves, (m, r).
+
+    The model is solved at these amplitudes. A gain that is off by 1 % makes a cubic stiffness off by 2 %, and no
+    observable shows it: it is an error that is considered, not one that is fitted (Schmidt, Adv. Control Syst. 3
+    (1966) 293).
+    """
+    found: dict[str, FloatArray] = {}
+    for number, test in enumerate(observations.tests):
+        chain = observations.chains[number] if number < len(observations.chains) else None
+        state = prediction.states[number]
+        if not isinstance(test, BackboneTable | RingDownTest | SteppedSineTest) or state is None:
+            continue
+        if chain is None and not isinstance(test, BackboneTable):
+            continue
+        channel = test.channels[0] if isinstance(test, SteppedSineTest) else test.channel
+        gain = SCALE_STD if chain is None else chain.of(channel.name).gain
+        mine = observations.rows.test == number
+        rows = observations.rows.take(mine)
+        rows = replace(rows, test=np.zeros_like(rows.test))
+        start = Prediction(prediction.values[mine], prediction.converged[mine], (), (state,))
+        plain = Forward((test,), rows)
+        base = plain.predict(rig, start)
+        moved = Forward((_larger(test),), rows).predict(rig, base)
+        column = found.setdefault(f"scale of {channel.name}", np.zeros(len(observations.rows)))
+        column[mine] = np.nan_to_num(gain * plain.difference(moved.values, base.values) / _GAIN_STEP)
+    return np.column_stack([*found.values()]) if found else np.zeros((len(observations.rows), 0))
+
+
+def _larger(test: BackboneTable | RingDownTest | SteppedSineTest) -> Test:
+    """The test with its motion a little larger than recorded."""
+    if isinstance(test, SteppedSineTest):
+        return replace(test, scale=test.scale * (1.0 + _GAIN_STEP))
+    return replace(test, amplitudes=test.amplitudes * (1.0 + _GAIN_STEP))
+
+
 class _Builder:
     """Columns for the tests that have measuring chains."""
 
@@ -197,7 +243,7 @@ class _Builder:
                 corner = _LEAD_STEP * self.tests.tested()
                 leading = edited(self.rig, channel, partial(_leading, corner_hz=corner))
                 found[f"lead {name}"] = tolerance.phase * self._changed(leading, _LEAD_STEP)
-        return found | self._reduced()
+        return found | self._reduced() | self._over_force()
 
     def _reduced(self) -> dict[str, FloatArray]:
         """Gain, phase and delay of responses over their reference, at held amplitudes."""
@@ -222,6 +268,20 @@ class _Builder:
                     ("delay", math.sqrt(2.0) * late * omega * turned),
                 ):
                     found.setdefault(f"{kind} {name} of responses", np.zeros(len(self.rows)))[mine] = column
+        return found
+
+    def _over_force(self) -> dict[str, FloatArray]:
+        """Delay of each kind of responses over the force that they are divided by, in random tests."""
+        found: dict[str, FloatArray] = {}
+        for number, test in enumerate(self.tests.tests):
+            if not isinstance(test, RandomTest) or test.reference != "force":
+                continue
+            late = math.sqrt(2.0) * self.tests.own[number].shared_delay_s
+            for index, channel in enumerate(test.channels):
+                name = f"delay of {channel.quantity.name.lower()} over force"
+                mine = (self.rows.test == number) & (self.rows.channel == index) & (self.rows.part == Part.PHASE)
+                column = found.setdefault(name, np.zeros(len(self.rows)))
+                column[mine] = late * 2.0 * np.pi * self.rows.frequency_hz[mine]
         return found
 
     def _voltage(self) -> dict[str, FloatArray]:

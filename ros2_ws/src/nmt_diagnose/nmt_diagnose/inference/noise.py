@@ -17,7 +17,7 @@ import numpy as np
 
 from nmt_core.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.blocks import Quantity
-from nmt_diagnose.core.tuned import LOCK_STD, SCALE_DEGREES
+from nmt_diagnose.inference.tuned import LOCK_STD, SCALE_DEGREES
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
 

@@ -51,6 +51,8 @@ LIBRARIES = {
     "distributed": Library("distributed", ">=2024.1", apt="python3-distributed", extra="dask"),
     "grpc": Library("grpcio", ">=1.49", apt="python3-grpcio", extra="hardware"),
     "h5py": Library("h5py", ">=3.10", apt="python3-h5py"),
+    "lvm_read": Library("lvm-read", ">=1.22"),
+    "nptdms": Library("npTDMS", ">=1.7"),
     "jack": Library("JACK-Client", ">=0.5.4", extra="hardware"),
     "jinja2": Library("jinja2", ">=3.1", "python3-jinja2", "python3-jinja2"),
     "joblib": Library("joblib", ">=1.3", "python3-joblib", "python3-joblib"),

@@ -17,7 +17,7 @@ from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_record.imported_run import ImportedRun, read_import
 from nmt_record.observables import ObservableTable
-from nmt_record.sidecar_template import sidecar_template
+from nmt_record.sidecar_template import sidecar_templates
 
 HZ, RATIO, MASS = 30.0, 0.01, 2.0
 OMEGA = 2.0 * math.pi * HZ
@@ -138,7 +138,7 @@ def test_a_backbone_has_nothing_to_divide_by(tmp_path: Path) -> None:
 
 
 def template(path: Path) -> dict[str, Any]:
-    values = yaml.safe_load(sidecar_template(path))
+    values = yaml.safe_load(sidecar_templates(path)[0])
     assert isinstance(values, dict)
     return values
 
@@ -160,7 +160,7 @@ def test_a_template_knows_clock_names_units_and_a_decay(tmp_path: Path) -> None:
     values = template(path)
     assert values["segments"][0]["kind"] == "ring_down"
     # As it is written it imports.
-    (tmp_path / "run.yaml").write_text(sidecar_template(path))
+    (tmp_path / "run.yaml").write_text(sidecar_templates(path)[0])
     run = read_import(tmp_path / "run.yaml")
     assert run.channels[0].data == pytest.approx(1e-3 * x)
     assert run.segments[0].stop_sample == 2000
@@ -182,7 +182,7 @@ def test_templates_of_tables(tmp_path: Path) -> None:
     assert segment["kind"] == "frf"
     assert segment["columns"] == {"frequency_hz": "freq_hz", "phase": "phase_deg", "magnitude": "magnitude"}
     assert segment["units"] == {"phase": "deg"}
-    assert "per: force" in sidecar_template(path)
+    assert "per: force" in sidecar_templates(path)[0]
     path.write_text("frequency_hz,zeta,amplitude [mm]\n20,1.1,0.1\n21,1.2,0.2\n")
     segment = template(path)["segments"][0]
     assert segment["kind"] == "backbone"

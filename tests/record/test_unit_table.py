@@ -25,17 +25,21 @@ CHANNELS = {
     Quantity.FORCE: {
         **_multiples("N", "Mkmu"), "daN": constants.deka, "dyn": constants.dyn, "kgf": constants.kgf,
         "kp": constants.kgf, "gf": constants.gram * constants.g, "lbf": constants.lbf,
-        "ozf": constants.oz * constants.g,
+        "ozf": constants.oz * constants.g, "N*m": 1.0, "mN*m": constants.milli,
     },
     Quantity.ACCELERATION: {
         **_multiples("m/s^2", "kcmu"), "Gal": constants.centi, "g": constants.g, "mg": constants.milli * constants.g,
         "ug": constants.micro * constants.g, "in/s^2": constants.inch, "ft/s^2": constants.foot,
+        "rad/s^2": 1.0, "deg/s^2": constants.degree,
     },
     Quantity.VELOCITY: {
         **_multiples("m/s", "cmun"), "km/h": constants.kmh, "in/s": constants.inch, "ft/s": constants.foot,
+        "deg/s": constants.degree,
     },
     Quantity.DISPLACEMENT: {
         **_multiples("m", "cmunp"), "in": constants.inch, "mil": constants.mil, "ft": constants.foot,
+        "rad": 1.0, "mrad": constants.milli, "deg": constants.degree, "m/m": 1.0, "um/m": constants.micro,
+        "strain": 1.0, "ustrain": constants.micro,
     },
     Quantity.VOLTAGE: _multiples("V", "kmu"),
     Quantity.CURRENT: _multiples("A", "kmu"),

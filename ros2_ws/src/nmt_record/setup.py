@@ -11,8 +11,10 @@ setup(
     ],
     install_requires=[
         "h5py>=3.10",
+        "lvm-read>=1.22",
         "lz4>=4.0",
         "mcap>=1.1",
+        "npTDMS>=1.7",
         "numpy>=1.26",
         "pydantic>=2.5",
         "PyYAML>=6.0",

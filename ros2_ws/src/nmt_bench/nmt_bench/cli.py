@@ -61,7 +61,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "nmt_bench.commands.diagnose_command",
         "where model and real rig part, which effect causes it, how far the gap shrinks",
     ),
-    "import": ("nmt_bench.commands.import_command", "data measured elsewhere (CSV, NPZ, UFF58, tables) as a bag"),
+    "import": (
+        "nmt_bench.commands.import_command",
+        "data measured elsewhere (tables, MATLAB, LabVIEW, UFF58) as a bag",
+    ),
     "repair": ("nmt_bench.commands.repair_command", "what can be saved of a damaged or cut bag, and what was lost"),
     "export": ("nmt_bench.commands.export_command", "a recording as UFF58, CSV, NPZ, HDF5 or MATLAB; modes as UFF55"),
     "figures": (

@@ -45,7 +45,9 @@ def is_hdf5(head: bytes) -> bool:
 
 
 def read_mat(path: Path, what: str, largest: int = LARGEST_ARRAYS) -> dict[str, Array]:
-    """Numeric arrays of a MATLAB or HDF5 file by the path of their name; texts, cells and objects are left out.
+    """Numeric arrays of a MATLAB or HDF5 file by the path of their name.
+
+    Texts and objects are left out, elements of cells and of arrays of structs are numbered.
 
     Args:
         path: the file.
@@ -177,6 +179,10 @@ class _Mat5:
             yield path, self._array(data, place, shape, count, bool(flags & _IS_COMPLEX))
         elif kind == _STRUCT:
             yield from self._struct(data, place, path, count, depth)
+        elif kind == _CELL:
+            for element in range(count):
+                _, content, place = self._element(data, place)
+                yield from self._matrix(content, f"{path}.{_numbered(element, shape)}", depth + 1)
 
     def _array(self, data: memoryview, place: int, shape: tuple[int, ...], count: int, is_complex: bool) -> Array:
         self.budget.take(count * (2 if is_complex else 1))
@@ -204,6 +210,13 @@ class _Mat5:
                 yield from self._matrix(content, f"{number_of}.{field}", depth + 1)
 
 
+def _numbered(element: int, shape: tuple[int, ...]) -> str:
+    """Number of an element of a cell array from 1, column by column; of a matrix of cells its row and column."""
+    if max(shape) == math.prod(shape):
+        return str(element + 1)
+    return ".".join(str(int(n) + 1) for n in np.unravel_index(element, shape, order="F"))
+
+
 def _read_hdf5(path: Path, what: str, largest: int) -> dict[str, Array]:
     import h5py
 
@@ -219,6 +232,17 @@ def _read_hdf5(path: Path, what: str, largest: int) -> dict[str, Array]:
             entry = group[name]
             if isinstance(entry, h5py.Group):
                 visit(entry, f"{prefix}{name}.", depth + 1)
+            elif isinstance(entry, h5py.Dataset) and h5py.check_ref_dtype(entry.dtype) is h5py.Reference:
+                budget.take(int(entry.size))
+                shape = entry.shape[::-1] if len(entry.shape) > 1 else (*entry.shape, 1)
+                own = name if entry.attrs.get("MATLAB_class") in (b"cell", "cell") else ""
+                for number, reference in enumerate(entry[()].ravel()):
+                    budget.enter(depth)
+                    parts = (prefix.rstrip("."), own, _numbered(number, shape), "" if own else name)
+                    member = file[reference] if reference else None
+                    values = array(member) if isinstance(member, h5py.Dataset) else None
+                    if values is not None:
+                        found[".".join(filter(None, parts))] = values
             elif isinstance(entry, h5py.Dataset):
                 values = array(entry)
                 if values is not None:

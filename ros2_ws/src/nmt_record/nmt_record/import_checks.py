@@ -15,7 +15,7 @@ from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_record.import_sidecar import ChannelSection, SignalSection
 from nmt_record.import_table import SourceTable, split_name
-from nmt_record.unit_table import plain_unit, quantity_of_unit
+from nmt_record.unit_table import is_angular, plain_unit, quantity_of_unit
 
 _WORDS = (
     (Quantity.FORCE, r"force|kraft|load|loadcell"),
@@ -142,7 +142,7 @@ def check_columns(channels: Sequence[ImportedChannel], table: SourceTable, place
             )
         if finite.size < raw.size:
             notes.append(_gap_note(channel, table, raw))
-        if "scale" not in channel.section.model_fields_set and _looks_like_counts(finite):
+        if "scale" not in channel.section.model_fields_set and looks_like_counts(finite):
             raise BenchError(
                 f"{place}: column {channel.source} holds whole numbers from {finite.min():.0f} to "
                 f"{finite.max():.0f}, which looks "
@@ -178,7 +178,8 @@ def _gap_note(channel: ImportedChannel, table: SourceTable, raw: FloatArray) -> 
     )
 
 
-def _looks_like_counts(values: FloatArray) -> bool:
+def looks_like_counts(values: FloatArray) -> bool:
+    """Whether a column (finite values) holds whole numbers as a converter gives them."""
     head = values[:100_000]
     if head.size < 20 or not np.array_equal(head, np.round(head)):
         return False
@@ -191,7 +192,7 @@ def _unusual(channel: ImportedChannel) -> list[str]:
         return [f"Column {channel.source} ({channel.name}) is constant; is the sensor connected?"]
     peak = float(np.abs(values - np.mean(values)).max())
     low, high = _USUAL[channel.quantity]
-    if low <= peak <= high:
+    if low <= peak <= high or is_angular(channel.section.unit):
         return []
     what = "small" if peak < low else "large"
     return [

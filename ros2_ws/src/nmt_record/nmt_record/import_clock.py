@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_record.import_sidecar import Sidecar
 from nmt_record.import_table import SourceTable, split_name
-from nmt_record.unit_table import other_factor, plain_unit
+from nmt_record.unit_table import other_factor, plain_unit, quantity_of_unit
 
 _TIME_NAME = re.compile(r"(time|t|zeit|timestamp|seconds)(\.?\d+)?([_ ].*)?$", re.I)
 # Steps may scatter by this share (rounded or jittering time stamps); above it they are another clock's.
@@ -117,9 +118,7 @@ def _time_axis(table: SourceTable, sidecar: Sidecar, place: str) -> tuple[FloatA
         return table.abscissa, "the time axis"
     used = {table.index(channel.column, place) for channel in sidecar.channels}
     candidates = [
-        index
-        for index, name in enumerate(table.names)
-        if index not in used and name and names_time(bare_name(table, index), table.columns[index])
+        index for index, name in enumerate(table.names) if index not in used and name and is_clock(table, index)
     ]
     if sidecar.time is not None:
         chosen = table.index(sidecar.time, f"{place}: time")
@@ -145,7 +144,13 @@ def bare_name(table: SourceTable, index: int) -> str:
     return name if table.lines or last.isdigit() else last
 
 
-def names_time(name: str, column: FloatArray) -> bool:
+def is_clock(table: SourceTable, index: int) -> bool:
+    """Whether a column is a clock by its name, and not by its unit something else ("Time Signal" in m/s)."""
+    other = quantity_of_unit(table.units[index]) is not Quantity.UNKNOWN
+    return not other and _names_time(bare_name(table, index), table.columns[index])
+
+
+def _names_time(name: str, column: FloatArray) -> bool:
     """Whether a column is a clock by its name; t1 may be a temperature too, unless it only rises."""
     found = _TIME_NAME.match(name)
     if not found:

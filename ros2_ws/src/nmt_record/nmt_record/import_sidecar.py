@@ -82,7 +82,8 @@ class SignalSection(_Section):
 
     Attributes:
         kind: what was done.
-        start: begin, s on the time axis of the file: that of its time column, else from the first sample.
+        start: begin, s on the time axis of the file: that of its time column (negative before a trigger), else from
+            the first sample.
         stop: end, s.
         level: amplitude that was asked for; in ``level_unit``.
         level_unit: V, N, m or m/s^2.
@@ -101,8 +102,8 @@ class SignalSection(_Section):
     """
 
     kind: SignalKind
-    start: Annotated[float, Field(ge=0)]
-    stop: Positive
+    start: float
+    stop: float
     level: float | None = None
     level_unit: Literal["V", "N", "m", "m/s", "m/s^2"] = "V"
     window: Span | None = None
@@ -113,9 +114,9 @@ class SignalSection(_Section):
     band_hz: Span | None = None
     rate_hz_s: float | None = None
     frequency_end_hz: Positive | None = None
-    switch_off: Annotated[float, Field(ge=0)] | None = None
+    switch_off: float | None = None
     index: Annotated[int, Field(ge=0)] | None = None
-    lock_time: Annotated[float, Field(ge=0)] | None = None
+    lock_time: float | None = None
     phase_error: float | None = None
 
 
@@ -128,7 +129,8 @@ class TableSection(_Section):
         file: left out = the sidecar's file.
         columns: column of the file for each name, if it is called otherwise.
         unit: of the amplitude (m, mm, m/s^2, g, … or m*sqrt(kg) for a modal amplitude) or of the frequency response:
-            per force (m/s^2/N), per acceleration of the base (m/s^2/(m/s^2), g/g, m/(m/s^2)) or per drive (m/s^2/V).
+            per force (m/s^2/N), per acceleration of the base (m/s^2/(m/s^2), g/g, m/(m/s^2)) or per drive (m/s^2/V); of
+            a response alone (m/s) where ``level`` and ``level_unit`` say what was held.
         units: of other columns, if not Hz, 1, rad: ``{frequency_hz: rad/s, damping_ratio: '%', phase: deg}``.
         point: point of the response.
         drive_point: point of the force.
@@ -141,7 +143,9 @@ class TableSection(_Section):
         per: column that every line is divided by, where the file holds response and force (or acceleration of the base)
             side by side; ``unit`` is that of the quotient, or of the response if the column is in N.
         scale: factor of the values before the unit applies; −1 for a sensor the other way round.
-        conjugate: whether the phase is that of the convention exp(−iωt).
+        conjugate: whether the phase is that of the convention exp(−iωt), or a lag.
+        phase_shift_deg: what is added to the phase, after ``conjugate``.
+        amplitudes: whether amplitudes and level are peak or rms values.
         name: for reports.
     """
 
@@ -160,6 +164,8 @@ class TableSection(_Section):
     per: str | int | None = None
     scale: float = 1.0
     conjugate: bool = False
+    phase_shift_deg: float = 0.0
+    amplitudes: Literal["peak", "rms"] = "peak"
     name: str = ""
 
 
@@ -184,7 +190,7 @@ class Sidecar(_Section):
 
     Attributes:
         rig: what the data is a test of: name or path of a rig file, or any name.
-        file: the data: csv, npz or uff, beside the sidecar.
+        file: the data, beside the sidecar.
         sample_rate: Hz; left out if there is a time column.
         time: the time column, if there is one that is not called time or t.
         time_unit: its unit.

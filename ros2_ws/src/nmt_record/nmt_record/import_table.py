@@ -1,4 +1,4 @@
-"""Columns of numbers from CSV, NPZ, MATLAB, HDF5 and UFF files: what cannot be read for certain is refused by line."""
+"""Columns of numbers from CSV, NPZ, MATLAB, HDF5, UFF, LVM and TDMS files: what is not certain is refused by line."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ _SUFFIXES = {
     ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv", ".asc": "csv",
     ".npz": "npz",
     ".mat": "mat", ".h5": "mat", ".hdf5": "mat",
+    ".lvm": "lvm", ".tdms": "tdms",
     ".uff": "uff", ".unv": "uff", ".uf": "uff", ".ufb": "uff", ".58": "uff",
 }  # fmt: skip
 _FOREIGN = (
@@ -33,7 +34,6 @@ _FOREIGN = (
     (b"\xd0\xcf\x11\xe0", "an old spreadsheet", "save the table as CSV"),
     (b"\x93NUMPY", "a single NumPy array", "save the columns with numpy.savez"),
     (b"\x1f\x8b", "a gzip archive", "unpack it"),
-    (b"TDSm", "a TDMS file", "save the columns as CSV"),
     (b"\x89MCAP0", "a bag", "it needs no import, give it to './nmt extract'"),
     (b"%PDF", "a PDF", "save the table as CSV"),
 )
@@ -46,6 +46,7 @@ _INFINITE = re.compile(r"[-+]?inf(inity)?$", re.I)
 _FORMS: tuple[tuple[str | None, str], ...] = (
     (";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (None, "."), (None, ","),
 )  # fmt: skip
+_STAMP = re.compile(r"\d[-./:]\d")  # a date or a time of day is no unit
 _UNIT_IN_NAME = re.compile(r"^(.*?)\s*[\[({]\s*([^\[\](){}]*)\s*[\])}]\s*$")
 
 
@@ -66,6 +67,7 @@ class SourceTable:
         sample_rate: what the file itself says (NPZ), Hz.
         lines: line of each row in the file; None = not a text file.
         breaks: rows before which the header was repeated.
+        constants: single numbers beside the columns (MATLAB).
     """
 
     file: str
@@ -80,6 +82,7 @@ class SourceTable:
     sample_rate: float | None = None
     lines: Callable[[int], int] | None = None
     breaks: tuple[int, ...] = ()
+    constants: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.units = self.units or ("",) * len(self.columns)
@@ -136,11 +139,11 @@ def read_table(path: Path, wanted: Sequence[str | int] = ()) -> SourceTable:
     kind = kind_of(path)
     if kind == "mat":
         return _read_mat(path, wanted)
-    return {"csv": _read_csv, "npz": _read_npz, "uff": _read_uff}[kind](path)
+    return {"csv": _read_csv, "npz": _read_npz, "uff": _read_uff, "lvm": _read_lvm, "tdms": _read_tdms}[kind](path)
 
 
 def kind_of(path: Path) -> str:
-    """``csv``, ``npz``, ``mat`` (HDF5 too) or ``uff``.
+    """``csv``, ``npz``, ``mat`` (HDF5 too), ``uff``, ``lvm`` or ``tdms``.
 
     Raises:
         BenchError: not there, empty, or a file of another kind.
@@ -162,14 +165,21 @@ def kind_of(path: Path) -> str:
         kind = "uff"
     elif is_hdf5(head) or head.startswith(MAT5):
         kind = "mat"
-    elif not kind or (kind == "npz" and not head.startswith(b"PK")) or kind in ("uff", "mat"):
+    elif head.startswith(b"TDSm"):
+        kind = "tdms"
+    elif head.startswith(b"LabVIEW Measurement"):
+        kind = "lvm"
+    elif kind == "lvm":
+        kind = "csv"  # without a header it is a table
+    elif not kind or (kind == "npz" and not head.startswith(b"PK")) or kind in ("uff", "mat", "tdms"):
         wanted = {
             "npz": "an NPZ file (numpy.savez)",
             "uff": "a universal file (it does not begin with '    -1')",
+            "tdms": "a TDMS file",
             "mat": "a MATLAB file of version 5 or later, nor HDF5 (save it with 'save -v7')",
         }
         what = f"is not {wanted[kind]}" if kind else f"has the unknown ending '{path.suffix}'"
-        raise BenchError(f"{path.name} {what}; import csv, npz, mat, h5 or uff.")
+        raise BenchError(f"{path.name} {what}; import csv, txt, npz, mat, h5, uff, lvm or tdms.")
     return kind
 
 
@@ -283,7 +293,9 @@ def _form_of(lines: Sequence[str], name: str) -> _Form:
 def _heading(
     heads: list[list[str]], width: int, form: _Form, name: str, notes: list[str]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    fitting = [cells for cells in heads[-2:] if len(cells) == width]
+    # Empty cells at the end of a heading are no columns.
+    trimmed = [cells[:width] if len(cells) > width and not any(cells[width:]) else cells for cells in heads[-3:]]
+    fitting = [cells for cells in trimmed if len(cells) == width]
     if heads and not fitting and len(heads[-1]) > 1:
         hint = ""
         if form.delimiter == "," and len(heads[-1]) * 2 >= width > len(heads[-1]):
@@ -291,15 +303,26 @@ def _heading(
         raise BenchError(f"{name} has {len(heads[-1])} column names but {width} values in its first row{hint}.")
     if not fitting:
         return ("",) * width, ("",) * width
-    units = ("",) * width
-    if len(fitting) == 2 and all(_is_unit(cell) for cell in fitting[1]):
-        units = tuple(cell.strip("[](){} ") for cell in fitting[1])
-        notes.append(f"The second line of the heading of {name} was read as units ({', '.join(filter(None, units))}).")
-        names = tuple(fitting[0])
-    else:
-        names = tuple(fitting[-1])
-    own = tuple(split_name(column)[1] for column in names)
-    return names, tuple(unit or other for unit, other in zip(units, own, strict=True))
+    titles = len(fitting) - 1
+    if len(fitting) > 1 and (all(map(_is_unit, fitting[-1])) or not all(fitting[-1])):
+        titles -= 1
+    names, units = list(fitting[titles]), ["" if _STAMP.search(split_name(cell)[1]) else split_name(cell)[1]
+                                           for cell in fitting[titles]]  # fmt: skip
+    for below in fitting[titles + 1 :]:
+        if all(map(_is_unit, below)):
+            units = [cell.strip("[](){} ") or unit for cell, unit in zip(below, units, strict=True)]
+            notes.append(
+                f"The second line of the heading of {name} was read as units ({', '.join(filter(None, units))})."
+            )
+            continue
+        labels, present = [], ""
+        for cell in below:
+            present = re.sub(r"[\[({].*", "", cell).strip(" :") if cell else present
+            labels.append(present)
+        names = [f"{split_name(title)[0]} {label}".strip() for title, label in zip(names, labels, strict=True)]
+        told = ", ".join(dict.fromkeys(filter(None, labels)))
+        notes.append(f"The second line of the heading of {name} was read as what the columns belong to ({told}).")
+    return tuple(names), tuple(units)
 
 
 def _is_unit(cell: str) -> bool:
@@ -414,6 +437,83 @@ def _read_npz(path: Path) -> SourceTable:
     return SourceTable(name, tuple(columns), tuple(columns.values()), sample_rate=rate)
 
 
+def _read_lvm(path: Path) -> SourceTable:
+    """Texts of LabVIEW, by lvm-read; one section with an even clock.
+
+    Raises:
+        BenchError: the file cannot be read as such, or has sections or steps of several kinds.
+    """
+    import lvm_read
+
+    name, notes = path.name, list[str]()
+    with open_regular(path, "table", LARGEST_TABLE // 2) as file:
+        text = _decoded(file.read(LARGEST_TABLE), name, notes)
+    try:
+        content = lvm_read.read_str(text.replace("\r\n", "\n"))
+        sections = [content[number] for number in range(content["Segments"])]
+        section = max(sections, key=lambda item: item["data"].size)
+        data = np.asarray(section["data"], dtype=np.float64)
+        count = int(section["Channels"])
+        heads = [str(head) for head in section["Channel names"]]
+        with_time = content.get("X_Columns", "One") != "No"
+        first = 1 if with_time else 0
+        names = [head.strip() or str(number + 1) for number, head in enumerate(heads[first : first + count])]
+        steps, starts = ([float(value) for value in section.get(key, [])][:count] for key in ("Delta_X", "X0"))
+        units = [str(unit).strip() for unit in section.get("Y_Unit_Label", [])][:count]
+    except (KeyError, ValueError, IndexError, TypeError, SyntaxError, AttributeError) as error:
+        raise BenchError(f"{name} cannot be read as a LabVIEW measurement ({error}); export it again.") from error
+    if len(sections) > 1:
+        notes.append(f"{name} has {len(sections)} sections; the largest was read.")
+    if content.get("X_Columns") == "Multi" or len(set(steps)) > 1 or not steps or not steps[0] > 0.0:
+        raise BenchError(f"The channels of {name} have clocks of their own; export those of one clock.")
+    if data.ndim != 2 or not data.size or data.shape[1] < first + count or count < 1:
+        raise BenchError(f"{name} has no rows of {count} channels; export it again.")
+    columns = tuple(np.ascontiguousarray(data[:, first + number]) for number in range(count))
+    if any(column.size == 0 or not np.isfinite(column).any() for column in columns):
+        raise BenchError(f"{name} has a channel without numbers; export it again.")
+    start = starts[0] if starts else 0.0
+    return SourceTable(
+        name,
+        tuple(names),
+        columns,
+        tuple(units) if len(units) == count else (),
+        notes=notes,
+        start=start,
+        step=steps[0],
+    )
+
+
+def _read_tdms(path: Path) -> SourceTable:
+    """TDMS files, by npTDMS; the channels of the group with the most samples.
+
+    Raises:
+        BenchError: the file is damaged, or has no channels of equal length with a clock.
+    """
+    from nptdms import TdmsFile
+
+    name = path.name
+    try:
+        content = TdmsFile.read(path)
+        groups = [[c for c in group.channels() if len(c) and c.dtype.kind in "iuf"] for group in content.groups()]
+        channels = max(groups, key=lambda group: sum(map(len, group)), default=[])
+        columns = tuple(np.asarray(channel[:], dtype=np.float64) for channel in channels)
+        steps = {float(channel.properties.get("wf_increment", 0.0)) for channel in channels}
+        starts = {float(channel.properties.get("wf_start_offset", 0.0)) for channel in channels}
+        units = tuple(str(channel.properties.get("unit_string", "")) for channel in channels)
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OSError, OverflowError, MemoryError) as error:
+        raise BenchError(f"{name} is cut off or damaged ({str(error).rstrip('.')}); save it again.") from error
+    if not columns or len({column.size for column in columns}) > 1 or len(steps) > 1 or len(starts) > 1:
+        raise BenchError(f"{name} holds no group of channels of one clock and length; save those of one recording.")
+    if any(not np.isfinite(column).any() for column in columns):
+        raise BenchError(f"{name} has a channel without numbers; save it again.")
+    notes = [f"{name} has {len(groups)} groups; the largest was read."] if len(groups) > 1 else []
+    step = steps.pop()
+    return SourceTable(
+        name, tuple(channel.name for channel in channels), columns, units, notes=notes,
+        start=starts.pop() if step > 0.0 else None, step=step if step > 0.0 else None,
+    )  # fmt: skip
+
+
 _RATES = ("sample_rate", "fs", "Fs", "sampling_rate", "SampleRate")
 
 
@@ -446,7 +546,8 @@ def _read_mat(path: Path, wanted: Sequence[str | int]) -> SourceTable:
             )
     others = len(columns) - len(kept)
     notes = [f"{others} arrays of {name} have other lengths than {length} and are left out."] if others else []
-    return SourceTable(name, tuple(kept), tuple(kept.values()), notes=notes, sample_rate=rate)
+    single = {key: float(np.real(array.reshape(-1)[0])) for key, array in arrays.items() if array.size == 1}
+    return SourceTable(name, tuple(kept), tuple(kept.values()), notes=notes, sample_rate=rate, constants=single)
 
 
 def _columns_of(key: str, array: NDArray[Any]) -> dict[str, FloatArray]:

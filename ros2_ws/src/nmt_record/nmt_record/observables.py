@@ -197,6 +197,7 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
     notes = list(table.notes)
     if section.kind == "backbone":
         quantity, factor, unit = _amplitude_unit(section, table, place)
+        factor *= _peak(section)
         for name in ("amplitude", "amplitude_std"):
             if name in columns:
                 columns[name], units[name] = columns[name] * factor * abs(section.scale), unit
@@ -204,8 +205,16 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
         unit = section.unit or _own_unit(table, section, "real", "magnitude")
         if section.per is not None and quantity_of_unit(unit) is not Quantity.UNKNOWN:
             unit = f"{unit}/N"
+        held = 1.0
+        if quantity_of_unit(unit) is not Quantity.UNKNOWN:
+            if section.level is None or not section.level > 0.0 or not section.level_unit:
+                raise BenchError(
+                    f"{place}: {unit} is a response, not a response per force; give the level and level_unit that were "
+                    "held, or the unit of the quotient, such as m/s^2/N."
+                )
+            held, unit = section.level, f"{unit}/{section.level_unit}"
         quantity, factor, reference = response_over_reference(unit, place)
-        factor *= section.scale
+        factor *= section.scale / held
         columns = _complex(section, columns, table, place)
         if section.per is not None:
             columns = _divided(section, columns, table, reference, unit, place)
@@ -213,6 +222,9 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
             if "imag" not in columns:
                 raise BenchError(f"{place}: a magnitude without phase has no conjugate; take 'conjugate' out.")
             columns["imag"] = -columns["imag"]
+        if section.phase_shift_deg and "imag" in columns:
+            turned = (columns["real"] + 1j * columns["imag"]) * np.exp(1j * math.radians(section.phase_shift_deg))
+            columns["real"], columns["imag"] = turned.real, turned.imag
         if "magnitude" in columns:
             factor = abs(factor)
             notes.append(f"{place}: {table.file} has no phase; magnitudes alone are compared.")
@@ -262,6 +274,11 @@ def _divided(
     return result
 
 
+def _peak(section: TableSection) -> float:
+    """Peak over what the file gives as amplitude."""
+    return math.sqrt(2.0) if section.amplitudes == "rms" else 1.0
+
+
 def _level(section: TableSection, place: str) -> tuple[float, float, str]:
     """Level of the whole table in SI units (NaN if not given), factor of a column of levels, and the SI unit."""
     factor, unit = 1.0, ""
@@ -273,6 +290,7 @@ def _level(section: TableSection, place: str) -> tuple[float, float, str]:
                 "or a voltage, such as N, g, m/s^2, mm or V."
             )
         factor, unit = factor_to_si(quantity, section.level_unit, f"{place}: level"), quantity.unit
+    factor *= _peak(section)
     return math.nan if section.level is None else section.level * factor, factor, unit
 
 

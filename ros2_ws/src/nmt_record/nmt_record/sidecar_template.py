@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,10 @@ from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_record import uff
-from nmt_record.import_checks import hinted_quantity
-from nmt_record.import_clock import bare_name, names_time
+from nmt_record.import_checks import hinted_quantity, looks_like_counts
+from nmt_record.import_clock import bare_name, is_clock
 from nmt_record.import_table import SourceTable, kind_of, read_table
-from nmt_record.unit_table import quantity_of_unit
+from nmt_record.unit_table import is_angular, plain_unit, quantity_of_unit
 
 _FREQUENCY = re.compile(r"(f|fr?eq(uency)?)(_?hz)?|hz|hertz", re.I)
 # In this order: a damping ratio is no magnitude.
@@ -33,13 +34,14 @@ _LETTERS = {
     "f": Quantity.FORCE, "a": Quantity.ACCELERATION, "x": Quantity.DISPLACEMENT, "v": Quantity.VELOCITY,
     "u": Quantity.VOLTAGE, "i": Quantity.CURRENT,
 }  # fmt: skip
-_DECAYED = 0.2  # rms of the last fifth over that of the first
+_DECAYED = 0.8  # rms of the last fifth over that of the first
 _ASK = "'?'"
 _MOST_CHANNELS = 64
 
 
-def sidecar_template(path: Path) -> str:
-    """Text of a sidecar for a file; what cannot be guessed is a question mark that the import refuses.
+def sidecar_templates(path: Path) -> tuple[str, ...]:
+    """Texts of sidecars for a file, one for each recording in it; what cannot be guessed is a question mark that the
+    import refuses.
 
     Args:
         path: the data.
@@ -51,15 +53,109 @@ def sidecar_template(path: Path) -> str:
     head.append("# rig: my_rig.yaml        # the rig file that it is a test of, beside this file")
     if kind_of(path) == "uff" and all(f.function_type == uff.FREQUENCY_RESPONSE for f in uff.read_uff(path)):
         lines = ["segments:", f"  - {{kind: frf, unit: {_ASK}}}   # unit of the responses, such as m/s^2/N or g/N"]
-        return "\n".join([*head, *lines]) + "\n"
+        return ("\n".join([*head, *lines]) + "\n",)
     table = read_table(path)
     head += [f"# {note}" for note in table.notes]
-    frequency = next((i for i in range(len(table.names)) if _FREQUENCY.fullmatch(bare_name(table, i) or "-")), None)
-    time = [i for i in range(len(table.names)) if names_time(bare_name(table, i), table.columns[i])]
-    rising = frequency is not None and bool((table.columns[frequency] >= 0.0).all())
-    if frequency is not None and rising and not time and len(table.columns) > 1:
-        return "\n".join([*head, *_table_lines(table, frequency)]) + "\n"
-    return "\n".join([*head, *_signal_lines(table, time)]) + "\n"
+    every = range(len(table.names))
+    time = [i for i in every if is_clock(table, i)]
+    named = [i for i in every if _FREQUENCY.fullmatch(bare_name(table, i) or "-")]
+    named = named or [i for i in every if plain_unit(table.units[i]) in ("Hz", "kHz") if not time]
+    if named and not time and len(table.columns) > 1 and bool((table.columns[named[0]] >= 0.0).all()):
+        lines = _held_lines(table, named) or _table_lines(table, named[0])
+        return ("\n".join([*head, *lines]) + "\n",)
+    groups: dict[str, list[int]] = {}
+    for index in every:
+        groups.setdefault(table.names[index].rpartition(".")[0], []).append(index)
+    clocks = {name: next((i for i in own if i in time or _even(table, i)), None) for name, own in groups.items()}
+    if len(groups) > 1 and not table.lines and None not in clocks.values() and min(map(len, groups.values())) > 1:
+        recordings = [(own, [clocks[name]]) for name, own in groups.items()]
+    else:
+        unnamed = [i for i in every if not time and not table.lines and _even(table, i)][:1]
+        recordings = [(list(every), list(time or unnamed))]
+    return tuple(
+        "\n".join([*head, *_signal_lines(table, [i for i in clock if i is not None], own)]) + "\n"
+        for own, clock in recordings
+    )
+
+
+def _even(table: SourceTable, index: int) -> bool:
+    """Whether a column without a name rises by equal steps, as a clock does."""
+    steps = np.diff(table.columns[index])
+    nameless = bare_name(table, index).rpartition(".")[2].isdigit()
+    return nameless and steps.size > 2 and bool(steps.min() > 0.0 and np.ptp(steps) < 1e-3 * steps.mean())
+
+
+def _held_lines(table: SourceTable, frequencies: Sequence[int]) -> list[str]:
+    """Amplitudes and phases of a response at held levels, one segment each; empty where the table is another one."""
+    lines: list[str] = []
+    used = list(frequencies)
+    for index, name in enumerate(table.names):
+        if index in frequencies or index in used:
+            continue
+        prefix = "" if table.lines else name.rpartition(".")[0]
+        own = [i for i in range(len(table.names)) if not prefix or table.names[i].startswith(prefix + ".")]
+        frequency = next((i for i in frequencies if i in own), None)
+        bare, quantity = bare_name(table, index), quantity_of_unit(table.units[index])
+        moves = quantity in (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION) and not _is_phase(
+            table, index
+        )
+        if frequency is None or not (moves or re.fullmatch(_MEMBERS["amplitude"], bare, re.I)):
+            continue
+        later = [i for i in own if i > index and i not in used]
+        phase = later[0] if later and _is_phase(table, later[0]) else None
+        if phase is None:
+            return []
+        used += [index, phase]
+        held = next((v for k, v in table.constants.items() if prefix and re.fullmatch(
+            re.escape(prefix) + r"\.(force|level)", k, re.I)), None)  # fmt: skip
+        columns = {"frequency_hz": frequency, "magnitude": index, "phase": phase}
+        named = ", ".join(f"{member}: {_column(table, column)}" for member, column in columns.items())
+        unit = table.units[index] if moves else f"{_ASK}   # of the response, such as mm or m/s"
+        level = _ASK if held is None else f"{held:g}"
+        rising = bool((np.diff(table.columns[frequency]) > 0.0).all())
+        lines += [
+            "  - kind: frf",
+            f"    columns: {{{named}}}",
+            f"    unit: {unit}",
+            f"    level: {level}            # what was held while the frequency was stepped",
+            "    level_unit: N         # guessed; of a force, a motion or a voltage: N, g, mm, V",
+            f"    amplitudes: {_ASK}       # of response and level: peak or rms",
+            *([f"    direction: {'up' if rising else 'down'}         # by the order of the rows"]),
+            *_phase_lines(table, phase, quantity),
+            "    point: 1              # guessed",
+            "    drive_point: 1        # guessed",
+        ]
+    return ["segments:", *lines] if lines else []
+
+
+def _is_phase(table: SourceTable, index: int) -> bool:
+    return bool(re.match(rf"({_MEMBERS['phase']})(?![a-z])", bare_name(table, index), re.I))
+
+
+_MIDWAY_DEG = {Quantity.DISPLACEMENT: -90.0, Quantity.VELOCITY: 0.0, Quantity.ACCELERATION: 90.0}
+
+
+def _phase_lines(table: SourceTable, index: int, quantity: Quantity) -> list[str]:
+    """Unit, sense and offset of a phase over a resonance at the drive point."""
+    values = table.columns[index]
+    degrees = plain_unit(table.units[index]) == "deg" or float(np.nanmax(np.abs(values))) > 7.0
+    lines = (
+        [] if plain_unit(table.units[index]) else [f"    units: {{phase: {'deg' if degrees else 'rad'}}}   # guessed"]
+    )
+    turn = np.unwrap(np.radians(values) if degrees else values)
+    ends = np.degrees([np.median(turn[: turn.size // 20 + 1]), np.median(turn[-(turn.size // 20) - 1 :])])
+    if abs(ends[1] - ends[0]) < 90.0:
+        return lines
+    lag = ends[1] > ends[0]
+    if lag:
+        lines.append("    conjugate: true       # guessed: the phase rises, so it is a lag")
+    if quantity in _MIDWAY_DEG:
+        midway = -ends.mean() if lag else ends.mean()
+        shift = (_MIDWAY_DEG[quantity] - midway + 180.0) % 360.0 - 180.0
+        if abs(shift) > 10.0:
+            why = f"guessed: midway a {quantity.name.lower()} at the drive point has {_MIDWAY_DEG[quantity]:g} deg"
+            lines.append(f"    phase_shift_deg: {shift:.1f}   # {why}")
+    return lines
 
 
 def _quoted(name: str) -> str:
@@ -120,15 +216,15 @@ def _table_lines(table: SourceTable, frequency: int) -> list[str]:
     return lines
 
 
-def _signal_lines(table: SourceTable, time: Sequence[int]) -> list[str]:
+def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int]) -> list[str]:
     """Channels over time."""
     lines, rate, start = [], table.sample_rate, table.start or 0.0
     clock = table.abscissa if table.abscissa is not None else (table.columns[time[0]] if time else None)
     if time:
         lines.append(f"time: {_column(table, time[0])}")
     if clock is not None and clock.size > 1:
-        step = float(np.nanmedian(np.diff(clock)))
-        rate, start = (1.0 / step if step > 0.0 else None), float(clock[0])
+        span = float(clock[-1] - clock[0])
+        rate, start = ((clock.size - 1) / span if span > 0.0 else None), float(clock[0])
         lines.append(f"# sample_rate: {rate:.6g}     # Hz, by the time column" if rate else "# time stands still?")
     elif table.step:
         rate = 1.0 / table.step
@@ -137,19 +233,36 @@ def _signal_lines(table: SourceTable, time: Sequence[int]) -> list[str]:
         lines.append(f"# sample_rate: {rate:.6g}     # Hz, by the file")
     else:
         lines.append(f"sample_rate: {_ASK}          # Hz")
-    channels = [i for i in range(len(table.columns)) if i not in time][:_MOST_CHANNELS]
-    guesses = [_guess(table, index) for index in channels]
+    channels = [i for i in columns if i not in time][:_MOST_CHANNELS]
+    guesses = {index: _guess(table, index) for index in channels}
+    # Volts are the drive's or a sensor's; which, a name may say.
+    kept = [i for i in channels if guesses[i].quantity != "voltage" or _is_drive(bare_name(table, i))] or channels
     lines.append("channels:")
-    for index, (quantity, unit, point) in zip(channels, guesses, strict=True):
-        values = table.columns[index]
-        where = f", point: {point}" if point else ""
-        lines.append(
-            f"  - {{column: {_column(table, index)}, quantity: {quantity or _ASK}, unit: {unit or _ASK}{where}}}"
-            f"   # from {np.nanmin(values):.4g} to {np.nanmax(values):.4g}"
-        )
+    taken: set[tuple[str, int]] = set()
+    for index in channels:
+        guess, values = guesses[index], table.columns[index]
+        point = guess.point
+        while (guess.quantity, point) in taken:
+            point += 1
+        mark = "  - " if index in kept else "  # - "
+        if index in kept:
+            taken.add((guess.quantity, point))
+        words = [
+            f"column: {_column(table, index)}",
+            f"quantity: {guess.quantity or _ASK}",
+            f"unit: {guess.unit or _ASK}",
+            *([f"scale: {_ASK}"] if looks_like_counts(values[np.isfinite(values)]) else []),
+            *([f"scale: {guess.scale:.9g}"] if guess.scale != 1.0 else []),
+            *([f"point: {point}"] if point else []),
+        ]
+        why = "" if index in kept else "; volts of what? as a channel it needs quantity, unit and scale"
+        why = why or ("; the model's coordinate is then in rad or a strain" if is_angular(guess.unit) else "")
+        lines.append(f"{mark}{{{', '.join(words)}}}   # from {np.nanmin(values):.4g} to {np.nanmax(values):.4g}{why}")
     stop = start + table.rows / rate if rate else 0.0
-    kind = _kind([(quantity, table.columns[index]) for index, (quantity, _, _) in zip(channels, guesses, strict=True)])
-    until = f"{np.nextafter(stop, 0.0):.12g}" if rate else _ASK
+    kind = _kind([(guesses[index].quantity, table.columns[index]) for index in kept])
+    if rate and kind == "ring_down":
+        stop = min(stop, start + max(_moving(table.columns[index]) for index in kept) / rate)
+    until = f"{np.nextafter(stop, -np.inf):.12g}" if rate else _ASK
     lines += [
         "segments:",
         f"  - {{kind: {kind}, start: {start:.12g}, stop: {until}}}   # guessed",
@@ -158,12 +271,43 @@ def _signal_lines(table: SourceTable, time: Sequence[int]) -> list[str]:
     return lines
 
 
-def _guess(table: SourceTable, index: int) -> tuple[str, str, int]:
+def _moving(values: FloatArray) -> int:
+    """Samples until a decay is at rest, within five standard deviations of a last fifth that decays no more."""
+    fifth = max(2, values.size // 5)
+    early, late = (float(np.nanstd(part)) for part in np.array_split(values[-fifth:], 2))
+    above = np.flatnonzero(np.abs(values - np.nanmean(values[-fifth:])) > 5.0 * late)
+    return int(above[-1]) + 1 if early < 1.4 * late and above.size else values.size
+
+
+def _is_drive(name: str) -> bool:
+    return bool(_LETTER.fullmatch(name) or re.search(r"drive|volt|input|source|signal|excit|\bu\b", name, re.I))
+
+
+@dataclass(frozen=True)
+class _Guess:
+    quantity: str = ""
+    unit: str = ""
+    point: int = 0
+    scale: float = 1.0
+
+
+_SENSITIVITY = re.compile(r"([\d.]+)\s*(m?V)\s*/\s*\(?([a-zA-Zµ²/^0-9]+)")
+
+
+def _guess(table: SourceTable, index: int) -> _Guess:
     """Quantity, unit and point of a column; empty and 0 where nothing tells them."""
     name, unit, quantity = bare_name(table, index), table.units[index], table.quantities[index]
     letter = _LETTER.fullmatch(name)
     digits = re.search(r"(\d+)$", name)
-    point = int(digits.group(1)) if digits and len(digits.group(1)) < 4 else 1
+    point = int(digits.group(1)) if digits and 0 < len(digits.group(1)) < 4 and name != digits.group(1) else 1
+    found = _SENSITIVITY.search(table.names[index])
+    if found and plain_unit(unit) in ("V", "mV", "") and float(found[1]) > 0.0:
+        sensor = quantity_of_unit(found[3])
+        if sensor is not Quantity.UNKNOWN:
+            volts = 1e-3 if plain_unit(unit) == "mV" else 1.0
+            return _Guess(
+                sensor.name.lower(), found[3], 1, volts / float(found[1]) * (1e3 if found[2] == "mV" else 1.0)
+            )
     if quantity is Quantity.UNKNOWN:
         quantity = quantity_of_unit(unit) if unit else Quantity.UNKNOWN
     if quantity is Quantity.UNKNOWN:
@@ -171,12 +315,12 @@ def _guess(table: SourceTable, index: int) -> tuple[str, str, int]:
     if quantity is Quantity.UNKNOWN and letter:
         quantity = _LETTERS[letter.group(1).lower()]
     placed = quantity not in (Quantity.UNKNOWN, Quantity.VOLTAGE, Quantity.CURRENT)
-    return "" if quantity is Quantity.UNKNOWN else quantity.name.lower(), unit, point if placed else 0
+    return _Guess("" if quantity is Quantity.UNKNOWN else quantity.name.lower(), unit, point if placed else 0)
 
 
 def _kind(channels: Sequence[tuple[str, FloatArray]]) -> str:
-    """A decay if there are responses only and the last fifth is much smaller than the first."""
-    if any(quantity in ("force", "voltage", "current", "") for quantity, _ in channels) or not channels:
+    """A decay if there are responses only and the last fifth is smaller than the first."""
+    if any(quantity in ("force", "voltage", "current") for quantity, _ in channels) or not channels:
         return "record"
     fifth = max(1, channels[0][1].size // 5)
     sizes = [(np.nanstd(values[:fifth]), np.nanstd(values[-fifth:])) for _, values in channels]

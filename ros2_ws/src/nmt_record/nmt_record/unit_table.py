@@ -19,20 +19,23 @@ _FACTORS: dict[Quantity, dict[str, float]] = {
     Quantity.FORCE: {
         "N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "daN": 10.0, "dyn": 1e-5,
         "kgf": STANDARD_GRAVITY, "kp": STANDARD_GRAVITY, "gf": 1e-3 * STANDARD_GRAVITY,
+        "N*m": 1.0, "mN*m": 1e-3,
         "lbf": _POUND * STANDARD_GRAVITY, "ozf": _POUND * STANDARD_GRAVITY / 16.0,
     },
     Quantity.ACCELERATION: {
         "m/s^2": 1.0, "mm/s^2": 1e-3, "cm/s^2": 1e-2, "um/s^2": 1e-6, "km/s^2": 1e3, "Gal": 1e-2,
         "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "ug": 1e-6 * STANDARD_GRAVITY,
-        "in/s^2": _INCH, "ft/s^2": 12.0 * _INCH,
+        "in/s^2": _INCH, "ft/s^2": 12.0 * _INCH, "rad/s^2": 1.0, "deg/s^2": math.pi / 180.0,
     },
     Quantity.VELOCITY: {
         "m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "um/s": 1e-6, "nm/s": 1e-9, "km/h": 1.0 / 3.6,
-        "in/s": _INCH, "ft/s": 12.0 * _INCH,
+        "in/s": _INCH, "ft/s": 12.0 * _INCH, "deg/s": math.pi / 180.0,
     },
     Quantity.DISPLACEMENT: {
         "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12,
         "in": _INCH, "mil": 1e-3 * _INCH, "ft": 12.0 * _INCH,
+        # Coordinates of a model that are no lengths: angles in rad, strains in 1.
+        "rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "m/m": 1.0, "um/m": 1e-6, "strain": 1.0, "ustrain": 1e-6,
     },
     Quantity.VOLTAGE: {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3},
     Quantity.CURRENT: {"A": 1.0, "mA": 1e-3, "uA": 1e-6, "kA": 1e3},
@@ -53,7 +56,8 @@ _SPELLINGS = (
 )  # fmt: skip
 _NAMES = {
     "newton": "N", "newtons": "N", "volt": "V", "volts": "V", "metre": "m", "meter": "m", "ampere": "A", "amp": "A",
-    "gn": "g", "g0": "g", "micron": "um", "inch": "in", "ips": "in/s", "degree": "deg", "degrees": "deg",
+    "gn": "g", "g0": "g", "micron": "um", "inch": "in", "ips": "in/s", "deg": "deg", "degree": "deg", "degrees": "deg",
+    "ue": "ustrain",
     "sec": "s", "hertz": "Hz", "hz": "Hz", "percent": "%", "-": "1", "none": "1", "m*kg^(1/2)": "m*sqrt(kg)",
 }  # fmt: skip
 
@@ -120,6 +124,11 @@ def quantity_of_unit(unit: str) -> Quantity:
     """The quantity that a unit belongs to; ``UNKNOWN`` if none."""
     plain = plain_unit(unit)
     return next((quantity for quantity, units in _FACTORS.items() if plain in units), Quantity.UNKNOWN)
+
+
+def is_angular(unit: str) -> bool:
+    """Whether a unit is one of an angle, a strain or their derivatives: a coordinate of the model that is no length."""
+    return plain_unit(unit).removeprefix("m").partition("/s")[0] in ("rad", "deg", "strain", "ustrain", "um/m", "/m")
 
 
 def response_unit(unit: str, where: str) -> tuple[Quantity, float]:

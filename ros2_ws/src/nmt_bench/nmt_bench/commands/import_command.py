@@ -17,14 +17,15 @@ if TYPE_CHECKING:
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
-_DATA = (".csv", ".txt", ".tsv", ".dat", ".asc", ".npz", ".mat", ".h5", ".hdf5", ".uff", ".unv", ".58")
+_DATA = (".csv", ".txt", ".tsv", ".dat", ".asc", ".npz", ".mat", ".h5", ".hdf5", ".uff", ".unv", ".58", ".lvm",
+         ".tdms")  # fmt: skip
 
 
 def add_parser(subparsers: Subparsers) -> None:
     """Add the command and its options."""
     parser = subparsers.add_parser(
         "import",
-        help="data measured elsewhere (CSV, NPZ, MATLAB, HDF5, UFF58, tables) as a bag",
+        help="data measured elsewhere (tables, MATLAB, HDF5, LabVIEW, UFF58) as a bag",
         description=(
             "Reads time data, frequency responses and backbones measured elsewhere as a sidecar describes them, "
             "checks them, and writes a bag that './nmt extract' and './nmt diagnose' take. What cannot be right "
@@ -39,7 +40,7 @@ def add_parser(subparsers: Subparsers) -> None:
         "--init",
         metavar="FILE",
         type=Path,
-        help="look into a file of data and write a sidecar for it beside it, FILE with the ending .yaml",
+        help="look into a file of data and write a sidecar beside it, with the ending .yaml; one for each recording",
     )
     add_output_options(parser, "bag/")
 
@@ -77,6 +78,12 @@ def run(arguments: argparse.Namespace) -> int:
     if imported.channels and imported.linear is None:
         console.print("No linear modes: './nmt extract' will need --linear FILE.", markup=False)
     console.print(f"Results in {arguments.out}: bag", markup=False)
+    if rig.text:
+        model = arguments.sidecar.parent / str(imported.sidecar.rig)
+        name = model if model.is_file() else imported.sidecar.rig
+        console.print(
+            f"What the model lacks: ./nmt diagnose --model {name} --real {arguments.out}", markup=False, soft_wrap=True
+        )
     sys.stdout.flush()
     return 0
 
@@ -88,17 +95,21 @@ def _init(data: Path, force: bool) -> int:
         BenchError: the data cannot be read, or there is a sidecar already.
     """
     from nmt_core.whole_file import write_whole
-    from nmt_record.sidecar_template import sidecar_template
+    from nmt_record.sidecar_template import sidecar_templates
 
-    target = data.with_suffix(".yaml")
-    if target.exists() and not force:
-        raise BenchError(f"{target} exists already; move it away or give --force to write it anew.")
-    text = sidecar_template(data)
-    try:
-        write_whole(target, text)
-    except OSError as error:
-        raise BenchError(f"{target} cannot be written: {error.strerror or error}.") from error
-    sys.stdout.write(f"{text}\nWritten to {target}. Check it, then: ./nmt import {target} --out DIR\n")
+    texts = sidecar_templates(data)
+    stems = [data.stem] if len(texts) == 1 else [f"{data.stem}-{number + 1}" for number in range(len(texts))]
+    targets = [data.with_name(f"{stem}.yaml") for stem in stems]
+    there = next((target for target in targets if target.exists() and not force), None)
+    if there is not None:
+        raise BenchError(f"{there} exists already; move it away or give --force to write it anew.")
+    for target, text in zip(targets, texts, strict=True):
+        try:
+            write_whole(target, text)
+        except OSError as error:
+            raise BenchError(f"{target} cannot be written: {error.strerror or error}.") from error
+        asks = "Answer what has a question mark and check" if "'?'" in text else "Check"
+        sys.stdout.write(f"{text}\nWritten to {target}. {asks} it, then: ./nmt import {target} --out DIR\n")
     sys.stdout.flush()
     return 0
 

@@ -30,7 +30,7 @@ from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.inference.result_rows import calibration_rows, candidate_row, inputs, place_rows, ranked_rows
 from nmt_diagnose.inference.search import Found, Score, Search
 from nmt_diagnose.inference.sentences import sentences
-from nmt_diagnose.inference.size import Size, matters, measured_size
+from nmt_diagnose.inference.size import Size, left_size, matters, measured_size, worth
 from nmt_diagnose.inference.tuned import (
     ALARM,
     CHAIN_ROUNDS,
@@ -163,7 +163,9 @@ def find(
     scores = search.scores(null)
     singles = search.singles(null, scores)
     tell("looking for second effects")
-    named = sorted([*singles, *search.pairs(singles)], key=lambda own: -own.fit.log_evidence)
+    bases = {own.candidates[0].cause: own for own in singles}
+    pairs = [own for own in search.pairs(singles) if worth(data, own, bases[own.candidates[0].cause], settings.matters)]
+    named = sorted([*singles, *pairs], key=lambda own: -own.fit.log_evidence)
     if named and named[0].fit.log_evidence > null.fit.log_evidence:
         # Errors of the chain act about the best explanation; every other competes under the same noise.
         data = _about(rig, observations, named[0].fit, data.used)
@@ -172,12 +174,15 @@ def find(
     found = source_places(data, rig, null)
     alone = sources(data, null, found, len(parameters))
     first = Hypotheses(null, named, candidates, alone, [])
-    behind = sources(data, first.best, found, len(parameters)) if first.best is not None else []
+    rest = first.best is not None and matters(left_size(data, first.best), settings.matters)
+    behind = sources(data, first.best, found, len(parameters)) if first.best is not None and rest else []
     comparison = Hypotheses(null, named, candidates, alone, behind).compared()
     explained: dict[str, float] = {}
     for source in alone:
         explained[source.placement.kind] = max(explained.get(source.placement.kind, 0.0), source.explained)
-    return Findings(data, search, given, null, tuple(named), comparison, explained, _visible(search, scores, rig))
+    best = first.best if first.best is not None and comparison.log_odds > ALARM else null
+    visible = _visible(search, search.scores(best), rig)
+    return Findings(data, search, given, null, tuple(named), comparison, explained, visible)
 
 
 def _null(

@@ -11,12 +11,13 @@ from nmt_core.arrays import FloatArray
 from nmt_diagnose.inference.candidate_starts import at_zero
 from nmt_diagnose.inference.fitting import Data, predicted
 from nmt_diagnose.inference.search import Found
+from nmt_diagnose.inference.tuned import STRAIN
 from nmt_diagnose.observations.observables import Part
 
 _KINDS: dict[str, tuple[Part, ...]] = {
     "frequency": (Part.LOG_FREQUENCY,),
     "damping": (Part.DAMPING,),
-    "response": (Part.LOG_MAGNITUDE, Part.PHASE),
+    "response": (Part.LOG_MAGNITUDE, Part.PHASE, Part.SAMPLE),
     "harmonics": (Part.REAL, Part.IMAG),
 }
 _PERCENT = 100.0
@@ -28,7 +29,7 @@ class Size:
 
     Attributes:
         values: by kind of ``MATTERS``; kinds without rows are left out.
-        other: it changes rows that have no such size, such as samples or lines of the mains.
+        other: it changes rows that have no such size, such as lines of the mains.
     """
 
     values: Mapping[str, float]
@@ -50,17 +51,44 @@ _NAMES = {
 
 
 def measured_size(data: Data, found: Found) -> Size:
-    """How far an explanation lies from itself without its effects, at the level or line where they differ most.
-
-    A line where hardly anything is left of a response counts by the response beside it: rms over each level or tenth
-    of the lines.
-    """
-    rows = data.observations.rows
+    """How far an explanation lies from itself without its effects, at the level or line where they differ most."""
     own = found.fit
     without = predicted(data, own.parametrisation, without_strength(found), own.prediction)
     if without is None:  # it has no solution without them
         return Size({}, True)
-    apart = np.nan_to_num(data.forward.difference(own.prediction.values, without.values))
+    return _size(data, data.forward.difference(own.prediction.values, without.values))
+
+
+def left_size(data: Data, found: Found) -> Size:
+    """How large what an explanation leaves is, its noise included."""
+    return _size(data, found.fit.errors.left * data.sigma)
+
+
+def worth(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> bool:
+    """Whether an explanation with more effects than another differs from it by what matters.
+
+    It does where its predictions differ so much, or where the other is that near only by parameters and a measuring
+    chain that are hard to believe.
+    """
+    change = data.forward.difference(more.fit.errors.values, less.fit.errors.values)
+    pulls = [
+        float(
+            np.sum((own.fit.theta / own.fit.parametrisation.prior_std) ** 2)
+            + own.fit.errors.chain @ own.fit.errors.chain
+        )
+        for own in (less, more)
+    ]
+    return matters(_size(data, change), wanted) or pulls[0] - pulls[1] > STRAIN
+
+
+def _size(data: Data, change: FloatArray) -> Size:
+    """Size of a change of the rows, (m,), in their own units.
+
+    A line where hardly anything is left of a response counts by the response beside it: rms over each level or tenth
+    of the lines. Samples of a record count by the rms of all of them.
+    """
+    rows, measured = data.observations.rows, data.observations.values
+    change = np.nan_to_num(change)
     values: dict[str, float] = {}
     known = np.zeros(len(rows), dtype=bool)
     for kind, parts in _KINDS.items():
@@ -68,16 +96,20 @@ def measured_size(data: Data, found: Found) -> Size:
         known |= mine
         if not mine.any():
             continue
-        change = np.abs(apart[mine])
-        if kind == "damping":
-            change = change / np.maximum(np.abs(data.observations.values[mine]), 1e-12)
+        own = np.abs(change[mine])
         keys = np.stack([rows.test[mine], rows.channel[mine], _band(rows.level[mine], rows.test[mine])])
+        if kind == "damping":
+            own = own / np.maximum(np.abs(measured[mine]), 1e-12)
         _, group = np.unique(keys, axis=1, return_inverse=True)
-        counts = np.bincount(group.ravel())
-        values[kind] = float(np.sqrt(np.max(np.bincount(group.ravel(), change**2) / counts)))
+        group = group.ravel()
+        squares = np.bincount(group, own**2) / np.bincount(group)
+        records = rows.part[mine] == Part.SAMPLE
+        if records.any():
+            whole = np.bincount(group, np.where(records, measured[mine] ** 2, 0.0)) / np.bincount(group)
+            squares = np.where(whole > 0.0, squares / np.maximum(whole, 1e-300), squares)
+        values[kind] = float(np.sqrt(np.max(squares)))
     rest = data.used & ~known
-    scaled = apart[rest] / data.sigma[rest]
-    return Size(values, bool(np.any(np.abs(scaled) > 1.0)))
+    return Size(values, bool(np.any(np.abs(change[rest] / data.sigma[rest]) > 1.0)))
 
 
 def without_strength(found: Found) -> FloatArray:

@@ -46,6 +46,8 @@ RECALIBRATION = 25.0
 EXPLAINED = 0.85
 # Standard deviations by which held-out rows must be predicted worse for an explanation to be refused.
 WORSE = 1.0
+# Fall of what priors of parameters and chain cost from which a further effect is worth telling, however small it is.
+STRAIN = 9.0
 # Explanations whose predictions of held-out rows are judged.
 JUDGED = 3
 # Explanations that are told; share of the likeliest detail's probability from which another is named beside it.

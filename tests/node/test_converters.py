@@ -86,6 +86,39 @@ def drive_and_compare(kind, address):
         device.close()
 
 
+@pytest.mark.campaign
+@pytest.mark.parametrize("kind", ["portaudio"])
+@pytest.mark.parametrize(
+    ("options", "channel"),
+    [
+        (("--fault", "short:x6@0.8"), "x6"),
+        (("--fault", "open:x6@0.8"), "x6"),
+        (("--fault", "sensitivity:x5@0.8"), "x5"),
+        (("--fault", "late:x5@0.8"), "x5"),
+        (("--set", "sensors.4.clip=4e-4"), "x6"),
+        (("--fault", "short:x2@0.8"), "x2"),
+    ],
+)
+def test_a_channel_that_fails_in_a_test_is_named(kind, options, channel, tmp_path):
+    """From the second of three levels on; no damping ratio is wrong beyond its uncertainty."""
+    words = ["--levels", "0.3,0.9,1.2", "--periods", "40", "--reference", "none", "--no-report"]
+    simulated(kind, tmp_path, "run", *words, "--out", str(tmp_path / "simulated"))
+    with converter_bench(kind, tmp_path, *options) as bench:
+        bench.pass_check()
+        with bench.start("run", "--quiet", *words, "--out", str(tmp_path / "run")) as process:
+            said, _ = process.communicate()
+    with or_losses_are_named(said):
+        found, wanted = (
+            json.loads((tmp_path / name / "modal.json").read_text())["points"] for name in ("run", "simulated")
+        )
+        assert found[0]["status"] == "OK"
+        assert channel in " ".join(point["reason"] for point in found[1:]) or "no higher level follows" in said
+        for point, truth in zip(found, wanted, strict=False):
+            if point["status"] == "OK":
+                away = abs(point["damping_ratio"] - truth["damping_ratio"])
+                assert away < 2.0 * point["damping_ratio_std"] + MOST_DAMPING * truth["damping_ratio"]
+
+
 @pytest.mark.parametrize("kind", ["nidaqmx", pytest.param("portaudio", marks=pytest.mark.campaign)])
 def test_a_short_test_by_the_command(kind, tmp_path):
     """Launcher, nodes and converter together: a level locks and has the values of the simulated one."""

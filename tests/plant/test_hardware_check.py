@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from nmt_blind.cases.blind_rigs import BLIND_RIGS
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_plant.hardware_check import check
 from nmt_plant.hardware_rig import HardwareRig, device_of
 from nmt_plant.specimen import Specimen
 from nmt_plant.specimen_faults import FAULTS, Fault, parse_fault
+from nmt_report.check_report import check_page
 from nmt_rig.rig import Rig, load_rig
 
 CHANNELS = {
@@ -24,6 +26,7 @@ CHANNELS = {
     "sign": "x4",
     "permuted": "x4",
     "sensitivity": "x5",
+    "late": "x5",
 }
 FOUND = {"force_response": ("f2", "x2"), "permuted": ("x4", "x6")}
 LEVELS = (0.05, 1.5)
@@ -55,6 +58,52 @@ def test_a_planted_fault_is_named_with_its_channel(rig, name):
     expected = FOUND.get(name, (channel,) if channel else ())
     assert [(each.name, each.channels) for each in result.findings] == [(name, expected)]
     assert not result.passed
+
+
+def outcome_of(rig, truth):
+    """The check of another rig than its file says."""
+    section = device_of(rig, "portaudio")
+    device = HardwareRig(rig, section, specimen=Specimen(truth, section))
+    device.configure()
+    device.start()
+    try:
+        return check(device, LEVELS)
+    finally:
+        device.close()
+
+
+def test_a_late_drive_sensor_is_measured_and_what_it_does_to_a_test_is_said(rig):
+    """0.2 ms: a run of the same rig gives -141 ppm in frequency and +0.04 % in damping."""
+    result = outcome_of(rig, load_rig("beam", ["sample_rate_hz=4000", "sensors.1.delay_s=0.0002"]))
+    assert [(each.name, each.channels) for each in result.findings] == [("late", ("x2",))]
+    late = result.channels[1]
+    assert late.delay == pytest.approx(2e-4, abs=4 * late.delay_std)
+    assert late.delay_std < 5e-6
+    assert late.frequency_error == pytest.approx(-141e-6, rel=0.03)
+    assert late.damping_error == pytest.approx(4e-4, abs=5e-3)
+    assert all(abs(each.delay) < 5 * each.delay_std for each in result.channels if each.channel not in ("x2", "u"))
+
+
+def test_a_single_mode_off_is_named_with_its_number():
+    """The first mode 15 % lower and twice as damped, the others as the model has them."""
+    rig = load_rig(BLIND_RIGS["modal_beam"].file, ["sample_rate_hz=4000"])
+    seen = [sensor for sensor in rig.sensors if sensor.quantity != "displacement"]  # it sees nothing at this level
+    rig = rig.model_copy(update={"sensors": seen})
+    first, *others = rig.structure.modes
+    low = first.model_copy(
+        update={"frequency_hz": 0.85 * first.frequency_hz, "damping_ratio": 2.0 * first.damping_ratio}
+    )
+    truth = rig.model_copy(update={"structure": rig.structure.model_copy(update={"modes": [low, *others]})})
+    result = outcome_of(rig, truth)
+    assert [(each.name, each.channels) for each in result.findings] == [("resonance", ())]
+    assert result.findings[0].sentence.startswith("mode 1 lies at ")
+    assert "mode 2" not in result.findings[0].sentence
+    for found, mode in zip(result.modes, [low, *others], strict=False):
+        assert found.frequency_hz == pytest.approx(mode.frequency_hz, rel=2e-3)
+        assert found.damping_ratio == pytest.approx(mode.damping_ratio, rel=0.2)
+    page = check_page({"rig": "beam", "device": "portaudio", "date": "", "priority": "", **result.to_mapping()})
+    assert "mode 1 lies at" in page
+    assert "δ̃ error" in page
 
 
 def test_two_faults_at_once_are_both_named(rig):

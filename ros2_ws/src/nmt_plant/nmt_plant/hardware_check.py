@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_plant.device import DeviceFault
 from nmt_plant.hardware_rig import HardwareRig
+from nmt_plant.model_fit import ModelFit, MovedModes, fit_model, scan_modes
 from nmt_plant.specimen import Specimen
 from nmt_rig.linear_description import linear_description
 
@@ -37,8 +38,11 @@ _CLEAR = 0.9  # coherence of the lines that are compared
 _GAIN_TOLERANCE = 0.15  # relative, beside four times the sensitivity's own uncertainty
 _FOLLOWS = 0.3  # correlation of drive and monitor, from which a delay is believed
 _SAME_CHANNEL = 0.08  # mean logarithmic difference of responses that are the same
-_SAME_STRETCHED = 0.3  # the same where frequencies do not agree: the exciter's own are not stretched
+_SAME_MOVED = 0.3  # the same where frequencies do not agree: modes beyond the band are not moved
 _FREQUENCY_TOLERANCE = 0.03
+_MODEL_ERROR = 0.02  # relative, of a line of a response
+_SURE = 5.0  # standard deviations
+_MOST_DAMPING, _MOST_FREQUENCY, _MOST_TURN = 0.01, 1e-4, 5.0  # errors of a test: of δ̃, of ω̃; degrees of a shape
 _HEADROOM = 0.9  # of the range that planned levels may reach
 _CLOCK_PPM = 200.0  # a short record knows no better
 _MAINS_HZ = (50.0, 60.0)
@@ -50,7 +54,7 @@ class Finding(NamedTuple):
 
     Attributes:
         name: of the kind: noise, mains, offset, overload, open, short, icp, sign, force_response, permuted,
-            sensitivity, no_drive, headroom, rate, delay, resonance, losses, limit.
+            sensitivity, late, no_drive, headroom, rate, delay, resonance, losses, limit.
         channels: that have it; empty = the whole bench.
         sentence: what was found.
         remedy: what fixes it.
@@ -73,7 +77,10 @@ class ChannelFigures:
         mains_v: amplitude at the mains' frequency, V.
         offset_v: mean, V.
         coherence: with the drive, median over the band.
-        gain: measured over expected, 1; NaN where it does not follow the drive.
+        gain: measured over expected, 1; NaN where it does not follow the drive. Negative = wrong sign.
+        gain_std: its standard uncertainty; NaN where the channel was not fitted, as for those that follow.
+        delay, delay_std: later than the median of the channels, s.
+        damping_error, frequency_error: relative errors of δ̃ and ω̃ that this gain and this delay make in a test.
         headroom: share of the range that the planned levels reach by linear reckoning; NaN as above.
     """
 
@@ -87,6 +94,30 @@ class ChannelFigures:
     coherence: float
     gain: float
     headroom: float
+    gain_std: float = math.nan
+    delay: float = math.nan
+    delay_std: float = math.nan
+    damping_error: float = math.nan
+    frequency_error: float = math.nan
+
+
+@dataclass(frozen=True)
+class ModeFigures:
+    """A mode of the model as the responses have it, with standard uncertainties.
+
+    Attributes:
+        number: in the model, from 1.
+        frequency_hz, frequency_std: Hz; model_hz: the model's.
+        damping_ratio, damping_std: 1; model_damping: the model's.
+    """
+
+    number: int
+    frequency_hz: float
+    frequency_std: float
+    model_hz: float
+    damping_ratio: float
+    damping_std: float
+    model_damping: float
 
 
 @dataclass(frozen=True)
@@ -101,6 +132,7 @@ class CheckResult:
         clock_ppm: of the converter against the computer; NaN where it was not measured.
         frequency_hz, expected_hz: of the target mode with exciter, found and expected, Hz.
         lost_blocks: blocks with lost samples.
+        modes: of the model, in the band of the check.
     """
 
     findings: tuple[Finding, ...]
@@ -114,6 +146,7 @@ class CheckResult:
     frequency_hz: float
     expected_hz: float
     lost_blocks: int
+    modes: tuple[ModeFigures, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -283,7 +316,12 @@ class _Evaluation:
             self.coherence = np.zeros(len(self.names))
         self.gains = np.full(len(self.names), math.nan)
         self.expected_hz = linear_hz or linear_description(device.rig).frequency_hz
-        self.stretch = 1.0
+        self.target_hz = linear_description(device.rig).frequency_hz
+        self.model: MovedModes | None = None
+        self.moved: FloatArray = np.empty(0)
+        self.at_rest: ComplexArray = np.empty(0, dtype=np.complex128)
+        self.as_planned: ComplexArray = self.at_rest
+        self.fit: ModelFit | None = None
         self.noise, self.mains, self.offset = self._floor()
 
     def add(self, name: str, rows: Sequence[int], sentence: str, remedy: str) -> None:
@@ -314,8 +352,10 @@ class _Evaluation:
             self._ask_port(row)
         self._ask_bench()
         if self.is_driven and not any(finding.name == "no_drive" for finding in self.findings):
-            self._ask_resonance()
+            self._move_modes()
             self._ask_gains()
+            self._ask_resonance()
+            self._ask_lateness()
             self._ask_headroom()
 
     def _ask_port(self, row: int) -> None:
@@ -462,45 +502,100 @@ class _Evaluation:
                 "let output and input share one clock; look for lost samples",
             )
 
-    def _ask_resonance(self) -> None:
-        """Where the responses lie in frequency, against the model's, whatever their gains."""
-        stretches = np.geomspace(0.8, 1.25, 181)
-        usable = [row for row in range(len(self.names)) if self._is_usable(row)]
-        if not usable:
+    def _move_modes(self) -> None:
+        """Let the model's modes lie where the responses have them, whatever gains and phases are."""
+        try:
+            self.model = MovedModes(self.device.rig, self.found.lines, self.names)
+        except ValueError:
+            return  # as it is
+        one = np.ones(self.model.frequencies.size)
+        self.at_rest = self.model(one, one)
+        usable = np.array([self._is_usable(row) for row in range(len(self.names))])
+        clear = (self.found.coherence > _CLEAR) & (self.expected.coherence > _CLEAR) & usable[:, None]
+        measured, expected = np.abs(self.found.values), np.abs(self.expected.values)
+        self.moved = scan_modes(self.model, measured, clear, self.at_rest, expected)
+        self.as_planned = self.expected.values
+        values = self.as_planned * self.model(self.moved, one) / self.at_rest
+        self.expected = _Responses(self.expected.lines, values, self.expected.coherence)
+
+    def _fit(self, rows: Sequence[int]) -> None:
+        """Modes, gains and delays, by channels that are not taken for others."""
+        usable = [row for row in rows if self._is_usable(row)]
+        if self.model is None or not usable:
             return
-        costs = [float(np.median([self._misfit(row, row, stretch, True) for row in usable])) for stretch in stretches]
-        best = float(stretches[int(np.argmin(costs))])
-        # Only where it explains a good deal more than no stretch at all does.
-        if min(costs) < 0.7 * costs[stretches.size // 2]:
-            self.stretch = best
-        if abs(self.stretch - 1.0) > _FREQUENCY_TOLERANCE:
-            model_hz = linear_description(self.device.rig).frequency_hz
+        coherence = np.clip(self.found.coherence, 1e-6, 1.0 - 1e-9)
+        averages = 2.0 * self.record.put_out.size / (_SEGMENT * self.rate)
+        std = np.hypot(np.sqrt((1.0 - coherence) / (2.0 * coherence * averages)), _MODEL_ERROR)
+        std[(self.found.coherence <= _CLEAR) | (self.expected.coherence <= _CLEAR)] = np.inf
+        arguments = self.found.values, std, self.as_planned, self.at_rest, self.moved, usable, self.found.lines
+        self.fit = fit_model(self.model, *arguments)
+
+    def _ask_resonance(self) -> None:
+        """Whether each of the model's modes lies where the model has it."""
+        off = [
+            f"mode {mode.number} lies at {mode.frequency_hz:.4g} Hz (±{mode.frequency_std:.1g}), "
+            f"{100.0 * (mode.frequency_hz / mode.model_hz - 1.0):+.1f} % from the {mode.model_hz:.4g} Hz of the model"
+            for mode in self.mode_figures
+            if abs(mode.frequency_hz - mode.model_hz)
+            > max(_FREQUENCY_TOLERANCE * mode.model_hz, _SURE * mode.frequency_std)
+        ]
+        if off:
             self.add(
                 "resonance",
                 (),
-                f"the structure's frequencies lie at {self.stretch:.3f} times those expected "
-                f"({self.stretch * model_hz:.4g} Hz for {model_hz:.4g} Hz)",
+                "; ".join(off),
                 "look at the clamping and at the rig file, or make a linear test ('./nmt linear') and give its file",
             )
+
+    def _ask_lateness(self) -> None:
+        """Channels that come later or earlier than the others."""
+        fit = self.fit
+        if fit is None:
+            return
+        for row, delay, std in zip(fit.rows, fit.delay, fit.delay_std, strict=True):
+            damping, frequency = self.test_errors(row, 1.0, delay)
+            turn = 360.0 * self.target_hz * delay
+            broken = abs(damping) > _MOST_DAMPING or abs(frequency) > _MOST_FREQUENCY or abs(turn) > _MOST_TURN
+            if broken and abs(delay) > _SURE * std:
+                self.add(
+                    "late",
+                    [row],
+                    f"{self.names[row]} comes {1e3 * abs(delay):.4g} ms (±{1e3 * std:.1g}) "
+                    f"{'after' if delay > 0 else 'before'} the others, {abs(turn):.2g}° at {self.target_hz:.4g} Hz: "
+                    f"the test would give {_error_words(damping, frequency)}",
+                    "look at filters and delays of its conditioner and converter; sample all inputs together",
+                )
+
+    def test_errors(self, row: int, gain: float, delay: float) -> tuple[float, float]:
+        """Relative errors of damping ratio and frequency that a channel's gain and delay (s) make in a test."""
+        linear = linear_description(self.device.rig)
+        omega, target = linear.frequencies_rad_s[linear.target_mode], linear.target_mode
+        quantity, point = self.quantities[self.names[row]], self.points[self.names[row]]
+        factor = gain * np.exp(-1j * omega * delay)
+        shape = linear.shape_matrix.astype(np.complex128)
+        at = shape[:, target].copy()
+        is_shape = quantity.topic == self.device.rig.extraction.quantity
+        if is_shape and point in linear.points:
+            at[linear.points.index(point)] *= factor
+        turned = quantity is Quantity.FORCE or (is_shape and point == linear.drive_point)
+        angle = float(np.angle(factor * np.sign(gain))) if turned else 0.0  # held by the loop, and missing in truth
+        power = abs(gain) / max(math.cos(angle), 1e-6) if turned else 1.0
+        amplitude = float(np.linalg.norm(np.linalg.pinv(shape) @ at))
+        frequency = math.tan(-angle if quantity is Quantity.FORCE else angle)
+        return power / max(amplitude, 1e-12) ** 2 - 1.0, linear.damping_ratios[target] * frequency
 
     def _is_usable(self, row: int) -> bool:
         quantity = self.quantities[self.names[row]]
         return row not in self.condemned and quantity is not Quantity.VOLTAGE and self.coherence[row] > _CONNECTED
 
-    def _ratio(self, row: int, other: int, stretch: float) -> FloatArray:
+    def _ratio(self, row: int, other: int) -> FloatArray:
         """Logarithm of found over expected, of the lines that are clear in both."""
-        lines = self.found.lines
-        at = lines / stretch
-        inside = (at >= lines[0]) & (at <= lines[-1]) & (self.found.coherence[row] > _CLEAR)
-        magnitude = np.abs(self.expected.values[other])
-        clear = np.interp(at, lines, self.expected.coherence[other]) > _CLEAR
-        expected = np.interp(at, lines, magnitude)
-        chosen = inside & clear & (expected > 0.0)
-        values = np.abs(self.found.values[row])[chosen]
-        return np.asarray(np.log(np.maximum(values, 1e-300) / expected[chosen]))
+        expected = np.abs(self.expected.values[other])
+        clear = (self.found.coherence[row] > _CLEAR) & (self.expected.coherence[other] > _CLEAR) & (expected > 0.0)
+        return np.asarray(np.log(np.maximum(np.abs(self.found.values[row])[clear], 1e-300) / expected[clear]))
 
-    def _misfit(self, row: int, other: int, stretch: float, any_gain: bool = False) -> float:
-        ratio = self._ratio(row, other, stretch)
+    def _misfit(self, row: int, other: int, any_gain: bool = False) -> float:
+        ratio = self._ratio(row, other)
         if ratio.size < 10:
             return math.inf
         if any_gain:
@@ -511,15 +606,16 @@ class _Evaluation:
         """Sign, exchanged channels, sensitivity."""
         rows = [row for row in range(len(self.names)) if row not in self.condemned and self.coherence[row] > _CONNECTED]
         for row in rows:
-            ratio = self._ratio(row, row, self._stretch_of(row))
+            ratio = self._ratio(row, row)
             if ratio.size >= 10:
                 self.gains[row] = math.exp(float(np.median(ratio)))
         exchanged = self._exchanged(rows)
+        self._fit([row for row in rows if row not in exchanged])
         for row in rows:
             if row in exchanged:
                 continue
             self._ask_sensitivity(row, self.gains[row])
-            if self._turn(row, row) < -0.5:
+            if self._turn(row) < -0.5:
                 self.add(
                     "sign",
                     [row],
@@ -533,22 +629,17 @@ class _Evaluation:
             self.add(
                 "sensitivity",
                 [row],
-                f"{self.names[row]} measures {gain:.3g} times what the model expects",
+                f"{self.names[row]} measures {gain:.3g} times what the model expects: the test would give "
+                f"{_error_words(*self.test_errors(row, gain, 0.0))}",
                 "compare sensitivity_v with the calibration sheet, and the conditioner's gain",
             )
 
-    def _stretch_of(self, row: int) -> float:
-        return 1.0 if self.quantities[self.names[row]] is Quantity.VOLTAGE else self.stretch
-
-    def _turn(self, row: int, other: int) -> float:
-        """Mean cosine of the phase between found and expected."""
-        chosen = (self.found.coherence[row] > _CLEAR) & (self.expected.coherence[other] > _CLEAR)
-        if abs(self.stretch - 1.0) > 0.005:
-            # Phases are compared away from resonances where frequencies do not agree.
-            lines = self.found.lines
-            moved = np.interp(lines / self.stretch, lines, np.unwrap(np.angle(self.expected.values[other])))
-            return float(np.mean(np.cos(np.angle(self.found.values[row]) - moved)[chosen]))
-        product = self.found.values[row] * np.conj(self.expected.values[other])
+    def _turn(self, row: int) -> float:
+        """Mean cosine of the phase between found and expected, of a fitted channel the sign of its gain."""
+        if self.fit is not None and row in self.fit.rows:
+            return float(np.sign(self.fit.gain[self.fit.rows.index(row)]))
+        chosen = (self.found.coherence[row] > _CLEAR) & (self.expected.coherence[row] > _CLEAR)
+        product = self.found.values[row] * np.conj(self.expected.values[row])
         return float(np.mean((product / np.maximum(np.abs(product), 1e-300)).real[chosen])) if chosen.any() else 0.0
 
     def _exchanged(self, rows: Sequence[int]) -> set[int]:
@@ -556,7 +647,7 @@ class _Evaluation:
 
         The other may show nothing of its sensor; and one of both may have a wrong sensitivity besides.
         """
-        own = {row: self._misfit(row, row, self._stretch_of(row)) for row in rows}
+        own = {row: self._misfit(row, row) for row in rows}
         wrong = [row for row in rows if own[row] > _SAME_CHANNEL]
         mute = [row for row in self.condemned if self.quantities[self.names[row]] is not Quantity.VOLTAGE]
         pairs = [(one, other) for index, one in enumerate(wrong) for other in wrong[index + 1 :]]
@@ -578,27 +669,28 @@ class _Evaluation:
             )
             for row, as_row in ((one, other), (other, one)):
                 if row not in self.condemned:
-                    self._ask_sensitivity(row, math.exp(float(np.median(self._ratio(row, as_row, self.stretch)))))
+                    self._ask_sensitivity(row, math.exp(float(np.median(self._ratio(row, as_row)))))
         return found
 
     @property
     def _same(self) -> float:
-        return _SAME_CHANNEL if abs(self.stretch - 1.0) <= 0.005 else _SAME_STRETCHED
+        is_moved = self.moved.size > 0 and bool(np.any(np.abs(self.moved - 1.0) > 0.005))
+        return _SAME_MOVED if is_moved else _SAME_CHANNEL
 
     def _cross_cost(self, one: int, other: int, own: Mapping[int, float]) -> float:
         """Misfit of two channels each taken for the other; infinite where they are not exchanged."""
-        crossed = [self._misfit(one, other, self.stretch), self._misfit(other, one, self.stretch)]
+        crossed = [self._misfit(one, other), self._misfit(other, one)]
         if max(crossed) <= self._same and max(crossed) <= 0.5 * max(own[one], own[other]):
             return max(crossed)
-        shapes = [self._misfit(one, other, self.stretch, True), self._misfit(other, one, self.stretch, True)]
-        kept = [self._misfit(row, row, self._stretch_of(row), True) for row in (one, other)]
+        shapes = [self._misfit(one, other, True), self._misfit(other, one, True)]
+        kept = [self._misfit(row, row, True) for row in (one, other)]
         if max(shapes) <= self._same and min(kept) > 2.0 * max(shapes) and min(crossed) <= self._same:
             return max(crossed)
         return math.inf
 
     def _one_sided_cost(self, one: int, other: int, own: Mapping[int, float]) -> float:
         """Misfit of a channel taken for another that shows nothing; infinite where it is not that other's."""
-        crossed = self._misfit(one, other, self.stretch)
+        crossed = self._misfit(one, other)
         return crossed if crossed <= min(self._same, 0.5 * own[one]) else math.inf
 
     def headroom(self, row: int) -> float:
@@ -610,9 +702,45 @@ class _Evaluation:
         if not clear.any():
             return math.nan
         lines = self.found.lines
-        near = clear & (np.abs(lines / (self.stretch * self.expected_hz) - 1.0) < 0.15)
+        near = clear & (np.abs(lines / (self.target_ratio * self.expected_hz) - 1.0) < 0.15)
         chosen = near if near.any() else clear
         return float(np.abs(values[chosen]).max() * max(self.levels) / self.ranges[row])
+
+    def turn_of(self, row: int) -> float:
+        """Negative where a channel has the wrong sign."""
+        return self._turn(row) if self.is_driven and math.isfinite(self.gains[row]) else 1.0
+
+    def fitted_figures(self, row: int) -> tuple[float, ...]:
+        """`ChannelFigures` from ``gain_std`` on; NaN where the channel was not fitted."""
+        fit = self.fit
+        if fit is None or row not in fit.rows:
+            return (math.nan,) * 5
+        at = fit.rows.index(row)
+        delay = float(fit.delay[at])
+        errors = self.test_errors(row, float(fit.gain[at]), delay)
+        return float(fit.gain_std[at]), delay, float(fit.delay_std[at]), *errors
+
+    @property
+    def mode_figures(self) -> tuple[ModeFigures, ...]:
+        """The model's modes; empty where nothing was fitted."""
+        fit, model = self.fit, self.model
+        if fit is None or model is None:
+            return ()
+        figures = np.column_stack(
+            (
+                fit.frequency * fit.mode_hz, fit.frequency_std * fit.mode_hz, fit.mode_hz,
+                fit.damping, fit.damping_std, model.damping,
+            )
+        )  # fmt: skip
+        rows = zip(model.numbers, figures, strict=True)
+        return tuple(ModeFigures(int(number) + 1, *map(float, row)) for number, row in rows)
+
+    @property
+    def target_ratio(self) -> float:
+        """Frequency of the target mode over the model's."""
+        if self.fit is None:
+            return 1.0
+        return float(self.fit.frequency[np.argmin(np.abs(self.fit.mode_hz - self.target_hz))])
 
     def _ask_headroom(self) -> None:
         for row, name in enumerate(self.names):
@@ -624,6 +752,11 @@ class _Evaluation:
                     f"{name} would reach {100 * share:.0f} % of its range at {max(self.levels):g} V",
                     "take a larger range, a less sensitive sensor, or lower levels",
                 )
+
+
+def _error_words(damping: float, frequency: float) -> str:
+    """Errors of a test for people."""
+    return f"δ̃ wrong by {100.0 * damping:+.2g} % and ω̃ by {1e6 * frequency:+.3g} ppm"
 
 
 def evaluate_check(
@@ -650,12 +783,12 @@ def evaluate_check(
             float(asked.mains[row]),
             float(asked.offset[row]),
             float(asked.coherence[row]),
-            float(asked.gains[row]),
+            float(math.copysign(asked.gains[row], asked.turn_of(row))),
             asked.headroom(row),
+            *asked.fitted_figures(row),
         )
         for row, entry in enumerate(asked.inputs)
     )
-    model_hz = linear_description(device.rig).frequency_hz
     return CheckResult(
         tuple(asked.findings),
         channels,
@@ -665,9 +798,10 @@ def evaluate_check(
         figures.round_trip,
         figures.stated,
         figures.clock_ppm,
-        asked.stretch * model_hz,
+        asked.target_ratio * asked.target_hz,
         asked.expected_hz,
         record.lost_blocks,
+        asked.mode_figures,
     )
 
 
@@ -686,6 +820,7 @@ __all__ = [
     "CheckResult",
     "DeviceFault",
     "Finding",
+    "ModeFigures",
     "check",
     "drive_level",
     "evaluate_check",

@@ -24,6 +24,7 @@ FAULTS = {
     "force_response": "cables of the force and of the drive point's response are exchanged",
     "permuted": "cables of two response channels are exchanged",
     "sensitivity": "the channel's sensitivity is 40 % too high",
+    "late": "the channel is 3 ms late",
     "no_drive": "the exciter does not move: amplifier off",
     "rate": "the converter's clock is 1 % off",
     "delay": "the delay moves by 40 samples now and then",
@@ -32,28 +33,37 @@ FAULTS = {
 """Name and what is wrong."""
 
 
+_LATE = 3e-3  # s
+
+
 class Fault(NamedTuple):
     """A planted fault.
 
     Attributes:
         name: of `FAULTS`.
         channel: that has it; empty where it belongs to none.
+        from_v: drive at the exciter from which on a channel has it, V; 0 = it always has.
     """
 
     name: str
     channel: str = ""
+    from_v: float = 0.0
 
 
 def parse_fault(text: str) -> Fault:
-    """Fault from ``name`` or ``name:channel``.
+    """Fault from ``name``, ``name:channel`` or ``name:channel@volts``.
 
     Raises:
-        BenchError: there is none of that name.
+        BenchError: there is none of that name, or the volts are no number.
     """
-    name, _, channel = text.partition(":")
+    what, _, volts = text.partition("@")
+    name, _, channel = what.partition(":")
     if name not in FAULTS:
         raise BenchError(f"There is no fault '{name}'; there are {', '.join(FAULTS)}.")
-    return Fault(name, channel)
+    try:
+        return Fault(name, channel, float(volts or 0.0))
+    except ValueError:
+        raise BenchError(f"Fault '{text}': '{volts}' is no drive in V, as in 'short:x6@0.5'.") from None
 
 
 class Wiring:
@@ -79,7 +89,8 @@ class Wiring:
         for fault in faults:
             if fault.channel and fault.channel not in self._names:
                 raise BenchError(f"There is no channel {fault.channel}; there are {', '.join(self._names)}.")
-        self._faults = [(fault.name, self._row(fault)) for fault in faults]
+        self._faults = [(fault.name, self._row(fault), fault.from_v) for fault in faults]
+        self._highest = 0.0
         names = {fault.name for fault in faults}
         self.dead = "no_drive" in names
         self.delay_moves = "delay" in names
@@ -104,6 +115,7 @@ class Wiring:
         self.rig = rig.model_copy(update=changes) if changes else rig
         self._random = np.random.default_rng(7)
         self._time = 0
+        self._before = np.zeros((len(self._names), 0))
 
     def _row(self, fault: Fault) -> int:
         return self._names.index(fault.channel) if fault.channel else 0
@@ -120,6 +132,7 @@ class Wiring:
 
     def drive(self, voltage: FloatArray) -> FloatArray:
         """What the exciter gets of the amplifier's voltage."""
+        self._highest = max(self._highest, float(np.abs(voltage).max(initial=0.0)))
         return 0.0 * voltage if self.dead else voltage
 
     def delay(self, first: int, count: int) -> FloatArray:
@@ -132,9 +145,14 @@ class Wiring:
         """What arrives at the ports, (inputs, n) V, of the sensors' volts."""
         arrived = volts[self._order].copy()
         n = volts.shape[1]
+        late = round(_LATE * sample_rate)
+        line = np.concatenate([self._before, arrived], axis=1)
+        self._before = line[:, -late:]
         time = (self._time + np.arange(n)) / sample_rate
         self._time += n
-        for name, row in self._faults:
+        for name, row, from_v in self._faults:
+            if self._highest < from_v:
+                continue
             full = self._range[row]
             match name:
                 case "noise":
@@ -154,6 +172,9 @@ class Wiring:
                     arrived[row] = 0.9 * full + 2e-6 * full * self._random.standard_normal(n)
                 case "sign":
                     arrived[row] *= -1.0
+                case "late":
+                    whole = np.concatenate([np.zeros(late), line[row]])
+                    arrived[row] = whole[whole.size - n - late : whole.size - late]
                 case "sensitivity":
                     arrived[row] *= 1.4
         return arrived

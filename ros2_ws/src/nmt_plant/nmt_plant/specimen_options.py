@@ -22,7 +22,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--delay", metavar="N", type=int, default=0, help="further samples of delay (default: 0)")
     parser.add_argument(
-        "--fault", metavar="NAME[:CHANNEL]", action="append", default=[], help="plant a fault; may be repeated"
+        "--fault",
+        metavar="NAME[:CHANNEL[@V]]",
+        action="append",
+        default=[],
+        help="plant a fault, for a channel from a drive of V volts on; may be repeated",
     )
     parser.add_argument("--period", metavar="N", type=int, help="samples of a JACK period (default: half a block)")
     parser.add_argument("--name", default="nmt_specimen", help="of the JACK client (default: nmt_specimen)")

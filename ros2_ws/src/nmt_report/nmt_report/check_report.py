@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from nmt_report.quantity_format import uncertain
 from nmt_report.response_page import ResponsePage, html_table
 
 
@@ -27,6 +28,9 @@ def check_page(document: Mapping[str, Any]) -> str:
         ("mean", "V"),
         ("coherence", ""),
         ("gain", "1"),
+        ("delay", "µs"),
+        ("δ̃ error", "%"),
+        ("ω̃ error", "ppm"),
         ("range used", "%"),
         ("verdict", ""),
     ]
@@ -43,12 +47,33 @@ def check_page(document: Mapping[str, Any]) -> str:
                 _figure(channel["mains_v"]),
                 _figure(channel["offset_v"]),
                 _figure(channel["coherence"]),
-                _figure(channel["gain"]),
+                _pair(channel["gain"], channel["gain_std"], 1.0),
+                _pair(channel["delay"], channel["delay_std"], 1e6),
+                _figure(channel["damping_error"], 100.0),
+                _figure(channel["frequency_error"], 1e6),
                 _figure(channel["headroom"], 100.0),
                 ", ".join(own) or "good",
             ]
         )
-    sections = [("channels", "Channels", html_table(head, rows, "Gain: measured over what the rig's model expects."))]
+    note = (
+        "Gain: measured over what the rig's model expects; delay: later than the median of the channels; both with "
+        "standard uncertainties. Errors: what this gain and this delay make of a test at phase resonance."
+    )
+    sections = [("channels", "Channels", html_table(head, rows, note))]
+    modes = [
+        [
+            str(mode["number"]),
+            _pair(mode["frequency_hz"], mode["frequency_std"], 1.0),
+            _figure(mode["model_hz"]),
+            _figure(mode["frequency_hz"] / mode["model_hz"] - 1.0, 100.0),
+            _pair(mode["damping_ratio"], mode["damping_std"], 100.0),
+            _figure(mode["model_damping"], 100.0),
+        ]
+        for mode in document["modes"]
+    ]
+    if modes:
+        heads = [("mode", ""), ("found", "Hz"), ("model", "Hz"), ("apart", "%"), ("damping", "%"), ("model", "%")]
+        sections.append(("modes", "Modes", html_table(heads, modes, "Of the structure without exciter.")))
     if findings:
         listed = [[", ".join(each["channels"]) or "bench", each["sentence"], each["remedy"]] for each in findings]
         sections.insert(0, ("findings", "Findings", html_table([("where", ""), ("what", ""), ("remedy", "")], listed)))
@@ -71,6 +96,10 @@ def check_page(document: Mapping[str, Any]) -> str:
         sections,
         facts=facts,
     ).html()
+
+
+def _pair(value: float | None, std: float | None, factor: float) -> str:
+    return _figure(value, factor) if value is None or std is None else uncertain(factor * value, factor * std)
 
 
 def _figure(value: float | None, factor: float = 1.0) -> str:

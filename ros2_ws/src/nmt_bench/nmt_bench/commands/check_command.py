@@ -30,8 +30,9 @@ def add_parser(subparsers: Subparsers) -> None:
         description=(
             "Listens to the converter, then drives it with noise of at most one hundredth of the drive's limit, and "
             "compares every channel with the rig's model: noise, mains, offset, overload, open or shorted channels, "
-            "dead ICP supply, sign, exchanged channels, sensitivity, response to the drive, headroom for the planned "
-            "levels, clock, delay and resonance. A test on hardware begins only after a check that passed."
+            "dead ICP supply, sign, exchanged channels, sensitivity and delay of each, response to the drive, headroom "
+            "for the planned levels, clock, and frequency of each mode. A test on hardware begins only after a check that "
+            "passed."
         ),
     )
     parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
@@ -138,8 +139,21 @@ def _show(result: CheckResult, console: Any, valid: float) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
+    from nmt_report.quantity_format import uncertain
+
     table = Table(title="Channels", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    heads = ("channel", "port", "noise\nrms", "mains\nmV", "mean\nmV", "coherence", "gain", "range\n%", "verdict")
+    heads = (
+        "channel",
+        "port",
+        "noise\nrms",
+        "mains\nmV",
+        "mean\nmV",
+        "coherence",
+        "gain",
+        "delay\nµs",
+        "range\n%",
+        "verdict",
+    )
     for head in heads:
         table.add_column(head, no_wrap=head != "verdict")
     for channel in result.channels:
@@ -152,6 +166,7 @@ def _show(result: CheckResult, console: Any, valid: float) -> None:
             f"{1e3 * channel.offset_v:.2f}",
             f"{channel.coherence:.3f}",
             "" if channel.gain != channel.gain else f"{channel.gain:.3f}",
+            "" if channel.delay != channel.delay else f"{1e6 * channel.delay:.1f}",
             "" if channel.headroom != channel.headroom else f"{100 * channel.headroom:.1f}",
             ", ".join(found) or "good",
         )
@@ -164,6 +179,11 @@ def _show(result: CheckResult, console: Any, valid: float) -> None:
         markup=False,
         soft_wrap=True,
     )
+    for mode in result.modes:
+        hz = uncertain(mode.frequency_hz, mode.frequency_std)
+        damping = uncertain(100.0 * mode.damping_ratio, 100.0 * mode.damping_std)
+        model = f"model {mode.model_hz:.5g} Hz, {100.0 * mode.model_damping:.3g} %"
+        console.print(f"Mode {mode.number}: {hz} Hz, {damping} % ({model}).", markup=False, soft_wrap=True)
     for finding in result.findings:
         where = f"{', '.join(finding.channels)}: " if finding.channels else ""
         console.print(f"{where}{finding.sentence}; {finding.remedy}.", style="red", markup=False, soft_wrap=True)

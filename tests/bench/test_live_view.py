@@ -14,9 +14,11 @@ import pytest
 from nmt_bench.page.bag_player import BagPlayer
 from nmt_bench.page.frames import read_frame
 from nmt_bench.page.live_view import LiveView
+from nmt_bench.page.signal_views import deflection
+from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveStop, RunState
-from nmt_core.vocabulary import OutputState, ResultCode, RunPhase, SteeringAct, StopCause
+from nmt_core.records import DriveStop, LoopStatus, RunState
+from nmt_core.vocabulary import OutputState, PointStatus, ResultCode, RunPhase, SteeringAct, StopCause
 from nmt_report.quantity_format import uncertain
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session import Session, plan_test
@@ -219,3 +221,61 @@ def test_a_stop_is_shown_until_it_is_released_whatever_else_comes(tmp_path: Path
     view.take(replace(stop, cause=StopCause.RELEASED, reason=""))
     head, _ = facts(view)
     assert (head["stopped"], head["stop_state"]) == ("", "released")
+
+
+def test_a_rig_that_comes_to_rest_reaches_no_denormal_number(tmp_path: Path) -> None:
+    view = LiveView()
+    newest: dict[Any, Any] = {}
+
+    def listen(topic: str, record: Any) -> None:
+        view.take(record)
+        newest[type(record), getattr(record, "quantity", None)] = record
+
+    with Session(plan_test("beam", **{**BEAM, "levels": [0.2]}), tmp_path / "run", listener=listen) as session:
+        session.run()
+    blocks = [record for record in newest.values() if isinstance(record, SampleBlock)]
+    status = newest[LoopStatus, None]
+    for step, size in enumerate((1e-6, 1e-15, 1e-19, 1e-150, 1e-310, 5e-324, 0.0), 1):
+        for block in blocks:
+            small = np.full_like(block.data, size)
+            view.take(replace(block, first_sample=block.first_sample + step * block.samples, data=small))
+        moved = status._replace(last_sample=status.last_sample + step, force_amplitude=size, response_amplitude=size)
+        view.take(moved)
+        head, arrays = live(view)
+        shown = [array[(array != 0) & np.isfinite(array)] for name, array in arrays.items() if name != "coherence"]
+        assert min(float(np.abs(part).min()) for part in shown if part.size) >= 1e-30 or size == 1e-6
+    assert head["force"].startswith("0")
+    for block in blocks:
+        view.take(replace(block, first_sample=block.first_sample + 10**6, data=np.full_like(block.data, 1e-310)))
+    view.take(status._replace(last_sample=status.last_sample + 100, force_amplitude=1e-300))
+    head, arrays = live(view)
+    assert head["force"].startswith("below ")
+    assert (arrays["peak"][arrays["floor"] > 0] >= 0).all()
+
+
+def test_a_skipped_level_is_not_called_rejected(tmp_path: Path) -> None:
+    view, _ = watched(tmp_path, SteeringRequest(SteeringAct.SKIP_LEVEL, level_index=0, source="page"))
+    assert facts(view)[0]["plan"][0]["state"] == "skipped"
+    point = replace(next(iter(view._points.values())), level_index=0, status=PointStatus.REJECTED)
+    view.take(point)
+    assert facts(view)[0]["plan"][0]["state"] == "skipped"
+
+
+def test_the_shape_is_that_of_the_fundamental() -> None:
+    t = np.arange(300) / 300
+    periods = np.outer([0.5, -1.0, 9.0, 0.2], np.sin(2 * np.pi * 3 * t)) + np.cos(2 * np.pi * 9 * t)
+    np.testing.assert_allclose(deflection(periods, [1, 2, 0, 4]), [-0.5, 1.0, 0.0, -0.2], atol=1e-12)
+    assert not deflection(np.zeros((2, 300)), [1, 2]).size
+
+
+def test_a_replay_waits_for_somebody_who_watches(tmp_path: Path) -> None:
+    view, _ = watched(tmp_path)
+    player = BagPlayer(tmp_path / "run" / "bag", view)
+    try:
+        time.sleep(0.1)
+        assert player._position == 0.0
+        assert facts(view)[0]["phase"] == "done"  # nothing was forgotten or played
+        player.state()
+        until(lambda: player.state()["position"] > 0.0)
+    finally:
+        player.close()

@@ -19,10 +19,13 @@ from nmt_record.bag_reader import Bag
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 _STEP = 0.02  # s of wall time
+_LATE_BEGIN = 1.0  # s of bench time
 
 
 class BagPlayer(Player):
     """Feeds the messages of a bag to a view by their bench time.
+
+    It begins when the state is asked for, which a page does as soon as somebody watches.
 
     Args:
         path: the bag.
@@ -47,10 +50,11 @@ class BagPlayer(Player):
         self._speed = 1.0
         self._target: float | None = 0.0
         self._ended = False
-        last = 0
-        for _, _, stamp, _ in self._bag.raw_messages(present[:1]):
-            last = stamp
-        self.duration = last / 1e9
+        stamps = [stamp for _, _, stamp, _ in self._bag.raw_messages(present[:1])]
+        # A converter may have run for hours before the run.
+        self._first = stamps[0] / 1e9 if stamps[0] > _LATE_BEGIN * 1e9 else 0.0
+        self.duration = stamps[-1] / 1e9 - self._first
+        self._watched = False
         view.begin(self._bag.run_start or {}, _rig(self._bag.rig_yaml))
         self._thread = threading.Thread(target=self._play, name="bag player", daemon=True)
         self._thread.start()
@@ -58,6 +62,9 @@ class BagPlayer(Player):
     def state(self) -> dict[str, Any]:
         """Position and duration in s, whether it plays, and its speed."""
         with self._changed:
+            if not self._watched:
+                self._watched = True
+                self._changed.notify_all()
             return {
                 "position": self._position,
                 "duration": self.duration,
@@ -89,7 +96,7 @@ class BagPlayer(Player):
     def _play(self) -> None:
         while not self._ended:
             with self._changed:
-                self._changed.wait_for(lambda: self._ended or self._target is not None)
+                self._changed.wait_for(lambda: self._ended or (self._watched and self._target is not None))
                 start, self._target = self._target or 0.0, None
             self._view.seek()
             self._play_from(start)
@@ -104,7 +111,7 @@ class BagPlayer(Player):
         for topic, _, stamp, raw in self._bag.raw_messages(WATCHED_TOPICS):
             if self._interrupted():
                 return
-            at = stamp / 1e9
+            at = stamp / 1e9 - self._first
             if at < start - STRIP_SECONDS and topic in SAMPLE_TOPICS:
                 continue
             while at > position:

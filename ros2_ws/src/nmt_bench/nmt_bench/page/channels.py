@@ -21,6 +21,9 @@ _MOST_RECENT = 65_536
 _MEMORY_BYTES = 64_000_000  # of the newest samples of one topic
 _LEVEL_SECONDS = 1.0  # over which peaks are held and squares are averaged
 
+FLOOR_SHARE, LEAST = 1e-9, 1e-30
+"""Share of the largest magnitude so far below which a value is rounding, and what no sensor resolves in SI units."""
+
 _COMMON = {
     Quantity.FORCE: "force_n",
     Quantity.ACCELERATION: "acceleration_m_s2",
@@ -84,25 +87,34 @@ class TopicSignals:
         self.oscillator_sample = block.first_sample
         self.flags = 0
         self._squares = np.full(count, np.nan)
+        self._largest = np.zeros(count)
 
     def fits(self, block: SampleBlock) -> bool:
         """Whether a block has the same channels."""
         return block.channels == self.channels and block.sample_rate == self.sample_rate
 
     def add(self, block: SampleBlock) -> None:
-        """Take a block."""
-        self.strip.add(block.first_sample, block.data)
-        self.recent.add(block.first_sample, block.data)
+        """Take a block; what is below the floor of its channel counts as zero, so that no axis has to reach there."""
+        self._largest = np.fmax(self._largest, np.fmax.reduce(np.abs(block.data), axis=1))
+        data = np.where(np.abs(block.data) < self.floor[:, np.newaxis], 0.0, block.data)
+        self.strip.add(block.first_sample, data)
+        self.recent.add(block.first_sample, data)
         self.oscillator, self.oscillator_sample = block.oscillator, block.first_sample
         self.flags = block.flags
-        squares = np.mean(np.square(block.data), axis=1)
+        squares = np.mean(np.square(data), axis=1)
         share = min(1.0, block.samples / (_LEVEL_SECONDS * block.sample_rate))
         self._squares = np.where(np.isfinite(self._squares), self._squares + share * (squares - self._squares), squares)
 
     @property
+    def floor(self) -> FloatArray:
+        """What is told from rounding, of each channel in its unit."""
+        return np.asarray(np.maximum(FLOOR_SHARE * self._largest, LEAST), dtype=np.float64)
+
+    @property
     def rms(self) -> FloatArray:
         """Running rms of each channel."""
-        return np.asarray(np.sqrt(self._squares), dtype=np.float64)
+        root = np.sqrt(self._squares)
+        return np.asarray(np.where(root < self.floor, 0.0, root), dtype=np.float64)
 
     @property
     def peak(self) -> FloatArray:

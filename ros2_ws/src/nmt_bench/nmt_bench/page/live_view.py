@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_bench.page.channels import Levels, TopicSignals, channel_levels
+from nmt_bench.page.channels import FLOOR_SHARE, LEAST, Levels, TopicSignals, channel_levels
 from nmt_bench.page.decimation import min_max
 from nmt_bench.page.frames import write_frame
 from nmt_bench.page.loop_track import LoopTrack
@@ -24,6 +24,7 @@ from nmt_bench.page.signal_views import (
     PERIODS,
     RunningFrf,
     amplitude_spectrum,
+    deflection,
     harmonic_amplitudes,
     paired_periods,
     velocity_of,
@@ -110,6 +111,7 @@ class LiveView:
         self._state: RunState | None = None
         self._status: LoopStatus | None = None
         self._track = LoopTrack()
+        self._largest: dict[str, float] = {}
         self._frf: RunningFrf | None = None
         self._began = math.nan
         self._rate = math.nan
@@ -424,12 +426,14 @@ class LiveView:
     def _outcome(self, index: int, present: int) -> tuple[str, str]:
         """What has become of a level: waiting, present, done, rejected, not locked or skipped, and why."""
         point = self._points.get(index)
-        if point is not None:
-            return "done" if point.status is PointStatus.OK else status_text(point.status), point.reason
+        if point is not None and point.status is PointStatus.OK:
+            return "done", point.reason
         for act in reversed(self._acts):
             given_up = act.act in (SteeringAct.SKIP_LEVEL, SteeringAct.REPEAT_LEVEL)
             if act.taken and given_up and act.level_index == index < present:
                 return "skipped", f"{_ACT_WORDS[act.act].format(level=index + 1)} by {act.source}"
+        if point is not None:
+            return status_text(point.status), point.reason
         if index in self._lost:
             return "not locked", self._lost[index]
         ended = self._state is not None and self._state.phase == RunPhase.DONE
@@ -516,6 +520,9 @@ class LiveView:
             quantities = sorted(self._topics)
             if quantities:
                 arrays["peak"] = np.concatenate([self._topics[quantity].peak for quantity in quantities])[:MOST_LISTED]
+                arrays["floor"] = np.concatenate([self._topics[quantity].floor for quantity in quantities])[
+                    :MOST_LISTED
+                ]
                 arrays["rms"] = np.concatenate([self._topics[quantity].rms for quantity in quantities])[:MOST_LISTED]
             self._add_strips(head, arrays, since)
             self._add_waves(head, arrays)
@@ -564,12 +571,14 @@ class LiveView:
             ),
             "phase_error": self._with_unit(math.degrees(status.phase_error) if status else math.nan, "°", 2),
             "phase_error_deg": math.degrees(status.phase_error) if status else math.nan,
-            "drive": self._with_unit(drive, "V"),
+            "drive": self._told("drive", drive, "V"),
             "drive_share": drive / limit if limit > 0 else math.nan,
             "drive_limit": self._with_unit(limit, "V"),
-            "force": self._with_unit(status.force_amplitude if status else math.nan, "N"),
-            "response": self._with_unit(
-                status.response_amplitude if status else math.nan, unit_text(status.response_unit) if status else ""
+            "force": self._told("force", status.force_amplitude if status else math.nan, "N"),
+            "response": self._told(
+                "response",
+                status.response_amplitude if status else math.nan,
+                unit_text(status.response_unit) if status else "",
             ),
             "flags": [flag.name.lower().replace("_", " ") for flag in BlockFlag if flag and flags & flag and flag.name],
             "gaps": self._gaps,
@@ -579,11 +588,22 @@ class LiveView:
             "real_time": plant.get("real_time_margin", ""),
         }
 
+    def _told(self, name: str, value: float, unit: str) -> str:
+        """An amplitude with its unit; below what is told from rounding only that."""
+        if math.isfinite(value):
+            self._largest[name] = max(self._largest.get(name, 0.0), abs(value))
+        floor = max(FLOOR_SHARE * self._largest.get(name, 0.0), LEAST)
+        if 0.0 < abs(value) < floor:
+            return f"below {self._with_unit(floor, unit)}"
+        return self._with_unit(value, unit)
+
     @staticmethod
     def _with_unit(value: float, unit: str, decimals: int | None = None) -> str:
         if decimals is not None:
             text = plain(value, decimals)
-        elif value and not 1e-3 <= abs(value) < 1e5 and math.isfinite(value):
+        elif abs(value) < LEAST:
+            text = "0"
+        elif not 1e-3 <= abs(value) < 1e5 and math.isfinite(value):
             exponent = engineering_exponent([value])
             text = f"{significant(value / 10.0**exponent)}·{power_of_ten(exponent)}"
         else:
@@ -627,6 +647,9 @@ class LiveView:
             head["periods"] = 0
             return
         head["wave_seconds"] = PERIODS / frequency
+        periods = cut[id(response)][0] if id(response) in cut else whole_periods(response)[0]
+        arrays["shape_points"] = np.array(response.points, dtype=np.float64)
+        arrays["shape"] = deflection(periods, response.points)
         forces, responses, frequency = paired_periods(force, response)
         if not math.isfinite(frequency):
             return

@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 
+from nmt_bench.page.channels import FLOOR_SHARE, LEAST
 from nmt_core.arrays import FloatArray
 from nmt_core.records import LoopStatus
 
 _MOST = 2000
-_COLUMNS = ("time", "frequency", "phase", "force", "response", "drive", "state")
+_COLUMNS = ("time", "frequency", "phase", "force", "response", "drive", "state", "level")
 
 
 class LoopTrack:
@@ -35,6 +36,7 @@ class LoopTrack:
                 status.response_amplitude,
                 status.drive_amplitude,
                 float(status.state),
+                float(status.level_index),
             )
         )
         if len(self._rows) > _MOST:
@@ -42,6 +44,10 @@ class LoopTrack:
             self._every *= 2
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Time (s), frequency (Hz), phase error (°), force, response, drive (V) and state, one value a kept block."""
+        """Time (s), frequency (Hz), phase error (°), force, response, drive (V), state, level; one value a kept block."""
         table = np.array(self._rows, dtype=np.float64).reshape(-1, len(_COLUMNS))
+        for name in ("force", "response"):
+            column = table[:, _COLUMNS.index(name)]
+            largest = float(np.fmax.reduce(np.abs(column), initial=0.0))
+            column[np.abs(column) < max(FLOOR_SHARE * largest, LEAST)] = np.nan
         return {f"track_{name}": table[:, number] for number, name in enumerate(_COLUMNS)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +58,24 @@ def paired_periods(
     if min(force_cut.shape[1], response_cut.shape[1]) < length or length < 8:
         return none
     return force_cut, response_cut, frequency
+
+
+def deflection(periods_of: FloatArray, points: Sequence[int], periods: int = PERIODS) -> FloatArray:
+    """Fundamental of every channel in phase with the largest one, over it: the shape at this moment.
+
+    Args:
+        periods_of: whole periods, ``(channels, samples)``.
+        points: of the channels; channels of point 0 take no part.
+        periods: how many there are.
+
+    Returns:
+        Shape ``(channels,)``, 1 for the largest; empty where nothing moves.
+    """
+    if periods_of.shape[1] <= 2 * periods:
+        return np.empty(0)
+    lines = np.fft.rfft(periods_of, axis=1)[:, periods] * (np.asarray(points) > 0)
+    largest = lines[np.argmax(np.abs(lines))]
+    return np.asarray((lines / largest).real, dtype=np.float64) if abs(largest) > 0.0 else np.empty(0)
 
 
 def velocity_of(response: FloatArray, quantity: Quantity, periods: int, frequency: float) -> FloatArray:

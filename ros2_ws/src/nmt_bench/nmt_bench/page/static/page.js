@@ -79,7 +79,11 @@
   // As wide as its longest number.
   const axisSize = (chart, words, number) => number === 0 ? 2.4 * letter() : Math.max(3.5 * letter(), 18 + 0.6 * letter() * Math.max(...(words || [""]).map((word) => (word || "").length)));
   // Not more than eight decades: what lies below is rounding.
-  const decades = (chart, low, high) => (high > 0 ? [10 ** Math.floor(Math.log10(Math.max(low, high * 1e-8))), 10 ** Math.ceil(Math.log10(high))] : [0.1, 1]);
+  const decades = (chart, low, high) => {
+    if (!(high > 1e-30) || !Number.isFinite(high)) { return [0.1, 1]; }
+    const top = Math.ceil(Math.log10(high));
+    return [10 ** Math.min(top - 1, Math.floor(Math.log10(Math.max(low || 0, high * 1e-8)))), 10 ** top];
+  };
 
   // Over more than three decades only powers of ten have lines.
   const powers = (chart, splits) => {
@@ -127,17 +131,19 @@
   const SUPERSCRIPTS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
   function number(v) {
     if (v === null || v === undefined) { return ""; }
-    if (v === 0 || (Math.abs(v) < 1e4 && Math.abs(v) >= 1e-3)) { return String(+v.toPrecision(5)).replace("-", "−"); }
+    if (Math.abs(v) < 1e-30 || (Math.abs(v) < 1e4 && Math.abs(v) >= 1e-3)) { return String(Math.abs(v) < 1e-30 ? 0 : +v.toPrecision(5)).replace("-", "−"); }
     const exponent = Math.floor(Math.log10(Math.abs(v)) + 1e-9), share = +(v / 10 ** exponent).toPrecision(4);
     const power = "10" + Array.from(String(exponent), (c) => SUPERSCRIPTS[c]).join("");
     return share === 1 ? power : String(share).replace("-", "−") + "·" + power;
   }
   const ticks = (chart, splits) => splits.map(number);
-  // On logarithmic axes only powers of ten are named, or all ticks where there is less than a decade.
+  // On logarithmic axes only powers of ten are named; with 2 and 5 where there are fewer than three of them, or all ticks
+  // where there is less than a decade.
   const logTicks = (chart, splits) => {
     const shown = splits.filter((v) => v !== null);
     const decades = Math.log10(shown[shown.length - 1] / shown[0]);
-    return splits.map((v) => (v === null ? null : decades < 1 || Math.abs(Math.log10(v) - Math.round(Math.log10(v))) < 1e-6 ? number(v) : ""));
+    const named = (v) => { const share = Math.round(v / 10 ** Math.floor(Math.log10(v) + 1e-6)); return decades < 1 || share === 1 || (decades < 3 && (share === 2 || share === 5)); };
+    return splits.map((v) => (v === null ? null : named(v) ? number(v) : ""));
   };
   const padded = (low, high, least) => {
     if (low === null || high === null || !Number.isFinite(low)) { return [0, 1]; }
@@ -206,11 +212,10 @@
     get("wave-length").textContent = live.periods ? "last " + live.periods + " periods, each in its own scale" : "last 0.1 s, each in its own scale";
   }
 
-  function drawOrbit() {
-    const canvas = get("orbit"), ratio = devicePixelRatio || 1;
-    const over = get("orbit-over").value;
-    const width = canvas.clientWidth, height = canvas.clientHeight;
-    if (!width) { return; }
+  // A cleared canvas in the units of the page; null where it is not shown.
+  function blank(id) {
+    const canvas = get(id), ratio = devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
+    if (!width) { return null; }
     if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
       canvas.width = Math.round(width * ratio); canvas.height = Math.round(height * ratio);
     }
@@ -219,6 +224,61 @@
     context.clearRect(0, 0, width, height);
     context.font = 1.05 * letter() + "px system-ui";
     context.fillStyle = colour("muted");
+    context.strokeStyle = colour("grid");
+    return { context, width, height };
+  }
+
+  function drawNyquist() {
+    const sheet = blank("nyquist");
+    if (!sheet) { return; }
+    const { context, width, height } = sheet, x = [], y = [];
+    const level = slow.track_level ? slow.track_level[slow.track_level.length - 1] : -1;
+    for (let k = 0; slow.track_level && k < slow.track_level.length; k++) {
+      const size = slow.track_response[k] / slow.track_force[k], angle = slow.track_phase[k] * Math.PI / 180;
+      if (slow.track_level[k] === level && slow.track_state[k] >= 2 && size > 0 && Number.isFinite(size * angle)) { x.push(size * Math.cos(angle)); y.push(size * Math.sin(angle)); }
+    }
+    let top = 0;
+    for (let k = 0; k < x.length; k++) { top = Math.max(top, Math.abs(x[k]), Math.abs(y[k])); }
+    if (!(top > 0)) { context.fillText("no periodic excitation", 6, height - 6); return; }
+    // From the origin on the left: a mode's circle lies to the right of it.
+    const scale = Math.min(width * 0.8, height * 0.8) / (1.1 * top), left = Math.max(width * 0.15, width / 2 - 0.5 * top * scale);
+    context.beginPath();
+    context.moveTo(0, height / 2); context.lineTo(width, height / 2);
+    context.moveTo(left, 0); context.lineTo(left, height);
+    context.stroke();
+    context.fillText(number(+top.toPrecision(3)) + " " + perNewton(), 6, 1.2 * letter());
+    context.strokeStyle = colour("blue");
+    context.fillStyle = colour("blue");
+    context.lineWidth = 1.2;
+    context.beginPath();
+    for (let k = 0; k < x.length; k++) { context[k ? "lineTo" : "moveTo"](left + x[k] * scale, height / 2 - y[k] * scale); }
+    context.stroke();
+    context.beginPath();
+    context.arc(left + x[x.length - 1] * scale, height / 2 - y[y.length - 1] * scale, 4, 0, 7);
+    context.fill();
+  }
+
+  function drawShape() {
+    const sheet = blank("shape");
+    if (!sheet) { return; }
+    const { context, width, height } = sheet, shape = liveArrays.shape || [], points = liveArrays.shape_points || [];
+    const shown = Array.from(shape, (v, k) => [points[k], v]).filter((row) => row[0] > 0).sort((a, b) => a[0] - b[0]);
+    if (!shown.length) { context.fillText("no periodic excitation", 6, height - 6); return; }
+    const first = shown[0][0], span = Math.max(1, shown[shown.length - 1][0] - first), middle = height / 2 - letter();
+    const at = (row) => [width * (0.08 + 0.84 * (shown.length > 1 ? (row[0] - first) / span : 0.5)), middle - row[1] * height * 0.36];
+    context.beginPath(); context.moveTo(0, middle); context.lineTo(width, middle); context.stroke();
+    shown.forEach((row) => { const label = String(row[0]); context.fillText(label, at(row)[0] - context.measureText(label).width / 2, height - 6); });
+    context.strokeStyle = colour("blue"); context.fillStyle = colour("blue"); context.lineWidth = 1.5;
+    context.beginPath();
+    shown.forEach((row, k) => { context[k ? "lineTo" : "moveTo"](...at(row)); });
+    context.stroke();
+    shown.forEach((row) => { context.beginPath(); context.arc(...at(row), 4, 0, 7); context.fill(); });
+  }
+
+  function drawOrbit() {
+    const sheet = blank("orbit");
+    if (!sheet) { return; }
+    const { context, width, height } = sheet, over = get("orbit-over").value;
     const x = liveArrays["orbit_" + over], y = liveArrays.orbit_force;
     const unit = over === "velocity" ? "m/s" : facts.response_unit;
     context.fillText("force / N", 6, 1.2 * letter());
@@ -249,7 +309,7 @@
   function drawSpectrum() {
     const f = slow.spectrum_response_f || slow.spectrum_force_f;
     if (!f || f.length < 2) { return; }
-    const rows = ["force", "response"].map((name) => (slow["spectrum_" + name] || []).length === f.length ? Array.from(slow["spectrum_" + name], (v) => (v > 0 ? v : null)) : new Array(f.length).fill(null));
+    const rows = ["force", "response"].map((name) => (slow["spectrum_" + name] || []).length === f.length ? Array.from(slow["spectrum_" + name], (v) => (v > 1e-30 ? v : null)) : new Array(f.length).fill(null));
     const id = "plot-spectrum";
     plot(id, () => ({
       scales: { x: { time: false }, y: { distr: 3, range: decades }, z: { distr: 3, range: decades } },
@@ -295,15 +355,15 @@
     get("frf-panel").hidden = get("coherence-panel").hidden = test !== "random";
     get("swept-panel").hidden = test !== "sweep" && test !== "stepped_sine";
     get("decay-panel").hidden = test !== "ring_down";
-    get("orbit-panel").hidden = get("loop-panel").hidden = test === "random";
+    for (const id of ["orbit-panel", "loop-panel", "nyquist-panel", "shape-panel"]) { get(id).hidden = test === "random"; }
     if (test === "random" && slow.frf_f && slow.frf_f.length > 1) {
       get("averages").textContent = (slow.averages ? slow.averages[0] : 0) + " averages";
       const f = Array.from(slow.frf_f);
       plot("plot-frf", () => ({
-        scales: { x: { time: false, distr: 3 }, y: { distr: 3 } },
+        scales: { x: { time: false, distr: 3 }, y: { distr: 3, range: decades } },
         axes: [axis("frequency / Hz", { values: logTicks }), axis("|H₁| / " + perNewton(), { values: logTicks })],
         series: [{}, line("H1", 0)],
-      }), [f, Array.from(slow.frf, (v) => (v > 0 ? v : null))]);
+      }), [f, Array.from(slow.frf, (v) => (v > 1e-30 ? v : null))]);
       plot("plot-coherence", () => ({
         scales: { x: { time: false, distr: 3 }, y: { range: [0, 1.02] } },
         axes: [axis("frequency / Hz", { values: logTicks }), axis("coherence", { values: ticks })],
@@ -320,7 +380,7 @@
       rows.sort((a, b) => a[0] - b[0]);
       if (rows.length > 1) {
         plot("plot-swept", () => ({
-          scales: { x: { time: false }, y: { distr: 3 } },
+          scales: { x: { time: false }, y: { distr: 3, range: decades } },
           axes: [axis("frequency / Hz", { values: ticks }), axis("response per force / " + perNewton(), { values: logTicks })],
           series: [{}, line("response per force", 0)],
         }), [rows.map((r) => r[0]), rows.map((r) => r[1])]);
@@ -328,10 +388,10 @@
     }
     if (!get("decay-panel").hidden && t && t.length > 1) {
       plot("plot-decay", () => ({
-        scales: { x: { time: false }, y: { distr: 3 } },
+        scales: { x: { time: false }, y: { distr: 3, range: decades } },
         axes: [axis("bench time / s", { values: ticks }), axis("response / " + facts.response_unit, { values: logTicks })],
         series: [{}, line("response", 0)],
-      }), [Array.from(t), Array.from(slow.track_response, (v) => (v > 0 ? v : null))]);
+      }), [Array.from(t), Array.from(slow.track_response, (v) => (v > 1e-30 ? v : null))]);
     }
   }
 
@@ -427,7 +487,7 @@
       for (const words of facts.table_head) { head.append(make("th", words, { scope: "col" })); }
       for (const row of facts.table) {
         const line_ = points.tBodies[0].insertRow();
-        row.cells.forEach((cell) => line_.append(make("td", cell)));
+        row.cells.forEach((cell, k) => { const box = make("td", cell); box.dataset.head = facts.table_head[k]; line_.append(box); });
         if (row.reason) { line_.append(make("td", row.reason, { className: "reason", colSpan: facts.table_head.length - 1 })); }
       }
     } else {
@@ -486,10 +546,11 @@
   }
 
   function showChannels() {
-    const peak = liveArrays.peak || [], rms = liveArrays.rms || [];
+    const peak = liveArrays.peak || [], rms = liveArrays.rms || [], floor = liveArrays.floor || [];
     channelRows.forEach((item, n) => {
       [[peak[n], 1, item.bars[0]], [rms[n], 3, item.bars[1]]].forEach(([value, column, bar]) => {
-        const words = Number.isFinite(value) ? number(+value.toPrecision(4)) + "\u202f" + item.channel.unit : "—";
+        const low = value === 0 && floor[n] > 1e-30;
+        const words = Number.isFinite(value) ? (low ? "below " : "") + number(+(low ? floor[n] : value).toPrecision(low ? 2 : 4)) + "\u202f" + item.channel.unit : "—";
         if (item.cells[column].textContent !== words) { item.cells[column].textContent = words; }
         if (!bar) { return; }
         bar.fill.style.width = 100 * Math.min(1, (value || 0) / bar.full) + "%";
@@ -578,6 +639,9 @@
   if (role === "replay") { get("player").hidden = false; get("steer").hidden = true; get("stop-form").hidden = true; }
   if (role === "watch") { get("steer").hidden = true; }
 
+  // A picture that cannot be drawn takes neither the numbers nor the other pictures with it.
+  function safely(drawing) { try { drawing(); } catch (error) { console.error(error); } }
+
   let frames = 0;
   function draw() {
     requestAnimationFrame(draw);
@@ -587,9 +651,9 @@
     if (facts && factsChanged) { factsChanged = false; showFacts(); }
     showNumbers();
     if (!facts) { return; }
-    if (frames % 2 === 0) { drawWaves(); if (!get("orbit-panel").hidden) { drawOrbit(); } }
-    if (frames % 4 === 0) { showChannels(); drawStrip(); }
-    if (slow.changed) { slow.changed = false; drawSpectrum(); drawLoop(); drawKinds(); }
+    if (frames % 2 === 0) { safely(drawWaves); if (!get("orbit-panel").hidden) { safely(drawOrbit); safely(drawShape); } }
+    if (frames % 4 === 0) { showChannels(); safely(drawStrip); }
+    if (slow.changed) { slow.changed = false; [drawSpectrum, drawLoop, drawKinds, drawNyquist].forEach(safely); }
     document.body.dataset.sample = String(live.sample);
   }
   setInterval(showAlarm, 300);

@@ -104,6 +104,8 @@ def test_a_single_mode_off_is_named_with_its_number():
     page = check_page({"rig": "beam", "device": "portaudio", "date": "", "priority": "", **result.to_mapping()})
     assert "mode 1 lies at" in page
     assert "δ̃ error" in page
+    assert 'aria-label="Gain and delay of each channel"' in page
+    assert all(f">{channel}<" in page for channel in ("f3", "a2", "a3", "a6"))
 
 
 def test_two_faults_at_once_are_both_named(rig):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from nmt_report.quantity_format import uncertain
-from nmt_report.response_page import ResponsePage, html_table
+from nmt_report.response_page import ResponsePage, html_figures, html_table
+from nmt_report.svg import BLUE, MUTED, ReportFigure, figure_style, svg_text
 
 
 def check_page(document: Mapping[str, Any]) -> str:
@@ -74,6 +77,10 @@ def check_page(document: Mapping[str, Any]) -> str:
     if modes:
         heads = [("mode", ""), ("found", "Hz"), ("model", "Hz"), ("apart", "%"), ("damping", "%"), ("model", "%")]
         sections.append(("modes", "Modes", html_table(heads, modes, "Of the structure without exciter.")))
+    fitted = [channel for channel in document["channels"] if channel["gain_std"] is not None]
+    if fitted:
+        with figure_style():
+            sections.insert(0, ("fit", "Gains and delays", html_figures([_fit_figure(fitted)])))
     if findings:
         listed = [[", ".join(each["channels"]) or "bench", each["sentence"], each["remedy"]] for each in findings]
         sections.insert(0, ("findings", "Findings", html_table([("where", ""), ("what", ""), ("remedy", "")], listed)))
@@ -96,6 +103,30 @@ def check_page(document: Mapping[str, Any]) -> str:
         sections,
         facts=facts,
     ).html()
+
+
+def _fit_figure(channels: Sequence[Mapping[str, Any]]) -> ReportFigure:
+    """Gain and delay of the fitted channels, with bars of two standard uncertainties."""
+    figure = Figure(figsize=(6.3, 3.4))
+    left, right = figure.subplots(1, 2)
+    figure.subplots_adjust(left=0.11, right=0.97, bottom=0.17, top=0.96, wspace=0.35)
+    places, names = range(len(channels)), [str(channel["channel"]) for channel in channels]
+    for axes, name, factor, centre in ((left, "gain", 1.0, 1.0), (right, "delay", 1e6, 0.0)):
+        values = [factor * channel[name] for channel in channels]
+        bars = [2.0 * factor * channel[f"{name}_std"] for channel in channels]
+        axes.axhline(centre, color=MUTED, linewidth=0.8)
+        axes.errorbar(places, values, bars, fmt="o", color=BLUE, capsize=3)
+        axes.set_xticks(list(places), names, rotation=90 if len(names) > 8 else 0)
+    left.set_ylabel("gain, measured over expected")
+    right.set_ylabel("delay against the others (µs)")
+    return ReportFigure(
+        "fit",
+        "Gain and delay of each channel",
+        "Fitted to the responses together with frequency and damping of the model's modes; bars: two standard "
+        "uncertainties. A negative gain is a wrong sign.",
+        svg_text(figure, "fit", "Gain and delay of each channel"),
+        wide=True,
+    )
 
 
 def _pair(value: float | None, std: float | None, factor: float) -> str:

@@ -31,8 +31,8 @@ def add_parser(subparsers: Subparsers) -> None:
             "Listens to the converter, then drives it with noise of at most one hundredth of the drive's limit, and "
             "compares every channel with the rig's model: noise, mains, offset, overload, open or shorted channels, "
             "dead ICP supply, sign, exchanged channels, sensitivity and delay of each, response to the drive, headroom "
-            "for the planned levels, clock, and frequency of each mode. A test on hardware begins only after a check that "
-            "passed."
+            "for the planned levels, clock, and frequency of each mode. A test on hardware begins only after a check "
+            "that passed."
         ),
     )
     parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")

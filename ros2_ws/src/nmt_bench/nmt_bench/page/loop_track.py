@@ -44,7 +44,7 @@ class LoopTrack:
             self._every *= 2
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Time (s), frequency (Hz), phase error (°), force, response, drive (V), state, level; one value a kept block."""
+        """Time (s), frequency (Hz), phase error (°), force, response, drive (V), state, level; one value a block."""
         table = np.array(self._rows, dtype=np.float64).reshape(-1, len(_COLUMNS))
         for name in ("force", "response"):
             column = table[:, _COLUMNS.index(name)]

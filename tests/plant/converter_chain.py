@@ -190,8 +190,8 @@ class NiChannel:
         refused: name of a call -> code and words of the error that it ends with.
     """
 
-    def __init__(self, clock: TurnedClock, hardware: Hardware) -> None:
-        self._clock, self._calls = clock, make_calls(hardware, SPECIMEN)
+    def __init__(self, clock: TurnedClock, hardware: Hardware, names: str = SPECIMEN) -> None:
+        self._clock, self._calls = clock, make_calls(hardware, names)
         self.refused: dict[str, tuple[int, str]] = {}
 
     def unary_unary(self, path: str, **_: Any) -> Callable[..., Any]:

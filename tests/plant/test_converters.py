@@ -102,7 +102,7 @@ def test_a_rate_that_the_card_has_not_is_one_sentence():
 def test_settings_that_ni_refuses_are_one_sentence():
     with chain("nidaqmx") as made:
         made.channel.refused["CfgSampClkTiming"] = (-200077, "Requested value is not a supported value.\nProperty: x")
-        sentence = "NI-DAQmx refuses the channels or their settings: Requested value is not a supported value"
+        sentence = r"NI-DAQmx refuses 10000 Hz \(Requested value is not a supported value\); give a sample_rate_hz"
         with pytest.raises(DeviceFault, match=sentence):
             made.start()
 

@@ -145,7 +145,7 @@ class HardwareRig(GuardedDevice):
             probe = {
                 "probe": PROBE_SHARE * settings.voltage if self._monitor >= 0 else 0.0,
                 "probe_input": max(self._monitor, 0),
-                "probe_settling": device.settling_s,
+                "probe_settling": device.quiet_s,
                 "probe_needed": probe_needed,
             }
             link = owned_output(

@@ -3,10 +3,11 @@
     python -m nmt_plant.ni_specimen RIG [options]
 
 It implements what a continuous measurement with one analog output needs (tasks, channels, timing, start, read, write,
-stop) and answers every other call with an empty response. Samples pass at their times on this computer's steady clock,
-with an error of the clock if wanted; those that are due are made up for in the next call. An output that is not fed in
-time stops and idles at zero volts where the client has asked for that, else it keeps its last value, as the hardware
-does.
+stop), and answers every other call with an empty response. It is as strict as a device: modules of a CompactDAQ
+(``cDAQ1Mod1``) have the rates of a delta-sigma converter, a fixed range and one ICP current, and their terminals are
+those of the chassis; other devices divide 100 MHz. Samples pass at their times on this computer's steady clock, with an
+error of the clock if wanted; those that are due are made up for in the next call. An output that is not fed in time
+stops and idles at zero volts where the client has asked for that, else it keeps its last value, as the hardware does.
 """
 
 from __future__ import annotations
@@ -14,12 +15,15 @@ from __future__ import annotations
 import argparse
 import contextlib
 import gc
+import math
 import os
+import re
 import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from concurrent import futures
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +43,51 @@ from nmt_rig.rig import load_rig
 _MOST_AT_ONCE = 200  # samples
 _HELD = 10.0  # s of input samples that are kept unread
 _OVERWRITTEN, _TOO_LATE, _TIMEOUT = -200279, -200290, -200284
+_NOT_SUPPORTED, _NO_DEVICE, _NO_CHANNEL, _NO_TERMINAL = -200077, -200220, -200170, -89120
+_LARGEST, _EXCITATION, _CATEGORY, _CHASSIS, _RATE = 0x17DD, 0x17F5, 0x29A9, 0x29B7, 0x1344
+_MODULE, _BOARD = 14659, 14643
 _DEVICE_NAMES, _IDLE_BEHAVIOUR, _ZERO_VOLTS = 0x193B, 0x2240, 12526
 _WORDS = {
     _OVERWRITTEN: "The application is not able to keep up with the hardware acquisition.",
     _TOO_LATE: "The generation has stopped to prevent the regeneration of old samples.",
     _TIMEOUT: "Some or all of the samples requested have not yet been acquired.",
+    _NOT_SUPPORTED: "Requested value is not a supported value for this property.",
+    _NO_DEVICE: "Device identifier is invalid.",
+    _NO_CHANNEL: "Physical channel specified does not exist on this device.",
+    _NO_TERMINAL: "Source terminal to be routed could not be found on the device.",
 }
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What a device can do: most Hz, what its clock divides, ranges in V, ICP currents in A."""
+
+    highest_hz: float
+    divided_hz: float
+    most_divided: int
+    ranges_v: tuple[float, ...]
+    currents_a: tuple[float, ...]
+    channels: int
+
+    def rate(self, asked: float) -> float:
+        """The next higher rate that it has; NaN beyond its highest."""
+        divisor = min(int(self.divided_hz / asked * (1.0 + 1e-12)), self.most_divided)
+        return self.divided_hz / divisor if divisor and 0.0 < asked <= self.highest_hz else math.nan
+
+
+_MODULE_KIND = _Kind(51_200.0, 51_200.0, 31, (5.0,), (0.002,), 4)
+_BOARD_KIND = _Kind(250_000.0, 100e6, 1 << 24, (0.2, 1.0, 5.0, 10.0), (0.002, 0.004, 0.010), 64)
+
+
+def _parts(port: str, names: Sequence[str]) -> tuple[int, str, _Kind]:
+    """Error code, the device with the terminals, and what the device of a physical channel can do."""
+    device, _, channel = port.partition("/")
+    module = re.fullmatch(r"(cDAQ\d+)Mod\d+", device)
+    kind = _MODULE_KIND if module else _BOARD_KIND
+    number = re.fullmatch(r"a[io](\d+)", channel)
+    if device not in names:
+        return _NO_DEVICE, device, kind
+    return (0 if number and int(number[1]) < kind.channels else _NO_CHANNEL), module[1] if module else device, kind
 
 
 class Hardware:
@@ -210,8 +253,73 @@ def make_calls(hardware: Hardware, names: str) -> Any:
 
     base = nidaqmx_pb2_grpc.NiDAQmxServicer
 
+    devices = [name.strip() for name in names.split(",")]
+    tasks: dict[str, dict[str, Any]] = {}  # channels (V), excitation (A), rate (Hz), device with the terminals
+
+    def new_channel(request: Any, context: Any) -> None:
+        code, terminals, kind = _parts(request.physical_channel, devices)
+        fitting = [reach for reach in kind.ranges_v if reach >= request.max_val * (1.0 - 1e-9)]
+        refuse(context, code or (0 if fitting else _NOT_SUPPORTED), "read")
+        task = tasks.setdefault(request.task.name, {"channels": {}, "excitation": {}})
+        task["terminals"], task["kind"] = terminals, kind
+        task["channels"][request.physical_channel] = fitting[0]
+
+    def check_terminal(context: Any, task: str, source: str, own: str) -> None:
+        known = {f"/{each['terminals']}/{own}" for each in tasks.values() if "terminals" in each}
+        refuse(context, 0 if source in known or re.fullmatch(r"/\w+/PFI\d+", source) else _NO_TERMINAL, "read")
+
     class Servicer(base):  # type: ignore[misc,valid-type]
         """The calls that mean something here."""
+
+        def CreateAIVoltageChan(self, request: Any, context: Any) -> Any:  # noqa: N802
+            new_channel(request, context)
+            return nidaqmx_pb2.CreateAIVoltageChanResponse()
+
+        def CreateAOVoltageChan(self, request: Any, context: Any) -> Any:  # noqa: N802
+            code, terminals, kind = _parts(request.physical_channel, devices)
+            refuse(context, code or (0 if request.max_val <= 10.0 else _NOT_SUPPORTED), "read")
+            tasks.setdefault(request.task.name, {"channels": {}}).update(terminals=terminals, kind=kind)
+            return nidaqmx_pb2.CreateAOVoltageChanResponse()
+
+        def SetChanAttributeDouble(self, request: Any, context: Any) -> Any:  # noqa: N802
+            task = tasks[request.task.name]
+            if request.attribute_raw == _EXCITATION:
+                known = any(math.isclose(request.value, own) for own in task["kind"].currents_a)
+                refuse(context, 0 if known else _NOT_SUPPORTED, "read")
+                task["excitation"][request.channel] = request.value
+            return nidaqmx_pb2.SetChanAttributeDoubleResponse()
+
+        def GetChanAttributeDouble(self, request: Any, _: Any) -> Any:  # noqa: N802
+            task = tasks[request.task.name]
+            held = task["channels"] if request.attribute_raw == _LARGEST else task["excitation"]
+            return nidaqmx_pb2.GetChanAttributeDoubleResponse(value=held.get(request.channel, 0.0))
+
+        def CfgSampClkTiming(self, request: Any, context: Any) -> Any:  # noqa: N802
+            task = tasks[request.task.name]
+            if request.source:
+                check_terminal(context, request.task.name, request.source, "ai/SampleClock")
+            task["rate"] = task["kind"].rate(request.rate)
+            refuse(context, _NOT_SUPPORTED if math.isnan(task["rate"]) else 0, "read")
+            return nidaqmx_pb2.CfgSampClkTimingResponse()
+
+        def GetTimingAttributeDouble(self, request: Any, _: Any) -> Any:  # noqa: N802
+            known = request.attribute_raw == _RATE
+            return nidaqmx_pb2.GetTimingAttributeDoubleResponse(
+                value=tasks[request.task.name]["rate"] if known else 0.0
+            )
+
+        def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> Any:  # noqa: N802
+            check_terminal(context, request.task.name, request.trigger_source, "ai/StartTrigger")
+            return nidaqmx_pb2.CfgDigEdgeStartTrigResponse()
+
+        def GetDeviceAttributeInt32(self, request: Any, _: Any) -> Any:  # noqa: N802
+            category = _MODULE if "Mod" in request.device_name else _BOARD
+            known = request.attribute_raw == _CATEGORY
+            return nidaqmx_pb2.GetDeviceAttributeInt32Response(value_raw=category if known else 0)
+
+        def GetDeviceAttributeString(self, request: Any, _: Any) -> Any:  # noqa: N802
+            chassis = request.device_name.partition("Mod")[0] if request.attribute_raw == _CHASSIS else ""
+            return nidaqmx_pb2.GetDeviceAttributeStringResponse(value=chassis)
 
         def CreateTask(self, request: Any, _: Any) -> Any:  # noqa: N802 - NI's names
             response = nidaqmx_pb2.CreateTaskResponse(new_session_initialized=True)

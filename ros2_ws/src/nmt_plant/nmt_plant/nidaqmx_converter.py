@@ -15,7 +15,7 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from types import ModuleType
 from typing import Any
 
@@ -31,6 +31,9 @@ _ASK_TIME = 60.0  # s
 _MOST_RESTARTS = 5
 _RESTARTS_WITHIN = 10.0  # s
 _NOT_FED = -200290
+_SAME = 1e-6
+"""Relative difference up to which a setting counts as taken as it was asked for."""
+_MODULE = 14659  # product category of a module, NI-DAQmx
 _LOST_CODES = frozenset({-200279, -200278, _NOT_FED, -200621, -200016, -50411})
 """DAQmx errors of samples that came too late: input overwritten, output not fed in time (NI-DAQmx error codes)."""
 
@@ -128,7 +131,8 @@ class NiDaqmxConverter(Converter):
         inputs: (physical channel, range in V, coupling ``dc`` or ``ac``, ICP current in mA or 0) of each.
         block_samples: samples of a call.
         address: of NI's gRPC device server; empty = this computer's driver.
-        start_trigger: terminal that starts the output; empty = the start trigger of the first input's device.
+        start_trigger: terminal that starts the output; empty = the start trigger of the first input's device, or of its
+            chassis: a module of a CompactDAQ has no such terminals.
         clock_source: terminal of the sample clock of the output; empty = that of the input.
         buffer_blocks: blocks that the output buffer holds.
         stop: physical channel, range in V, threshold in V, and whether below it (else above) the external stop line
@@ -136,7 +140,7 @@ class NiDaqmxConverter(Converter):
         clock: by which losses follow each other, and on which the end waits.
 
     Raises:
-        BenchError: the driver refuses a setting.
+        BenchError: the driver refuses a setting, or takes another rate, range or ICP current than was asked for.
     """
 
     def __init__(
@@ -173,16 +177,47 @@ class NiDaqmxConverter(Converter):
                 outputs,
                 inputs,
                 address,
-                start_trigger or f"/{device}/ai/StartTrigger",
-                clock_source or f"/{device}/ai/SampleClock",
+                start_trigger,
+                clock_source,
+                device,
             )
         except self._daq.errors.DaqNotFoundError:
             raise BenchError(
                 "NI's driver NI-DAQmx is not installed here; install it, or give device.address."
             ) from None
+        except BenchError:
+            self.close()
+            raise
         except self._daq.errors.Error as error:
             self.close()
             raise BenchError(f"NI-DAQmx refuses the channels or their settings: {_first_line(error)}.") from None
+
+    @contextlib.contextmanager
+    def _asking(self, what: str, remedy: str) -> Iterator[None]:
+        """Say what the driver refused, and where the setting is."""
+        try:
+            yield
+        except self._daq.errors.DaqNotFoundError:
+            raise
+        except self._daq.errors.Error as error:
+            raise BenchError(f"NI-DAQmx refuses {what} ({_first_line(error)}); {remedy}.") from None
+
+    @staticmethod
+    def _same(what: str, asked: float, taken: float, unit: str, key: str) -> None:
+        """Refuse what the device has put in the place of a setting."""
+        if abs(taken - asked) > _SAME * abs(asked):
+            raise BenchError(f"The device takes {taken:.10g} {unit} for {what}, not {asked:.10g}; write {key}.")
+
+    def _clock_device(self, address: str, device: str) -> str:
+        """The device that has the terminals: of a module its chassis."""
+        from nidaqmx.system import System
+
+        options = session_options(address, "")
+        system = System.remote(options) if options is not None else System.local()
+        with self._asking(f"the device {device}", "look at its name in NI MAX"):
+            found = system.devices[device]
+            category = found._interpreter.get_device_attribute_int32(device, 0x29A9)
+            return str(found.compact_daq_chassis_device.name) if category == _MODULE else device
 
     def _set_up(
         self,
@@ -191,6 +226,7 @@ class NiDaqmxConverter(Converter):
         address: str,
         start_trigger: str,
         clock_source: str,
+        device: str,
     ) -> None:
         from nidaqmx import constants
         from nidaqmx.stream_readers import AnalogMultiChannelReader
@@ -205,31 +241,54 @@ class NiDaqmxConverter(Converter):
             return made
 
         self._input = task("nmt_input")
-        for port, reach, coupling, current in inputs:
-            channel = self._input.ai_channels.add_ai_voltage_chan(str(port), min_val=-reach, max_val=reach)
+        entries = [*inputs, *([] if self._stop_line is None else [(*self._stop_line[:2], "dc", 0.0)])]
+        channels = []
+        for port, reach, coupling, current in entries:
+            with self._asking(f"±{reach:g} V at {port}", "correct its port or range_v"):
+                channel = self._input.ai_channels.add_ai_voltage_chan(str(port), min_val=-reach, max_val=reach)
+            channels.append(channel)
             if coupling == "ac":
-                channel.ai_coupling = constants.Coupling.AC
+                with self._asking(f"AC coupling at {port}", "write coupling: dc"):
+                    channel.ai_coupling = constants.Coupling.AC
             if current:
-                channel.ai_excit_src = constants.ExcitationSource.INTERNAL
-                channel.ai_excit_voltage_or_current = constants.ExcitationVoltageOrCurrent.USE_CURRENT
-                channel.ai_excit_val = 1e-3 * float(current)
-        if self._stop_line is not None:
-            port, reach, *_ = self._stop_line
-            self._input.ai_channels.add_ai_voltage_chan(str(port), min_val=-reach, max_val=reach)
-        self._input.timing.cfg_samp_clk_timing(
-            self._rate, sample_mode=continuous, samps_per_chan=max(20 * block, int(self._rate))
-        )
+                with self._asking(
+                    f"an ICP current of {current:g} mA at {port}", "give one that the module has (icp_ma)"
+                ):
+                    channel.ai_excit_src = constants.ExcitationSource.INTERNAL
+                    channel.ai_excit_voltage_or_current = constants.ExcitationVoltageOrCurrent.USE_CURRENT
+                    channel.ai_excit_val = 1e-3 * float(current)
+        with self._asking(f"{self._rate:g} Hz", "give a sample_rate_hz that all its modules have"):
+            self._input.timing.cfg_samp_clk_timing(
+                self._rate, sample_mode=continuous, samps_per_chan=max(20 * block, int(self._rate))
+            )
+            self._input.control(constants.TaskMode.TASK_VERIFY)
+            taken = float(self._input.timing.samp_clk_rate)
+        self._same("the sample rate", self._rate, taken, "Hz", f"sample_rate_hz: {taken:.10g} into the rig file")
+        for channel, (port, reach, _, current) in zip(channels, entries, strict=True):
+            own = float(channel.ai_max)
+            self._same(f"the range of {port}", float(reach), own, "V", f"range_v: {own:.10g}")
+            if current:
+                icp = 1e3 * float(channel.ai_excit_val)
+                self._same(f"the ICP current of {port}", float(current), icp, "mA", f"icp_ma: {icp:.10g}")
+        own_clock = start_trigger and clock_source
+        terminals = device if own_clock else self._clock_device(address, device)
+        start_trigger = start_trigger or f"/{terminals}/ai/StartTrigger"
+        clock_source = clock_source or f"/{terminals}/ai/SampleClock"
         self._output = task("nmt_output")
         for port, reach, _ in outputs:
-            channel = self._output.ao_channels.add_ao_voltage_chan(str(port), min_val=-reach, max_val=reach)
+            with self._asking(f"±{reach:g} V at {port}", "correct its port or range_v"):
+                channel = self._output.ao_channels.add_ao_voltage_chan(str(port), min_val=-reach, max_val=reach)
             with contextlib.suppress(self._daq.errors.Error):  # not every device can; see the guide
                 channel.ao_idle_output_behavior = constants.AOIdleOutputBehavior.ZERO_VOLTS
-        self._output.timing.cfg_samp_clk_timing(
-            self._rate, source=clock_source, sample_mode=continuous, samps_per_chan=self._blocks * block
-        )
+        with self._asking(f"the clock {clock_source} for the output", "correct device.clock_source, or leave it out"):
+            self._output.timing.cfg_samp_clk_timing(
+                self._rate, source=clock_source, sample_mode=continuous, samps_per_chan=self._blocks * block
+            )
         self._output.out_stream.regen_mode = constants.RegenerationMode.DONT_ALLOW_REGENERATION
         self._output.out_stream.output_buf_size = self._blocks * block
-        self._output.triggers.start_trigger.cfg_dig_edge_start_trig(start_trigger)
+        with self._asking(f"the start trigger {start_trigger}", "correct device.start_trigger, or leave it out"):
+            self._output.triggers.start_trigger.cfg_dig_edge_start_trig(start_trigger)
+            self._output.control(constants.TaskMode.TASK_VERIFY)
         self._reader = AnalogMultiChannelReader(self._input.in_stream)
         self._writer = AnalogMultiChannelWriter(self._output.out_stream, auto_start=False)
         self._reader.verify_array_shape = self._writer.verify_array_shape = False

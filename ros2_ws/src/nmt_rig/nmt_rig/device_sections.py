@@ -85,13 +85,14 @@ class DeviceSection(Section):
     """What all converters share.
 
     check_valid_hours: age up to which a passing check lets a test begin; settling_s: quiet time before the delay is
-    measured.
+    measured; icp_settling_s: the same where a sensor has an ICP supply, whose bias takes seconds to settle.
     """
 
     outputs: Annotated[list[OutputPortSection], Field(min_length=1)]
     inputs: Annotated[list[InputPortSection], Field(min_length=1)]
     check_valid_hours: Positive = 24.0
     settling_s: NotNegative = 0.2
+    icp_settling_s: NotNegative = 5.0
 
     @model_validator(mode="after")
     def _one_port_each(self) -> DeviceSection:
@@ -105,6 +106,11 @@ class DeviceSection(Section):
         if len(self.outputs) != 1:
             raise ValueError("outputs has more than one drive channel; the bench drives one exciter")
         return self
+
+    @property
+    def quiet_s(self) -> float:
+        """Time before anything is measured, s."""
+        return max(self.settling_s, self.icp_settling_s if any(entry.icp_ma for entry in self.inputs) else 0.0)
 
     @property
     def ports(self) -> tuple[PortSection, ...]:

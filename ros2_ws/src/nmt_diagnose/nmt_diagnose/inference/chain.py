@@ -19,7 +19,7 @@ from nmt_core.arrays import BoolArray, ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.placement import PlaceKind
-from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, ChainTests, edited, later
+from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, PHASE_STEP, ChainTests, edited, later
 from nmt_diagnose.inference.modes_left_out import ModesLeftOut
 from nmt_diagnose.inference.shape_errors import ShapeErrors
 from nmt_diagnose.inference.tuned import (
@@ -128,6 +128,7 @@ def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -
     builder = _Builder(observations, rig, prediction, numbers) if numbers else None
     found = builder.found() if builder else {}
     found.update(_unsettled(observations))
+    found.update(_stood(observations, rig, prediction))
     found = {name: np.nan_to_num(column, posinf=0.0, neginf=0.0) for name, column in found.items()}
     kept = [name for name, column in found.items() if np.any(column != 0.0)]
     columns = np.column_stack([found[name] for name in kept]) if kept else np.zeros((len(observations.rows), 0))
@@ -147,6 +148,31 @@ def _unsettled(observations: Observations) -> dict[str, FloatArray]:
                 column = np.zeros(len(rows))
                 column[mine] = np.array(level.amplitude_leans)[rows.channel[mine]]
                 found[f"settling {test.name} {position}"] = column
+    return found
+
+
+def _stood(observations: Observations, rig: Rig, prediction: Prediction) -> dict[str, FloatArray]:
+    """Phase at which the loop truly stood in each window, as well as the window tells it.
+
+    The loop holds the phase that it measures: noise of force and response moves the excitation off phase resonance,
+    and frequency, amplitudes and phases of all channels together.
+    """
+    if not any(isinstance(test, PhaseResonanceTest) for test in observations.tests):
+        return {}
+    forward = Forward(observations.tests, observations.rows)
+    base = forward.predict(rig, prediction)
+    moved = tuple(
+        replace(t, levels=tuple(replace(level, phase_error=level.phase_error + PHASE_STEP) for level in t.levels))
+        if isinstance(t, PhaseResonanceTest)
+        else t
+        for t in observations.tests
+    )
+    slopes = forward.difference(Forward(moved, observations.rows).predict(rig, base).values, base.values) / PHASE_STEP
+    rows, found = observations.rows, {}
+    for number, test in enumerate(observations.tests):
+        for position, level in enumerate(test.levels if isinstance(test, PhaseResonanceTest) else ()):
+            mine = (rows.test == number) & (rows.level == position) & (rows.part != Part.PHASE_ERROR)
+            found[f"phase of {test.name} {position}"] = np.where(mine, level.phase_error_std * slopes, 0.0)
     return found
 
 

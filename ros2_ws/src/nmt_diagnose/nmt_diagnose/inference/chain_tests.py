@@ -24,7 +24,7 @@ from nmt_rig.rig import Rig, SensorSection
 
 FUNDAMENTAL = (Part.LOG_MAGNITUDE, Part.PHASE)
 DELAY_STEP_S = 1e-6
-_PHASE_STEP = 1e-4
+PHASE_STEP = 1e-4
 
 
 class ChainTests:
@@ -96,12 +96,12 @@ class ChainTests:
     def slopes(self, base: Prediction) -> FloatArray:
         """Change of the rows over that of the phase at which each level truly stood."""
         moved = tuple(
-            replace(t, levels=tuple(replace(level, phase_error=level.phase_error + _PHASE_STEP) for level in t.levels))
+            replace(t, levels=tuple(replace(level, phase_error=level.phase_error + PHASE_STEP) for level in t.levels))
             if isinstance(t, PhaseResonanceTest)
             else t
             for t in self.tests
         )
-        return np.nan_to_num(self.moved(moved, base) / _PHASE_STEP)
+        return np.nan_to_num(self.moved(moved, base) / PHASE_STEP)
 
     def rows_of(self, channel: str) -> BoolArray:
         """Rows of a channel, in whatever test."""

@@ -91,7 +91,10 @@ def _kind(test: object, part: Part, harmonic: int, channel: int) -> str:
         return "converter"
     if part is Part.SAMPLE:
         return f"samples {channel}"
-    return f"lines of {channels[channel].name}" if isinstance(test, RandomTest) else "fundamental"
+    if isinstance(test, RandomTest):
+        return f"lines of {channels[channel].name}"
+    # Phases of all responses of a window are off together where the loop stood elsewhere, that of the force hardly.
+    return f"{'phase' if part is Part.PHASE else 'fundamental'}{' of the force' if force else ''}"
 
 
 def sigma_of(observations: Observations) -> FloatArray:

@@ -57,7 +57,7 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "kind": "converter",
         "address": "host:port of NI's gRPC device server; empty = the driver of this computer",
         "start_trigger": "terminal that starts the output; empty = that of the first input's device or its chassis",
-        "clock_source": "terminal of the output's sample clock; empty = that of the first input's device or its chassis",
+        "clock_source": "terminal of the output's sample clock; empty = that of the first input's device or chassis",
         "buffer_blocks": "blocks that the output's buffer holds",
         "stop_input": "analog input of the external stop line; none = there is no such line",
     },

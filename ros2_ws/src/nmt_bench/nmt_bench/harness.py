@@ -240,7 +240,8 @@ class Bench:
                 profile.parent.mkdir(exist_ok=True)
                 profile.write_text(lockstep_profile(), encoding="utf-8")
                 environment[PROFILE_VARIABLE] = str(profile.resolve())
-            self.processes = NodeProcesses(self.plan, self.out, environment, loader, domain.descriptor)
+            quiet = 0.0 if self.rig.device is None else self.rig.device.quiet_s
+            self.processes = NodeProcesses(self.plan, self.out, environment, loader, domain.descriptor, quiet)
             self._cleanup.callback(self.processes.end)
             self.processes.start()
         else:

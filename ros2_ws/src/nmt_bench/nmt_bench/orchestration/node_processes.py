@@ -37,6 +37,7 @@ class NodeProcesses:
         environment: additional environment variables.
         loader: process from which they are forked; None = each is started as a program of its own.
         held: descriptor that each node holds open for as long as it lives, the bench's domain; None = none.
+        quiet_s: s that the plant waits for its sensors before it is heard of.
     """
 
     def __init__(
@@ -46,8 +47,9 @@ class NodeProcesses:
         environment: Mapping[str, str],
         loader: NodeLoader | None = None,
         held: int | None = None,
+        quiet_s: float = 0.0,
     ) -> None:
-        self._plan = plan
+        self._plan, self._idle = plan, _IDLE_START + quiet_s
         self._log = out / "log"
         self._parameters = out / "nodes.yaml"
         self._environment = {**os.environ, **environment, LAUNCHER: str(os.getpid())}
@@ -129,7 +131,7 @@ class NodeProcesses:
             if process is None or process.poll() is not None:
                 continue
             doing = self._starts.setdefault(name, _Doing(process.pid))
-            if doing.look() > _IDLE_START:
+            if doing.look() > self._idle:
                 how = "is stopped" if doing.is_stopped else "does nothing"
                 return (
                     f"Node {name} does not come up: its process ({process.pid}) {how}; all others are ended. "

@@ -97,6 +97,20 @@ def test_a_channel_that_fails_in_a_run_is_named_and_no_damping_is_wrong(
 
 
 @pytest.mark.parametrize(
+    ("channel", "change"),
+    [("a3", lambda values, _: 0.0 * values), ("a2", lambda values, _: 1.4 * values), ("a3", late(3))],
+    ids=("dead", "gain", "late"),
+)
+def test_three_channels_of_three_modes_are_enough_to_tell(channel: str, change: Change) -> None:
+    levels = [1.0, 3.0, 9.0]
+    for point, truth in zip(
+        run("joint_resonator", levels, channel, change)[1:], run("joint_resonator", levels)[1:], strict=True
+    ):
+        assert point.reason.startswith(f"Left out: {channel} ")
+        assert abs(point.damping_ratio - truth.damping_ratio) < 2.0 * point.damping_ratio_std
+
+
+@pytest.mark.parametrize(
     ("rig", "levels", "plan"),
     [
         ("beam", [0.05, 1.5], {}),

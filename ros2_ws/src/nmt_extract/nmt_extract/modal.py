@@ -347,9 +347,13 @@ class _Evaluation:
         shape = self.amplitudes[:, self.shape_rows, 1]
         neighbour = history.shape[:, np.newaxis]
         filled = channel_judge.predicted(neighbour, shape, kept)
-        misfit = np.linalg.norm((shape - filled)[0, kept]) / np.linalg.norm(shape[0, kept])
+        # As badly as the others predict one of the channels that are left, they may predict the one that is not.
+        others = [[other for other in kept if other != k] for k in kept]
+        guesses = [channel_judge.predicted(neighbour, shape[0], rest)[k] for k, rest in zip(kept, others, strict=True)]
+        misfit = float(np.abs(shape[0, kept] - guesses).max())
+        away = filled * (1.0 + misfit / np.maximum(np.abs(filled), 1e-300))
         modes = channel_judge.linear_basis(linear.shape_matrix, linear.target_mode, len(kept))
-        for guess in (filled * (1.0 + misfit), channel_judge.predicted(modes, shape, kept)):
+        for guess in (away, channel_judge.predicted(modes, shape, kept)):
             other = shape.copy()
             other[:, gone] = guess[:, gone]
             self.other_shapes.append(other)

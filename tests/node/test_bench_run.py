@@ -281,7 +281,7 @@ def test_blocks_of_latency_do_not_bias_the_result(finished: RunResult) -> None:
 
 
 def test_levels_beyond_the_rigs_voltage_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(BenchError, match=r"60 V is beyond the limit of rig beam \(limits.voltage_v: 50 V\)"):
+    with pytest.raises(BenchError, match=r"60 V is beyond the limit of the rig \(limits.voltage_v: 50 V\)"):
         Bench("beam", [0.1, 60.0], out=tmp_path / "out")
     with pytest.raises(BenchError, match="ramp must be positive"):
         Bench("beam", [0.1], ramp=0.0)

@@ -183,7 +183,7 @@ def test_a_stepped_sine_visits_every_frequency(tmp_path: Path) -> None:
         ({**RANDOM, "band_hz": None}, "random band of 0 to 0 Hz"),
         ({**RANDOM, "duration": 0.0}, "needs a duration"),
         ({**RANDOM, "levels": None}, "random test needs levels"),
-        ({**RANDOM, "levels": [20.0]}, r"reach 4 times as much, beyond the limit of rig beam"),
+        ({**RANDOM, "levels": [20.0]}, r"reach 4 times as much, beyond the limit of the rig"),
         ({**RANDOM, "control": "force"}, "levels of voltage"),
         ({**SWEEP, "frequencies_hz": []}, "needs a frequency"),
         ({**SWEEP, "rate_hz_s": 0.0}, "rate other than 0"),

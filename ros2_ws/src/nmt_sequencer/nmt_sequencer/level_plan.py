@@ -131,17 +131,20 @@ class LevelLimits:
         checked = check_levels(levels, where)
         kind = ControlKind(control or ControlKind.VOLTAGE)
         limit = getattr(self, f"largest_{kind.label}", 0.0)
-        unit = {ControlKind.VOLTAGE: " V", ControlKind.FORCE: " N"}.get(kind, "")
+        key, unit = {ControlKind.VOLTAGE: ("limits.voltage_v", " V"), ControlKind.FORCE: ("limits.force_n", " N")}.get(
+            kind, ("its limit of the response", "")
+        )
         highest = max(checked)
         if not limit or highest * (PEAK_FACTOR if test is TestKind.RANDOM else 1.0) <= limit:
             return checked
         if test is TestKind.RANDOM:
             raise BenchError(
                 f"{where}: peaks of a random drive of {highest:g} V rms reach {PEAK_FACTOR:g} times as much, beyond "
-                f"the limit of the rig ({limit:g} V); lower the level."
+                f"the limit of the rig (limits.voltage_v: {limit:g} V); lower the level."
             )
         raise BenchError(
-            f"{where}: level {highest:g}{unit} is beyond the limit of the rig ({limit:g}{unit}); lower the level."
+            f"{where}: level {highest:g}{unit} is beyond the limit of the rig ({key}: {limit:g}{unit}); "
+            "lower the level."
         )
 
 

@@ -95,7 +95,7 @@ def drive_and_compare(kind, address):
         (("--fault", "open:x6@0.8"), "x6"),
         (("--fault", "sensitivity:x5@0.8"), "x5"),
         (("--fault", "late:x5@0.8"), "x5"),
-        (("--set", "sensors.4.clip=4e-4"), "x6"),
+        (("--set", "sensors.4.clip=6e-4"), "x6"),
         (("--fault", "short:x2@0.8"), "x2"),
     ],
 )

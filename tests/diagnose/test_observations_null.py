@@ -10,9 +10,7 @@ from diagnose.observation_bags import record, rig_with_noise
 
 from nmt_core.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.observations.floors import Floors
 from nmt_diagnose.observations.observables import Observations, Part
-from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.twin_settings import TwinSettings
@@ -31,21 +29,17 @@ def whitened(observations: Observations, rig: Rig) -> FloatArray:
     return np.asarray(difference / observations.sigma)
 
 
-@pytest.mark.parametrize("noise", [1.0, 30.0])
+@pytest.mark.parametrize("noise", [30.0])
 def test_locked_windows_of_a_slipping_joint(tmp_path: Path, noise: float) -> None:
     rig = rig_with_noise(noise=noise, overrides=MESH)
-    settings = ObservationSettings(floors=Floors(model_harmonics=ORDERS))
-    observations = read_observations([record(tmp_path / "run", rig, periods=60)], rig, settings=settings)
+    observations = read_observations([record(tmp_path / "run", rig, periods=60)], rig)
     z = whitened(observations, rig)
     assert np.isfinite(z).all()
+    # Harmonics are as far off as stated; the others no further.
+    harmonics = np.isin(observations.rows.part, (Part.REAL, Part.IMAG))
+    assert 0.8 < np.sqrt(np.mean(z[harmonics] ** 2)) < 1.2
     assert np.sqrt(np.mean(z**2)) < 1.15
     assert np.abs(z).max() < 6.0
-    if noise > 10.0:
-        # Where noise exceeds the floors, residuals are as large as stated.
-        harmonics = np.isin(observations.rows.part, (Part.REAL, Part.IMAG)) & (
-            observations.std > 3.0 * observations.floor
-        )
-        assert 0.8 < np.sqrt(np.mean(z[harmonics] ** 2)) < 1.2
 
 
 def test_random_test_of_a_sticking_joint(tmp_path: Path) -> None:

@@ -122,25 +122,6 @@ class ChainTests:
         phase = self.rows.part == Part.PHASE
         return np.where(phase, values.imag, values.real)
 
-    def harmonics(self) -> dict[tuple[int, ...], list[int]]:
-        """Rows of the real and imaginary part of each harmonic above the first."""
-        rows = self.rows
-        found: dict[tuple[int, ...], list[int]] = {}
-        for row in np.flatnonzero(np.isin(rows.part, (Part.REAL, Part.IMAG)) & (rows.harmonic > 1)):
-            key = (int(rows.test[row]), int(rows.level[row]), int(rows.channel[row]), int(rows.harmonic[row]))
-            found.setdefault(key, []).append(int(row))
-        return found
-
-    def over_fundamental(self) -> list[tuple[int, IntArray]]:
-        """Of each channel at each level, the row of its fundamental's magnitude, and its harmonics, divided by that."""
-        rows, found = self.rows, []
-        for row in np.flatnonzero(rows.part == Part.LOG_MAGNITUDE):
-            if isinstance(self.tests[int(rows.test[row])], PhaseResonanceTest):
-                same = (rows.test == rows.test[row]) & (rows.level == rows.level[row])
-                same &= (rows.channel == rows.channel[row]) & np.isin(rows.part, (Part.REAL, Part.IMAG))
-                found.append((int(row), np.flatnonzero(same)))
-        return found
-
     def other_part(self) -> IntArray:
         """Of each row that is a magnitude or phase, the row of the other of the two; of others the row itself."""
         rows, result = self.rows, np.arange(len(self.rows))

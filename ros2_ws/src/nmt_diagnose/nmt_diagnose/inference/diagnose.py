@@ -36,6 +36,7 @@ from nmt_diagnose.inference.tuned import (
     CHAIN_ROUNDS,
     EXPLAINED,
     FEWEST_LINES_LOST,
+    FINE_HARMONICS,
     JUDGED,
     OPEN,
     RANDOM_LINES,
@@ -43,7 +44,6 @@ from nmt_diagnose.inference.tuned import (
     REFIT_REFRESHES,
     REFIT_STEPS,
     SEEN,
-    SOLVER,
     WORSE,
 )
 from nmt_diagnose.inference.warnings import warned, without_observables
@@ -52,6 +52,7 @@ from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.twin.forward import Forward, Prediction, traced
 from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import Rig, load_rig
 
 
@@ -136,7 +137,7 @@ def observed(
 ) -> Observations:
     """Rows of the bags with the noise that they show; arguments as for :func:`diagnose_bags`."""
     settings = settings or DiagnosisSettings()
-    reading = ObservationSettings(calibration=settings.calibration, floors=SOLVER, lines=RANDOM_LINES)
+    reading = ObservationSettings(calibration=settings.calibration, lines=RANDOM_LINES)
     return read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
 
 
@@ -196,6 +197,7 @@ def _null(
         used = np.isfinite(given.values) & fitted
         if used.sum() < FEWEST_LINES_LOST * fitted.sum():
             raise FitError("it has no solution for most of the observables")
+        observations = _with_solver_error(observations, rig, given)
         own = Parametrisation(rig, tuple(parameters))
         data = data_about(observations, rig, given, used, logarithms=True)
         found = fit(data, own, own.zero, given)
@@ -205,6 +207,13 @@ def _null(
     except (FitError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
     return data.observations, given, Found((), found), data
+
+
+def _with_solver_error(observations: Observations, rig: Rig, given: Prediction) -> Observations:
+    """The observations with what harmonics that the harmonic balance leaves out change, as part of their floor."""
+    fine = Forward(observations.tests, observations.rows, TwinSettings(harmonics=FINE_HARMONICS))
+    change = np.abs(np.nan_to_num(fine.difference(fine.predict(rig).values, given.values)))
+    return replace(observations, floor=np.hypot(observations.floor, change))
 
 
 def _visible(search: Search, scores: Sequence[Score], rig: Rig) -> tuple[Visible, ...]:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-from nmt_diagnose.observations.floors import Floors
-
 # Standard deviation of one image constant, over that of a mass line: the images of a held drive sum to a sawtooth of
 # the moment of sampling, of amplitude 1.
 IMAGE_STD = 0.6
@@ -59,14 +57,10 @@ CHAIN_ROUNDS, REFIT_STEPS, REFIT_REFRESHES = 2, 8, 2
 OPEN = 0.3
 # Share of the rows below which a model without solutions cannot be compared.
 FEWEST_LINES_LOST = 0.3
+# Harmonics of the solution that tells what the harmonic balance leaves out: three times as many leave 2 % of it.
+FINE_HARMONICS = 27
 # Most lines of a random test.
 RANDOM_LINES = 160
-# What is left of solver and estimators without noise, far below what recordings repeat to.
-SOLVER = Floors(
-    log_frequency=1e-6, phase_error=0.0, log_magnitude=1e-5, force_log_magnitude=1e-5, phase=1e-5, harmonic=1e-6,
-    model_harmonics=100, frf=1e-5, stepped=1e-5, images=0.0, decay_log_frequency=1e-6, decay_damping=1e-3,
-    decay_shape=1e-5,
-)  # fmt: skip
 # Explanations that are fitted again about the best one, how far in ln evidence they may lie behind, and the rise of
 # the cost over the model alone from which a fit has lost its way.
 FINALISTS, FAR_BEHIND, LOST = 8, 40.0, 20.0

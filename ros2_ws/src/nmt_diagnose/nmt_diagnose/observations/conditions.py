@@ -112,10 +112,6 @@ class RandomTest:
         drive_hold_hz: rate at which the drive went straight from sample to sample, Hz; infinite where it did not. The
             observables are responses to the samples of the drive then: smaller by sinc², and with images of the drive
             around multiples of that rate.
-        sampled_at: for a drive that was held from sample to sample at that rate, and channels without anti-alias
-            filters: when they are sampled, in samples after the drive has moved on; None = otherwise.
-        rise: time that the drive takes to move on, in samples.
-        late_s: for such channels: by how much later each is sampled than that, s; empty = all at that moment.
     """
 
     name: str
@@ -129,9 +125,6 @@ class RandomTest:
     start_s: float
     stop_s: float
     drive_hold_hz: float = math.inf
-    sampled_at: float | None = None
-    rise: float = 0.0
-    late_s: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -36,19 +36,6 @@ def image_responses(
     return _images(view, channels, frequency_hz, rate_hz, _IMAGES, lambda share: np.sinc(share) ** 2)
 
 
-def zero_order_images(
-    view: ModelView,
-    channels: Sequence[MeasuredChannel],
-    frequency_hz: FloatArray,
-    rate_hz: float,
-    orders: Sequence[int] = _IMAGES,
-) -> NDArray[np.complex128]:
-    """The same for a drive that is held over each sample: sinc(f/f_h) e^{−iπf/f_h} takes the place of sinc²(f/f_h)."""
-    return _images(
-        view, channels, frequency_hz, rate_hz, orders, lambda share: np.sinc(share) * np.exp(-1j * np.pi * share)
-    )
-
-
 def _images(
     view: ModelView,
     channels: Sequence[MeasuredChannel],

@@ -26,7 +26,7 @@ _STATED = {
 
 @dataclass(frozen=True)
 class Floors:
-    """Standard deviations that remain with noise-free sensors; measured in ``docs/explanation/observations.md``.
+    """Standard deviations that solver and estimators leave without noise, far below what recordings repeat to.
 
     Attributes:
         log_frequency: locked frequency, relative: transients of the lock.
@@ -35,11 +35,8 @@ class Floors:
         log_magnitude, force_log_magnitude: fundamental amplitudes of motions and force, relative.
         phase: phases of fundamentals, rad.
         harmonic: other harmonics over the fundamental, 1.
-        model_harmonics: highest order of the model's harmonic balance; what it cuts off at a slipping joint adds to the
-            floors of locked windows, see :meth:`truncation`.
         frf: frequency responses, relative and rad, besides the estimator's bias that is computed line by line.
         stepped: frequency responses at a held amplitude, relative and rad: harmonics that the model leaves out.
-        images: share of what images of a held drive fold onto a line that the model may get wrong.
         decay_log_frequency: instantaneous frequency of a ring-down, relative.
         decay_damping: its damping ratio, relative.
         decay_shape: amplitudes and phases of other channels during a ring-down, relative and rad.
@@ -48,45 +45,30 @@ class Floors:
         record: samples of a record, relative to the rms of their channel.
     """
 
-    log_frequency: float = 2e-6
-    phase_error: float = 5e-4
-    log_magnitude: float = 5e-5
-    force_log_magnitude: float = 2e-4
-    phase: float = 3e-5
-    harmonic: float = 5e-6
-    model_harmonics: int = 9
-    frf: float = 5e-5
-    stepped: float = 2e-4
-    images: float = 0.02
-    decay_log_frequency: float = 2e-4
-    decay_damping: float = 3e-3
-    decay_shape: float = 2e-4
+    log_frequency: float = 1e-6
+    phase_error: float = 0.0
+    log_magnitude: float = 1e-5
+    force_log_magnitude: float = 1e-5
+    phase: float = 1e-5
+    harmonic: float = 1e-6
+    frf: float = 1e-5
+    stepped: float = 1e-5
+    decay_log_frequency: float = 1e-6
+    decay_damping: float = 1e-3
+    decay_shape: float = 1e-5
     table_log_frequency: float = 1e-3
     table_damping: float = 5e-2
     record: float = 1e-2
 
-    def window(self, part: Part, quantity: Quantity = Quantity.UNKNOWN, harmonic: int = 1, levels: int = 1) -> float:
+    def window(self, part: Part, quantity: Quantity = Quantity.UNKNOWN, levels: int = 1) -> float:
         """Floor of an observable of a locked window, one of ``levels`` of its run."""
         if part is Part.PHASE_ERROR:
             return self.phase_error * math.sqrt(levels)
-        own = {
+        return {
             Part.LOG_FREQUENCY: self.log_frequency,
             Part.LOG_MAGNITUDE: self.force_log_magnitude if quantity is Quantity.FORCE else self.log_magnitude,
             Part.PHASE: self.phase,
         }.get(part, self.harmonic)
-        return math.hypot(own, self.truncation(part, quantity, harmonic))
-
-    def truncation(self, part: Part, quantity: Quantity, harmonic: int) -> float:
-        """What orders beyond ``model_harmonics`` change; measured with 7 at a slipping joint, falls with power 3.5."""
-        if part is Part.LOG_FREQUENCY:
-            size = 2e-5
-        elif part in (Part.LOG_MAGNITUDE, Part.PHASE):
-            size = 3e-4 if quantity is Quantity.FORCE and part is Part.LOG_MAGNITUDE else 7e-5
-        elif quantity is Quantity.FORCE:
-            size = 1.5e-4 if harmonic else 0.0
-        else:
-            size = 6e-6 * harmonic ** {Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}.get(quantity, 0)
-        return float(size * (7.0 / self.model_harmonics) ** 3.5)
 
 
 def with_stated_repeatability(observations: Observations, run: Mapping[str, Any]) -> Observations:

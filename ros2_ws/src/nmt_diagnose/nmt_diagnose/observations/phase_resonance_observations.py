@@ -407,7 +407,7 @@ def phase_resonance_observations(
         for cell in cells:
             if cell.level == index:
                 std = math.sqrt(cell.variance) / cell.scale
-                floor = floors.window(cell.part, quantity_of[cell.name], cell.harmonic)
+                floor = floors.window(cell.part, quantity_of[cell.name])
                 table.add(cell.part, cell.value, std, floor, place, index_of[cell.name], cell.harmonic)
     notes += _mains(run, floors, table)
     notes += _steps(run, cells, view, table)

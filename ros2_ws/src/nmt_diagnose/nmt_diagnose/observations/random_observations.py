@@ -22,7 +22,6 @@ from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.bag_samples import Stretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
-from nmt_diagnose.observations.drive_hold import image_responses
 from nmt_diagnose.observations.model_view import ORDER as DERIVATIVES
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.moderated_variance import moderated
@@ -313,8 +312,6 @@ def random_observations(
     drive_rms = float(np.std(input_samples))
     middle = 0.5 * (stretch.start_s + stretch.stop_s)
     bias = _bias(view, present, input_samples, reference, bins, stretch.sample_rate)
-    held = reference.quantity is Quantity.VOLTAGE
-    images = np.abs(image_responses(view, present, lines, hold_rate_hz if held else math.inf))
     believed = _believed(view, present, reference, lines, estimate)
     for number, line in enumerate(lines):
         for row in range(len(present)):
@@ -326,9 +323,7 @@ def random_observations(
             if math.sqrt(0.5 * variance[row, number]) > settings.largest_std * believed[row, number]:
                 continue
             place = Place(number, middle, float(line), drive_rms)
-            # What sensors and structure do to images of the drive, far above the lines, is known roughly only.
-            folded = settings.floors.images * images[row, number] / size
-            floor = math.hypot(settings.floors.frf, bias[row, number], folded)
+            floor = math.hypot(settings.floors.frf, bias[row, number])
             table.add(Part.LOG_MAGNITUDE, math.log(size), std, floor, place, row)
             table.add(Part.PHASE, float(np.angle(estimate[row, number])), std, floor, place, row)
     if not len(table):

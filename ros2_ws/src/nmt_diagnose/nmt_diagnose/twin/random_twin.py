@@ -15,7 +15,6 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.gaussian_motion import forces_in_motion
-from nmt_diagnose.twin.held_steps import HeldSteps
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import sensor_gain
 from nmt_diagnose.twin.rig_parts import RigParts
@@ -108,14 +107,7 @@ class RandomTwin:
         }
         rate = test.drive_hold_hz
         held = math.isfinite(rate) and test.reference == "voltage" and test.lines_hz.size > 0
-        self._folding = folding(test.lines_hz, rate) if held and test.sampled_at is None else None
-        self._steps: HeldSteps | None = None
-        self._late = np.array(test.late_s) if test.late_s else np.zeros(len(test.channels))
-        if held and test.sampled_at is not None:
-            down = folding(test.lines_hz, rate)
-            self._steps = HeldSteps(
-                rate, test.sampled_at, test.rise, test.lines_hz, down.nodes, np.array(IMAGES), down.between
-            )
+        self._folding = folding(test.lines_hz, rate) if held else None
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""
@@ -137,15 +129,6 @@ class RandomTwin:
         fractions = self._fractions(parts)
         local = self._local(parts, fractions)
         result = self._smoothed(rig, cache, parts, local, fractions)
-        if self._late.any():
-            # A channel that is sampled later is ahead of one whose signal is late.
-            result = result * np.exp(2j * np.pi * np.outer(self.test.lines_hz, self._late))
-        if self._steps is not None:
-            chains = parts.channels[self._own]
-            plain = chains.copy()
-            plain[:, 1:3] = 0.0
-            above = self._plain(parts, local, self._steps.frequencies, fractions, plain)[:, :-1]
-            return self._steps.seen(result, above, chains[:-1, 1] - self._late, chains[:-1, 2])
         if self._folding is None:
             return result
         return np.asarray(self._folding.own * result + self._images(parts, local, self._folding, fractions))

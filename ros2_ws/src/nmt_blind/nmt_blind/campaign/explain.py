@@ -82,7 +82,7 @@ def explain_case(folder: Path, case: str) -> Account:
         raise BenchError(f"Case {case} of {folder} has no bags; go on with './nmt blind make'.")
     rig = load_rig(str(own / "model.yaml"))
     withheld = tuple(word for word in str(truth[case]["withheld"]).split(",") if word)
-    settings = DiagnosisSettings(withheld=withheld, look_ahead=False)
+    settings = DiagnosisSettings(withheld=withheld, look_ahead=False, matters={})
     return account(rig, observed(rig, bags, (), settings), settings, truth[case])
 
 

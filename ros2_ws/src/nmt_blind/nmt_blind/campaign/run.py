@@ -56,7 +56,8 @@ def diagnose_case(model: Path, bags: Sequence[Path], withheld: str) -> dict[str,
     from nmt_diagnose.inference.diagnose import diagnose_bags
     from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 
-    settings = DiagnosisSettings(withheld=tuple(withheld.split(",")) if withheld else (), look_ahead=False)
+    # What is asked is whether an effect is seen, however small it is.
+    settings = DiagnosisSettings(withheld=tuple(withheld.split(",")) if withheld else (), look_ahead=False, matters={})
     result = diagnose_bags(model, bags, settings=settings).diagnosis.to_mapping()
     with contextlib.suppress(BenchError, ArithmeticError, np.linalg.LinAlgError):
         result["sindy"] = sparse_terms(model, bags)

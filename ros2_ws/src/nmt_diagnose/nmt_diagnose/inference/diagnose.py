@@ -19,7 +19,7 @@ from nmt_diagnose.inference.chain import SharedDelay, shared_delays
 from nmt_diagnose.inference.comparison import Comparison, Equivalents, Hypotheses, source_places, sources
 from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Value, Verdict, Visible
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.fitting import Data, FitError, Fitted, best_errors, data_about, fit
+from nmt_diagnose.inference.fitting import Data, FitError, Fitted, Metric, best_errors, data_about, fit
 from nmt_diagnose.inference.gap import Closed, closed, rms
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
 from nmt_diagnose.inference.next_test import next_tests
@@ -29,7 +29,7 @@ from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.inference.result_rows import calibration_rows, candidate_row, inputs, place_rows, ranked_rows
 from nmt_diagnose.inference.search import Found, Score, Search
-from nmt_diagnose.inference.sentences import sentences
+from nmt_diagnose.inference.sentences import likeness, sentences
 from nmt_diagnose.inference.size import Size, left_size, matters, measured_size, worth
 from nmt_diagnose.inference.tuned import (
     ALARM,
@@ -306,7 +306,7 @@ def diagnose_observations(
     explanation = leader.head.explanation if leader is not None else None
     said = sentences(verdict, where, ranking, explanation, gap, ahead, calibration, rest)
     if size is not None and verdict in (Verdict.NONE, Verdict.CALIBRATION) and comparison.log_odds > ALARM:
-        said = (*said, size.sentence)
+        said = (*said, f"{size.sentence} {likeness(ranking[0], explanation)}")
     diagnosis = Diagnosis(
         verdict=verdict,
         sentences=(*said, *warnings),
@@ -430,4 +430,6 @@ def _unseen(fitted: Data, whole: Data, found: Found, split: Split) -> tuple[Floa
     except FitError:
         return None
     left = best_errors(whole, refit.prediction.values, own.errors).left
-    return left, np.sqrt(np.einsum("mi,ij,mj->m", own.jacobian, refit.covariance, own.jacobian))
+    chain = Metric(own.errors.slopes, np.ones(own.errors.chain.size), own.errors.weights)
+    slopes = chain.rest(own.jacobian)[0]
+    return left, np.sqrt(np.einsum("mi,ij,mj->m", slopes, refit.covariance, slopes))

@@ -67,6 +67,15 @@ def sentences(
     return (place, which + ".", _how_far(gap, "Adding it") + _left(remainder), *_ahead(ahead))
 
 
+def likeness(head: Ranked, named: Explanation | None) -> str:
+    """What a difference that does not matter looks like."""
+    values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())
+    return (
+        f"It looks like {_title(head.effect)}{_at(named)} ({values}), probability {_sure(head.probability)}; "
+        "'--matters' says from which size on that is a gap."
+    )
+
+
 def _nearest(ranking: Sequence[Ranked], named: Explanation | None, gap: Gap) -> str:
     """What comes nearest, with its parameters and what it leaves."""
     if not ranking:

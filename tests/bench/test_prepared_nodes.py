@@ -61,8 +61,28 @@ said = {
 }
 print(json.dumps(said))
 """
+# The same process without what real nodes import, which is a second of processor time.
+LIGHT = f"""
+import sys
+sys.path[0] = {os.path.dirname(node_loader.__file__)!r}
+import node_loader
+node_loader.PREPARED = ()
+for step in ("_load_type_supports", "_read_definitions", "_load_kernels", "_look_at_modules"):
+    setattr(node_loader, step, lambda: None)
+node_loader.main()
+"""
 BUSY = "while True:\n    pass\n"
 LONG = "import time\nprint('begun', flush=True)\ntime.sleep(600)\n"
+
+
+@pytest.fixture(autouse=True)
+def light(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        if request.node.name != "test_what_nodes_import_is_prepared_but_for_the_client_library":
+            path = tmp_path_factory.mktemp("light") / "loader.py"
+            path.write_text(LIGHT)
+            patch.setattr(node_loader, "__file__", str(path))
+        yield
 
 
 def script(path: Path, text: str) -> Path:
@@ -215,12 +235,12 @@ def test_a_node_is_killed_stopped_and_ended_alone(tmp_path: Path, monkeypatch: p
 
 
 def test_a_node_that_does_not_come_up_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nmt_bench.orchestration.node_processes._IDLE_START", 1.2)
     nodes = a_bench(tmp_path, monkeypatch, plant=BUSY, pll=LONG, recorder=LONG)(loader := NodeLoader())
     nodes.start()
     loader.close()
     stopped = nodes.pids["recorder"]
     os.kill(stopped, signal.SIGSTOP)
-    monkeypatch.setattr("nmt_bench.orchestration.node_processes._IDLE_START", 0.6)
     wait_until(lambda: nodes.not_coming_up(["plant", "recorder"]) != "")
     said = nodes.not_coming_up(["plant", "recorder"])
     assert f"Node recorder does not come up: its process ({stopped}) is stopped" in said
@@ -317,7 +337,9 @@ def test_a_loader_that_is_stopped_is_given_up(monkeypatch: pytest.MonkeyPatch) -
 
 LAUNCHER = """
 import os, sys, time
+from nmt_bench.orchestration import node_loader
 from nmt_bench.orchestration.prepared_nodes import NodeCommand, NodeLoader
+node_loader.__file__ = sys.argv[4]
 loader = NodeLoader()
 print(loader.pid, flush=True)
 if sys.argv[1] != "importing":
@@ -335,7 +357,7 @@ time.sleep(600)
 def test_nodes_end_with_a_killed_launcher(moment: str, tmp_path: Path) -> None:
     text = "import signal, time\nsignal.signal(signal.SIGTERM, lambda *_: exit(print('told to end')))\n" + LONG
     node, log = script(tmp_path / "node", text), tmp_path / "log"
-    words = [sys.executable, "-c", LAUNCHER, moment, str(log), str(node)]
+    words = [sys.executable, "-c", LAUNCHER, moment, str(log), str(node), node_loader.__file__]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as launcher:
         assert launcher.stdout is not None
         processes = [int(launcher.stdout.readline())]

@@ -43,10 +43,10 @@ def found(windows: list[tuple[FloatArray, FloatArray]], hz: float = 50.0) -> NDA
 
 @pytest.mark.parametrize("seconds", with_quick([2.0, 10.0], 2.0))
 def test_windows_without_a_line_scatter_about_zero_as_stated(seconds: float) -> None:
-    amplitudes, std = found([window(seed, seconds) for seed in range(120)])
+    amplitudes, std = found([window(seed, seconds) for seed in range(40)])
     z = amplitudes / std
-    assert z.shape == (120, 2)
-    assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.12)
+    assert z.shape == (40, 2)
+    assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.2)
     assert abs(z.mean()) < 0.25
     assert np.abs(z).max() < 4.5
 
@@ -54,8 +54,8 @@ def test_windows_without_a_line_scatter_about_zero_as_stated(seconds: float) -> 
 @pytest.mark.parametrize("hz", [50.0, 60.0])
 def test_a_line_of_any_phase_is_found_in_its_channel(hz: float) -> None:
     # A wandering mains: 0.04 Hz beside its nominal frequency.
-    amplitudes, std = found([window(seed, 10.0, hum=0.2, hz=hz + 0.04) for seed in range(20)], hz)
-    assert np.mean(amplitudes[:, 1]) == pytest.approx(0.2, rel=0.1)
+    amplitudes, std = found([window(seed, 5.0, hum=0.3, hz=hz + 0.04) for seed in range(8)], hz)
+    assert np.mean(amplitudes[:, 1]) == pytest.approx(0.3, rel=0.1)
     assert np.all(amplitudes[:, 1] > 5.0 * std[:, 1])
     assert np.all(amplitudes[:, 0] < 4.0 * std[:, 0])
 

@@ -54,7 +54,7 @@ def or_losses_are_named(said: str = "") -> Iterator[None]:
         pytest.skip(f"the computer lost samples, and it is said: '{found.group()}'")
 
 
-@pytest.mark.parametrize("kind", ["portaudio", pytest.param("nidaqmx", marks=pytest.mark.campaign)])
+@both
 def test_a_short_stream(kind, tmp_path):
     """A start finds the delay, every block that is given is what was put out, the output ends at zero."""
     with or_losses_are_named():
@@ -119,7 +119,8 @@ def test_a_channel_that_fails_in_a_test_is_named(kind, options, channel, tmp_pat
                 assert away < 2.0 * point["damping_ratio_std"] + MOST_DAMPING * truth["damping_ratio"]
 
 
-@pytest.mark.parametrize("kind", ["nidaqmx", pytest.param("portaudio", marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@both
 def test_a_short_test_by_the_command(kind, tmp_path):
     """Launcher, nodes and converter together: a level locks and has the values of the simulated one."""
     words = ["--levels", "1", "--periods", "10", "--reference", "none", "--no-report"]

@@ -12,11 +12,13 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from markupsafe import Markup
 from report import diagnosis_fixture as fixture
 
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.inference.diagnosis import Left, Ranked, Remainder, Share, Value, Verdict
 from nmt_diagnose.observations.observables import Part
+from nmt_report import diagnosis_figures, rig_drawing
 from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv
 from nmt_report.diagnosis_report import diagnosis_page, probability_shares
 from nmt_report.diagnosis_tables import ranking_table
@@ -64,9 +66,18 @@ def text_of(page: str) -> str:
     return unescape(re.sub(r"<[^>]+>", " ", page))
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are built, and an empty drawing stands in their place: drawing takes most of a page's time."""
+    for module in (diagnosis_figures, rig_drawing):
+        monkeypatch.setattr(module, "svg_text", lambda *_: Markup("<svg></svg>"))
+
+
 @pytest.mark.parametrize("verdict", list(Verdict))
-def test_a_page_for_every_verdict(verdict: Verdict) -> None:
-    # One with every kind of test, the others quicker.
+def test_a_page_for_every_verdict(verdict: Verdict, request: pytest.FixtureRequest) -> None:
+    # One with every kind of test and drawn, the others quicker.
+    if verdict is not Verdict.EFFECT:
+        request.getfixturevalue("undrawn")
     report = fixture.report(verdict, None if verdict is Verdict.EFFECT else fixture.one_test())
     page = diagnosis_page(report)
     parser = _Balanced()
@@ -94,6 +105,7 @@ def test_the_same_report_is_the_same_page() -> None:
     assert len(pages) == 1
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_class_is_named_with_its_splitting_test() -> None:
     report = fixture.report(Verdict.EFFECT, fixture.one_test())
     text = text_of(diagnosis_page(report))
@@ -108,6 +120,7 @@ def test_a_class_is_named_with_its_splitting_test() -> None:
     assert "local_elements.joint.slip_force_n" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_unexplained_gap_does_not_offer_its_parameters() -> None:
     text = text_of(diagnosis_page(fixture.report(Verdict.UNKNOWN, fixture.one_test())))
     assert "model.yaml keeps the ones given" in text
@@ -269,6 +282,7 @@ def test_without_a_claim_the_rest_is_too_weak_to_see_and_not_unnamed() -> None:
     assert rest_text(loud) == ("something not in the library", pytest.approx(0.3))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_remainder_and_warnings_stand_in_the_verdict_and_on_the_page() -> None:
     report = fixture.report(Verdict.EFFECT, fixture.one_test())
     assert "warning" not in verdict_text(report.diagnosis)[0]

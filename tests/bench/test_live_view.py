@@ -19,6 +19,7 @@ from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.records import DriveStop, LoopStatus, RunState
 from nmt_core.vocabulary import OutputState, PointStatus, ResultCode, RunPhase, SteeringAct, StopCause
+from nmt_record.bag_reader import Bag
 from nmt_report.quantity_format import uncertain
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session import Session, plan_test
@@ -197,6 +198,27 @@ def test_a_bag_is_replayed_from_any_moment(tmp_path: Path) -> None:
         for nonsense in ({"seek": float("nan")}, {"seek": "end"}, {"speed": 1e9}, {"playing": 1}, {}):
             player.control(nonsense)
         assert player.state()["speed"] == 50.0
+    finally:
+        player.close()
+
+
+def test_messages_that_have_the_time_of_their_reception_hold_up_no_replay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watched(tmp_path)
+    stamped = Bag.raw_messages
+
+    def received(self: Bag, *arguments: Any) -> Any:
+        for topic, kind, stamp, raw in stamped(self, *arguments):
+            yield topic, kind, 1_800_000_000_000_000_000 if topic == "level" else stamp, raw
+
+    monkeypatch.setattr(Bag, "raw_messages", received)
+    view = LiveView(replay=True)
+    player = BagPlayer(tmp_path / "run" / "bag", view)
+    try:
+        player.control({"seek": player.duration})
+        player.state()
+        until(lambda: len(facts(view)[0]["table"]) == 3)
     finally:
         player.close()
 

@@ -112,6 +112,8 @@ class BagPlayer(Player):
             if self._interrupted():
                 return
             at = stamp / 1e9 - self._first
+            if at > self.duration:  # without a stamp of its own, as a level: the wall time of its reception
+                at = position
             if at < start - STRIP_SECONDS and topic in SAMPLE_TOPICS:
                 continue
             while at > position:

@@ -1,13 +1,19 @@
-"""Makes docs/images/bench.svg from the results folder of a run: the nodes, and the backbone they measured.
+"""Makes the pictures of the documentation from the results folder of a run; Chromium draws page and report.
 
 ./nmt demo
 ./nmt shell
-python docs/make_picture.py out/demo
+python docs/make_pictures.py out/demo [--diagnosis diagnosis]
+
+bench.svg: the nodes, and the backbone they measured. page.png: the live page replaying the run. report.png: its report.
+diagnosis.png: the report of the diagnosis of docs/how-to/diagnose.md, where its folder is named.
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
+import io
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -16,13 +22,18 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
+from PIL import Image
 
 from nmt_extract.modal_table import read_csv
 from nmt_rig.reference import compute_reference
 from nmt_rig.rig import load_rig
 
 Place = tuple[float, float]
-TARGET = Path(__file__).resolve().parent / "images" / "bench.svg"
+DOCS = Path(__file__).resolve().parent
+sys.path.insert(0, str(DOCS.parent / "tests"))
+from node.browser import Browser  # noqa: E402
+
+COLOURS = 96  # of a PNG: a third of the bytes, and nothing that the eye sees
 INK, LINE, FILL, ACCENT = "#1c2733", "#5b6b7b", "#eef3f8", "#c0392b"
 
 # Node: centre and what it does.
@@ -76,15 +87,11 @@ def draw_backbone(axes: Any, measured: Any, computed: Any, scale: float, std: st
         axes.spines[side].set_visible(False)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Draw the picture."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("results", type=Path, help="results folder of a run")
-    parser.add_argument("--out", type=Path, default=TARGET, help="file (SVG or PNG)")
-    options = parser.parse_args(arguments)
-    measured = read_csv(options.results / "modal.csv")
+def draw_bench(results: Path, target: Path) -> None:
+    """Nodes and backbone as one picture."""
+    measured = read_csv(results / "modal.csv")
     q = np.array(measured["modal_amplitude"])
-    rig = load_rig(options.results / "rig.yaml")
+    rig = load_rig(results / "rig.yaml")
     computed = compute_reference(rig, 15, np.geomspace(0.7 * np.nanmin(q), 1.5 * np.nanmax(q), 200))
 
     matplotlib.rcParams.update({"svg.hashsalt": "nmt", "font.family": "DejaVu Sans"})
@@ -100,8 +107,51 @@ def main(arguments: list[str] | None = None) -> int:
     top.legend(fontsize=8, frameon=False, loc="lower left")
     bottom.set_ylabel("damping ratio, %", fontsize=8, color=INK)
     bottom.set_xlabel("modal amplitude, 10⁻⁶ m√kg", fontsize=8, color=INK)
-    figure.savefig(options.out, metadata={"Date": None} if options.out.suffix == ".svg" else None, dpi=140)
-    sys.stdout.write(f"{options.out}\n")
+    figure.savefig(target, metadata={"Date": None})
+
+
+async def screenshots(results: Path, diagnosis: Path | None, folder: Path) -> None:
+    """The live page in the middle of a replay, and the report."""
+    player = subprocess.Popen(
+        [sys.executable, "-m", "nmt_bench", "page", str(results / "bag")], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert player.stdout
+        address = next(line for line in player.stdout if "http://" in line).split()[-1]
+        async with Browser() as browser:
+            await browser.size(1440, 885)
+            await browser.open(address)
+            await browser.until("document.body.dataset.sample")
+            faster = "var speed = document.getElementById('speed'); speed.value = '10';"
+            await browser.value(f"{faster} speed.dispatchEvent(new Event('change'))")
+            await browser.until("document.querySelectorAll('#points tbody tr').length > 7", 60.0)
+            await browser.value(f"{faster.replace('10', '1')} speed.dispatchEvent(new Event('change'))")
+            await asyncio.sleep(2.0)
+            await browser.picture(folder / "page.png")
+            for name, height, source in (("report", 1750, results), ("diagnosis", 1150, diagnosis)):
+                if source is None:
+                    continue
+                await browser.size(1200, height)
+                await browser.open((source / "report.html").resolve().as_uri())
+                await browser.until("document.readyState === 'complete'")
+                await browser.picture(folder / f"{name}.png")
+    finally:
+        player.terminate()
+        player.wait()
+    for path in folder.glob("*.png"):
+        small = Image.open(io.BytesIO(path.read_bytes())).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        small.save(path, optimize=True)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Draw all pictures."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("results", type=Path, help="results folder of a run")
+    parser.add_argument("--diagnosis", type=Path, help="results folder of a diagnosis")
+    parser.add_argument("--out", type=Path, default=DOCS / "images", help="folder of the pictures")
+    options = parser.parse_args(arguments)
+    draw_bench(options.results, options.out / "bench.svg")
+    asyncio.run(screenshots(options.results, options.diagnosis, options.out))
     return 0
 
 

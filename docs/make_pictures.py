@@ -2,10 +2,11 @@
 
 ./nmt demo
 ./nmt shell
-python docs/make_pictures.py out/demo [--diagnosis diagnosis]
+python docs/make_pictures.py out/demo [--diagnosis diagnosis] [--notebooks]
 
 bench.svg: the nodes, and the backbone they measured. page.png: the live page replaying the run. report.png: its report.
 diagnosis.png: the report of the diagnosis of docs/how-to/diagnose.md, where its folder is named.
+Notebooks of examples/ are run and stored with their outputs.
 """
 
 from __future__ import annotations
@@ -15,13 +16,16 @@ import asyncio
 import io
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+import nbformat
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
+from nbclient import NotebookClient
 from PIL import Image
 
 from nmt_extract.modal_table import read_csv
@@ -143,15 +147,29 @@ async def screenshots(results: Path, diagnosis: Path | None, folder: Path) -> No
         small.save(path, optimize=True)
 
 
+def run_notebooks() -> None:
+    """Notebooks with the outputs of a run from top to bottom."""
+    for path in sorted((DOCS.parent / "examples").glob("*.ipynb")):
+        notebook = nbformat.read(path, as_version=4)
+        with tempfile.TemporaryDirectory() as folder:
+            NotebookClient(notebook, timeout=1800, resources={"metadata": {"path": folder}}).execute()
+        for cell in notebook.cells:
+            cell.metadata.pop("execution", None)  # times of a machine
+        nbformat.write(notebook, path)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Draw all pictures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("results", type=Path, help="results folder of a run")
     parser.add_argument("--diagnosis", type=Path, help="results folder of a diagnosis")
+    parser.add_argument("--notebooks", action="store_true", help="run the notebooks, too")
     parser.add_argument("--out", type=Path, default=DOCS / "images", help="folder of the pictures")
     options = parser.parse_args(arguments)
     draw_bench(options.results, options.out / "bench.svg")
     asyncio.run(screenshots(options.results, options.diagnosis, options.out))
+    if options.notebooks:
+        run_notebooks()
     return 0
 
 

@@ -51,6 +51,7 @@ def diagnose(*words: str | Path) -> int:
         (["--model", "beam", "--real", "nowhere", "--without", "sunspots"], "--without: there is no effect sunspots"),
         (["--model", "beam", "--real", "nowhere", "--set", "structure.mass=1"], "unknown key structure.mass"),
         (["--model", "beam", "--real", "nowhere", "--seed", "-1"], "--seed must not be negative"),
+        (["--model", "beam", "--real", "nowhere", "--matters", "force=1"], "--matters is one of frequency"),
     ],
 )
 def test_a_wrong_option_is_one_sentence(

@@ -19,7 +19,7 @@ from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.inference.fitting import best_errors, data_about
 from nmt_diagnose.inference.noise import Groups, groups_of
 from nmt_diagnose.inference.search import Score, Search
-from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel
+from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.row_table import Place, RowTable
@@ -239,3 +239,33 @@ def test_a_channel_may_turn_all_frequencies_by_the_same_angle() -> None:
     assert column[lines & (rows.part == Part.PHASE)] == pytest.approx(np.radians(0.2))
     assert not column[lines & (rows.part == Part.LOG_MAGNITUDE)].any()
     assert not column[(rows.test == 1) & (rows.channel == 1)].any()
+
+
+def test_where_the_loop_truly_stood_is_no_gap() -> None:
+    """Noise of the loop moves all observables of a window together: rows alone would be off by many deviations."""
+    wandering = laboratory(observations_of_twin(MODEL, seed=6, drives=(0.1, 0.2, 0.4, 0.8, 1.6), lock_noise=3e-2))
+    assert diagnosed(wandering).verdict in (Verdict.NONE, Verdict.CALIBRATION)
+    known = replace(wandering, tests=(_certain(wandering.tests[0]), *wandering.tests[1:]))
+    assert diagnosed(known).verdict in (Verdict.EFFECT, Verdict.UNKNOWN)
+
+
+def _certain(test: object) -> PhaseResonanceTest:
+    """The test with the phases of its windows as if they were known."""
+    assert isinstance(test, PhaseResonanceTest)
+    return replace(test, levels=tuple(replace(level, phase_error_std=0.0) for level in test.levels))
+
+
+def test_the_weakest_that_would_show_is_five_deviations() -> None:
+    found = diagnosed(observed(MODEL))
+    (cubic,) = [own for own in found.visible if own.effect == "cubic_stiffness"]
+    spring = {"kind": "cubic_spring", "point": int(cubic.detail), "stiffness_n_m3": cubic.parameters["k"].value}
+    told = diagnosed(observed(real(MODEL, local_elements=[spring]), seed=7), matters={})
+    sigmas = [own["sigmas"] for own in told.candidates if own["label"].startswith("cubic_stiffness")]
+    assert max(sigmas) == pytest.approx(5.0, abs=2.5)
+
+
+def test_a_difference_that_does_not_matter_is_told_with_what_it_looks_like() -> None:
+    observations = observed(HARDENING)
+    found = diagnosed(observations, matters={"frequency": 0.9, "damping": 0.9, "response": 9.0, "harmonics": 0.9})
+    assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+    assert "It looks like cubic stiffness at point 2" in found.sentences[-1]

@@ -164,8 +164,13 @@ def find(
     scores = search.scores(null)
     singles = search.singles(null, scores)
     tell("looking for second effects")
+    pairs = search.pairs(singles)
+    reached = search.pruned(pairs)
+    if reached and reached[0].fit.log_evidence > singles[0].fit.log_evidence:
+        singles = [*reached, *(own for own in singles if own.explanation not in {it.explanation for it in reached})]
+        pairs += search.pairs(reached)
     bases = {own.candidates[0].cause: own for own in singles}
-    pairs = [own for own in search.pairs(singles) if worth(data, own, bases[own.candidates[0].cause], settings.matters)]
+    pairs = [own for own in pairs if worth(data, own, bases[own.candidates[0].cause], settings.matters)]
     named = sorted([*singles, *pairs], key=lambda own: -own.fit.log_evidence)
     if named and named[0].fit.log_evidence > null.fit.log_evidence:
         # Errors of the chain act about the best explanation; every other competes under the same noise.

@@ -40,6 +40,7 @@ from nmt_diagnose.inference.tuned import (
     SECOND_EFFECTS,
     SECOND_GAIN,
     STRAINED,
+    WEAK,
     WIDER_STRENGTH,
 )
 from nmt_diagnose.observations.conditions import RandomTest
@@ -350,6 +351,28 @@ class Search:
                 if known is None or own.fit.log_evidence > known.fit.log_evidence:
                     found[own.explanation] = own
         return sorted(found.values(), key=lambda own: -own.fit.log_evidence)
+
+    def pruned(self, found: Sequence[Found]) -> list[Found]:
+        """What explanations by two effects are without a member that says nothing; only what beats its own whole.
+
+        A first effect may stand in for one that its fit did not reach from rest, and lead there.
+        """
+        result = []
+        for own in found:
+            weak = [k for k in range(len(own.candidates)) if own.strength(k) < WEAK]
+            if len(own.candidates) != 2 or len(weak) != 1:
+                continue
+            kept = 1 - weak[0]
+            fitted = own.fit.parametrisation
+            parametrisation = self.parametrisation((own.candidates[kept],), (fitted.spread(kept),))
+            theta = np.concatenate([own.fit.theta[: len(self.parameters)], own.fit.theta[fitted.index_of(kept)]])
+            try:
+                alone = Found((own.candidates[kept],), fit(self.data, parametrisation, theta, own.fit.prediction))
+            except FitError:
+                continue
+            if alone.fit.log_evidence > own.fit.log_evidence:
+                result.append(alone)
+        return sorted(result, key=lambda own: -own.fit.log_evidence)
 
     def _all(self, base: Found, wanted: Sequence[Score]) -> list[Found]:
         found = [self.added(base, score) for score in wanted]

@@ -26,6 +26,8 @@ REWEIGHTINGS = 20
 FIRST_EFFECTS, FIRST_PLACES, LEAST_GAIN = 5, 2, 6.0
 # Second effects: explanations they are added to, how many to each, fall of the cost that they must promise.
 HEADS, SECOND_EFFECTS, SECOND_GAIN = 2, 2, 16.0
+# Strength in standard deviations below which a member of two effects says nothing.
+WEAK = 3.0
 # Strength over its prior deviation from which a wider part of the prior is tried.
 WIDER_STRENGTH = 2.5
 # ln of a predicted over a measured line beyond which it is as good as anywhere: keeps trial steps finite.

@@ -20,7 +20,7 @@ from nmt_session import node_plan
 
 RIGS = {
     # rig: duration of the record (s), level (V) and periods of the run
-    "joint_resonator": (10.0, "1.0", 40),
+    "joint_resonator": (6.0, "1.0", 40),
     "beam": (16.0, "0.7", 40),
 }
 

@@ -30,8 +30,6 @@ from record import foreign_data
 
 from nmt_bench.commands.linear_input import read_linear
 from nmt_core.errors import BenchError
-from nmt_diagnose.inference.confidence import CONFIDENCE_FILE
-from nmt_diagnose.inference.confidence import confidence as cached_confidence
 from nmt_extract.modal_table import read_csv, read_json
 from nmt_extract.response_table import read_response_csv
 from nmt_record.bag_reader import Bag
@@ -43,7 +41,6 @@ from nmt_record.uff import TIME_RESPONSE, Axis, UffFunction, write_uff
 from nmt_report.run_data import read_reference
 from nmt_rig.rig import find_rig, load_rig
 
-confidence = cached_confidence.__wrapped__
 LIMIT = 10  # s for one input
 SCALARS = (
     "1e308", "-1e308", "1e-300", "9e39", "0", "-0.0", "-1", ".nan", ".inf", "~", "''", "[]", "{}", "!!bool maybe",
@@ -118,7 +115,6 @@ def inputs(folder: Path, generator: random.Random) -> Iterator[tuple[str, Callab
         write_uff(folder / "x.uff", functions, binary)
         uffs.append((folder / "x.uff").read_bytes())
     rigs = [find_rig(name).read_text() for name in ("beam", "joint_resonator")]
-    calibration = json.loads(CONFIDENCE_FILE.read_text())
     bag_bytes = (sound_bag(folder) / "sound_bag_0.mcap").read_bytes()
 
     def rig(text: str | bytes) -> object:
@@ -165,12 +161,10 @@ def inputs(folder: Path, generator: random.Random) -> Iterator[tuple[str, Callab
         yield f"uff {number}", lambda content=content: imported(uff_side, "data.uff", mutated(generator, content))
     for number in range(50):
         yield f"linear {number}", lambda: of_file(read_linear, spoiled_json(generator, foreign_data.LINEAR))
-    for number in range(20):
-        yield f"confidence {number}", lambda: of_file(confidence, spoiled_json(generator, calibration))
     for number in range(30):
         yield f"bag {number}", lambda: bag(mutated(generator, bag_bytes))
     readers: tuple[Callable[[Path], object], ...] = (
-        read_linear, confidence, read_json, read_csv, read_response_csv, read_frf_table, read_loop_table,
+        read_linear, read_json, read_csv, read_response_csv, read_frf_table, read_loop_table,
         read_reference, lambda path: read_block_table(path, 0, 100), read_import, load_rig, Bag.open,
     )  # fmt: skip
     for number, reader in enumerate(readers):

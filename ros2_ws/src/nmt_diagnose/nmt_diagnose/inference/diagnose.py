@@ -169,8 +169,12 @@ def find(
     if reached and reached[0].fit.log_evidence > singles[0].fit.log_evidence:
         singles = [*reached, *(own for own in singles if own.explanation not in {it.explanation for it in reached})]
         pairs += search.pairs(reached)
-    bases = {own.candidates[0].cause: own for own in singles}
-    pairs = [own for own in pairs if worth(data, own, bases[own.candidates[0].cause], settings.matters)]
+    alone = {own.candidates[0].cause: own for own in singles}
+    pairs = [
+        pair
+        for pair in pairs
+        if all(worth(data, pair, alone[c.cause], settings.matters) for c in pair.candidates if c.cause in alone)
+    ]
     named = sorted([*singles, *pairs], key=lambda own: -own.fit.log_evidence)
     if named and named[0].fit.log_evidence > null.fit.log_evidence:
         # Errors of the chain act about the best explanation; every other competes under the same noise.
@@ -178,13 +182,13 @@ def find(
         search = Search(data, rig, parameters, candidates, tell)
         null, named = search.again(null), search.all_again(named)
     found = source_places(data, rig, null)
-    alone = sources(data, null, found, len(parameters))
-    first = Hypotheses(null, named, candidates, alone, [])
+    beside = sources(data, null, found, len(parameters))
+    first = Hypotheses(null, named, candidates, beside, [])
     rest = first.best is not None and matters(left_size(data, first.best), settings.matters)
     behind = sources(data, first.best, found, len(parameters)) if first.best is not None and rest else []
-    comparison = Hypotheses(null, named, candidates, alone, behind).compared()
+    comparison = Hypotheses(null, named, candidates, beside, behind).compared()
     explained: dict[str, float] = {}
-    for source in alone:
+    for source in beside:
         explained[source.placement.kind] = max(explained.get(source.placement.kind, 0.0), source.explained)
     best = first.best if first.best is not None and comparison.log_odds > ALARM else null
     visible = _visible(search, search.scores(best), rig)

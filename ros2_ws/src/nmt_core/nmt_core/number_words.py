@@ -63,8 +63,8 @@ def share_with_interval(value: float, low: float, high: float) -> tuple[str, str
         high: upper end.
 
     Returns:
-        Text of the share; text of the interval, empty where it is not known, and a bound of its width where the ends
-        do not differ in a thousandth of a percent.
+        Text of the share; text of the interval, empty where it is not known or its ends do not differ in a thousandth
+        of a percent.
     """
     if not (math.isfinite(low) and math.isfinite(high)):
         return percent(value), ""
@@ -72,4 +72,4 @@ def share_with_interval(value: float, low: float, high: float) -> tuple[str, str
         ends = percent(low, digits), percent(high, digits)
         if ends[0] != ends[1]:
             return percent(value, digits), f"{ends[0][:-2]} to {ends[1]}"
-    return percent(value), f"narrower than {10.0**-_MOST_DECIMALS:g} %"
+    return percent(value), ""

@@ -92,8 +92,7 @@ def _add_score(parts: Subparsers) -> None:
         help="diagnosed development campaign that the generic classifier learns from",
     )
     score.add_argument(
-        "--docs", metavar="FILE", type=Path, nargs="?", const=Path("docs/diagnosis-results.md"),
-        help="write the score sheet as a page of the documentation, too (default: docs/diagnosis-results.md)",
+        "--docs", metavar="FILE", type=Path, help="write the score sheet as a page of the documentation, too",
     )  # fmt: skip
 
 

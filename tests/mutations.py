@@ -222,10 +222,28 @@ MUTATIONS = [
             "the floor from repeats is √2 too large",
         ),
         (
-            "nmt_diagnose/nmt_diagnose/inference/fit.py",
-            "log_evidence = -0.5 * (chi_square + penalty) - 0.5 * float(log_determinant)",
-            "log_evidence = -0.5 * (chi_square + penalty) + 0.5 * float(log_determinant)",
+            "nmt_diagnose/nmt_diagnose/inference/fitting.py",
+            "log_evidence = -0.5 * cost - 0.5 * (chain.log_determinant",
+            "log_evidence = -0.5 * cost + 0.5 * (chain.log_determinant",
             "more parameters make a model more probable",
+        ),
+        (
+            "nmt_diagnose/nmt_diagnose/inference/noise.py",
+            "student = (nu + counts) * np.log1p(squares / nu)",
+            "student = (nu + counts) * np.log1p(squares / counts)",
+            "the marginal of a scale is wrong",
+        ),
+        (
+            "nmt_diagnose/nmt_diagnose/inference/chain.py",
+            "np.where(mine, level.phase_error_std * slopes, 0.0)",
+            "np.where(mine, 0.0 * slopes, 0.0)",
+            "where the loop truly stood is taken for known",
+        ),
+        (
+            "nmt_diagnose/nmt_diagnose/inference/diagnose.py",
+            "floor=np.hypot(observations.floor, change)",
+            "floor=observations.floor",
+            "what the harmonic balance leaves out is taken for an effect",
         ),
         (
             "nmt_blind/nmt_blind/campaign/statistics.py",

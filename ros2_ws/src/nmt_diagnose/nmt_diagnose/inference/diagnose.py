@@ -19,7 +19,7 @@ from nmt_diagnose.inference.chain import SharedDelay, shared_delays
 from nmt_diagnose.inference.comparison import Comparison, Equivalents, Hypotheses, source_places, sources
 from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Value, Verdict, Visible
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.fitting import Data, FitError, Fitted, Metric, best_errors, data_about, fit
+from nmt_diagnose.inference.fitting import Data, Errors, FitError, Fitted, Metric, best_errors, data_about, fit
 from nmt_diagnose.inference.gap import Closed, closed, rms
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
 from nmt_diagnose.inference.next_test import next_tests
@@ -30,7 +30,7 @@ from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.inference.result_rows import calibration_rows, candidate_row, inputs, place_rows, ranked_rows
 from nmt_diagnose.inference.search import Found, Score, Search
 from nmt_diagnose.inference.sentences import likeness, sentences
-from nmt_diagnose.inference.size import Size, left_size, matters, measured_size, worth
+from nmt_diagnose.inference.size import Size, change_size, left_size, matters, measured_size, worth
 from nmt_diagnose.inference.tuned import (
     ALARM,
     CHAIN_ROUNDS,
@@ -278,7 +278,8 @@ def diagnose_observations(
     }
     share = None if leader is None else shares[leader.head.explanation]
     size = None if leader is None else measured_size(data, leader.head)
-    verdict = _verdict(comparison, leader, share, size, settings, given.cost - null.fit.cost)
+    small = not matters(left_size(data, null), settings.matters)
+    verdict = _verdict(comparison, leader, share, size, small, settings, _moved(findings, given, settings))
     named = leader if verdict is Verdict.EFFECT else None
     # What nothing in the library explains is told with the part that it does explain.
     nearest = leader if verdict in (Verdict.EFFECT, Verdict.UNKNOWN) else None
@@ -371,17 +372,34 @@ def _rig_of(found: Found, own: int) -> Rig:
     return found.fit.parametrisation.rig(theta)
 
 
+def _moved(findings: Findings, given: Errors, settings: DiagnosisSettings) -> bool:
+    """Whether re-fitting the model's own parameters closed a gap that is there and matters."""
+    data, null = findings.data, findings.null
+    if given.cost - null.fit.cost < RECALIBRATION:
+        return False
+    count = sum(not isinstance(own, SharedDelay) for own in null.fit.parametrisation.calibration)
+    try:
+        values = data.forward.predict(_rig_of(null, count), null.fit.prediction).values
+    except BenchError:
+        return True
+    return matters(change_size(data, data.forward.difference(values, findings.given.values)), settings.matters)
+
+
 def _verdict(
     comparison: Comparison,
     leader: Equivalents | None,
     share: Closed | None,
     size: Size | None,
+    small: bool,
     settings: DiagnosisSettings,
-    recalibrated: float,
+    moved: bool,
 ) -> Verdict:
-    quiet = Verdict.CALIBRATION if recalibrated > RECALIBRATION else Verdict.NONE
+    quiet = Verdict.CALIBRATION if moved else Verdict.NONE
     if comparison.log_odds < ALARM:
         return quiet
+    named = leader is not None and leader.probability >= comparison.unknown
+    if small and not named:
+        return quiet  # what the model leaves, whatever it is, is smaller than what matters
     if leader is None or (share is not None and share.value < 0.0 and share.gain < -WORSE):
         return Verdict.UNKNOWN
     if size is not None and not matters(size, settings.matters) and leader.probability > comparison.unknown:

@@ -11,7 +11,7 @@ from nmt_core.arrays import FloatArray
 from nmt_diagnose.inference.candidate_starts import at_zero
 from nmt_diagnose.inference.fitting import Data, predicted
 from nmt_diagnose.inference.search import Found
-from nmt_diagnose.inference.tuned import STRAIN
+from nmt_diagnose.inference.tuned import SEEN, STRAIN
 from nmt_diagnose.observations.observables import Part
 
 _KINDS: dict[str, tuple[Part, ...]] = {
@@ -29,7 +29,7 @@ class Size:
 
     Attributes:
         values: by kind of ``MATTERS``; kinds without rows are left out.
-        other: it changes rows that have no such size, such as lines of the mains.
+        other: it changes rows that have no such size, such as lines of the mains, so that they show it.
     """
 
     values: Mapping[str, float]
@@ -56,12 +56,12 @@ def measured_size(data: Data, found: Found) -> Size:
     without = predicted(data, own.parametrisation, without_strength(found), own.prediction)
     if without is None:  # it has no solution without them
         return Size({}, True)
-    return _size(data, data.forward.difference(own.prediction.values, without.values))
+    return change_size(data, data.forward.difference(own.prediction.values, without.values))
 
 
 def left_size(data: Data, found: Found) -> Size:
     """How large what an explanation leaves is, its noise included."""
-    return _size(data, found.fit.errors.left * data.sigma)
+    return change_size(data, found.fit.errors.left * data.sigma)
 
 
 def worth(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> bool:
@@ -78,10 +78,10 @@ def worth(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> 
         )
         for own in (less, more)
     ]
-    return matters(_size(data, change), wanted) or pulls[0] - pulls[1] > STRAIN
+    return matters(change_size(data, change), wanted) or pulls[0] - pulls[1] > STRAIN
 
 
-def _size(data: Data, change: FloatArray) -> Size:
+def change_size(data: Data, change: FloatArray) -> Size:
     """Size of a change of the rows, (m,), in their own units.
 
     A line where hardly anything is left of a response counts by the response beside it: rms over each level or tenth
@@ -109,7 +109,7 @@ def _size(data: Data, change: FloatArray) -> Size:
             squares = np.where(whole > 0.0, squares / np.maximum(whole, 1e-300), squares)
         values[kind] = float(np.sqrt(np.max(squares)))
     rest = data.used & ~known
-    return Size(values, bool(np.any(np.abs(change[rest] / data.sigma[rest]) > 1.0)))
+    return Size(values, bool(np.any(np.abs(change[rest] / data.sigma[rest]) > SEEN)))
 
 
 def without_strength(found: Found) -> FloatArray:

@@ -271,3 +271,17 @@ def test_a_difference_that_does_not_matter_is_told_with_what_it_looks_like() -> 
     found = diagnosed(observations, matters={"frequency": 0.9, "damping": 0.9, "response": 9.0, "harmonics": 0.9})
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
     assert "It looks like cubic stiffness at point 2" in found.sentences[-1]
+
+
+def test_an_effect_that_is_not_there_lowers_the_evidence() -> None:
+    observations = observed(MODEL)
+    near = Forward(observations.tests, observations.rows).predict(MODEL)
+    data = data_about(observations, MODEL, near, np.isfinite(near.values))
+    every = candidates(MODEL, operating_range(MODEL, observations.tests, observations=observations))
+    cubic = next(own for own in every if own.effect.name == "cubic_stiffness")
+    search = Search(data, MODEL, calibration_parameters(MODEL), [cubic])
+    null = search.null()
+    found = search.added(null, Score(0, np.array([0.01]), 0.0, 1.0, np.zeros(data.sigma.size)), lost=np.inf)
+    assert found is not None
+    assert found.fit.cost < null.fit.cost + 0.5
+    assert found.fit.log_evidence < null.fit.log_evidence - 1.0

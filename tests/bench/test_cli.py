@@ -118,8 +118,13 @@ def test_help_of_a_command_is_that_of_its_option(capsys: pytest.CaptureFixture[s
     ],
 )
 def test_what_is_refused_says_how_to_go_on(
-    capsys: pytest.CaptureFixture[str], words: tuple[str, ...], sentence: str
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    sentence: str,
 ) -> None:
+    monkeypatch.chdir(tmp_path)  # a folder out of the clone's user is not the subject
     status, _, err = run(capsys, *words)
     assert status == 2
     assert one_sentence(err)

@@ -168,7 +168,8 @@ def find(
     reached = search.pruned(pairs)
     if reached and reached[0].fit.log_evidence > singles[0].fit.log_evidence:
         singles = [*reached, *(own for own in singles if own.explanation not in {it.explanation for it in reached})]
-        pairs += search.pairs(reached)
+        known = {own.explanation for own in pairs}
+        pairs += [own for own in search.pairs(reached) if own.explanation not in known]
     alone = {own.candidates[0].cause: own for own in singles}
     pairs = [
         pair
@@ -402,10 +403,8 @@ def _verdict(
         return quiet  # what the model leaves, whatever it is, is smaller than what matters
     if leader is None or (share is not None and share.value < 0.0 and share.gain < -WORSE):
         return Verdict.UNKNOWN
-    if size is not None and not matters(size, settings.matters) and leader.probability > comparison.unknown:
-        return quiet
-    if leader.probability >= comparison.unknown:
-        return Verdict.EFFECT
+    if named:
+        return quiet if size is not None and not matters(size, settings.matters) else Verdict.EFFECT
     # Something unnamed may lie behind; what closes most of the gap all the same is what it is made of.
     most = share is not None and math.isfinite(share.value) and share.value >= EXPLAINED
     return Verdict.EFFECT if most else Verdict.UNKNOWN

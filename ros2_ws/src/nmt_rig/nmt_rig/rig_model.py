@@ -91,6 +91,8 @@ def build_structure(rig: Rig) -> Structure:
                 f"the masses of rig {rig.name} do not fit: {error}; check structure.added_masses and the sensors' "
                 "mass_kg."
             ) from error
+    if s.damping_factors:
+        structure = structure.with_damping_factors(s.damping_factors)
     return structure.with_loss_factor(s.loss_factor) if s.loss_factor else structure
 
 

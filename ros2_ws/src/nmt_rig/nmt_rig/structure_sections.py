@@ -19,10 +19,11 @@ class AddedMassSection(Section):
 
 
 class StructureSection(Section):
-    """Common keys of structures: masses added at points, and hysteretic damping K (1 + iη)."""
+    """Common keys of structures: masses added at points, hysteretic damping K (1 + iη), factors on modes' damping."""
 
     added_masses: Annotated[list[AddedMassSection], Field(default_factory=list)]
     loss_factor: NotNegative = 0.0
+    damping_factors: Annotated[list[NotNegative], Field(default_factory=list)]
 
 
 class BeamSection(StructureSection):

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp
+from math import exp, pi
+
+import numpy as np
+from scipy.linalg import eigh
 
 from nmt_diagnose.effects.modal_calibration import MODEL_PRIORS, model_paths
 from nmt_diagnose.effects.placement import PlaceKind
@@ -19,6 +22,7 @@ from nmt_rig.rig import (
     JenkinsSection,
     LinearDamperSection,
     LinearSpringSection,
+    MatricesSection,
     PowerLawDamperSection,
     QuadraticDragSection,
     QuadraticSpringSection,
@@ -29,6 +33,7 @@ from nmt_rig.rig import (
     TwoSidedGapSection,
     UnilateralStopSection,
 )
+from nmt_rig.rig_model import build_structure
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,26 @@ class CalibrationParameter:
     def at(self, theta: float) -> float:
         """Value at θ."""
         return (self.value + self.offset) * exp(self.std * theta) - self.offset
+
+
+@dataclass(frozen=True)
+class ModeDamping(CalibrationParameter):
+    """Factor on the damping of one mode of the structure, whose law of damping is a guess.
+
+    Attributes:
+        mode: number of the undamped mode, 0 = lowest.
+    """
+
+    mode: int = 0
+
+    def moved(self, rig: Rig, before: float, theta: float) -> Rig:
+        """Rig with the factor of the mode moved from one θ to another."""
+        if theta == before:
+            return rig
+        factors = list(rig.structure.damping_factors)
+        factors += [1.0] * (self.mode + 1 - len(factors))
+        factors[self.mode] = self.at(theta)
+        return with_value(rig, self.path, factors)
 
 
 # Relative standard deviations and why: what a data sheet or a ruler leaves open.
@@ -103,6 +128,7 @@ PRIORS: dict[str, tuple[float, str]] = {
     "inductance_h": (0.1, "changes with frequency"),
     "newton_per_volt": (0.03, "gain of amplifier and exciter as a data sheet gives it"),
     "acceleration_per_volt_m_s2": (0.03, "gain of amplifier and table as a data sheet gives it"),
+    "damping_factors": (1.0, "a law of damping fitted to one mode says little of the others"),
     **MODEL_PRIORS,
 }
 # Coil suspension: so stiff that no test of the bench sees it.
@@ -129,6 +155,8 @@ _ELEMENT_KEYS: dict[type[ElementSection], tuple[str, ...]] = {
     LinearDamperSection: ("damping_ns_m",),
     TanhFrictionSection: ("slip_force_n", "reference_velocity_m_s"),
 }  # fmt: skip
+# Frequencies over a band's ends up to which a mode's damping shows in it: those above carry part of what lies between.
+_BELOW, _ABOVE = 1.3, 2.5
 # An exponent of a power-law distribution is greater than −1.
 _OFFSETS = {"exponent": 1.0}
 _SHAKER_KEYS = (
@@ -184,3 +212,35 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
     else:
         add(("exciter", "acceleration_per_volt_m_s2"), "exciter")
     return tuple(found)
+
+
+def mode_dampings(rig: Rig, lowest_hz: float, highest_hz: float) -> tuple[ModeDamping, ...]:
+    """Damping of each mode of a band, where the model has one law of damping for all modes.
+
+    Args:
+        rig: the model; modal structures and chains have dampings of their own in ``calibration_parameters``.
+        lowest_hz, highest_hz: band of the tests.
+    """
+    own = rig.structure
+    if not isinstance(own, BeamSection | MatricesSection) or getattr(own, "damping_ratios", None):
+        return ()
+    structure = build_structure(rig)
+    if not np.any(structure.damping):
+        return ()
+    squares = eigh(structure.stiffness, structure.mass, eigvals_only=True)
+    frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2.0 * pi)
+    near = np.flatnonzero((frequencies > lowest_hz / _BELOW) & (frequencies < highest_hz * _ABOVE))
+    path: Path = ("structure", "damping_factors")
+    factors = [*own.damping_factors, *[1.0] * frequencies.size]
+    return tuple(
+        ModeDamping(
+            f"structure.damping_factors.{mode}",
+            "1",
+            path,
+            PRIORS["damping_factors"][0],
+            "structure",
+            factors[mode],
+            mode=mode,
+        )
+        for mode in map(int, near)
+    )

@@ -11,7 +11,7 @@ import numpy as np
 
 from nmt_core.arrays import BoolArray, FloatArray
 from nmt_core.errors import BenchError
-from nmt_diagnose.effects.calibration import CalibrationParameter, calibration_parameters
+from nmt_diagnose.effects.calibration import CalibrationParameter, calibration_parameters, mode_dampings
 from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import at_strength
@@ -22,13 +22,14 @@ from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.fitting import Data, Errors, FitError, Fitted, Metric, best_errors, data_about, fit
 from nmt_diagnose.inference.gap import Closed, closed, rms
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
+from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.next_test import next_tests
 from nmt_diagnose.inference.progress import Progress
 from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.inference.result_rows import calibration_rows, candidate_row, inputs, place_rows, ranked_rows
-from nmt_diagnose.inference.search import Found, Score, Search
+from nmt_diagnose.inference.search import Found, Score, Search, best_of
 from nmt_diagnose.inference.sentences import likeness, sentences
 from nmt_diagnose.inference.size import Size, change_size, left_size, matters, measured_size, worth
 from nmt_diagnose.inference.tuned import (
@@ -91,6 +92,7 @@ class Findings:
         comparison: probabilities.
         sources: what something unnamed at each place would explain beside the model alone.
         visible: the weakest that each effect could be and still be seen.
+        inadequate: what the model has to be corrected for before effects can be told.
     """
 
     data: Data
@@ -101,6 +103,7 @@ class Findings:
     comparison: Comparison
     sources: dict[str, float]
     visible: tuple[Visible, ...]
+    inadequate: tuple[str, ...] = ()
 
 
 def diagnose_bags(
@@ -151,18 +154,22 @@ def find(
     """
     parameters: tuple[CalibrationParameter, ...] = (
         *calibration_parameters(rig),
+        *mode_dampings(rig, *_band(observations)),
         *shared_delays(observations, rig),
     )
     tell("re-fitting the model's own parameters")
     unseen = named_tests(observations, settings.hold_out)
-    observations, given, null, data = _null(rig, observations, parameters, ~unseen)
-    candidates = library_candidates(
-        rig, operating_range(rig, observations.tests, observations=observations), settings.withheld
-    )
+    modes = LowLevelModes(observations, rig)
+    observations, given, null, data = _null(rig, observations, parameters, ~unseen, modes)
+    operating = operating_range(rig, observations.tests, observations=observations)
+    candidates = () if modes.findings else library_candidates(rig, operating, settings.withheld)
     search = Search(data, rig, parameters, candidates, tell)
     tell(f"scanning {len(candidates)} candidates")
     scores = search.scores(null)
     singles = search.singles(null, scores)
+    if modes.far_from(null.fit.parametrisation.rig(null.fit.theta)):
+        tell("bringing the modes of explanations to the measured ones")
+        singles = best_of([*singles, *search.from_modes(null, modes)])
     tell("looking for second effects")
     pairs = search.pairs(singles)
     reached = search.pruned(pairs)
@@ -193,11 +200,22 @@ def find(
         explained[source.placement.kind] = max(explained.get(source.placement.kind, 0.0), source.explained)
     best = first.best if first.best is not None and comparison.log_odds > ALARM else null
     visible = _visible(search, search.scores(best), rig)
-    return Findings(data, search, given, null, tuple(named), comparison, explained, visible)
+    return Findings(data, search, given, null, tuple(named), comparison, explained, visible, modes.findings)
+
+
+def _band(observations: Observations) -> tuple[float, float]:
+    """Lowest and highest frequency of all rows, Hz; empty where none has one."""
+    known = observations.rows.frequency_hz
+    known = known[np.isfinite(known) & (known > 0.0)]
+    return (float(known.min()), float(known.max())) if known.size else (1.0, 0.0)
 
 
 def _null(
-    rig: Rig, observations: Observations, parameters: Sequence[CalibrationParameter], fitted: BoolArray
+    rig: Rig,
+    observations: Observations,
+    parameters: Sequence[CalibrationParameter],
+    fitted: BoolArray,
+    modes: LowLevelModes,
 ) -> tuple[Observations, Prediction, Found, Data]:
     """The model alone: first by logarithms, then with its chain about where it stands."""
     try:
@@ -211,6 +229,9 @@ def _null(
         own = Parametrisation(rig, tuple(parameters))
         data = data_about(observations, rig, given, used, logarithms=True)
         found = fit(data, own, own.zero, given)
+        if modes.far_from(rig):
+            nearer = fit(data, own, modes.start(own, own.zero)[0])
+            found = nearer if nearer.cost < found.cost else found
         for _ in range(CHAIN_ROUNDS):
             data = _about(rig, observations, found, used)
             found = fit(data, own, found.theta, found.prediction)
@@ -280,7 +301,9 @@ def diagnose_observations(
     share = None if leader is None else shares[leader.head.explanation]
     size = None if leader is None else measured_size(data, leader.head)
     small = not matters(left_size(data, null), settings.matters)
-    verdict = _verdict(comparison, leader, share, size, small, settings, _moved(findings, given, settings))
+    verdict = Verdict.UNKNOWN
+    if not findings.inadequate:
+        verdict = _verdict(comparison, leader, share, size, small, settings, _moved(findings, given, settings))
     named = leader if verdict is Verdict.EFFECT else None
     # What nothing in the library explains is told with the part that it does explain.
     nearest = leader if verdict in (Verdict.EFFECT, Verdict.UNKNOWN) else None
@@ -318,6 +341,8 @@ def diagnose_observations(
     said = sentences(verdict, where, ranking, explanation, gap, ahead, calibration, rest)
     if size is not None and verdict in (Verdict.NONE, Verdict.CALIBRATION) and comparison.log_odds > ALARM:
         said = (*said, f"{size.sentence} {likeness(ranking[0], explanation)}")
+    if findings.inadequate:
+        said = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.")
     diagnosis = Diagnosis(
         verdict=verdict,
         sentences=(*said, *warnings),

@@ -27,6 +27,7 @@ from nmt_diagnose.inference.candidate_starts import (
     strength_position,
 )
 from nmt_diagnose.inference.fitting import Data, FitError, Fitted, Metric, fit, predicted, without_rows
+from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.tuned import (
     FAR_BEHIND,
     FINALISTS,
@@ -47,6 +48,7 @@ from nmt_diagnose.observations.conditions import RandomTest
 from nmt_rig.rig import Rig
 
 Told = Callable[[str], None]
+_SWITCHED_ON = 0.01  # scales of a strength: little, and more than rounding
 _SHOWN = 1.0  # standard deviations by which a strength of one scale has to show to first order
 
 
@@ -339,18 +341,15 @@ class Search:
 
     def pairs(self, singles: Sequence[Found]) -> list[Found]:
         """Second effects on top of the best explanations, the best first."""
-        found: dict[Explanation, Found] = {}
+        found: list[Found] = []
         heads: set[tuple[str, ...]] = set()
         for single in singles:
             if single.effects in heads or len(heads) == HEADS:
                 continue
             heads.add(single.effects)
             wanted = self.chosen(self.scores(single), SECOND_EFFECTS, 1, SECOND_GAIN)
-            for own in self._all(single, wanted):
-                known = found.get(own.explanation)
-                if known is None or own.fit.log_evidence > known.fit.log_evidence:
-                    found[own.explanation] = own
-        return sorted(found.values(), key=lambda own: -own.fit.log_evidence)
+            found += self._all(single, wanted)
+        return best_of(found)
 
     def pruned(self, found: Sequence[Found]) -> list[Found]:
         """What explanations by two effects are without a member that says nothing; only what beats its own whole.
@@ -381,13 +380,27 @@ class Search:
         if not base.candidates and self._strained(best_yet):
             for number in dict.fromkeys(score.candidate for score in wanted):
                 found += [self.climbed(number), self.from_below(number)]
-        best: dict[Explanation, Found] = {}
-        for own in found:
-            if own is not None:
-                known = best.get(own.explanation)
-                if known is None or own.fit.log_evidence > known.fit.log_evidence:
-                    best[own.explanation] = own
-        return sorted(best.values(), key=lambda own: -own.fit.log_evidence)
+        return best_of([own for own in found if own is not None])
+
+    def from_modes(self, null: Found, modes: LowLevelModes) -> list[Found]:
+        """Explanations by one effect, fitted from where the model's modes are the measured ones; the best first."""
+        own, theta = self.parametrisation(), null.fit.theta
+        begun = [
+            (self.parametrisation((candidate,)), np.concatenate([theta, at_strength(candidate, first, _SWITCHED_ON)]))
+            for candidate in self.candidates
+            for first in starts_of(candidate)[:1]
+        ]
+        left = modes.promises(own, theta, begun)
+        found = []
+        for number in np.argsort(left)[: FIRST_EFFECTS * FIRST_PLACES]:
+            wider, values = begun[number]
+            try:
+                found.append(
+                    Found(wider.candidates, self.widened(fit(self.data, wider, modes.start(wider, values)[0])))
+                )
+            except FitError:
+                continue
+        return best_of(found)
 
     def _strained(self, base: Found) -> bool:
         """Whether a fit leaves so much in any group of rows that its parameters are bent by what is missing."""
@@ -453,6 +466,16 @@ class Search:
             if kind != RandomTest.__name__ and levels.size > 2:
                 rank[mine] = np.searchsorted(levels, rows.amplitude[mine]) / levels.size
         return rank < 1.0 / 3.0, rank < 2.0 / 3.0, np.ones(len(rows), dtype=bool)
+
+
+def best_of(found: Sequence[Found]) -> list[Found]:
+    """The best fit of each explanation, the best first."""
+    best: dict[Explanation, Found] = {}
+    for own in found:
+        known = best.get(own.explanation)
+        if known is None or own.fit.log_evidence > known.fit.log_evidence:
+            best[own.explanation] = own
+    return sorted(best.values(), key=lambda own: -own.fit.log_evidence)
 
 
 def _spread_of(strength: float) -> float:

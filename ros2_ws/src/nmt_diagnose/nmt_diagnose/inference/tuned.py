@@ -81,3 +81,10 @@ LEFT_OVER, SMALL_SHARE = 2.0, 0.15
 SCALE_STD = 0.01
 # Standard deviations at which an effect is seen.
 SEEN = 5.0
+# Modes of frequency responses: share of a response at its frequency that a mode carries in half of the channels; modal
+# assurance criteria below which two modes are different and below which their order is beyond doubt; ln of the
+# frequencies' ratio from which they are not the same, below which they are whatever sensors make of the shape, and
+# below which they are in two tests.
+MODE_SHARE, MODE_UNLIKE, MODE_ALIKE, MODE_APART, MODE_NEAR, MODE_SAME = 0.5, 0.3, 0.5, 0.5, 0.1, 0.02
+# How near the model's modes are brought to the measured ones before lines are fitted, ln of frequency and damping.
+MODE_FREQUENCY_STD, MODE_DAMPING_STD = 1e-3, 0.1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -156,7 +156,23 @@ class Structure(PointMotion):
 
         Each undamped mode gets ζ = η / 2, which loses at its frequency as much as iη does.
         """
-        squares, shapes = eigh(self.stiffness, self.mass)
-        weighted = self.mass @ shapes
+        squares, weighted = self._undamped()
         rates = loss_factor * np.sqrt(np.maximum(squares, 0.0))
         return replace(self, damping=self.damping + (weighted * rates) @ weighted.T)
+
+    def with_damping_factors(self, factors: Sequence[float]) -> Structure:
+        """The structure with the damping ratios of its lowest undamped modes times ``factors``, lowest first.
+
+        What the law of damping says of a mode is a guess until the mode is measured. Damping that couples modes stays.
+        """
+        _, weighted = self._undamped()
+        shapes = np.linalg.solve(self.mass, weighted[:, : len(factors)])
+        own = np.einsum("ik,ij,jk->k", shapes, self.damping, shapes)
+        change = (np.asarray(factors, dtype=float)[: own.size] - 1.0) * own
+        kept = weighted[:, : own.size]
+        return replace(self, damping=self.damping + (kept * change) @ kept.T)
+
+    def _undamped(self) -> tuple[Array, Array]:
+        """ω² (n,) of the undamped modes, ascending, and M φ (n, n) of their mass-normalised shapes."""
+        squares, shapes = eigh(self.stiffness, self.mass)
+        return squares, self.mass @ shapes

@@ -1,0 +1,317 @@
+"""Modes that frequency responses show, beside those of the model: is it adequate, and where does a fit start?
+
+Lines on a narrow resonance say nothing about one that is several bandwidths away: between the two every step of a fit
+leads astray. Frequencies and dampings of the modes themselves are smooth in the parameters, so that fits that begin
+with them arrive. What has a mode that the model lacks, or has them in another order, is not to be explained by effects.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import least_squares, linear_sum_assignment
+
+from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.errors import BenchError
+from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.inference.tuned import (
+    MODE_ALIKE,
+    MODE_APART,
+    MODE_DAMPING_STD,
+    MODE_FREQUENCY_STD,
+    MODE_NEAR,
+    MODE_SAME,
+    MODE_SHARE,
+    MODE_UNLIKE,
+)
+from nmt_diagnose.observations.conditions import RandomTest
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.twin.rig_parts import rig_parts
+from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.rig import Rig
+
+_ROUNDS = 20
+# Pairs of poles beside those of the modes: what noise and modes outside of the band need.
+_EXTRA = 3
+# Damping ratios beyond which a pole is no mode: of a measured one, and of the model's that it may be.
+_HIGHEST_MEASURED, _HIGHEST_DAMPING = 0.1, 0.3
+_FEWEST_LINES = 20
+# Residual of what has no such modes; most steps of a start.
+_NOWHERE, _STEPS = 1e3, 40
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Oscillating modes, ascending in frequency.
+
+    Attributes:
+        poles: eigenvalues with positive imaginary part, rad/s, (k,).
+        shapes: of the channels of a test, in any scale, (k, channels).
+    """
+
+    poles: ComplexArray
+    shapes: ComplexArray
+
+    @property
+    def frequencies_hz(self) -> FloatArray:
+        """Undamped frequencies, (k,)."""
+        return np.abs(self.poles) / (2.0 * np.pi)
+
+    @property
+    def dampings(self) -> FloatArray:
+        """Damping ratios, (k,)."""
+        return -self.poles.real / np.abs(self.poles)
+
+    def likeness(self, other: Modes) -> FloatArray:
+        """Modal assurance criterion of each mode with each of another's, (k, others)."""
+        squares = [np.sum(np.abs(own.shapes) ** 2, axis=1) for own in (self, other)]
+        return np.asarray(np.abs(self.shapes.conj() @ other.shapes.T) ** 2 / np.maximum(np.outer(*squares), 1e-300))
+
+
+def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: int) -> Modes:
+    """Modes of frequency responses by vector fitting: poles that all channels share are relocated until they stay.
+
+    Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052, with all channels on one set of poles. Kept are
+    poles that carry most of the response at their frequency in some channel and much of it in half of the channels.
+
+    Args:
+        frequency_hz: lines, ascending, (n,).
+        responses: motions over a force or voltage, (channels, n); not a number where a line is missing.
+        expected: modes that are expected.
+    """
+    scale = 2.0 * np.pi * frequency_hz[-1]
+    s = 2j * np.pi * frequency_hz / scale
+    poles = np.geomspace(frequency_hz[0], frequency_hz[-1], expected + _EXTRA) / frequency_hz[-1] * (-0.01 + 1j)
+    known = np.isfinite(responses)
+    for _ in range(_ROUNDS):
+        basis = _basis(s, poles)
+        columns, right = [], []
+        for own, there in zip(responses, known, strict=True):
+            design = np.hstack([basis, np.ones((s.size, 1)), s[:, None]])
+            weight = there / np.maximum(np.abs(np.where(there, own, 1.0)), 1e-300)
+            value = np.where(there, own, 0.0)
+            numerator = _real(weight[:, None] * design)
+            q = np.linalg.qr(numerator)[0]
+            moved = _real(-weight[:, None] * value[:, None] * basis)
+            wanted = _real((weight * value)[:, None])
+            columns.append(moved - q @ (q.T @ moved))
+            right.append(wanted - q @ (q.T @ wanted))
+        sigma = np.linalg.lstsq(np.vstack(columns), np.vstack(right)[:, 0], rcond=None)[0]
+        state, share = np.zeros((2 * poles.size,) * 2), np.tile([2.0, 0.0], poles.size)
+        for k, pole in enumerate(poles):
+            state[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
+        found = np.linalg.eigvals(state - np.outer(share, sigma))
+        found = found[found.imag > 1e-9]
+        poles = -np.abs(found.real) + 1j * found.imag
+        if not poles.size:
+            return Modes(np.zeros(0, dtype=np.complex128), np.zeros((0, len(responses)), dtype=np.complex128))
+    return _kept(frequency_hz, responses, known, poles, s, scale)
+
+
+def _kept(
+    frequency_hz: FloatArray, responses: ComplexArray, known: np.ndarray, poles: ComplexArray, s: ComplexArray,
+    scale: float,
+) -> Modes:  # fmt: skip
+    design = np.hstack([_basis(s, poles), np.ones((s.size, 1)), s[:, None]])
+    residues, shares = [], []
+    at = _basis(np.asarray(1j * poles.imag), poles)
+    for own, there in zip(responses, known, strict=True):
+        weight = (1.0 / np.abs(own[there]))[:, None]
+        found = np.linalg.lstsq(
+            _real(weight * design[there]),
+            _real(np.ones((there.sum(), 1)) * own[there, None] * weight)[:, 0],
+            rcond=None,
+        )[0]
+        pairs = found[: 2 * poles.size].reshape(-1, 2)
+        residues.append(pairs[:, 0] + 1j * pairs[:, 1])
+        whole = at @ found[: 2 * poles.size] + found[-2] + 1j * poles.imag * found[-1]
+        single = np.array([at[k, 2 * k : 2 * k + 2] @ pairs[k] for k in range(poles.size)])
+        shares.append(np.abs(single) / np.maximum(np.abs(whole), 1e-300))
+    carried = np.array(shares)
+    damping = -poles.real / np.abs(poles)
+    spacing = np.interp(poles.imag * scale / (2.0 * np.pi), frequency_hz, np.gradient(frequency_hz))
+    wide = -2.0 * poles.real * scale / (2.0 * np.pi) > 0.3 * spacing
+    inside = (poles.imag > s[0].imag) & (poles.imag < s[-1].imag)
+    good = inside & wide & (damping < _HIGHEST_MEASURED) & (np.median(carried, axis=0) > MODE_SHARE)
+    order = np.flatnonzero(good)[np.argsort(poles.imag[good])]
+    return Modes(poles[order] * scale, np.array(residues).T[order])
+
+
+def _basis(s: ComplexArray, poles: ComplexArray) -> ComplexArray:
+    """Real-coefficient partial fractions of pairs of poles, (n, 2 pairs)."""
+    one, other = 1.0 / (s[:, None] - poles), 1.0 / (s[:, None] - poles.conj())
+    return np.stack([one + other, 1j * (one - other)], axis=2).reshape(s.size, -1)
+
+
+def _real(values: ComplexArray) -> FloatArray:
+    return np.concatenate([values.real, values.imag])
+
+
+class LowLevelModes:
+    """Modes of the random tests and linear responses of some observations.
+
+    Args:
+        observations: the real side.
+        rig: the model as given.
+    """
+
+    def __init__(self, observations: Observations, rig: Rig) -> None:
+        self.rig = rig
+        self.tests: list[tuple[RandomTest, Modes, np.ndarray]] = []
+        self.findings: tuple[str, ...] = ()
+        self._told: list[float] = []
+        for number, test in enumerate(observations.tests):
+            if isinstance(test, RandomTest) and not math.isfinite(test.drive_hold_hz):
+                self._add(number, test, observations)
+
+    def _add(self, number: int, test: RandomTest, observations: Observations) -> None:
+        rows = observations.rows
+        responses = np.full((len(test.channels), test.lines_hz.size), np.nan, dtype=np.complex128)
+        for row in np.flatnonzero((rows.test == number) & (rows.part == Part.LOG_MAGNITUDE)):
+            responses[rows.channel[row], rows.level[row]] = math.exp(observations.values[row])
+        for row in np.flatnonzero((rows.test == number) & (rows.part == Part.PHASE)):
+            responses[rows.channel[row], rows.level[row]] *= np.exp(1j * observations.values[row])
+        kept = np.isfinite(responses).sum(axis=1) >= _FEWEST_LINES
+        model = self.modes(self.rig, test)
+        if model is None or not kept.any():
+            return
+        lines = test.lines_hz
+        near = (model.frequencies_hz > lines[0]) & (model.frequencies_hz < lines[-1])
+        found = measured_modes(lines, responses[kept], int(near.sum()))
+        found = Modes(found.poles, _padded(found.shapes, kept))
+        if not found.poles.size or not model.poles.size:
+            return
+        likeness = found.likeness(Modes(model.poles, np.where(kept, model.shapes, 0.0)))
+        apart = np.abs(np.log(found.frequencies_hz[:, None] / model.frequencies_hz[None]))
+        own, theirs = linear_sum_assignment(apart + (1.0 - likeness))
+        which = np.full(found.poles.size, -1)
+        near = apart[own, theirs]
+        sure = (near < MODE_NEAR) | ((likeness[own, theirs] > MODE_UNLIKE) & (near < MODE_APART))
+        which[own[sure]] = theirs[sure]
+        self._judge(test, found, model, which, likeness)
+        used = which >= 0
+        if used.any():
+            self.tests.append((test, Modes(found.poles[used], found.shapes[used]), which[used]))
+
+    def _judge(self, test: RandomTest, found: Modes, model: Modes, which: np.ndarray, likeness: FloatArray) -> None:
+        said = []
+        for k in np.flatnonzero(which < 0):
+            if any(abs(math.log(found.frequencies_hz[k] / told)) < MODE_SAME for told in self._told):
+                continue
+            self._told.append(float(found.frequencies_hz[k]))
+            said.append(
+                f"{test.name} has a mode at {found.frequencies_hz[k]:.4g} Hz (damping {100 * found.dampings[k]:.2g} %) "
+                f"that the model lacks; add it to the model, or leave its band out."
+            )
+        used = np.flatnonzero(which >= 0)
+        for a, b in pairwise(used):
+            if which[a] > which[b] and max(likeness[a, which[b]], likeness[b, which[a]]) < MODE_ALIKE:
+                said.append(
+                    f"{test.name} has the modes at {found.frequencies_hz[a]:.4g} and {found.frequencies_hz[b]:.4g} Hz "
+                    "in the other order than the model; correct the model first."
+                )
+        self.findings = (*self.findings, *said)
+
+    def modes(self, rig: Rig, test: RandomTest) -> Modes | None:
+        """Modes of a rig as a test meets it, local forces at rest; None where it cannot be taken apart."""
+        try:
+            parts = rig_parts(
+                rig, test.channels, FourierBasis.up_to(1), TwinSettings(),
+                0.5 * (test.start_s + test.stop_s), ideal_force=test.reference == "force",
+            )  # fmt: skip
+        except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+        linear, r = parts.linear, parts.coordinates
+        stiffness, damping = parts.resting
+        shown = linear.displacement[:r]
+        state = np.diag(linear.poles) - linear.inputs[:, :r] @ (
+            stiffness[:, None] * shown + damping[:, None] * shown * linear.poles
+        )
+        values, vectors = np.linalg.eig(state)
+        kept = (values.imag > 0.0) & (-values.real < _HIGHEST_DAMPING * np.abs(values))
+        order = np.flatnonzero(kept)[np.argsort(np.abs(values[kept]))]
+        s = values[order]
+        full = (linear.displacement[r:], linear.velocity[r:], linear.acceleration[r:])
+        shapes = sum((block @ vectors[:, order]) * s**power for power, block in enumerate(full))
+        return Modes(s, np.asarray(np.asarray(shapes, dtype=np.complex128).T * parts.channels[:, 0]))
+
+    def far_from(self, rig: Rig) -> bool:
+        """Whether a mode of a rig lies beyond the half-power bandwidth of the measured one, or this beyond its own."""
+        for test, found, which in self.tests:
+            modes = self.modes(rig, test)
+            if modes is None or which.max() >= modes.poles.size:
+                return True
+            off = np.abs(found.poles - modes.poles[which])
+            if np.any(off > np.minimum(-found.poles.real, -modes.poles.real[which])):
+                return True
+        return False
+
+    def left(self, own: Parametrisation, theta: FloatArray) -> FloatArray:
+        """Parameters over their prior deviations, then measured minus the model's modes over σ.
+
+        Args:
+            own: parameters.
+            theta: their values.
+        """
+        result = [theta / own.prior_std]
+        known: dict[tuple[int, str, float], Modes | None] = {}
+        try:
+            rig: Rig | None = own.rig(theta)
+        except (BenchError, ValueError, ArithmeticError):
+            rig = None
+        for test, found, which in self.tests:
+            key = test.drive_point, test.reference, test.start_s + test.stop_s
+            if key not in known:
+                known[key] = None if rig is None else self.modes(rig, test)
+            modes = known[key]
+            if modes is None or which.max() >= modes.poles.size:
+                result.append(np.full(2 * which.size, _NOWHERE))
+                continue
+            result.append(np.log(found.frequencies_hz / modes.frequencies_hz[which]) / MODE_FREQUENCY_STD)
+            ratio = np.maximum(found.dampings, 1e-9) / np.maximum(modes.dampings[which], 1e-9)
+            result.append(np.log(ratio) / MODE_DAMPING_STD)
+        return np.concatenate(result)
+
+    def start(self, own: Parametrisation, theta: FloatArray) -> tuple[FloatArray, float]:
+        """Parameters that bring the model's modes to the measured ones from some others, and what is left, squared."""
+        begin = np.where(np.isfinite(own.lower), np.maximum(theta, own.lower + 1e-6), theta)
+        solved = least_squares(
+            lambda values: self.left(own, values), begin, bounds=(own.lower, np.inf), x_scale=own.prior_std,
+            max_nfev=_STEPS,
+        )  # fmt: skip
+        return solved.x, 2.0 * float(solved.cost)
+
+    def promises(
+        self, own: Parametrisation, theta: FloatArray, more: Sequence[tuple[Parametrisation, FloatArray]]
+    ) -> list[float]:
+        """What would be left to first order with one more parameter, its effect switched on a little.
+
+        Args:
+            own: parameters.
+            theta: their values.
+            more: parameters that continue ``own``, and their values.
+        """
+        now = self.left(own, theta)
+        steps = 1e-4 * own.prior_std
+        columns = [(self.left(own, theta + step) - now) / step[k] for k, step in enumerate(np.diag(steps))]
+        q = np.linalg.qr(np.column_stack(columns))[0]
+        rest = now - q @ (q.T @ now)
+        result = []
+        for wider, values in more:
+            moved = self.left(wider, values)
+            moved = np.concatenate([moved[: own.size], moved[wider.size :]]) - now
+            moved -= q @ (q.T @ moved)
+            square = float(moved @ moved)
+            result.append(float(rest @ rest) - (float(rest @ moved) ** 2 / square if square > 0.0 else 0.0))
+        return result
+
+
+def _padded(shapes: ComplexArray, kept: np.ndarray) -> ComplexArray:
+    result = np.zeros((shapes.shape[0], kept.size), dtype=np.complex128)
+    result[:, kept] = shapes
+    return result

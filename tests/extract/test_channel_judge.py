@@ -77,10 +77,12 @@ def clean() -> Any:
         ("x2", lambda values, _: -values, ""),
         ("f2", lambda values, _: 0.0 * values, ""),
         ("f2", lambda values, _: np.clip(values, -0.1, 0.1), "f2 is flat-topped"),
+        ("f2", lambda values, _: 2.0 * values, "what voltage and response say"),
+        ("f2", lambda values, _: 0.5 * values, "what voltage and response say"),
     ],
     ids=(
         "far dead", "far open", "far clipped", "clipped on one side", "sign", "gain", "late", "noise", "loose",
-        "drive dead", "drive loose", "drive sign", "force dead", "force clipped",
+        "drive dead", "drive loose", "drive sign", "force dead", "force clipped", "force doubled", "force halved",
     ),
 )  # fmt: skip
 def test_a_channel_that_fails_in_a_run_is_named_and_no_damping_is_wrong(

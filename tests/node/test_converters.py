@@ -97,6 +97,13 @@ def drive_and_compare(kind, address):
         (("--fault", "late:x5@0.8"), "x5"),
         (("--set", "sensors.4.clip=6e-4"), "x6"),
         (("--fault", "short:x2@0.8"), "x2"),
+        (("--fault", "sensitivity:f2@0.8") * 2, "f2"),
+        (("--fault", "sensitivity:f2@0.8"), "f2"),
+        (("--fault", "short:f2@0.8"), "f2"),
+        (("--fault", "sign:x4@0.8"), "x4"),
+        (("--fault", "late:x2@0.8"), "x2"),
+        (("--fault", "icp:x5@0.8"), "x5"),
+        (("--fault", "sensitivity:x2@0.8"), "x2"),
     ],
 )
 def test_a_channel_that_fails_in_a_test_is_named(kind, options, channel, tmp_path):

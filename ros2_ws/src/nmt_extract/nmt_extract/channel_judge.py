@@ -9,10 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.linear_description import LinearDescription
 
 _FLAT, _EDGE = 3e-3, 3e-2  # of half the peak to peak: depth of a flat top, and of its edge
 _FLAT_SHARE = 0.04  # of a period; a sine has 0.025 there
@@ -23,7 +25,32 @@ _OFF_CLEAR, _CLEAR = 0.1, 50.0  # the same where the deviation is so much larger
 _LEAST = 0.02  # of the largest value: smaller deviations do not matter
 _SURE = 5.0  # standard deviations
 _NOISE_JUMP, _NOISE_SHARE = 10.0, 0.05  # over the level before; of the channel's rms
+_GAIN = 0.25  # logarithm of the force over what voltage and response say of it
+_GAIN_SUSPECT = 0.1  # the same where it was off at the level before
+_EXCITER = 1e-3  # of the blocked force: what no linear exciter explains
+_PRIOR = {"model": 0.1, "test": 0.2}  # of the exciter's impedance, by the source of the linear description
+_SURE_FORCE = 3.0  # standard deviations; the gain must be off by _GAIN, too
+_CLEAN, _ALIKE = 20.0, 0.15  # harmonics: over their standard deviation; of the factor that they have in common
 _STRANGE = 0.5  # correlation with all that the linear modes can do
+
+
+class DriveState(NamedTuple):
+    """Force and motion at the drive point in one window.
+
+    Attributes:
+        omega: rad/s.
+        voltage: fundamental of the drive, V; NaN = not measured.
+        force: harmonics 0..H, N.
+        velocity: harmonics 0..H at the drive point, m/s.
+        force_std, velocity_std: their standard uncertainties; NaN = not known.
+    """
+
+    omega: float
+    voltage: complex
+    force: ComplexArray
+    velocity: ComplexArray
+    force_std: FloatArray
+    velocity_std: FloatArray
 
 
 @dataclass
@@ -36,6 +63,7 @@ class ChannelHistory:
         shape: its fundamental at the points of the linear modes, in any unit, shape ``(points,)``.
         noise: rms of each channel that no harmonic explains, in the channel's unit.
         faulty: channels that were faulty at the level before, by row.
+        drives: force and motion at the drive point at each level without a fault.
     """
 
     names: tuple[str, ...] = ()
@@ -43,13 +71,19 @@ class ChannelHistory:
     shape: ComplexArray = field(default_factory=lambda: np.empty(0, dtype=np.complex128))
     noise: FloatArray = field(default_factory=lambda: np.empty(0))
     faulty: frozenset[int] = frozenset()
+    drives: list[DriveState] = field(default_factory=list)
 
     def knows(self, names: Sequence[str]) -> bool:
         """Whether there is a level of the same channels."""
         return self.level_index >= 0 and self.names == tuple(names)
 
-    def take(self, names: Sequence[str], level_index: int, shape: ComplexArray, noise: FloatArray) -> None:
+    def take(
+        self, names: Sequence[str], level_index: int, shape: ComplexArray, noise: FloatArray, drive: DriveState
+    ) -> None:
         """Take a level without a fault."""
+        if self.names != tuple(names):
+            self.drives = []
+        self.drives.append(drive)
         self.names, self.level_index, self.shape, self.noise = tuple(names), level_index, shape, noise
         self.faulty = frozenset()
 
@@ -261,3 +295,94 @@ def noise_jumps(noise: FloatArray, rms: FloatArray, before: FloatArray, rows: Se
         if rise[row] > _NOISE_JUMP * max(usual, 1.0) and noise[row] > _NOISE_SHARE * rms[row]:
             found[row] = f"has {100.0 * noise[row] / rms[row]:.0f} % of noise, much more than at the level before"
     return found
+
+
+def force_gain(
+    drive: DriveState, before: Sequence[DriveState], linear: LinearDescription, suspect: bool = False
+) -> float | None:
+    """By which factor the gain of the force has changed, if the change is clear.
+
+    Whatever the structure does, an exciter obeys F + Z v = K u: K is its blocked force per volt and
+    Z = c + i (ω m - k/ω) its impedance. The levels before determine K, c and k, from the linear modes with and without
+    the exciter as a start;
+    K u - Z v is the force that this level must have. Where damping is so strong, or the exciter so much stronger, that
+    this says nothing, the harmonics may: without voltage they have F/v = -Z(nω), level after level.
+
+    Args:
+        drive: the window that is judged.
+        before: those of the run without a fault.
+        linear: modes, moving mass and the mode with the exciter attached.
+        suspect: the gain had changed at the level before; no sensor mends itself.
+
+    Returns:
+        Measured over expected force, off by more than a quarter; None = no such change.
+    """
+    if not before:
+        return None
+    gains = [
+        _fundamental_gain(drive, before, linear, 0.0 if suspect else _SURE_FORCE),
+        _harmonic_gain(drive, before[-1]),
+    ]
+    least = _GAIN_SUSPECT if suspect else _GAIN
+    return next((gain for gain in gains if gain is not None and abs(math.log(gain)) > least), None)
+
+
+def _fundamental_gain(
+    drive: DriveState, before: Sequence[DriveState], linear: LinearDescription, sure: float
+) -> float | None:
+    """Force over K u - Z v; None where voltage and response do not determine it."""
+    known = [state for state in before if math.isfinite(abs(state.voltage))]
+    if not known or not math.isfinite(abs(drive.voltage)) or linear.drive_point_shape == 0.0:
+        return None
+    mass, moving = linear.drive_point_shape**-2, linear.moving_mass_kg
+    omega, plant = linear.frequencies_rad_s[linear.target_mode], linear.plant_frequency_rad_s
+    damping = 2.0 * linear.plant_damping_ratio * plant * (mass + moving)
+    damping -= 2.0 * linear.damping_ratios[linear.target_mode] * omega * mass
+    stiffness = plant**2 * (mass + moving) - omega**2 * mass
+    size = abs(complex(damping, omega * moving - stiffness / omega))
+    open_z = _PRIOR.get(linear.source, 0.2) * size + (plant / omega - 1.0) ** 2 * omega * (mass + moving)
+    open_z = max(open_z, 1e-3 * 2.0 * linear.damping_ratios[linear.target_mode] * omega * mass)
+
+    def row(state: DriveState) -> tuple[ComplexArray, complex, float]:
+        """Factors of K, and of what c and k/ω₀ have beyond the start; what F is with the start; its deviation."""
+        speed, voltage = complex(state.velocity[1]), state.voltage
+        start = complex(damping, state.omega * moving - stiffness / state.omega)
+        factors = np.array([voltage, 1j * voltage, -speed * open_z, 1j * speed * open_z * omega / state.omega])
+        value = complex(state.force[1]) + start * speed
+        return factors, value, _EXCITER * abs(value) + float(np.nan_to_num(state.force_std[1]))
+
+    lines, values = [np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])], [np.zeros(2)]
+    for state in known:
+        factors, value, std = row(state)
+        lines.append(np.array([factors.real, factors.imag]) / std)
+        values.append(np.array([value.real, value.imag]) / std)
+    matrix = np.concatenate(lines)
+    scale = np.abs(matrix).max(axis=0)
+    covariance = np.linalg.pinv((matrix / scale).T @ (matrix / scale)) / np.outer(scale, scale)
+    solution = covariance @ (matrix.T @ np.concatenate(values))
+    factors, value, std = row(drive)
+    two = np.array([factors.real, factors.imag])
+    spread = math.hypot(std, math.sqrt(max(float(np.trace(two @ covariance @ two.T)), 0.0)))
+    expected = complex(drive.force[1]) - (value - complex(factors @ solution))
+    if abs(drive.force[1] - expected) < sure * spread or abs(expected) == 0.0:
+        return None
+    return float(abs(drive.force[1]) / abs(expected))
+
+
+def _harmonic_gain(drive: DriveState, before: DriveState) -> float | None:
+    """The factor that F/v has in common over the harmonics, against the level before; None where they do not agree."""
+    count = min(drive.force.size, before.force.size)
+    ratios = []
+    for n in range(2, count):
+        pairs = [
+            (abs(values[n]), std[n])
+            for state in (drive, before)
+            for values, std in ((state.force, state.force_std), (state.velocity, state.velocity_std))
+        ]
+        if all(value > _CLEAN * std for value, std in pairs):
+            ratios.append(drive.force[n] / drive.velocity[n] / (before.force[n] / before.velocity[n]))
+    if len(ratios) < 2:
+        return None
+    gain = float(np.median(np.abs(ratios)))
+    agree = all(abs(ratio / gain - 1.0) < _ALIKE for ratio in ratios)
+    return gain if agree and abs(drive.omega / before.omega - 1.0) < _ALIKE else None

@@ -321,16 +321,37 @@ class _Evaluation:
             rms = window.data.std(axis=1)
             judged = [row for row in rows if row not in faults]
             faults.update(channel_judge.noise_jumps(noise, rms, history.noise, judged))
+        drive = self._drive_state()
+        if history is not None and self.force_row not in faults and self.drive_row not in faults:
+            suspect = self.force_row in history.faulty
+            gain = channel_judge.force_gain(drive, history.drives, linear, suspect)
+            if gain is not None:
+                faults[self.force_row] = (
+                    f"measures {gain:.2f} times what voltage and response say by the levels up to level "
+                    f"{history.level_index + 1}: its gain, or that of the amplifier, has changed"
+                )
         if not faults:
             if channel_judge.strange_shape(shape[0], linear.shape_matrix):
                 raise BenchError(
                     "The shape is not one that the linear modes can have: look at the channels, at the points of the "
                     "linear description, and at which mode was locked."
                 )
-            self.history.take(names, window.lock.level_index, shape[0], noise)
+            self.history.take(names, window.lock.level_index, shape[0], noise, drive)
             return
         self.history.faulty = frozenset(faults)
         self._leave_out(history)
+
+    def _drive_state(self) -> channel_judge.DriveState:
+        omega = 2.0 * np.pi * self.frequency_hz
+        assert self.force_row is not None
+        force = self.amplitudes[:, self.force_row]
+        position = self._integrated(self.amplitudes[:, self.drive_row], self.drive_quantity, omega, 0)
+        velocity = 1j * np.multiply.outer(omega, np.arange(force.shape[1])) * position
+        voltages = [row for row, channel in enumerate(self.window.channels) if channel.quantity is Quantity.VOLTAGE]
+        voltage = complex(self.amplitudes[0, voltages[0], 1]) if len(voltages) == 1 else complex(math.nan)
+        return channel_judge.DriveState(
+            float(omega[0]), voltage, force[0], velocity[0], self._shape_std(force), self._shape_std(velocity)
+        )
 
     def _leave_out(self, history: ChannelHistory | None) -> None:
         """Put the shape of the level before in the place of faulty channels; BenchError where that cannot be done."""

@@ -480,8 +480,8 @@ def _chunk_messages(rig: Rig, sample_topics: int) -> int:
 
 
 def _extraction_topics(rig: Rig, topics: Sequence[str]) -> tuple[str, ...]:
-    """Force, the response quantity of the rig, and the other one if only it has a sensor at the drive point."""
-    chosen = ["force", rig.extraction.quantity]
+    """Force, voltage, the rig's response quantity, and the other one if only it has a sensor at the drive point."""
+    chosen = ["force", "voltage", rig.extraction.quantity]
     if rig.drive_point not in rig.response_points(Quantity[rig.extraction.quantity.upper()]):
         chosen.append("acceleration" if rig.extraction.quantity == "displacement" else "displacement")
     return tuple(topic for topic in topics if topic in chosen)

@@ -85,6 +85,19 @@
     return [10 ** Math.min(top - 1, Math.floor(Math.log10(Math.max(low || 0, high * 1e-8)))), 10 ** top];
   };
 
+  // uPlot's own loop for logarithmic axes does not end for some ranges, and lets powers of ten out by rounding.
+  const logSplits = (chart, number, low, high) => {
+    const found = [];
+    if (!(low > 0) || !(high < Infinity) || !(high / low < 1e30)) { return [1]; }
+    for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power++) {
+      for (let share = 1; share < 10; share++) {
+        const value = Number(share + "e" + power);
+        if (value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9)) { found.push(value); }
+      }
+    }
+    return found.length ? found : [low];
+  };
+
   // Over more than three decades only powers of ten have lines.
   const powers = (chart, splits) => {
     const shown = splits.filter((v) => v > 0);
@@ -93,11 +106,11 @@
   };
 
   function axis(label, more) {
-    const filter = more && more.values === logTicks ? { filter: powers } : {};
+    const logarithmic = more && more.values === logTicks, filter = logarithmic ? { filter: powers } : {};
     return Object.assign({
       stroke: colour("muted"), grid: Object.assign({ stroke: colour("grid"), width: 1 }, filter), ticks: Object.assign({ stroke: colour("line"), width: 1 }, filter),
       label: label, labelSize: 2 * letter(), labelFont: 1.05 * letter() + "px system-ui", font: letter() + "px system-ui", size: axisSize, gap: 4,
-    }, more || {});
+    }, logarithmic ? { splits: logSplits } : {}, more || {});
   }
 
   function plot(id, make, data) {
@@ -153,12 +166,12 @@
 
   function backbone(id, label, measured, std, reference, least) {
     // One axis for both curves: every abscissa of reference and points once.
-    const q = factArrays.point_q, qr = factArrays.reference_q || [];
+    const q = factArrays.point_q, real = Array.from(q).filter((v) => v > 0), qr = factArrays.reference_q || [];
     const rows = [];
     for (let k = 0; k < qr.length; k++) { rows.push([qr[k], reference[k], null, null]); }
-    for (let k = 0; k < q.length; k++) { rows.push([q[k], null, measured[k], std[k]]); }
+    for (let k = 0; k < q.length; k++) { if (q[k] > 0) { rows.push([q[k], null, measured[k], std[k]]); } }
     rows.sort((a, b) => a[0] - b[0]);
-    const low = q.length ? Math.min(...q) / 3 : 0, high = q.length ? Math.max(...q) * 3 : Infinity;
+    const low = real.length ? Math.min(...real) / 3 : 0, high = real.length ? Math.max(...real) * 3 : Infinity;
     const kept = rows.filter((row) => row[0] > 0 && (row[2] !== null || (row[0] >= low && row[0] <= high)));
     if (!kept.length && !plots[id]) { return; }
     const data = [0, 1, 2, 3].map((column) => kept.map((row) => row[column]));

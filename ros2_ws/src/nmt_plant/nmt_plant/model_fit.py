@@ -82,8 +82,8 @@ class MovedModes:
         small = np.eye(change.shape[1]) + change[:, :, None] * self._between[:, :, 1:]
         inner = np.linalg.solve(small, change[:, :, None] * self._between[:, :, :1])
         found = self._out[:, :, 0] - (self._out[:, :, 1:] @ inner)[:, :, 0] + self._through
-        smooth = np.array([np.convolve(channel, self._kernel, mode="valid") for channel in found.T])
-        return np.asarray(smooth[:, ::_FINE][:, : self._lines])
+        smooth = np.lib.stride_tricks.sliding_window_view(found, self._kernel.size, axis=0)[::_FINE] @ self._kernel
+        return np.asarray(smooth[: self._lines].T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,12 +141,15 @@ def scan_modes(
     if min(together) < 0.7 * best:
         best, ratios = min(together), _RATIOS[int(np.argmin(together))] * plain
     for _ in range(2):
+        before = best
         for mode in range(ratios.size):
             trials = np.tile(ratios, (_RATIOS.size, 1))
             trials[:, mode] = _RATIOS
             costs = [cost(trial) for trial in trials]
             if min(costs) < 0.8 * best:
                 best, ratios = min(costs), trials[int(np.argmin(costs))]
+        if best == before:
+            break
     return ratios
 
 
@@ -198,9 +201,21 @@ def fit_model(
         log = np.log(measured[kept] / (full * turned))
         return np.concatenate([(log.real * weights).ravel(), (log.imag * weights).ravel()])
 
+    def derivatives(x: FloatArray) -> FloatArray:
+        """Of the residuals: differences for the modes; gains and delays are in them as they are."""
+        base, step = residuals(x), 1e-7
+        columns = [(residuals(x + step * unit) - base) / step for unit in np.eye(x.size)[: 2 * modes]]
+        single = np.zeros((2, count, count, lines.size))
+        single[0, np.arange(count), np.arange(count)] = -weights
+        single[1, np.arange(count), np.arange(count)] = weights * omega
+        none = np.zeros((count, count * lines.size))
+        gain = np.concatenate([single[0].reshape(count, -1), none], axis=1)
+        delay = np.concatenate([none, single[1].reshape(count, -1)], axis=1)
+        return np.column_stack([*columns, gain.T, delay.T])
+
     x0 = np.concatenate([np.log(start), np.zeros(modes), np.log(gains), late])
     scale = np.concatenate([np.full(2 * modes, 0.01), np.full(count, 0.01), np.full(count, 1e-4)])
-    settings = {"x_scale": scale, "loss": "soft_l1", "f_scale": 2.0, "max_nfev": 60}
+    settings = {"x_scale": scale, "loss": "soft_l1", "f_scale": 2.0, "max_nfev": 60, "jac": derivatives}
     found = least_squares(residuals, x0, **settings)
     used = found.fun != 0.0
     spread = 1.4826 * float(np.median(np.abs(found.fun[used]))) if used.any() else 1.0

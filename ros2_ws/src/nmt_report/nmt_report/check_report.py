@@ -21,23 +21,11 @@ def check_page(document: Mapping[str, Any]) -> str:
     findings = document["findings"]
     names = sorted({finding["name"].replace("_", " ") for finding in findings})
     verdict = ("Passed: nothing was found.", "good") if not findings else (f"Found: {', '.join(names)}.", "bad")
-    head = [
-        ("channel", ""),
-        ("port", ""),
-        ("noise", "V rms"),
-        ("noise", "unit rms"),
-        ("unit", ""),
-        ("mains", "V"),
-        ("mean", "V"),
-        ("coherence", ""),
-        ("gain", "1"),
-        ("delay", "µs"),
-        ("δ̃ error", "%"),
-        ("ω̃ error", "ppm"),
-        ("range used", "%"),
-        ("verdict", ""),
-    ]
-    rows = []
+    head = [("channel", ""), ("port", ""), ("noise", "V rms"), ("noise", "rms"), ("mains", "V"), ("mean", "V")]
+    head += [("range used", "%"), ("verdict", "")]
+    answers_head = [("channel", ""), ("coherence", ""), ("gain", "1"), ("delay", "µs"), ("δ̃ error", "%")]
+    answers_head.append(("ω̃ error", "ppm"))
+    rows, answers = [], []
     for channel in document["channels"]:
         own = [each["name"].replace("_", " ") for each in findings if channel["channel"] in each["channels"]]
         rows.append(
@@ -45,24 +33,31 @@ def check_page(document: Mapping[str, Any]) -> str:
                 channel["channel"],
                 channel["port"],
                 _figure(channel["noise_v"]),
-                _figure(channel["noise"]),
-                channel["unit"],
+                f"{_figure(channel['noise'])} {channel['unit']}",
                 _figure(channel["mains_v"]),
                 _figure(channel["offset_v"]),
+                _figure(channel["headroom"], 100.0),
+                ", ".join(own) or "good",
+            ]
+        )
+        answers.append(
+            [
+                channel["channel"],
                 _figure(channel["coherence"]),
                 _pair(channel["gain"], channel["gain_std"], 1.0),
                 _pair(channel["delay"], channel["delay_std"], 1e6),
                 _figure(channel["damping_error"], 100.0),
                 _figure(channel["frequency_error"], 1e6),
-                _figure(channel["headroom"], 100.0),
-                ", ".join(own) or "good",
             ]
         )
     note = (
         "Gain: measured over what the rig's model expects; delay: later than the median of the channels; both with "
         "standard uncertainties. Errors: what this gain and this delay make of a test at phase resonance."
     )
-    sections = [("channels", "Channels", html_table(head, rows, note))]
+    sections = [
+        ("channels", "Channels", html_table(head, rows)),
+        ("responses", "Responses to the drive", html_table(answers_head, answers, note)),
+    ]
     modes = [
         [
             str(mode["number"]),

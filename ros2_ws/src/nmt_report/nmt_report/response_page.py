@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,9 @@ from markupsafe import Markup
 
 from nmt_report.html_page import Column, Row, Table, part, render
 from nmt_report.svg import ReportFigure
+
+_WORD = re.compile(r"(?!nan|inf)[A-Za-z]{3}")
+_LONG = 40  # characters; longer texts are wrapped
 
 
 @dataclass(frozen=True)
@@ -52,14 +56,18 @@ class ResponsePage:
 
 
 def text_table(head: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]], note: str = "") -> Table:
-    """A table whose first column is text.
+    """A table whose first column is text, as is every other one with words in it.
 
     Args:
         head: (heading, unit) of each column.
         rows: cells.
         note: sentence below it.
     """
-    columns = [Column(name, unit, "" if k else "text") for k, (name, unit) in enumerate(head)]
+    cells = [[str(row[k]) for row in rows if k < len(row)] for k in range(len(head))]
+    long = [any(len(cell) > _LONG for cell in column) for column in cells]
+    text = [not k or any(_WORD.search(cell) for cell in column) for k, column in enumerate(cells)]
+    kinds = [("text wrap" if wide else "text") if words else "" for wide, words in zip(long, text, strict=True)]
+    columns = [Column(name, unit, kind) for (name, unit), kind in zip(head, kinds, strict=True)]
     return Table(columns, [Row(row) for row in rows], note)
 
 

@@ -27,7 +27,9 @@ CHECK = {
     "findings": [{"name": "late", "channels": ["x5"], "sentence": LONG, "remedy": f"look at {LONG}"}],
 }  # fmt: skip
 CUT = "[...document.querySelectorAll('.scroll')].filter((e) => e.scrollWidth > e.clientWidth).length"
-RIGHT = """[...document.querySelectorAll('#findings td')].filter((e) => getComputedStyle(e).textAlign !== 'left').length"""
+RIGHT = (
+    """[...document.querySelectorAll('#findings td')].filter((e) => getComputedStyle(e).textAlign !== 'left').length"""
+)
 
 
 @pytest.mark.campaign

@@ -25,13 +25,13 @@ RATE = 10_240.0
 MODULES: dict[str, Any] = {
     "sample_rate": RATE,
     "outputs": [("cDAQ1Mod3/ao0", 10.0, 1.0)],
-    "inputs": [("cDAQ1Mod1/ai0", 5.0, "dc", 0.0), ("cDAQ1Mod2/ai0", 5.0, "ac", 2.0)],
+    "inputs": [("cDAQ1Mod1/ai0", 5.0, "dc", 0.0, ""), ("cDAQ1Mod2/ai0", 5.0, "ac", 2.0, "")],
     "block_samples": 200,
 }
 BOARD: dict[str, Any] = {
     "sample_rate": 10_000.0,
     "outputs": [("Dev1/ao0", 10.0, 1.0)],
-    "inputs": [("Dev1/ai0", 10.0, "dc", 0.0), ("Dev1/ai1", 5.0, "ac", 4.0)],
+    "inputs": [("Dev1/ai0", 10.0, "dc", 0.0, ""), ("Dev1/ai1", 5.0, "ac", 4.0, "")],
     "block_samples": 200,
 }
 
@@ -52,8 +52,8 @@ def test_settings_that_fit_are_taken(hardware: Hardware) -> None:
         NiDaqmxConverter(**settings).close()
 
 
-def first_input(settings: dict[str, Any], *entry: Any) -> dict[str, Any]:
-    return {**settings, "inputs": [entry, *settings["inputs"][1:]]}
+def first_input(settings: dict[str, Any], *entry: Any, serial: str = "") -> dict[str, Any]:
+    return {**settings, "inputs": [(*entry, serial), *settings["inputs"][1:]]}
 
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
@@ -89,9 +89,19 @@ def test_a_wrong_setting_is_one_sentence(name: str, hardware: Hardware) -> None:
     assert str(refused.value).count("\n") == 0
 
 
+def test_a_sensor_whose_data_sheet_says_another_number_is_one_sentence(hardware: Hardware) -> None:
+    hardware.sheets["cDAQ1Mod1/ai0"] = 4711
+    for serial in ("LW4711", ""):
+        NiDaqmxConverter(**first_input(MODULES, "cDAQ1Mod1/ai0", 5.0, "dc", 0.0, serial=serial)).close()
+    with pytest.raises(BenchError, match=r"cDAQ1Mod1/ai0 has the serial number 4711 .TEDS., not LW4712; look at"):
+        NiDaqmxConverter(**first_input(MODULES, "cDAQ1Mod1/ai0", 5.0, "dc", 0.0, serial="LW4712"))
+    without = {**BOARD, "inputs": [("Dev1/ai0", 10.0, "dc", 0.0, "77"), *BOARD["inputs"][1:]]}
+    NiDaqmxConverter(**without).close()
+
+
 def test_modules_on_the_clock_of_their_chassis_measure(hardware: Hardware) -> None:
     count = len(hardware._specimen.channels)
-    inputs = [(f"cDAQ1Mod{1 + n // 4}/ai{n % 4}", 5.0, "dc", 0.0) for n in range(count)]
+    inputs = [(f"cDAQ1Mod{1 + n // 4}/ai{n % 4}", 5.0, "dc", 0.0, "") for n in range(count)]
     clock = hardware._clock
     converter = NiDaqmxConverter(RATE, MODULES["outputs"], inputs, 200, clock=clock)
     t = np.arange(4000) / RATE

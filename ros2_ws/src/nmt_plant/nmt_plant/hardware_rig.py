@@ -92,7 +92,7 @@ def converter_arguments(rig: Rig, device: AnyDevice) -> dict[str, Any]:
     return {
         "sample_rate": rate,
         "outputs": outputs,
-        "inputs": [[entry.port, entry.range_v, entry.coupling, entry.icp_ma] for entry in device.inputs],
+        "inputs": [[entry.port, entry.range_v, entry.coupling, entry.icp_ma, entry.serial] for entry in device.inputs],
         "block_samples": int(rig.block_samples),
         "address": device.address,
         "start_trigger": device.start_trigger,

@@ -43,6 +43,7 @@ from nmt_rig.rig import load_rig
 _MOST_AT_ONCE = 200  # samples
 _HELD = 10.0  # s of input samples that are kept unread
 _OVERWRITTEN, _TOO_LATE, _TIMEOUT = -200279, -200290, -200284
+_NO_SHEET, _SERIAL = -200709, 0x21DC
 _NOT_SUPPORTED, _NO_DEVICE, _NO_CHANNEL, _NO_TERMINAL = -200077, -200220, -200170, -89120
 _LARGEST, _EXCITATION, _CATEGORY, _CHASSIS, _RATE = 0x17DD, 0x17F5, 0x29A9, 0x29B7, 0x1344
 _MODULE, _BOARD = 14659, 14643
@@ -52,6 +53,7 @@ _WORDS = {
     _TOO_LATE: "The generation has stopped to prevent the regeneration of old samples.",
     _TIMEOUT: "Some or all of the samples requested have not yet been acquired.",
     _NOT_SUPPORTED: "Requested value is not a supported value for this property.",
+    _NO_SHEET: "No TEDS sensor was detected on the physical channel.",
     _NO_DEVICE: "Device identifier is invalid.",
     _NO_CHANNEL: "Physical channel specified does not exist on this device.",
     _NO_TERMINAL: "Source terminal to be routed could not be found on the device.",
@@ -103,6 +105,7 @@ class Hardware:
 
     Attributes:
         space: samples that the output's buffer holds.
+        sheets: serial number in the electronic data sheet of the sensor at each physical channel that has one.
         idles_at_zero: whether an output that has stopped goes to zero, else it keeps its last value.
     """
 
@@ -123,6 +126,7 @@ class Hardware:
         self._record = np.zeros(record)
         self.recorded = 0
         self.record_times: list[tuple[float, int]] = []
+        self.sheets: dict[str, int] = {}
         self.idles_at_zero = False
         self.space = 1 << 30
         self._level = 0.0
@@ -320,6 +324,14 @@ def make_calls(hardware: Hardware, names: str) -> Any:
         def GetDeviceAttributeString(self, request: Any, _: Any) -> Any:  # noqa: N802
             chassis = request.device_name.partition("Mod")[0] if request.attribute_raw == _CHASSIS else ""
             return nidaqmx_pb2.GetDeviceAttributeStringResponse(value=chassis)
+
+        def ConfigureTEDS(self, request: Any, context: Any) -> Any:  # noqa: N802
+            refuse(context, 0 if request.physical_channel in hardware.sheets else _NO_SHEET, "read")
+            return nidaqmx_pb2.ConfigureTEDSResponse()
+
+        def GetPhysicalChanAttributeUInt32(self, request: Any, _: Any) -> Any:  # noqa: N802
+            number = hardware.sheets.get(request.physical_channel, 0) if request.attribute_raw == _SERIAL else 0
+            return nidaqmx_pb2.GetPhysicalChanAttributeUInt32Response(value=number)
 
         def CreateTask(self, request: Any, _: Any) -> Any:  # noqa: N802 - NI's names
             response = nidaqmx_pb2.CreateTaskResponse(new_session_initialized=True)

@@ -13,6 +13,7 @@ others safely: its threads do not survive the fork.
 from __future__ import annotations
 
 import contextlib
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -128,7 +129,8 @@ class NiDaqmxConverter(Converter):
     Args:
         sample_rate: Hz.
         outputs: (physical channel, range in V, amplifier gain) of each.
-        inputs: (physical channel, range in V, coupling ``dc`` or ``ac``, ICP current in mA or 0) of each.
+        inputs: (physical channel, range in V, coupling ``dc`` or ``ac``, ICP current in mA or 0, serial number of the
+            sensor or empty) of each; a sensor with an electronic data sheet (TEDS, IEEE 1451.4) must have that number.
         block_samples: samples of a call.
         address: of NI's gRPC device server; empty = this computer's driver.
         start_trigger: terminal that starts the output; empty = the start trigger of the first input's device, or of its
@@ -140,7 +142,8 @@ class NiDaqmxConverter(Converter):
         clock: by which losses follow each other, and on which the end waits.
 
     Raises:
-        BenchError: the driver refuses a setting, or takes another rate, range or ICP current than was asked for.
+        BenchError: the driver refuses a setting, or takes another rate, range or ICP current than was asked for, or
+            another sensor is connected.
     """
 
     def __init__(
@@ -208,6 +211,25 @@ class NiDaqmxConverter(Converter):
         if abs(taken - asked) > _SAME * abs(asked):
             raise BenchError(f"The device takes {taken:.10g} {unit} for {what}, not {asked:.10g}; write {key}.")
 
+    def _compare_sheet(self, port: str, serial: str, options: Any) -> None:
+        """Refuse a sensor whose data sheet has another serial number than the table; many sensors have none."""
+        from nidaqmx.system.physical_channel import PhysicalChannel
+
+        wanted = re.findall(r"\d+", serial)
+        if not wanted:
+            return
+        found = PhysicalChannel(port, grpc_options=options)
+        try:
+            found.configure_teds()
+            own = int(found.teds_serial_num)
+        except self._daq.errors.Error:
+            return
+        if own and own != int(wanted[-1]):
+            raise BenchError(
+                f"The sensor at {port} has the serial number {own} (TEDS), not {serial}; look at its cable, or correct "
+                "serial and sensitivity_v."
+            )
+
     def _clock_device(self, address: str, device: str) -> str:
         """The device that has the terminals: of a module its chassis."""
         from nidaqmx.system import System
@@ -241,9 +263,9 @@ class NiDaqmxConverter(Converter):
             return made
 
         self._input = task("nmt_input")
-        entries = [*inputs, *([] if self._stop_line is None else [(*self._stop_line[:2], "dc", 0.0)])]
+        entries = [*inputs, *([] if self._stop_line is None else [(*self._stop_line[:2], "dc", 0.0, "")])]
         channels = []
-        for port, reach, coupling, current in entries:
+        for port, reach, coupling, current, _ in entries:
             with self._asking(f"±{reach:g} V at {port}", "correct its port or range_v"):
                 channel = self._input.ai_channels.add_ai_voltage_chan(str(port), min_val=-reach, max_val=reach)
             channels.append(channel)
@@ -264,7 +286,9 @@ class NiDaqmxConverter(Converter):
             self._input.control(constants.TaskMode.TASK_VERIFY)
             taken = float(self._input.timing.samp_clk_rate)
         self._same("the sample rate", self._rate, taken, "Hz", f"sample_rate_hz: {taken:.10g} into the rig file")
-        for channel, (port, reach, _, current) in zip(channels, entries, strict=True):
+        for port, *_, serial in entries:
+            self._compare_sheet(str(port), str(serial), session_options(address, ""))
+        for channel, (port, reach, _, current, _) in zip(channels, entries, strict=True):
             own = float(channel.ai_max)
             self._same(f"the range of {port}", float(reach), own, "V", f"range_v: {own:.10g}")
             if current:

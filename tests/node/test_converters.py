@@ -26,7 +26,7 @@ from node.converter_gaps import stream
 
 LOST = re.compile(
     r"loses samples again and again|had lost samples|are missing from the window|samples lost in [1-9]|gaps [1-9]"
-    r"|NI-DAQmx lost samples|the computer too busy|has fallen silent"
+    r"|NI-DAQmx lost samples|the computer too busy|has fallen silent|no drive command for"
 )
 """What a run says where samples were lost or came too late, or a node did not get to work."""
 AT_ONCE = 5.0  # s; what has to be waited for otherwise takes ten

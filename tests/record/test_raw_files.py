@@ -12,6 +12,7 @@ from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_record.imported_run import ImportedRun, read_import
 from nmt_record.sidecar_template import sidecar_templates
+from nmt_record.unit_table import channel_factor
 
 T = np.arange(400) / 1000.0
 X = np.exp(-5.0 * T) * np.sin(2.0 * np.pi * 20.0 * T)
@@ -138,10 +139,34 @@ def test_cells_are_recordings_of_their_own(tmp_path: Path) -> None:
         np.testing.assert_allclose(run.channels[0].data, factor * X, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("deg", np.pi / 180.0), ("µm/m", 1e-6)])
-def test_angles_and_strains_are_coordinates(tmp_path: Path, unit: str, factor: float) -> None:
+def test_what_follows_a_hit_is_a_decay(tmp_path: Path) -> None:
+    force = np.where((T > 0.02) & (T < 0.024), 30.0, 0.0) + 0.01 * np.sin(900.0 * T)
+    (tmp_path / "h.csv").write_text("t [s],hammer [N],acc [m/s^2]\n" + rows(T, force, X, tab=","), newline="")
+    (run,) = imported(tmp_path / "h.csv")
+    assert run.segments[0].section.kind == "ring_down"
+    assert 0.024 <= run.segments[0].section.start < 0.03
+    (tmp_path / "h.csv").write_text("t [s],hammer [N],acc [m/s^2]\n" + rows(T, 30.0 * X, X, tab=","), newline="")
+    assert "kind: record" in sidecar_templates(tmp_path / "h.csv")[0]
+
+
+def test_a_backbone_is_asked_whether_its_amplitudes_are_peak_or_rms(tmp_path: Path) -> None:
+    (tmp_path / "b.csv").write_text("frequency,amplitude [mm]\n10,1\n10.1,2\n", newline="")
+    assert "amplitudes: '?'       # peak or rms" in sidecar_templates(tmp_path / "b.csv")[0]
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "quantity"), [("deg", np.pi / 180.0, "angle"), ("µm/m", 1e-6, "strain")], ids=("angle", "strain")
+)
+def test_angles_and_strains_are_quantities_of_their_own(
+    tmp_path: Path, unit: str, factor: float, quantity: str
+) -> None:
     (tmp_path / "a.csv").write_text(f"t [s];value [{unit}]\n" + rows(T, X, tab=";"), newline="")
     (run,) = imported(tmp_path / "a.csv")
     assert run.channels[0].quantity is Quantity.DISPLACEMENT
+    assert run.channels[0].section.quantity == quantity
     np.testing.assert_allclose(run.channels[0].data, factor * X, rtol=1e-6, atol=1e-12)
     assert not any("unusually" in note for note in run.notes)
+    with pytest.raises(BenchError, match=f"is one of {quantity}; write quantity: {quantity}"):
+        channel_factor("displacement", unit, "it")
+    with pytest.raises(BenchError, match="its unit 'mm' is none; use"):
+        channel_factor(quantity, "mm", "it")

@@ -39,7 +39,7 @@ CHANNELS = {
     Quantity.DISPLACEMENT: {
         **_multiples("m", "cmunp"), "in": constants.inch, "mil": constants.mil, "ft": constants.foot,
         "rad": 1.0, "mrad": constants.milli, "deg": constants.degree, "m/m": 1.0, "um/m": constants.micro,
-        "strain": 1.0, "ustrain": constants.micro,
+        "strain": 1.0, "ustrain": constants.micro, "mm/m": constants.milli, "urad": constants.micro,
     },
     Quantity.VOLTAGE: _multiples("V", "kmu"),
     Quantity.CURRENT: _multiples("A", "kmu"),

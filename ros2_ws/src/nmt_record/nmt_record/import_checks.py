@@ -15,7 +15,7 @@ from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_record.import_sidecar import ChannelSection, SignalSection
 from nmt_record.import_table import SourceTable, split_name
-from nmt_record.unit_table import is_angular, plain_unit, quantity_of_unit
+from nmt_record.unit_table import coordinate_of_unit, plain_unit, quantity_of_unit
 
 _WORDS = (
     (Quantity.FORCE, r"force|kraft|load|loadcell"),
@@ -192,7 +192,7 @@ def _unusual(channel: ImportedChannel) -> list[str]:
         return [f"Column {channel.source} ({channel.name}) is constant; is the sensor connected?"]
     peak = float(np.abs(values - np.mean(values)).max())
     low, high = _USUAL[channel.quantity]
-    if low <= peak <= high or is_angular(channel.section.unit):
+    if low <= peak <= high or coordinate_of_unit(channel.section.unit):
         return []
     what = "small" if peak < low else "large"
     return [

@@ -17,10 +17,14 @@ from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.validation_sentence import validation_sentence
 from nmt_core.yaml_document import YamlDocument, read_document
+from nmt_record.unit_table import measured_quantity
 
 Positive = Annotated[float, Field(gt=0)]
 Span = Annotated[list[float], Field(min_length=2, max_length=2)]
-QuantityName = Literal["force", "displacement", "velocity", "acceleration", "voltage", "current"]
+QuantityName = Literal[
+    "force", "displacement", "velocity", "acceleration", "voltage", "current",
+    "angle", "angular_velocity", "angular_acceleration", "strain",
+]  # fmt: skip
 SignalKind = Literal["phase_resonance", "random", "sweep", "ring_down", "stepped_sine", "record"]
 TableKind = Literal["backbone", "frf"]
 TABLE_KINDS = ("backbone", "frf")
@@ -35,7 +39,7 @@ class ChannelSection(_Section):
 
     Attributes:
         column: its name (CSV header, NPZ array, first ID line of a UFF dataset), or its number from 1.
-        quantity: what it measures.
+        quantity: what it measures; an angle or a strain stands where the model has a displacement.
         unit: unit of the values after ``scale``.
         point: measurement point; left out where it belongs to none (drive voltage).
         scale: factor of the values before the unit applies: N per count, −1 for a sensor mounted the other way round.
@@ -59,7 +63,7 @@ class ChannelSection(_Section):
     @property
     def measures(self) -> Quantity:
         """The quantity."""
-        return Quantity[self.quantity.upper()]
+        return measured_quantity(self.quantity)
 
     @property
     def channel(self) -> str:
@@ -74,7 +78,7 @@ class ChannelSection(_Section):
             "voltage": "u",
             "current": "i",
         }
-        return letter[self.quantity] + (str(self.point) if self.point else "")
+        return letter[self.measures.name.lower()] + (str(self.point) if self.point else "")
 
 
 class SignalSection(_Section):
@@ -326,7 +330,7 @@ def check_sidecar(sidecar: Sidecar, document: YamlDocument) -> None:
 
 def _check_channels(sidecar: Sidecar, document: YamlDocument) -> None:
     columns: dict[str | int, int] = {}
-    meanings: dict[tuple[str, int], int] = {}
+    meanings: dict[tuple[Quantity, int], int] = {}
     names: dict[str, int] = {}
     for number, channel in enumerate(sidecar.channels):
         place = document.place(("channels", number))
@@ -339,7 +343,7 @@ def _check_channels(sidecar: Sidecar, document: YamlDocument) -> None:
                 f"{place}: column {channel.column} is given twice (channels {columns[channel.column] + 1} and "
                 f"{number + 1})."
             )
-        meaning = (channel.quantity, channel.point)
+        meaning = (channel.measures, channel.point)
         if meaning in meanings:
             raise BenchError(
                 f"{place}: channels {meanings[meaning] + 1} and {number + 1} both measure {channel.quantity} at point "

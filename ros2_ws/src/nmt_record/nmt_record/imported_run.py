@@ -31,7 +31,7 @@ from nmt_record.import_table import SourceTable, read_table
 from nmt_record.message_definitions import local_definitions
 from nmt_record.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, ObservableTable, read_observables
 from nmt_record.side_tables import BlockRow, read_block_table, read_loop_table
-from nmt_record.unit_table import factor_to_si
+from nmt_record.unit_table import channel_factor
 
 _BLOCK_SECONDS, _LEAST_BLOCK = 0.02, 200  # s, samples: each block costs a message, however slow the clock is
 
@@ -207,7 +207,7 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
     run.files.append(_digest(file))
     places = [document.place(("channels", number)) for number in range(len(sidecar.channels))]
     factors = [
-        factor_to_si(channel.measures, channel.unit, f"{place}: column {channel.column}")
+        channel_factor(channel.quantity, channel.unit, f"{place}: column {channel.column}")
         for channel, place in zip(sidecar.channels, places, strict=True)
     ]
     check_names(sidecar.channels, table, places)

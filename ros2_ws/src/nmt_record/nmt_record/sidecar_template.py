@@ -16,7 +16,7 @@ from nmt_record import uff
 from nmt_record.import_checks import hinted_quantity, looks_like_counts
 from nmt_record.import_clock import bare_name, is_clock
 from nmt_record.import_table import SourceTable, kind_of, read_table
-from nmt_record.unit_table import is_angular, plain_unit, quantity_of_unit
+from nmt_record.unit_table import coordinate_of_unit, measured_quantity, plain_unit, quantity_of_unit
 
 _FREQUENCY = re.compile(r"(f|fr?eq(uency)?)(_?hz)?|hz|hertz", re.I)
 # In this order: a damping ratio is no magnitude.
@@ -205,6 +205,8 @@ def _table_lines(table: SourceTable, frequency: int) -> list[str]:
         lines.append("    units: {phase: deg}   # guessed, because it exceeds a turn in rad")
     if "damping_ratio" in members and float(np.nanmax(table.columns[named["damping_ratio"]])) > 0.3:
         lines.append("    units: {damping_ratio: '%'}   # guessed, because it is large for a ratio")
+    if kind == "backbone":
+        lines.append(f"    amplitudes: {_ASK}       # peak or rms")
     lines += ["    # point: 1               # of the response", "    # drive_point: 1         # of the force"]
     if kind == "frf":
         lines += [
@@ -238,15 +240,15 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
     # Volts are the drive's or a sensor's; which, a name may say.
     kept = [i for i in channels if guesses[i].quantity != "voltage" or _is_drive(bare_name(table, i))] or channels
     lines.append("channels:")
-    taken: set[tuple[str, int]] = set()
+    taken: set[tuple[Quantity | str, int]] = set()
     for index in channels:
         guess, values = guesses[index], table.columns[index]
-        point = guess.point
-        while (guess.quantity, point) in taken:
+        point, measured = guess.point, guess.quantity and measured_quantity(guess.quantity)
+        while (measured, point) in taken:
             point += 1
         mark = "  - " if index in kept else "  # - "
         if index in kept:
-            taken.add((guess.quantity, point))
+            taken.add((measured, point))
         words = [
             f"column: {_column(table, index)}",
             f"quantity: {guess.quantity or _ASK}",
@@ -256,19 +258,35 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
             *([f"point: {point}"] if point else []),
         ]
         why = "" if index in kept else "; volts of what? as a channel it needs quantity, unit and scale"
-        why = why or ("; the model's coordinate is then in rad or a strain" if is_angular(guess.unit) else "")
+        why = why or ("; the model's coordinate is then in rad or a strain" if coordinate_of_unit(guess.unit) else "")
         lines.append(f"{mark}{{{', '.join(words)}}}   # from {np.nanmin(values):.4g} to {np.nanmax(values):.4g}{why}")
     stop = start + table.rows / rate if rate else 0.0
     kind = _kind([(guesses[index].quantity, table.columns[index]) for index in kept])
-    if rate and kind == "ring_down":
+    hit = _end_of_hit([(guesses[index].quantity, table.columns[index]) for index in kept]) if rate else 0
+    if rate and hit:
+        kind, start = "ring_down", start + hit / rate
+    elif rate and kind == "ring_down":
         stop = min(stop, start + max(_moving(table.columns[index]) for index in kept) / rate)
     until = f"{np.nextafter(stop, -np.inf):.12g}" if rate else _ASK
     lines += [
         "segments:",
-        f"  - {{kind: {kind}, start: {start:.12g}, stop: {until}}}   # guessed",
+        f"  - {{kind: {kind}, start: {start:.12g}, stop: {until}}}   # guessed"
+        + ("; what follows the hit. With the hit it is a record of force and response" if hit else ""),
         "    # kinds: phase_resonance, stepped_sine (with window: [begin, end]), random, ring_down, record",
     ]
     return lines
+
+
+def _end_of_hit(channels: Sequence[tuple[str, FloatArray]]) -> int:
+    """Samples until a force that is there for a moment only is over; 0 where there is none, or no response."""
+    forces = [values for quantity, values in channels if quantity == "force"]
+    if len(forces) != 1 or _kind([pair for pair in channels if pair[0] != "force"]) != "ring_down":
+        return 0
+    values = np.abs(forces[0] - np.nanmedian(forces[0]))
+    noise = 1.4826 * float(np.nanmedian(values))
+    acting = np.flatnonzero(values > max(0.01 * float(np.nanmax(values)), 8.0 * noise))
+    is_hit = acting.size and acting[-1] < 0.2 * values.size and acting[-1] - acting[0] < 0.05 * values.size
+    return int(acting[-1]) + 2 if is_hit else 0
 
 
 def _moving(values: FloatArray) -> int:
@@ -315,7 +333,8 @@ def _guess(table: SourceTable, index: int) -> _Guess:
     if quantity is Quantity.UNKNOWN and letter:
         quantity = _LETTERS[letter.group(1).lower()]
     placed = quantity not in (Quantity.UNKNOWN, Quantity.VOLTAGE, Quantity.CURRENT)
-    return _Guess("" if quantity is Quantity.UNKNOWN else quantity.name.lower(), unit, point if placed else 0)
+    known = "" if quantity is Quantity.UNKNOWN else quantity.name.lower()
+    return _Guess(coordinate_of_unit(unit) or known, unit, point if placed else 0)
 
 
 def _kind(channels: Sequence[tuple[str, FloatArray]]) -> str:

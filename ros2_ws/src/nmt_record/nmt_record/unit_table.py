@@ -25,21 +25,32 @@ _FACTORS: dict[Quantity, dict[str, float]] = {
     Quantity.ACCELERATION: {
         "m/s^2": 1.0, "mm/s^2": 1e-3, "cm/s^2": 1e-2, "um/s^2": 1e-6, "km/s^2": 1e3, "Gal": 1e-2,
         "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "ug": 1e-6 * STANDARD_GRAVITY,
-        "in/s^2": _INCH, "ft/s^2": 12.0 * _INCH, "rad/s^2": 1.0, "deg/s^2": math.pi / 180.0,
+        "in/s^2": _INCH, "ft/s^2": 12.0 * _INCH,
     },
     Quantity.VELOCITY: {
         "m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "um/s": 1e-6, "nm/s": 1e-9, "km/h": 1.0 / 3.6,
-        "in/s": _INCH, "ft/s": 12.0 * _INCH, "deg/s": math.pi / 180.0,
+        "in/s": _INCH, "ft/s": 12.0 * _INCH,
     },
     Quantity.DISPLACEMENT: {
         "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12,
         "in": _INCH, "mil": 1e-3 * _INCH, "ft": 12.0 * _INCH,
-        # Coordinates of a model that are no lengths: angles in rad, strains in 1.
-        "rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "m/m": 1.0, "um/m": 1e-6, "strain": 1.0, "ustrain": 1e-6,
     },
     Quantity.VOLTAGE: {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3},
     Quantity.CURRENT: {"A": 1.0, "mA": 1e-3, "uA": 1e-6, "kA": 1e3},
 }  # fmt: skip
+
+_DEGREE = math.pi / 180.0
+_COORDINATES = {
+    "angle": (Quantity.DISPLACEMENT, "rad", {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": _DEGREE}),
+    "angular_velocity": (Quantity.VELOCITY, "rad/s", {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE}),
+    "angular_acceleration": (Quantity.ACCELERATION, "rad/s^2", {"rad/s^2": 1.0, "deg/s^2": _DEGREE}),
+    "strain": (Quantity.DISPLACEMENT, "1", {"m/m": 1.0, "mm/m": 1e-3, "um/m": 1e-6, "strain": 1.0, "ustrain": 1e-6}),
+}
+"""Coordinates of a model that are no lengths: in its equations they stand where a motion does."""
+
+# A table of amplitudes says no quantity: its unit tells the coordinate, too. In tables rad/s is a frequency.
+for _motion, _, _units in _COORDINATES.values():
+    _FACTORS[_motion] |= {unit: factor for unit, factor in _units.items() if not unit.endswith("rad/s")}
 
 _OTHER = {
     "frequency": {"Hz": 1.0, "kHz": 1e3, "mHz": 1e-3, "rad/s": 1.0 / (2.0 * math.pi), "rpm": 1.0 / 60.0},
@@ -69,6 +80,43 @@ def plain_unit(text: str) -> str:
         unit = unit.replace(spelling, plain)
     unit = unit.replace("**", "*").replace("*/", "/")
     return _NAMES.get(unit.lower(), unit)
+
+
+def coordinate_of_unit(unit: str) -> str:
+    """The coordinate that is no length whose unit it is; empty if none."""
+    plain = plain_unit(unit)
+    return next((name for name, (_, _, units) in _COORDINATES.items() if plain in units), "")
+
+
+def measured_quantity(name: str) -> Quantity:
+    """What a quantity of a channel, or a coordinate, is in the bag and in the equations."""
+    return _COORDINATES[name][0] if name in _COORDINATES else Quantity[name.upper()]
+
+
+def si_unit(name: str) -> str:
+    """SI unit of a quantity or coordinate."""
+    return _COORDINATES[name][1] if name in _COORDINATES else Quantity[name.upper()].unit
+
+
+def channel_factor(name: str, unit: str, where: str) -> float:
+    """Factor from a unit to the SI unit of a quantity of a channel, or of a coordinate.
+
+    Raises:
+        BenchError: as :func:`factor_to_si`; a coordinate is given as a motion, or the other way round.
+    """
+    own = coordinate_of_unit(unit)
+    if own == name:
+        return _COORDINATES[name][2][plain_unit(unit)]
+    if name in _COORDINATES:
+        raise BenchError(
+            f"{where} measures {name.replace('_', ' ')}, but its unit '{unit.strip()}' is none; use "
+            f"{', '.join(_COORDINATES[name][2])}."
+        )
+    if own:
+        raise BenchError(
+            f"{where} measures {name}, but its unit {unit.strip()} is one of {own}; write quantity: {own}."
+        )
+    return factor_to_si(Quantity[name.upper()], unit, where)
 
 
 def factor_to_si(quantity: Quantity, unit: str, where: str) -> float:
@@ -124,11 +172,6 @@ def quantity_of_unit(unit: str) -> Quantity:
     """The quantity that a unit belongs to; ``UNKNOWN`` if none."""
     plain = plain_unit(unit)
     return next((quantity for quantity, units in _FACTORS.items() if plain in units), Quantity.UNKNOWN)
-
-
-def is_angular(unit: str) -> bool:
-    """Whether a unit is one of an angle, a strain or their derivatives: a coordinate of the model that is no length."""
-    return plain_unit(unit).removeprefix("m").partition("/s")[0] in ("rad", "deg", "strain", "ustrain", "um/m", "/m")
 
 
 def response_unit(unit: str, where: str) -> tuple[Quantity, float]:

@@ -119,6 +119,8 @@ def _channel_table(imported: ImportedRun) -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
+    from nmt_record.unit_table import si_unit
+
     seconds = imported.samples / imported.sample_rate
     table = Table(
         title=f"{imported.samples} samples at {imported.sample_rate:.10g} Hz ({seconds:.6g} s)",
@@ -128,11 +130,11 @@ def _channel_table(imported: ImportedRun) -> Table:
     for head in ("channel", "column", "quantity", "point", "lowest", "highest", "missing"):
         table.add_column(head, justify="left" if head in ("channel", "column", "quantity") else "right")
     for channel in imported.channels:
-        unit = channel.quantity.unit
+        unit = si_unit(channel.section.quantity)
         table.add_row(
             channel.name,
             channel.source,
-            channel.quantity.name.lower(),
+            channel.section.quantity.replace("_", " "),
             str(channel.point or ""),
             f"{np.nanmin(channel.data):.4g} {unit}",
             f"{np.nanmax(channel.data):.4g} {unit}",

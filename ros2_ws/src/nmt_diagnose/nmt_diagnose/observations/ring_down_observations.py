@@ -20,7 +20,14 @@ from nmt_diagnose.observations.bag_samples import Stretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
 from nmt_diagnose.observations.decay_hum import Hum, without_hum
 from nmt_diagnose.observations.decay_nodes import Node, nodes, ratio_at
-from nmt_diagnose.observations.decay_signal import Ridge, SlowAmplitude, demodulated, ridges, slow_amplitude
+from nmt_diagnose.observations.decay_signal import (
+    FEWEST_PERIODS,
+    Ridge,
+    SlowAmplitude,
+    demodulated,
+    ridges,
+    slow_amplitude,
+)
 from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -131,7 +138,8 @@ def _decay(
     """
     samples = stretch.row(channel.name)
     samples = samples - samples.mean()
-    ridge = _chosen(ridges(samples, stretch.sample_rate, channel.quantity), frequency_hz, view)
+    found_ridges = ridges(samples, stretch.sample_rate, channel.quantity)
+    ridge = _chosen(found_ridges, frequency_hz, view, samples.size / stretch.sample_rate)
     samples, hum = without_hum(samples, stretch.sample_rate, ridge, _SWITCH_OFF)
     best: _Decay | None = None
     reason = ""
@@ -195,7 +203,7 @@ def _told(decay: _Decay, log: FloatArray, floor: float) -> FloatArray:
     return told
 
 
-def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView) -> Ridge:
+def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView, seconds: float) -> Ridge:
     """The ridge of the mode that was excited; else the strongest that the model has a mode for.
 
     Raises:
@@ -210,7 +218,14 @@ def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView) -> Ridge:
         if 1.0 / _WRONG_FREQUENCY < ratio < _WRONG_FREQUENCY:
             return ridge
     seen = ", ".join(f"{ridge.late_hz:.4g}" for ridge in found)
-    modes = ", ".join(f"{value:.4g}" for value in view.frequencies_hz[:4])
+    lowest = float(min(view.frequencies_hz))
+    if seconds * lowest < FEWEST_PERIODS:
+        raise BenchError(
+            f"its {seconds:.4g} s are {seconds * lowest:.2g} periods of the mode at {lowest:.4g} Hz, and a decay needs "
+            f"{FEWEST_PERIODS}: start it from more, or read frequency and damping over amplitude yourself and import "
+            "them as a table of kind backbone"
+        )
+    modes = ", ".join(dict.fromkeys(f"{value:.4g}" for value in view.frequencies_hz[:4]))
     raise BenchError(f"it decays at {seen} Hz, where the model {view.rig.name} has no mode (it has {modes} Hz)")
 
 

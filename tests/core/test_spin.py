@@ -16,6 +16,7 @@ class BusyNode:
     """A node that waits for its last message and gets one a pass."""
 
     BURST_PERIOD = 0.001
+    link = None
     end_grace = 4.0
 
     def __init__(self, messages: int, lockstep: bool = False) -> None:

@@ -79,8 +79,11 @@ def test_no_sample_is_missing_from_the_bag(finished: RunResult) -> None:
         assert following == round(finished.bench_time * 10_000)
 
 
-def test_processes_and_seeds_do_not_change_a_bit(finished: RunResult, tmp_path: Path) -> None:
-    again = run_once(tmp_path / "processes", processes=True)
+@pytest.mark.parametrize("options", [{"processes": True}, {"linked": False}], ids=["processes", "topics"])
+def test_processes_and_transport_do_not_change_a_bit(
+    options: dict[str, bool], finished: RunResult, tmp_path: Path
+) -> None:
+    again = run_once(tmp_path / "again", **options)
     assert finished.bag is not None
     assert again.bag is not None
     assert samples_digest(again.bag) == samples_digest(finished.bag)

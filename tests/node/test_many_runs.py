@@ -27,7 +27,7 @@ def send(bench: Bench, **goal: Any) -> Any:
     assert handle.accepted
     answer = handle.get_result_async()
     # Not spin_once, which does not rest while the sequencer awaits the end of its run.
-    bench.executor.spin_until_future_complete(answer, timeout_sec=60.0)
+    bench._work(answer, 60.0)
     return answer.result().result
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from core.message_records import (
     steerings,
     values_of,
 )
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
@@ -43,8 +45,11 @@ from nmt_core.wire import (
     BlockReader,
     BlockWriter,
     LoopStatus,
+    NodeStatus,
+    read_diagnostics,
     read_drive,
     read_status,
+    write_diagnostics,
     write_drive,
     write_status,
 )
@@ -107,6 +112,22 @@ def test_records_are_what_rclpy_serialises_and_reads_back(name: str, strategy: A
     assert same(READ[name](expected), record)
     again = bytes(serialize_message(deserialize_message(raw, getattr(msg, name))))
     assert same(READ[name](again), record)
+
+
+@settings(max_examples=60, deadline=None)
+@given(name=names, message=names, values=st.dictionaries(names, names | st.integers(), max_size=4))
+def test_a_heartbeat_is_what_rclpy_serialises_and_reads_back(
+    name: str, message: str, values: dict[str, object]
+) -> None:
+    status = NodeStatus(name, "host process 1 node 1", DiagnosticStatus.WARN, message, values)
+    raw = write_diagnostics(status, 3_000_000_007)
+    array = deserialize_message(raw, DiagnosticArray)
+    assert (array.header.stamp.sec, array.header.stamp.nanosec, array.header.frame_id) == (3, 7, "")
+    told = replace(status, values={key: str(value) for key, value in values.items()})
+    assert read_diagnostics(bytes(serialize_message(array))) == [told]
+    for end in range(len(raw)):
+        with pytest.raises(ValueError, match=r"DiagnosticArray|XCDR1"):
+            read_diagnostics(raw[:end])
 
 
 def block_message(block: SampleBlock, frame: str) -> Any:

@@ -236,11 +236,19 @@ def test_all_nodes_reckon_with_the_blocks_that_wait_at_the_output(pacing: str, l
 
 
 @pytest.mark.parametrize(
-    ("pacing", "channels", "joined"),
-    [("lockstep", 3, False), ("lockstep", 200, True), ("realtime", 3, False), ("realtime", 200, True)],
+    ("pacing", "channels", "linked", "joined"),
+    [
+        ("lockstep", 3, False, False),
+        ("lockstep", 3, True, True),
+        ("lockstep", 200, False, True),
+        ("realtime", 3, True, False),
+        ("realtime", 200, True, True),
+    ],
 )
-def test_the_loop_takes_its_input_joined_with_many_channels(pacing: str, channels: int, joined: bool) -> None:
-    plan = plan_test(large_rig(10, channels, 25_600.0), [0.3], pacing=pacing)
+def test_the_loop_takes_its_input_joined_with_many_channels_or_past_the_middleware(
+    pacing: str, channels: int, linked: bool, joined: bool
+) -> None:
+    plan = plan_test(large_rig(10, channels, 25_600.0), [0.3], pacing=pacing, linked=linked)
     values = plan_nodes(plan, Path("bag"), Path("rig.yaml")).values
     assert values["pll"].get("joined_input", False) is joined
     assert values["plant"].get("loop_topics", []) == (["force", "acceleration"] if joined else [])

@@ -48,10 +48,11 @@ from nmt_bench.orchestration.interrupts import deferred_interrupts, unbroken
 from nmt_bench.orchestration.node_processes import NodeProcesses
 from nmt_bench.orchestration.prepared_nodes import NodeLoader, take_loader
 from nmt_bench.orchestration.surroundings import check_surroundings
-from nmt_core.base_node import STATE_QOS, calm_collector
+from nmt_core.base_node import LINK_PERIOD, STATE_QOS, calm_collector
 from nmt_core.dds_profile import PROFILE_VARIABLE, lockstep_profile
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_core.link import Link, serve
 from nmt_core.liveness import HANG_LIMIT, Liveness
 from nmt_core.modal_point import ModalPoint
 from nmt_core.output_record import drive_sentence
@@ -59,7 +60,7 @@ from nmt_core.run_announcement import BAG_TOPIC, BagState
 from nmt_core.shared_memory import remove_dead_segments
 from nmt_core.vocabulary import ResultCode, RunPhase
 from nmt_core.whole_file import write_whole
-from nmt_core.wire import MODAL_POINT, RUN_STATE
+from nmt_core.wire import MODAL_POINT, RUN_STATE, read_diagnostics
 from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import RunState
 from nmt_msgs.srv import Steer
@@ -105,6 +106,7 @@ class Bench:
         test, frequencies_hz, band_hz, rate_hz_s, frequency_end_hz, duration: kind of test and its settings, see there.
             A stepped sine with several frequencies and one level is run at that level at each of them.
         device, device_address: what is driven, see there; a converter is always in real time.
+        linked: whether in lockstep the sample path may go past the middleware, see there.
 
     Raises:
         BenchError: the rig, the levels or a setting is refused; nothing has been started then.
@@ -140,6 +142,7 @@ class Bench:
         duration: float = 0.0,
         device: str = "",
         device_address: str = "",
+        linked: bool = True,
     ) -> None:
         self.test = plan_test(
             rig,
@@ -166,6 +169,7 @@ class Bench:
             duration=duration,
             device=device,
             device_address=device_address,
+            linked=linked,
         )
         self.rig = self.test.rig
         self.use_processes = processes
@@ -173,6 +177,7 @@ class Bench:
         self._domain_id = domain_id
         self._cleanup = contextlib.ExitStack()
         self.nodes: dict[str, Any] = {}
+        self._links: list[Link] = []
         self.processes: NodeProcesses | None = None
         self._goal_handle: Any = None
         self._ran = False
@@ -262,9 +267,14 @@ class Bench:
     def _add(self, name: str, node: Node) -> None:
         self.nodes[name] = node
         self.executor.add_node(node)
+        link = getattr(node, "link", None)
+        if link is not None:
+            self._links.append(link)
         self._cleanup.callback(self._remove, node)
 
     def _remove(self, node: Node) -> None:
+        if getattr(node, "link", None) in self._links:
+            self._links.remove(node.link)
         self.executor.remove_node(node)
         shut_down = getattr(node, "shut_down", None)
         if shut_down is not None:
@@ -392,15 +402,27 @@ class Bench:
         """Let in-process nodes work for a while of wall time."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            # spin_once serves no timers while no message comes.
-            self.executor.spin_until_future_complete(Future(), timeout_sec=min(0.1, max(0.0, end - time.monotonic())))
+            self._work(Future(), min(0.1, max(0.0, end - time.monotonic())))
 
     # -- waiting -------------------------------------------------------------------------------------------------
 
     def _turn(self) -> None:
         """Let the executor work for a moment; a signal that breaks into its conversions would end as a TypeError."""
         with unbroken():
-            self.executor.spin_once(timeout_sec=_POLL)
+            if self._links:
+                self._work(Future(), LINK_PERIOD)
+            else:
+                self.executor.spin_once(timeout_sec=_POLL)
+
+    def _work(self, future: Future, seconds: float) -> None:
+        """Let in-process nodes work until a future is done, for some seconds at most."""
+        end = time.monotonic() + seconds
+        while self._links and not future.done() and time.monotonic() < end:
+            serve(self._links, min(LINK_PERIOD, seconds))
+            self.executor.spin_until_future_complete(future, timeout_sec=0.0)
+        if not self._links:
+            # spin_once serves no timers while no message comes.
+            self.executor.spin_until_future_complete(future, timeout_sec=seconds)
 
     def _call(self, service: str) -> bool:
         client = self.client.create_client(Trigger, service)
@@ -472,7 +494,7 @@ class Bench:
                 if self.use_processes:
                     self._turn()
                 else:
-                    self.executor.spin_until_future_complete(future, timeout_sec=0.2)
+                    self._work(future, 0.2)
             except KeyboardInterrupt:
                 if interrupted:
                     raise
@@ -593,7 +615,7 @@ class _RunClient(Node):  # type: ignore[misc]
         self._counters: dict[str, dict[str, str]] = {}
         self.create_subscription(String, BAG_TOPIC, self._on_bag, STATE_QOS)
         self.create_subscription(RunState, "run_state", self._on_state, STATE_QOS, raw=True)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50, raw=True)
         self.create_subscription(
             GoalStatusArray, "run_levels/_action/status", self._on_goals, qos_profile_action_status_default
         )
@@ -651,12 +673,13 @@ class _RunClient(Node):  # type: ignore[misc]
             self.newest_sample = state.sample
             self.last_progress = now
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+    def _on_diagnostics(self, raw: bytes) -> None:
         now = time.monotonic()
-        for status in message.status:
-            failed = status.level == DiagnosticStatus.ERROR
-            self.liveness.hear(status.name, status.hardware_id, status.message, failed, now)
-            self._counters[status.name] = {item.key: item.value for item in status.values}
+        with contextlib.suppress(ValueError):
+            for status in read_diagnostics(raw):
+                failed = status.level == DiagnosticStatus.ERROR
+                self.liveness.hear(status.name, status.hardware_id, status.message, failed, now)
+                self._counters[status.name] = {key: str(value) for key, value in status.values.items()}
 
     @property
     def recorded(self) -> tuple[str, str]:

@@ -13,10 +13,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -33,10 +34,12 @@ from nmt_core.command_judge import Source
 from nmt_core.dds_profile import check_ports, seal_transport
 from nmt_core.errors import BenchError
 from nmt_core.launcher_watch import LauncherWatch
+from nmt_core.link import TAKEN_BY, Link, serve
 from nmt_core.liveness import BUSY, HANG_LIMIT, HUNG, READY, Liveness
 from nmt_core.parameters import Parameter, ParameterValue, check_values
 from nmt_core.process_watch import ProcessWatch
 from nmt_core.shared_memory import remove_dead_segments
+from nmt_core.wire import NodeStatus, read_diagnostics, write_diagnostics
 
 RCLError = rclpy_implementation.RCLError
 
@@ -53,6 +56,7 @@ STATE_QOS = QoSProfile(
 
 
 _SPIN_LIMIT = 0.1  # s; a request to end waits so long
+LINK_PERIOD = 0.01  # s between two looks at the middleware of a node that takes the sample path past it
 HEARTBEAT_PERIOD = 0.25  # s of wall time
 _LATE = 2.5 * HEARTBEAT_PERIOD  # s without a heartbeat of the working thread after which another one speaks for it
 _END_GRACE = 4.0  # s that a node gets to take its part of a run to an end
@@ -100,7 +104,39 @@ COMMON_PARAMETERS = (
         "Real time: wall time that the node may be at one piece of work; beyond it the node calls itself hung.",
         low=1.0,
     ),
+    Parameter(
+        "linked",
+        False,
+        "",
+        "Lockstep: plant, loop and sequencer, all on this host, hand on the sample path past the middleware.",
+    ),
 )
+
+
+class Outlet:
+    """A publisher of serialised messages.
+
+    A message that nobody takes is not handed to the middleware, unless it is kept for those who come later.
+
+    Args:
+        publisher: of rclpy.
+        send: hands a message to the node that takes it past the middleware; None = there is none.
+    """
+
+    def __init__(self, publisher: Any, send: Callable[[bytes], None] | None = None) -> None:
+        self.publisher, self._send = publisher, send
+        self._keeps = publisher.qos_profile.durability != DurabilityPolicy.VOLATILE
+
+    def publish(self, raw: bytes) -> None:
+        """Publish a serialised message."""
+        if self._send is not None:
+            self._send(raw)
+        if self._keeps or self.publisher.get_subscription_count():
+            self.publisher.publish(raw)
+
+    def peers(self) -> int:
+        """How many take what is published."""
+        return int(self.publisher.get_subscription_count()) + (self._send is not None)
 
 
 class BenchNode(Node):  # type: ignore[misc]
@@ -145,6 +181,9 @@ class BenchNode(Node):  # type: ignore[misc]
         self._own_topics: list[str] = []
         self._own_services: list[str] = []
         self._bench_publishers: list[Any] = []
+        self.link = self._make_link()
+        if self.link is not None:
+            self._tell_failure = self.link.sender("diagnostics")
         # Guard, heartbeat and tick must go on whatever becomes of ROS time.
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         watched: Any = self.values["watched_nodes"]
@@ -158,9 +197,9 @@ class BenchNode(Node):  # type: ignore[misc]
         self._intruder = ""
         self._told = ""
         if self.watched_nodes:
-            self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+            self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50, raw=True)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._newest = DiagnosticStatus(name=self.heartbeat_name, message="starting", hardware_id=self.instance)
+        self._newest = NodeStatus(self.heartbeat_name, self.instance, message="starting")
         self._worked = time.monotonic()
         self._beats = 0
         self._heartbeat = self.steady_timer(HEARTBEAT_PERIOD, self._beat)
@@ -189,13 +228,28 @@ class BenchNode(Node):  # type: ignore[misc]
         given.update(values)
         return check_values(table, given, self.get_name())
 
-    def bench_publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Any:
-        """A publisher that counts among the node's endpoints."""
+    def _make_link(self) -> Link | None:
+        """The node's socket for what it takes past the middleware; None where it takes nothing so.
+
+        Raises:
+            BenchError: another node of its name is there.
+        """
+        if not self.values["linked"] or self.values["pacing"] != "lockstep":
+            return None
+        bench = f"{self.context.get_domain_id()} {self.get_namespace()}"
+        try:
+            return Link(bench, self.get_name())
+        except OSError as error:
+            raise BenchError(f"Node {self.get_fully_qualified_name()} is there already; end it first.") from error
+
+    def bench_publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Outlet:
+        """A publisher of serialised messages that counts among the node's endpoints."""
         publisher = self.create_publisher(kind, topic, qos)
         self._bench_publishers.append(publisher)
         self.claim(topic)
-        self._endpoints.setdefault(topic, []).append(publisher.get_subscription_count)
-        return publisher
+        outlet = Outlet(publisher, self.link.sender(topic) if self.link is not None and topic in TAKEN_BY else None)
+        self._endpoints.setdefault(topic, []).append(outlet.peers)
+        return outlet
 
     def bench_subscription(
         self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile, raw: bool = False
@@ -206,9 +260,18 @@ class BenchNode(Node):  # type: ignore[misc]
             self.received += 1
             callback(message)
 
+        if self.takes_past_middleware(topic):
+            assert self.link is not None
+            self.link.take(topic, counted)
+            self._endpoints.setdefault(topic, []).append(lambda: self.count_publishers(self.resolve_topic_name(topic)))
+            return None
         subscription = self.create_subscription(kind, topic, counted, qos, raw=raw)
         self._endpoints.setdefault(topic, []).append(subscription.get_publisher_count)
         return subscription
+
+    def takes_past_middleware(self, topic: str) -> bool:
+        """Whether the messages of a topic come over the node's link."""
+        return self.link is not None and TAKEN_BY.get(topic) == self.get_name()
 
     def command_subscription(
         self, kind: Any, topic: str, callback: Callable[[bytes, Source], None], qos: QoSProfile
@@ -220,7 +283,13 @@ class BenchNode(Node):  # type: ignore[misc]
         nobody can tell.
         """
         self._command_types[topic] = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
-        return self.bench_subscription(kind, topic, lambda raw: callback(raw, self.source(topic)), qos, raw=True)
+        # Over a link only the node's own bench speaks, and who else publishes is looked for by the guard.
+        asked = self._known_source if self.takes_past_middleware(topic) else self.source
+        return self.bench_subscription(kind, topic, lambda raw: callback(raw, asked(topic)), qos, raw=True)
+
+    def _known_source(self, topic: str) -> Source:
+        known = self._sources.get(topic)
+        return self.source(topic) if known is None else known[1]
 
     def source(self, topic: str) -> Source:
         """Who publishes on a topic of `command_subscription` now."""
@@ -308,11 +377,19 @@ class BenchNode(Node):  # type: ignore[misc]
             if max((connected() for connected in self._endpoints.get(topic, [])), default=0) < count
         ]
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        now = time.monotonic()
-        for status in message.status:
-            failed = status.level == DiagnosticStatus.ERROR
-            self.liveness.hear(status.name, status.hardware_id, status.message, failed, now)
+    def _on_diagnostics(self, raw: bytes) -> None:
+        try:
+            statuses = read_diagnostics(raw)
+        except ValueError as error:
+            self.get_logger().error(f"Diagnostics refused: {error}", throttle_duration_sec=1.0)
+            return
+        for status in statuses:
+            self.hear(status)
+
+    def hear(self, status: NodeStatus) -> None:
+        """Take a heartbeat."""
+        failed = status.level == DiagnosticStatus.ERROR
+        self.liveness.hear(status.name, status.hardware_id, status.message, failed, time.monotonic())
 
     def unready_nodes(self) -> dict[str, str]:
         """Watched nodes that have not called themselves ready, each with what it waits for."""
@@ -375,15 +452,14 @@ class BenchNode(Node):  # type: ignore[misc]
 
     def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
         """Publish the counters under the node's name."""
-        status = DiagnosticStatus(level=level, name=self.heartbeat_name, message=message, hardware_id=self.instance)
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in self.counters.items()]
+        status = NodeStatus(self.heartbeat_name, self.instance, level, message, dict(self.counters))
         self._newest, self._worked = status, time.monotonic()
         self._publish_status(status)
+        if self.link is not None and level == DiagnosticStatus.ERROR:
+            self._tell_failure(write_diagnostics(status, 0))
 
-    def _publish_status(self, status: DiagnosticStatus) -> None:
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+    def _publish_status(self, status: NodeStatus) -> None:
+        self._diagnostics.publish(write_diagnostics(status, self.get_clock().now().nanoseconds))
 
     @contextlib.contextmanager
     def watched_work(self) -> Iterator[None]:
@@ -409,9 +485,7 @@ class BenchNode(Node):  # type: ignore[misc]
                     process.begin()
                 else:
                     free += process.looked()[0]
-                status = DiagnosticStatus(name=self.heartbeat_name, hardware_id=self.instance)
-                status.values = self._newest.values
-                status.level, status.message = self._newest.level, f"{BUSY} for {since:.1f} s"
+                status = replace(self._newest, message=f"{BUSY} for {since:.1f} s")
                 if free > limit:
                     status.level = DiagnosticStatus.ERROR
                     status.message = f"{HUNG}: nothing has been done for {since:.1f} s"
@@ -453,6 +527,12 @@ class BenchNode(Node):  # type: ignore[misc]
 
     def shut_down(self) -> None:
         """Called once before the node is destroyed, whatever ended it; nodes quiet the drive and close files here."""
+
+    def destroy_node(self) -> None:
+        """Release the node and its link."""
+        if self.link is not None:
+            self.link.close()
+        super().destroy_node()
 
 
 def _full_name(namespace: str, name: str) -> str:
@@ -577,10 +657,13 @@ def spin_for_ever(executor: Any, node: BenchNode, request: EndRequest | None = N
                 over = since > (_LONGEST_WORK if works else node.end_grace)
             if request.hurry or over or node.may_end(since):
                 return
-        if burst_period <= 0.0:
+        if node.link is not None:
+            serve((node.link,), LINK_PERIOD)
+        elif burst_period <= 0.0:
             executor.spin_until_future_complete(never, timeout_sec=_SPIN_LIMIT)
             continue
-        time.sleep(burst_period)
+        else:
+            time.sleep(burst_period)
         received = -1
         while received != node.received and context.ok():
             received = node.received

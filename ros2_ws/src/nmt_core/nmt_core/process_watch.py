@@ -95,8 +95,10 @@ class ProcessWatch:
     def _read(self) -> dict[str, tuple[int, int]]:
         """Time on a processor and waiting for one of each thread, ns."""
         times = {}
-        for path in Path(f"/proc/{self.process}/task").glob("*/schedstat"):
-            with contextlib.suppress(OSError, ValueError, IndexError):
-                words = path.read_text().split()
-                times[path.parent.name] = (int(words[0]), int(words[1]))
+        folder = f"/proc/{self.process}/task"
+        with contextlib.suppress(OSError):
+            for thread in os.listdir(folder):
+                with contextlib.suppress(OSError, ValueError, IndexError), open(f"{folder}/{thread}/schedstat") as file:
+                    words = file.read().split()
+                    times[thread] = (int(words[0]), int(words[1]))
         return times

@@ -12,7 +12,8 @@ tables of their fields.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,9 +74,12 @@ __all__ = [
     "BlockWriter",
     "DriveCommand",
     "LoopStatus",
+    "NodeStatus",
     "bench_stamp",
+    "read_diagnostics",
     "read_drive",
     "read_status",
+    "write_diagnostics",
     "write_drive",
     "write_status",
 ]
@@ -434,6 +438,68 @@ def read_status(raw: bytes) -> LoopStatus:
     except (struct.error, UnicodeDecodeError) as error:
         raise ValueError(f"the message is not a whole Frequency: {error}") from error
     return LoopStatus._make((*head[3:11], unit, drive_amplitude, flags, reason))
+
+
+@dataclass(slots=True)
+class NodeStatus:
+    """One status of ``diagnostic_msgs/DiagnosticArray``, with its fields; ``values`` by their keys."""
+
+    name: str
+    hardware_id: str
+    level: bytes = b"\x00"
+    message: str = ""
+    values: Mapping[str, object] = field(default_factory=dict)
+
+
+def write_diagnostics(status: NodeStatus, time_ns: int) -> bytes:
+    """Serialise one status as ``diagnostic_msgs/DiagnosticArray``, stamped with a time."""
+    buffer = bytearray(ENCAPSULATION + STAMP.pack(*divmod(time_ns, 1_000_000_000)))
+
+    def add(text: str) -> None:
+        buffer.extend(bytes(aligned(len(buffer), 4) - len(buffer)) + string_bytes(text))
+
+    add("")
+    buffer.extend(bytes(aligned(len(buffer), 4) - len(buffer)) + COUNT.pack(1) + status.level)
+    for text in (status.name, status.message, status.hardware_id):
+        add(text)
+    buffer.extend(bytes(aligned(len(buffer), 4) - len(buffer)) + COUNT.pack(len(status.values)))
+    for key, value in status.values.items():
+        add(key)
+        add(str(value))
+    return bytes(buffer)
+
+
+def read_diagnostics(raw: bytes) -> list[NodeStatus]:
+    """Every status of a serialised ``diagnostic_msgs/DiagnosticArray``.
+
+    Raises:
+        ValueError: the bytes are not a whole DiagnosticArray message.
+    """
+    check_encapsulation(raw)
+    position = BASE + STAMP.size
+
+    def text() -> str:
+        nonlocal position
+        found, position = read_string(raw, aligned(position, 4))
+        return found
+
+    def count() -> int:
+        nonlocal position
+        position = aligned(position, 4) + COUNT.size
+        return int(COUNT.unpack_from(raw, position - COUNT.size)[0])
+
+    statuses = []
+    try:
+        text()
+        for _ in range(count()):
+            level = raw[position : position + 1]
+            position += 1
+            name, message, hardware = text(), text(), text()
+            values = [(text(), text()) for _ in range(count())]
+            statuses.append(NodeStatus(name, hardware, level, message, dict(values)))
+    except (struct.error, UnicodeDecodeError, ValueError) as error:
+        raise ValueError(f"the message is not a whole DiagnosticArray: {error}") from error
+    return statuses
 
 
 def _plain_values(names: tuple[tuple[str, str], ...]) -> Any:

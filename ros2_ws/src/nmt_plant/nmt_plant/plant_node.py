@@ -180,8 +180,7 @@ class PlantNode(BenchNode):
         self.bench_subscription(RunState, "run_state", self._on_run_state, STATE_QOS, raw=True)
         if lead and self.in_lockstep:
             self.create_subscription(UInt64, RECORDED_TOPIC, self._on_recorded, STATE_QOS)
-        self._stops = self.create_publisher(DriveStop, "drive_stop", STATE_QOS)
-        self.claim("drive_stop")
+        self._stops = self.bench_publisher(DriveStop, "drive_stop", STATE_QOS)
         # One of them fits whoever stops, so that the others do not is nothing to warn of.
         calm = SubscriptionEventCallbacks(use_default_callbacks=False)
         for service in _EMERGENCY_QOS:

@@ -13,7 +13,7 @@ from nmt_core.bundle import LOOP_INPUT, PLL_BUNDLE, BundleWriter, read_bundle
 from nmt_core.command_judge import Source
 from nmt_core.errors import BenchError
 from nmt_core.records import LoopStatus
-from nmt_core.wire import LEVEL, LOCK_EVENT, BlockReader, write_drive, write_status
+from nmt_core.wire import LEVEL, LOCK_EVENT, BlockReader, NodeStatus, write_drive, write_status
 from nmt_msgs import msg
 from nmt_pll.loop_core import PARAMETERS, LoopCore
 
@@ -57,15 +57,15 @@ class PllNode(BenchNode):
         self._plant_instance = ""
         self.steady_timer(0.25, self._guard)
 
-    def _on_diagnostics(self, message: Any) -> None:
-        super()._on_diagnostics(message)
+    def hear(self, status: NodeStatus) -> None:
+        """Take a heartbeat; another plant counts its samples anew."""
+        super().hear(status)
         own = self.heartbeat_name.rpartition("/")[0]
-        for status in message.status:
-            if status.name.rpartition("/")[0] != own or all(item.key != "drive_at_zero" for item in status.values):
-                continue
-            if self._plant_instance and status.hardware_id != self._plant_instance and not self.core.at_work:
-                self.core.forget_samples()
-            self._plant_instance = status.hardware_id
+        if status.name.rpartition("/")[0] != own or "drive_at_zero" not in status.values:
+            return
+        if self._plant_instance and status.hardware_id != self._plant_instance and not self.core.at_work:
+            self.core.forget_samples()
+        self._plant_instance = status.hardware_id
 
     def _complain(self, sentence: str, often: bool) -> None:
         if often:

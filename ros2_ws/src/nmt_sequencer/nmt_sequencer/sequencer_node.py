@@ -20,7 +20,7 @@ from nmt_core.output_record import drive_sentence
 from nmt_core.process_watch import ProcessWatch
 from nmt_core.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, BagState, RunAnnouncement
 from nmt_core.vocabulary import LoopState, ResultCode, RunPhase, SteeringAct
-from nmt_core.wire import DRIVE_STOP, LEVEL, LOCK_EVENT, MODAL_POINT, RUN_STATE, STEERING, read_status
+from nmt_core.wire import DRIVE_STOP, LEVEL, LOCK_EVENT, MODAL_POINT, RUN_STATE, STEERING, NodeStatus, read_status
 from nmt_msgs import msg
 from nmt_msgs.action import RunLevels
 from nmt_msgs.srv import Steer
@@ -77,6 +77,9 @@ class SequencerNode(BenchNode):
         self.bench_subscription(msg.LockEvent, "lock", self._on_lock, SAMPLES_QOS, raw=True)
         self.bench_subscription(msg.ModalPoint, "modal_point", self._on_point, SAMPLES_QOS, raw=True)
         self.create_subscription(msg.DriveStop, "drive_stop", self._on_stop, STATE_QOS, raw=True)
+        if self.link is not None:
+            self.link.take("drive_stop", self._on_stop)
+            self.link.take("diagnostics", self._on_diagnostics)
         self._announcements = self.create_publisher(String, ANNOUNCEMENT_TOPIC, STATE_QOS)
         self.claim(ANNOUNCEMENT_TOPIC)
         self.create_subscription(String, BAG_TOPIC, self._on_bag, STATE_QOS)
@@ -460,14 +463,15 @@ class SequencerNode(BenchNode):
             f"say what they refuse. If in doubt, end all nodes and start them again.{refused}",
         )
 
-    def _on_diagnostics(self, message: Any) -> None:
-        super()._on_diagnostics(message)
-        for status in message.status:
-            if status.name in self.watched_nodes:
-                self._timing[status.name] = {item.key: item.value for item in status.values if item.key in _TIMING}
-            if status.name in self.watched_nodes and any(item.key == "drive_at_zero" for item in status.values):
-                self._plant, self._plant_instance = status.name, status.hardware_id
-                self._plant_said = {item.key: item.value for item in status.values}
+    def hear(self, status: NodeStatus) -> None:
+        """Take a heartbeat, and what it says of timing and drive."""
+        super().hear(status)
+        if status.name not in self.watched_nodes:
+            return
+        said = {key: str(value) for key, value in status.values.items()}
+        self._timing[status.name] = {key: said[key] for key in _TIMING if key in said}
+        if "drive_at_zero" in said:
+            self._plant, self._plant_instance, self._plant_said = status.name, status.hardware_id, said
 
     def _drive_sentence(self) -> str:
         """What is known of the drive where the loop does not answer any more."""

@@ -91,6 +91,8 @@ class TestPlan:
         device_address: of NI's device server.
         tick_blocks: blocks between two decisions of the sequencer.
         block_reason: why blocks are as long as they are, where that was chosen; see `nmt_session.block_length`.
+        linked: whether plant, loop and sequencer are on one host, so that in lockstep they may hand on the sample path
+            past the middleware.
         rate_hz_s, frequency_end_hz: rate and end of the sweep.
         duration: length of the window of a random test, or of the free decay of a ring-down, s.
     """
@@ -121,6 +123,7 @@ class TestPlan:
     device_address: str = ""
     tick_blocks: int = 5
     block_reason: str = ""
+    linked: bool = True
 
     def __post_init__(self) -> None:
         if self.pacing not in PACINGS:
@@ -325,7 +328,11 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         values["plant"]["bundle_blocks"] = values["pll"]["bundle_blocks"] = bundle
         values["recorder"]["bundled"] = [*topics, *LOOP_TOPICS]
         values["extract"]["bundled"] = [*extraction.topics, "frequency"]
-    joined = _joins_loop_input(test, response)
+    linked = _is_linked(test)
+    if linked:
+        for name in ("plant", "pll", "sequencer"):
+            values[name]["linked"] = True
+    joined = linked or _joins_loop_input(test, response)
     if joined:
         values["plant"]["loop_topics"] = ["force", response]
         values["plant"]["drive_point"] = int(rig.drive_point)
@@ -405,6 +412,11 @@ def _joins_loop_input(test: TestPlan, response: str) -> bool:
     """
     channels = sum(sensor.quantity == response for sensor in test.rig.sensors)
     return 8 * int(test.rig.block_samples) * channels > MOST_BYTES
+
+
+def _is_linked(test: TestPlan) -> bool:
+    """Whether plant, loop and sequencer hand on the sample path past the middleware."""
+    return test.linked and test.pacing == "lockstep" and 16 * int(test.rig.block_samples) <= MOST_BYTES
 
 
 def expected_peers(

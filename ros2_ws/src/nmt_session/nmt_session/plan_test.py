@@ -47,6 +47,7 @@ def plan_test(
     duration: float = 0.0,
     device: str = "",
     device_address: str = "",
+    linked: bool = True,
 ) -> TestPlan:
     """A test of a rig.
 
@@ -71,6 +72,7 @@ def plan_test(
         test, frequencies_hz, band_hz, rate_hz_s, frequency_end_hz, duration: kind of test and its settings, see there.
             A stepped sine with several frequencies and one level is run at that level at each of them.
         device, device_address: what is driven, see there.
+        linked: whether in lockstep the sample path may go past the middleware, see there.
 
     Raises:
         BenchError: the rig, the levels or a setting is refused.
@@ -120,6 +122,7 @@ def plan_test(
         duration=duration,
         device=device,
         device_address=device_address,
+        linked=linked,
     )
     return _with_chosen_block(planned) if _leaves_block_open(planned) else planned
 

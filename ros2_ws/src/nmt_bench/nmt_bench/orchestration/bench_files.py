@@ -51,6 +51,7 @@ def write_bench_files(
         levels=tuple(parse_levels(levels or rig.test.levels)),
         run_id=time.strftime(f"{rig.name}-%Y%m%d-%H%M%S"),
         pacing=pacing,
+        linked=False,  # whoever starts the nodes chooses their hosts
         **checked_device(rig, device, check_command(rig_name, device, changes)),
     )
     plan = plan_nodes(test, out / "bag", out / "rig.yaml", test.device_name if test.device else "")

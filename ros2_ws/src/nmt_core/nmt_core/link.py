@@ -1,0 +1,133 @@
+"""The sample path of a run in lockstep past the middleware: a Unix socket a node, a datagram a message.
+
+Plant, loop and sequencer wait for each other block by block, and a delivery by the middleware costs more than a block.
+Each of `TAKEN_BY` is handed to the node that waits for it over that node's socket; everybody else takes the topic. Why
+a drive stops goes the same way, so that it is there before the blocks of its ramp. The kernel keeps order and loses
+nothing, and a socket's name lives no longer than its process. Only the user of the process is heard.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import struct
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from nmt_core.bundle import LOOP_INPUT
+
+TAKEN_BY = {
+    LOOP_INPUT: "pll",
+    "drive": "plant",
+    "frequency": "sequencer",
+    "lock": "sequencer",
+    "level": "pll",
+    "run_state": "plant",
+    "drive_stop": "sequencer",
+    "diagnostics": "sequencer",
+}
+"""Topics that are handed over, each with the node that takes them."""
+_TOPICS = tuple(TAKEN_BY)
+_PREFIX = {topic: bytes((number,)) for number, topic in enumerate(_TOPICS)}
+_LONGEST = 262_144  # bytes; the kernel takes 212,992
+_SENDER = struct.Struct("iII")  # process, user, group
+_ROOM = socket.CMSG_SPACE(_SENDER.size)
+_FULL = 0.0005  # s between two attempts to send what a receiver had no room for
+
+
+class Link:
+    """The socket of one node.
+
+    Args:
+        bench: name of the bench on this host.
+        node: name of the node in it.
+
+    Raises:
+        OSError: another node of this name is there.
+    """
+
+    def __init__(self, bench: str, node: str) -> None:
+        self._bench = bench
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+            self._socket.bind(self._address(node))
+        except BaseException:
+            self._socket.close()
+            raise
+        self._user = os.getuid()
+        self._takers: dict[int, Callable[[bytes], None]] = {}
+        self._waiting: deque[tuple[bytes, bytes]] = deque()
+
+    def _address(self, node: str) -> bytes:
+        return f"\0nmt {os.getuid()} {self._bench} {node}".encode()
+
+    def fileno(self) -> int:
+        """Its descriptor, for `select`."""
+        return self._socket.fileno()
+
+    def take(self, topic: str, callback: Callable[[bytes], None]) -> None:
+        """Have the serialised messages of a topic handed to ``callback``."""
+        self._takers[_PREFIX[topic][0]] = callback
+
+    def sender(self, topic: str) -> Callable[[bytes], None]:
+        """What hands a serialised message over; without its taker it is lost, as on a topic."""
+        address, prefix = self._address(TAKEN_BY[topic]), _PREFIX[topic]
+
+        def send(raw: bytes) -> None:
+            self._waiting.append((address, prefix + raw))
+            self.flush()
+
+        return send
+
+    def flush(self) -> bool:
+        """Send what waits; whether everything has been."""
+        while self._waiting:
+            address, message = self._waiting[0]
+            try:
+                self._socket.sendto(message, address)
+            except BlockingIOError:
+                return False
+            except ConnectionRefusedError:
+                pass
+            self._waiting.popleft()
+        return True
+
+    def read(self) -> bool:
+        """Hand one message on; False if none is there."""
+        try:
+            message, notes, _, _ = self._socket.recvmsg(_LONGEST, _ROOM)
+        except BlockingIOError:
+            return False
+        user = next((_SENDER.unpack_from(data)[1] for _, kind, data in notes if kind == socket.SCM_CREDENTIALS), None)
+        if message and user == self._user:
+            taker = self._takers.get(message[0])
+            if taker is not None:
+                taker(message[1:])
+        return True
+
+    def close(self) -> None:
+        """Release the name."""
+        self._socket.close()
+
+
+def serve(links: Sequence[Link], seconds: float) -> None:
+    """Hand on what comes over some links for a while of wall time (s)."""
+    poll = select.poll()
+    by_descriptor = {link.fileno(): link for link in links}
+    for descriptor in by_descriptor:
+        poll.register(descriptor, select.POLLIN)
+    end = time.monotonic() + seconds
+    while True:
+        left = end - time.monotonic()
+        if left <= 0.0:
+            return
+        sent = [link.flush() for link in links]
+        if not all(sent):
+            left = min(left, _FULL)
+        with contextlib.suppress(InterruptedError):
+            for descriptor, _ in poll.poll(1e3 * left):
+                by_descriptor[descriptor].read()

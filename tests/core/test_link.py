@@ -1,0 +1,75 @@
+"""Messages between nodes over Unix sockets: in order, none lost to a slow reader, and never without end."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from nmt_core.link import Link, serve
+
+BENCH = f"test {os.getpid()}"
+MANY = 500  # more than the kernel keeps
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[Link, Link]]:
+    plant, pll = Link(BENCH, "plant"), Link(BENCH, "pll")
+    yield plant, pll
+    plant.close()
+    pll.close()
+
+
+def test_a_reader_that_is_slow_gets_all_in_order(pair: tuple[Link, Link]) -> None:
+    plant, pll = pair
+    taken: list[bytes] = []
+    pll.take("loop_input", taken.append)
+    send = plant.sender("loop_input")
+    sent = [number.to_bytes(4, "big") * 1000 for number in range(MANY)]
+    for message in sent:
+        send(message)
+    assert not plant.flush()
+    end = time.monotonic() + 10.0
+    while len(taken) < MANY and time.monotonic() < end:
+        serve(pair, 0.01)
+    assert taken == sent
+    assert plant.flush()
+
+
+def test_a_node_that_has_gone_takes_nothing_and_holds_nobody_up(pair: tuple[Link, Link]) -> None:
+    plant, pll = pair
+    pll.close()
+    plant.sender("loop_input")(b"lost")
+    assert plant.flush()
+    again = Link(BENCH, "pll")  # started anew
+    taken: list[bytes] = []
+    again.take("loop_input", taken.append)
+    plant.sender("loop_input")(b"taken")
+    serve((again,), 0.01)
+    again.close()
+    assert taken == [b"taken"]
+
+
+def test_a_second_node_of_a_name_is_refused(pair: tuple[Link, Link]) -> None:
+    with pytest.raises(OSError, match="in use"):
+        Link(BENCH, "plant")
+
+
+def test_messages_without_end_leave_time_for_the_middleware(pair: tuple[Link, Link]) -> None:
+    plant, pll = pair
+    count = [0]
+
+    def answer(raw: bytes) -> None:
+        count[0] += 1
+        send(raw)
+
+    pll.take("loop_input", lambda raw: pll.sender("drive")(raw))
+    plant.take("drive", answer)
+    send = plant.sender("loop_input")
+    send(b"x")
+    began = time.thread_time()
+    serve(pair, 0.05)
+    assert count[0] > 3
+    assert time.thread_time() - began < 0.5

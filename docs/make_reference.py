@@ -111,8 +111,8 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     },
     "StructureSection": {
         "added_masses": "masses fixed to points",
-        "damping_factors": "factors on the damping ratios of the lowest undamped modes of the structure with its "
-        "masses, lowest first; 1 where left out",
+        "damping_factors": "factors on the damping ratios of the undamped modes of the structure with its masses, "
+        "lowest first; the last one holds for all above",
         "loss_factor": "η of hysteretic damping K (1 + iη), as ζ = η / 2 of every undamped mode of the structure with "
         "its masses",
     },

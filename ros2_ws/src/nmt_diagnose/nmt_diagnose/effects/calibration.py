@@ -77,16 +77,18 @@ class ModeDamping(CalibrationParameter):
 
     Attributes:
         mode: number of the undamped mode, 0 = lowest.
+        count: modes that have factors; the last one's holds for all above it, too.
     """
 
     mode: int = 0
+    count: int = 1
 
     def moved(self, rig: Rig, before: float, theta: float) -> Rig:
         """Rig with the factor of the mode moved from one θ to another."""
         if theta == before:
             return rig
         factors = list(rig.structure.damping_factors)
-        factors += [1.0] * (self.mode + 1 - len(factors))
+        factors += [factors[-1] if factors else 1.0] * (self.count - len(factors))
         factors[self.mode] = self.at(theta)
         return with_value(rig, self.path, factors)
 
@@ -128,7 +130,7 @@ PRIORS: dict[str, tuple[float, str]] = {
     "inductance_h": (0.1, "changes with frequency"),
     "newton_per_volt": (0.03, "gain of amplifier and exciter as a data sheet gives it"),
     "acceleration_per_volt_m_s2": (0.03, "gain of amplifier and table as a data sheet gives it"),
-    "damping_factors": (1.0, "a law of damping fitted to one mode says little of the others"),
+    "damping_factors": (3.0, "a law of damping fitted to one mode says little of the others"),
     **MODEL_PRIORS,
 }
 # Coil suspension: so stiff that no test of the bench sees it.
@@ -155,8 +157,8 @@ _ELEMENT_KEYS: dict[type[ElementSection], tuple[str, ...]] = {
     LinearDamperSection: ("damping_ns_m",),
     TanhFrictionSection: ("slip_force_n", "reference_velocity_m_s"),
 }  # fmt: skip
-# Frequencies over a band's ends up to which a mode's damping shows in it: those above carry part of what lies between.
-_BELOW, _ABOVE = 1.3, 2.5
+# Frequencies over a band's ends up to which a mode has a damping of its own there.
+_BEYOND = 1.3
 # An exponent of a power-law distribution is greater than −1.
 _OFFSETS = {"exponent": 1.0}
 _SHAKER_KEYS = (
@@ -229,18 +231,15 @@ def mode_dampings(rig: Rig, lowest_hz: float, highest_hz: float) -> tuple[ModeDa
         return ()
     squares = eigh(structure.stiffness, structure.mass, eigvals_only=True)
     frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2.0 * pi)
-    near = np.flatnonzero((frequencies > lowest_hz / _BELOW) & (frequencies < highest_hz * _ABOVE))
-    path: Path = ("structure", "damping_factors")
-    factors = [*own.damping_factors, *[1.0] * frequencies.size]
+    near = np.flatnonzero((frequencies > lowest_hz / _BEYOND) & (frequencies < highest_hz * _BEYOND))
+    # One more for all above: together they are the flexibility that they add to the band, and its phase.
+    wanted = [*map(int, near), *range(int(near[-1]) + 1, frequencies.size)[:1]] if near.size else []
+    given = list(own.damping_factors) or [1.0]
+    factors = [*given, *[given[-1]] * frequencies.size]
     return tuple(
         ModeDamping(
-            f"structure.damping_factors.{mode}",
-            "1",
-            path,
-            PRIORS["damping_factors"][0],
-            "structure",
-            factors[mode],
-            mode=mode,
+            f"structure.damping_factors.{mode}", "1", ("structure", "damping_factors"), PRIORS["damping_factors"][0],
+            "structure", factors[mode], mode=mode, count=wanted[-1] + 1,
         )
-        for mode in map(int, near)
-    )
+        for mode in wanted
+    )  # fmt: skip

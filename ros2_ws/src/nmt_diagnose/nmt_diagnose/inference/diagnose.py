@@ -167,7 +167,7 @@ def find(
     tell(f"scanning {len(candidates)} candidates")
     scores = search.scores(null)
     singles = search.singles(null, scores)
-    if modes.far_from(null.fit.parametrisation.rig(null.fit.theta)):
+    if modes.far_from(rig) and modes.strained(null.fit.parametrisation, null.fit.theta):
         tell("bringing the modes of explanations to the measured ones")
         singles = best_of([*singles, *search.from_modes(null, modes)])
     tell("looking for second effects")

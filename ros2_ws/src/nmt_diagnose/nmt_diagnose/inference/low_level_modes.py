@@ -27,6 +27,7 @@ from nmt_diagnose.inference.tuned import (
     MODE_SAME,
     MODE_SHARE,
     MODE_UNLIKE,
+    STRAIN,
 )
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
@@ -238,7 +239,11 @@ class LowLevelModes:
         s = values[order]
         full = (linear.displacement[r:], linear.velocity[r:], linear.acceleration[r:])
         shapes = sum((block @ vectors[:, order]) * s**power for power, block in enumerate(full))
-        return Modes(s, np.asarray(np.asarray(shapes, dtype=np.complex128).T * parts.channels[:, 0]))
+        # What happens at a frequency appears at it over the rate of the clock.
+        return Modes(
+            np.asarray(s / parts.clock, dtype=np.complex128),
+            np.asarray(np.asarray(shapes, dtype=np.complex128).T * parts.channels[:, 0]),
+        )
 
     def far_from(self, rig: Rig) -> bool:
         """Whether a mode of a rig lies beyond the half-power bandwidth of the measured one, or this beyond its own."""
@@ -276,6 +281,10 @@ class LowLevelModes:
             ratio = np.maximum(found.dampings, 1e-9) / np.maximum(modes.dampings[which], 1e-9)
             result.append(np.log(ratio) / MODE_DAMPING_STD)
         return np.concatenate(result)
+
+    def strained(self, own: Parametrisation, theta: FloatArray) -> bool:
+        """Whether parameters reach the measured modes only by values that are hard to believe, or not at all."""
+        return float(np.sum(self.left(own, theta) ** 2)) > own.size + 2.0 * STRAIN
 
     def start(self, own: Parametrisation, theta: FloatArray) -> tuple[FloatArray, float]:
         """Parameters that bring the model's modes to the measured ones from some others, and what is left, squared."""

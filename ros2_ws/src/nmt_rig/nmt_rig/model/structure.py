@@ -161,16 +161,17 @@ class Structure(PointMotion):
         return replace(self, damping=self.damping + (weighted * rates) @ weighted.T)
 
     def with_damping_factors(self, factors: Sequence[float]) -> Structure:
-        """The structure with the damping ratios of its lowest undamped modes times ``factors``, lowest first.
+        """The structure with the damping ratios of its undamped modes times ``factors``, lowest first.
 
-        What the law of damping says of a mode is a guess until the mode is measured. Damping that couples modes stays.
+        The last factor holds for all modes above, too. What the law of damping says of a mode is a guess until the mode
+        is measured. Damping that couples modes stays.
         """
         _, weighted = self._undamped()
-        shapes = np.linalg.solve(self.mass, weighted[:, : len(factors)])
+        shapes = np.linalg.solve(self.mass, weighted)
         own = np.einsum("ik,ij,jk->k", shapes, self.damping, shapes)
-        change = (np.asarray(factors, dtype=float)[: own.size] - 1.0) * own
-        kept = weighted[:, : own.size]
-        return replace(self, damping=self.damping + (kept * change) @ kept.T)
+        each = np.full(own.size, float(factors[-1]))
+        each[: len(factors)] = factors[: own.size]
+        return replace(self, damping=self.damping + (weighted * ((each - 1.0) * own)) @ weighted.T)
 
     def _undamped(self) -> tuple[Array, Array]:
         """ω² (n,) of the undamped modes, ascending, and M φ (n, n) of their mass-normalised shapes."""

@@ -594,7 +594,7 @@ class LiveView:
             self._largest[name] = max(self._largest.get(name, 0.0), abs(value))
         floor = max(FLOOR_SHARE * self._largest.get(name, 0.0), LEAST)
         if 0.0 < abs(value) < floor:
-            return f"below {self._with_unit(floor, unit)}"
+            return f"below {self._with_unit(float(f'{floor:.1g}'), unit)}"
         return self._with_unit(value, unit)
 
     @staticmethod

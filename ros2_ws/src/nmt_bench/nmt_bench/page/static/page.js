@@ -456,7 +456,7 @@
     get("progress-bar").style.width = 100 * live.progress + "%";
     text("progress", (facts ? Math.max(0, live.level_index + 1) + " of " + facts.plan.length + ", " : "") + Math.round(100 * live.progress) + " %");
     text("gaps", live.gaps ? live.gaps + " gaps in what the page has seen; the recording is not concerned." : "");
-    text("real-time", live.real_time ? "Real-time margin " + Math.round(100 * live.real_time) + " %." : "");
+    text("real-time", live.real_time ? live.real_time > 0 ? "Real-time margin " + Math.round(100 * live.real_time) + " %." : "No real-time margin is left." : "");
     const nodes = get("nodes"), key = JSON.stringify(live.nodes.map((node) => [node.name, node.level, node.level ? node.text : ""]));
     if (nodes.dataset.key !== key) {
       nodes.dataset.key = key;
@@ -472,7 +472,7 @@
     if (facts && !facts.stopped && live && live.tripped) { sentences.push("The drive is held at zero: " + live.tripped + "."); }
     if (facts && facts.result && facts.result !== "SUCCEEDED") { sentences.push(facts.reason); }
     const lost = live ? live.nodes.filter((node) => node.level > 1).map((node) => node.name + ": " + node.text) : [];
-    if (lost.length) { sentences.push("Nodes: " + lost.join("; ") + "."); }
+    if (lost.length) { sentences.push("Nodes: " + lost.join("; ").replace(/\.$/, "") + "."); }
     if (live && live.warnings) { sentences.push("Warning: " + live.warnings + "."); }
     text("alarm", sentences.join(" "));
     get("alarm").hidden = !sentences.length;

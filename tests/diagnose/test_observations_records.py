@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete, lfilter
+from scipy.signal import TransferFunction, cont2discrete, lfilter, lsim
 
 from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_diagnose.inference.diagnose import diagnose_bags
+from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, RecordTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.read_observations import read_observations
@@ -252,3 +255,22 @@ def test_silverbox(data_folder: Path, tmp_path: Path) -> None:
     early = left[: left.size // 8]
     assert np.sqrt(np.mean(early**2)) < 0.25 * np.sqrt(np.mean(left**2))
     assert 0.3e-3 < observations.sigma[mine][0] < 0.8e-3
+
+
+@pytest.mark.parametrize(("late_s", "gain"), [(0.0, 1.0), (150e-6, 1.02), (-300e-6, 0.98)])
+def test_a_late_voltage_or_one_of_another_gain_is_the_measuring_chain(tmp_path: Path, late_s: float, gain: float):
+    rng = np.random.default_rng(3)
+    finer = 8
+    time_s = np.arange(int(6.0 * RATE) * finer) / (RATE * finer)
+
+    def swept(at: FloatArray) -> FloatArray:
+        return np.asarray(0.1 * np.sin(2.0 * math.pi * (20.0 * at + 10.0 * at**2)))
+
+    oscillator = TransferFunction([OMEGA**2], [1.0, 2.0 * RATIO * OMEGA, OMEGA**2])
+    motion = lsim(oscillator, swept(time_s), time_s)[1][::finer]
+    times = time_s[::finer]
+    voltage = gain * swept(np.maximum(times - late_s, 0.0)) + 1e-5 * rng.standard_normal(times.size)
+    bag = imported(tmp_path, voltage, motion + 1e-5 * rng.standard_normal(times.size), [(50, times.size - 50)])
+    found = diagnose_bags(rig_in(tmp_path), [bag], settings=DiagnosisSettings(look_ahead=False)).diagnosis
+    assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+    assert found.features["feature:log_odds"] < 0.0

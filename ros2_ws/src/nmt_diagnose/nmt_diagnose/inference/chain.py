@@ -33,6 +33,7 @@ from nmt_diagnose.observations.conditions import (
     BackboneTable,
     PhaseResonanceTest,
     RandomTest,
+    RecordTest,
     RingDownTest,
     SteppedSineTest,
     Test,
@@ -99,10 +100,11 @@ class Chain:
 
 
 def shared_delays(observations: Observations, rig: Rig) -> tuple[SharedDelay, ...]:
-    """Delays of the kinds of sensors that refer to a voltage; none where the bench itself measured."""
+    """Delays of the kinds of sensors that refer to a voltage, or to the input of a record; none of the bench's own."""
     found: dict[Quantity, float] = {}
     for test, chain in zip(observations.tests, observations.chains, strict=False):
-        held = isinstance(test, PhaseResonanceTest) or (isinstance(test, RandomTest) and test.reference == "voltage")
+        held = isinstance(test, PhaseResonanceTest | RecordTest)
+        held |= isinstance(test, RandomTest) and test.reference == "voltage"
         if chain is None or not held:
             continue
         for channel in getattr(test, "channels", ()):

@@ -50,6 +50,7 @@ def test_figures_stand_beside_their_limits(capsys: pytest.CaptureFixture[str], t
     assert "100 × real time" in row
     assert "200 × real time" in row
     assert "missed" in row
+    assert lines[-1] == "Missed: too slow."
     assert any("not measured: no ROS" in line for line in lines)
     content = json.loads((tmp_path / "b.json").read_text())
     assert [figure["met"] for figure in content["figures"]] == [True, False, None, None]

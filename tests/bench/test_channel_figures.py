@@ -22,20 +22,23 @@ def test_the_rig_has_as_many_channels_as_asked_for_and_one_at_the_drive_point():
 
 def test_every_row_stands_beside_its_limit(monkeypatch):
     monkeypatch.setattr(channel_figures, "_alone", lambda function, *arguments: function(*arguments))
-    monkeypatch.setattr(channel_figures, "_run", lambda rig, processes, seconds, pacing="lockstep": (9.0, 600.0))
+    monkeypatch.setattr(channel_figures, "_run", lambda *_, **__: channel_figures.RunCost(9.0, 600.0, 0.3))
     figures = channel_figures.channel_figures(20.0)
     found = {(figure.unit, figure.beside): figure.met for figure in figures}
     assert found == {
         ("× real time", 10.0): False,
         ("× real time", 8.0): True,
+        (channel_figures._CPU, 0.2): False,
         ("× real time", 2.0): True,
+        (channel_figures._CPU, 0.5): True,
         ("MB", 500.0): False,
         ("× real time", 0.98): True,
+        (channel_figures._CPU, 0.6): True,
     }
 
 
 def test_a_run_that_fails_is_no_figure(monkeypatch):
-    def fail(*_):
+    def fail(*_, **__):
         raise BenchError("The drive was stopped.")
 
     monkeypatch.setattr(channel_figures, "_alone", lambda function, *arguments: function(*arguments))

@@ -1,28 +1,43 @@
-"""Figures of ``./nmt benchmark`` for many channels: the whole bench, its memory, and real time."""
+"""Figures of ``./nmt benchmark`` for the whole bench: speed and processor time, many channels, real time."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from nmt_bench.benchmark_figures import AT_LEAST, AT_MOST, Figure
+from nmt_bench.benchmark_figures import AT_MOST, Figure, window_periods
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import ResultCode
 from nmt_rig.rig import Rig, SensorSection, load_rig
+from nmt_session import Session, plan_test
 
-LIMIT_ONE_PROCESS = 10.0
-LIMIT_PROCESSES = 8.0
+LIMIT_ONE_PROCESS = 100.0
+LIMIT_PROCESSES = 65.0
+LIMIT_OF_ONE = 0.9
+LIMIT_OF_DEVICE = 0.4
+LIMIT_BENCH_TIME = 3.0
+LIMIT_CHANNELS = 10.0
+LIMIT_CHANNELS_PROCESSES = 8.0
+LIMIT_CHANNELS_CPU = 0.2
 LIMIT_LARGE = 2.0
+LIMIT_LARGE_CPU = 0.5
 LIMIT_MEMORY = 500.0
 LIMIT_REAL_TIME = 0.98
+LIMIT_REAL_TIME_CPU = 0.6
+_LEVELS = (0.2, 0.5, 1.0)
+_SHORT = "block_samples=200"  # 20 ms
+_ROUNDS = 2
+_CPU = "s of processor time a bench second"
 _Result = TypeVar("_Result")
 _LEVEL = 0.5  # V
 _LOOK = 0.1  # s between two looks at the memory
@@ -64,48 +79,111 @@ def large_rig(elements: int, channels: int, sample_rate: float) -> Rig:
     return rig.model_copy(update={"sensors": sensors, "extraction": extraction})
 
 
+class RunCost(NamedTuple):
+    """What a run took.
+
+    Attributes:
+        speed: multiple of real time.
+        megabytes: largest memory of all processes together; NaN where it was not looked at.
+        cpu: processor time of all processes from the first progress to the end, s a bench second.
+    """
+
+    speed: float
+    megabytes: float
+    cpu: float
+
+
+def bench_figures(seconds: float) -> list[Figure]:
+    """The whole bench with its bag written, all nodes in one process and one process a node, in turn; the device alone.
+
+    Args:
+        seconds: bench time of a run.
+    """
+    from nmt_plant.benchmark import run_benchmark
+
+    plan = plan_test("beam")
+    periods = window_periods(seconds)
+    ticks = {"sequencer": {"tick_blocks": plan.tick_blocks}}
+    kinds = ("all nodes in one process", False, LIMIT_ONE_PROCESS), ("one process a node", True, LIMIT_PROCESSES)
+    best: dict[bool, RunCost] = {}
+    figures: list[Figure] = []
+    try:
+        for _ in range(_ROUNDS):
+            for _, processes, _ in kinds:
+                cost = _run(plan.rig, processes, periods, levels=_LEVELS, node_values=ticks)
+                best[processes] = max(best.get(processes, cost), cost)
+        device = run_benchmark(plan.rig, seconds).device
+        for words, processes, limit in kinds:
+            cost = best[processes]
+            short = _run(load_rig("beam", [_SHORT]), processes, periods, levels=_LEVELS)
+            name = f"bench: {words}"
+            figures.append(Figure.limited(name, cost.speed, "× real time", limit))
+            figures.append(Figure(f"{name}, long blocks", cost.speed, "× real time", short.speed, "blocks of 20 ms"))
+            figures.append(Figure(name, cost.cpu, _CPU, best[False].cpu, "in one process"))
+        ratio = best[True].speed / best[False].speed
+        figures.append(Figure.limited("bench: one process a node over all in one", ratio, "×", LIMIT_OF_ONE))
+        share = 1.0 / (best[False].cpu * device)
+        name = "bench: processor time of the device alone over that of all in one process"
+        figures.append(Figure.limited(name, share, "×", LIMIT_OF_DEVICE))
+    except ImportError:
+        figures.append(Figure("bench", None, "× real time", None, "not measured: ROS 2 is not there"))
+    except BenchError as error:
+        figures.append(Figure("bench", None, "× real time", None, f"not measured: {error}"))
+    times = []
+    for test in (plan, plan_test("beam", overrides=[_SHORT])):
+        with Session(test, record=False, extract=False) as session:
+            times.append(session.run().bench_time)
+    more = 100.0 * (times[0] / times[1] - 1.0)
+    figures.append(Figure.limited("bench time, long blocks beside 20 ms", more, "% more", LIMIT_BENCH_TIME, AT_MOST))
+    return figures
+
+
 def channel_figures(seconds: float) -> list[Figure]:
     """The whole bench with many channels beside its limits.
 
     Args:
         seconds: bench time of a run; a third of it for the largest.
     """
+    periods, fewer = (max(10, round(20.0 * (time - 2.0))) for time in (seconds, seconds / 3.0))
+    rig = large_rig(49, 32, 51_200.0)
     name = "bench: 49 elements, 32 channels, 51.2 kHz"
-    figures = []
-    for words, processes, limit in (
-        ("all nodes in one process", False, LIMIT_ONE_PROCESS),
-        ("one process a node", True, LIMIT_PROCESSES),
-    ):
-        rig = large_rig(49, 32, 51_200.0)
-        speed = functools.partial(_speed, rig, processes, seconds)
-        figures.append(_measured(f"{name}, {words}", limit, speed))
-    name = "bench: 50 elements, 64 channels, 51.2 kHz, one process a node"
-    memory: list[float] = []
-
-    def large() -> float:
-        # What other figures have loaded into this process is not the bench's.
-        factor, megabytes = _alone(_run, large_rig(50, 64, 51_200.0), True, seconds / 3.0)
-        memory.append(megabytes)
-        return factor
-
-    figures.append(_measured(name, LIMIT_LARGE, large))
-    if memory:
-        used = memory[0]
-        figures.append(Figure(f"{name}: memory", used, "MB", LIMIT_MEMORY, AT_MOST, used <= LIMIT_MEMORY))
-    name = "bench: 200 channels, 25.6 kHz, in real time"
-    rig = large_rig(20, 200, 25_600.0)
-    figures.append(_measured(name, LIMIT_REAL_TIME, functools.partial(_speed, rig, True, 0.0, "realtime")))
-    return figures
+    each = "one process a node"
+    figures = _measured(f"{name}, all nodes in one process", LIMIT_CHANNELS, lambda: _run(rig, False, periods))
+    figures += _measured(
+        f"{name}, {each}", LIMIT_CHANNELS_PROCESSES, lambda: _run(rig, True, periods), LIMIT_CHANNELS_CPU
+    )
+    # What other figures have loaded into this process is not the bench's.
+    figures += _measured(
+        f"bench: 50 elements, 64 channels, 51.2 kHz, {each}",
+        LIMIT_LARGE,
+        lambda: _alone(functools.partial(_run, memory=True), large_rig(50, 64, 51_200.0), True, fewer),
+        LIMIT_LARGE_CPU,
+        LIMIT_MEMORY,
+    )
+    return figures + _measured(
+        "bench: 200 channels, 25.6 kHz, in real time",
+        LIMIT_REAL_TIME,
+        lambda: _run(large_rig(20, 200, 25_600.0), True, _REAL_TIME_PERIODS, pacing="realtime"),
+        LIMIT_REAL_TIME_CPU,
+    )
 
 
-def _measured(name: str, limit: float, measure: Callable[[], float]) -> Figure:
+def _measured(
+    name: str, speed: float, measure: Callable[[], RunCost], cpu: float | None = None, megabytes: float | None = None
+) -> list[Figure]:
+    """What a run took beside its limits, as far as it has any."""
     try:
-        value = measure()
+        cost = measure()
     except ImportError:
-        return Figure(name, None, "× real time", limit, "not measured: ROS 2 is not there")
+        return [Figure(name, None, "× real time", speed, "not measured: ROS 2 is not there")]
     except BenchError as error:
-        return Figure(name, None, "× real time", limit, f"not measured: {error}")
-    return Figure(name, value, "× real time", limit, AT_LEAST, value >= limit)
+        return [Figure(name, None, "× real time", speed, f"not measured: {error}")]
+    figures = [Figure.limited(name, cost.speed, "× real time", speed)]
+    if cpu is not None:
+        figures.append(Figure.limited(name, cost.cpu, _CPU, cpu, AT_MOST))
+    if megabytes is not None:
+        figures.append(Figure.limited(f"{name}: memory", cost.megabytes, "MB", megabytes, AT_MOST))
+    return figures
 
 
 def _alone(function: Callable[..., _Result], *arguments: Any) -> _Result:
@@ -114,12 +192,16 @@ def _alone(function: Callable[..., _Result], *arguments: Any) -> _Result:
         return process.submit(function, *arguments).result()
 
 
-def _speed(rig: Rig, processes: bool, seconds: float, pacing: str = "lockstep") -> float:
-    return _run(rig, processes, seconds, pacing)[0]
-
-
-def _run(rig: Rig, processes: bool, seconds: float, pacing: str = "lockstep") -> tuple[float, float]:
-    """Multiple of real time, and the largest memory of all processes together, MB.
+def _run(
+    rig: Rig,
+    processes: bool,
+    periods: int,
+    pacing: str = "lockstep",
+    levels: Sequence[float] = (_LEVEL,),
+    node_values: Mapping[str, Mapping[str, Any]] | None = None,
+    memory: bool = False,
+) -> RunCost:
+    """A run of the whole bench; to look at its memory takes time.
 
     Raises:
         ImportError: ROS 2 is not there.
@@ -127,18 +209,37 @@ def _run(rig: Rig, processes: bool, seconds: float, pacing: str = "lockstep") ->
     """
     from nmt_bench.harness import Bench
 
-    periods = _REAL_TIME_PERIODS if pacing == "realtime" else max(10, round(20.0 * (seconds - 2.0)))
-    with Bench(rig, levels=[_LEVEL], processes=processes, window_periods=periods, pacing=pacing) as bench:
-        watch = _MemoryWatch()
+    with Bench(
+        rig, levels=levels, processes=processes, window_periods=periods, pacing=pacing, node_values=node_values
+    ) as bench:
+        nodes = [] if bench.processes is None else list(bench.processes.pids.values())
+        begun: list[float] = []
+
+        def on_progress(_: object) -> None:
+            if not begun:
+                begun.append(_processor_time(nodes))
+
+        watch = _MemoryWatch() if memory else None
         try:
-            result = bench.run()
+            result = bench.run(on_progress)
         finally:
-            used = watch.end()
+            used = float("nan") if watch is None else watch.end()
+        spent = _processor_time(nodes) - begun[0] if begun else float("nan")
     if result.code != ResultCode.SUCCEEDED:
         raise BenchError(result.message)
     if not any("gaps 0, missing samples 0" in remark for remark in result.remarks):
         raise BenchError(" ".join(result.remarks))
-    return result.real_time_factor, used
+    return RunCost(result.real_time_factor, used, spent / result.bench_time)
+
+
+def _processor_time(nodes: Sequence[int]) -> float:
+    """Processor time of this process and of nodes that are processes, s."""
+    spent = time.process_time()
+    for process in nodes:
+        with contextlib.suppress(OSError):
+            words = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+            spent += (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+    return spent
 
 
 class _MemoryWatch:

@@ -288,11 +288,11 @@ class PlantNode(BenchNode):
 
     def _publish(self, blocks: list[SampleBlock]) -> None:
         self._publish_stop()
+        written = [self._publishers_by_quantity[int(block.quantity)][2].write(block) for block in blocks]
         if self._loop_input is not None and blocks:
-            self._publish_loop_input(self._loop_input, blocks)
-        for block in blocks:
-            topic, publisher, writer = self._publishers_by_quantity[int(block.quantity)]
-            raw = writer.write(block)
+            self._publish_loop_input(self._loop_input, blocks, written)
+        for block, raw in zip(blocks, written, strict=True):
+            topic, publisher, _ = self._publishers_by_quantity[int(block.quantity)]
             publisher.publish(raw)
             if self._bundle is not None:
                 self._bundle.add(topic, raw)
@@ -302,12 +302,13 @@ class PlantNode(BenchNode):
         if levels is not None:
             self._monitor.publish(MONITOR.write(levels))
 
-    def _publish_loop_input(self, joined: BundleWriter, blocks: list[SampleBlock]) -> None:
-        """What the loop waits for, in one message and before all else."""
-        for block in blocks:
+    def _publish_loop_input(self, joined: BundleWriter, blocks: list[SampleBlock], written: list[bytes]) -> None:
+        """What the loop waits for, in one message and before all else; ``written``: the blocks as messages."""
+        for block, raw in zip(blocks, written, strict=True):
             writer = self._loop_writers.get(int(block.quantity))
             if writer is not None:
-                joined.add(block.quantity.topic, writer.write(block.at_point(self._loop_point)))
+                chosen = block.at_point(self._loop_point)
+                joined.add(block.quantity.topic, raw if chosen is block else writer.write(chosen))
         joined.flush()
 
     def _publish_stop(self) -> None:

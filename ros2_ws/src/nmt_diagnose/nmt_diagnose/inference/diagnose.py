@@ -183,6 +183,7 @@ def find(
         for pair in pairs
         if all(worth(data, pair, alone[c.cause], settings.matters) for c in pair.candidates if c.cause in alone)
     ]
+    first_null = null
     named = sorted([*singles, *pairs], key=lambda own: -own.fit.log_evidence)
     if named and named[0].fit.log_evidence > null.fit.log_evidence:
         # Errors of the chain act about the best explanation; every other competes under the same noise.
@@ -199,7 +200,8 @@ def find(
     for source in beside:
         explained[source.placement.kind] = max(explained.get(source.placement.kind, 0.0), source.explained)
     best = first.best if first.best is not None and comparison.log_odds > ALARM else null
-    visible = _visible(search, search.scores(best), rig)
+    known = best is first_null  # nothing has moved since the scan
+    visible = _visible(search, scores if known else search.scores(best), rig) if settings.look_ahead else ()
     return Findings(data, search, given, null, tuple(named), comparison, explained, visible, modes.findings)
 
 

@@ -18,7 +18,8 @@ class DiagnosisSettings:
     Attributes:
         withheld: effects that are left out of the library.
         seed: of the bootstrap.
-        look_ahead: whether tests that would decide between what is left are sought.
+        look_ahead: whether tests that would decide between what is left, and the weakest effects that would show, are
+            sought.
         hold_out: names of tests (or of their bags) that no fit sees and the gap is judged by; empty = levels and whole
             tests in turn.
         jobs: processes that share the work; the result is the same for any number.

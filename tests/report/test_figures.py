@@ -92,7 +92,7 @@ def test_table_of_the_backbone_holds_the_modal_points(report: Path, tmp_path: Pa
     points = [row for row in measured if row["y_low"]]
     np.testing.assert_allclose(column(points, "x"), [p.modal_amplitude for p in RUN.good_points], rtol=1e-7)
     np.testing.assert_allclose(
-        0.5 * (column(points, "y_low") + column(points, "y_high")), [p.omega_rad_s for p in RUN.good_points], rtol=1e-7
+        0.5 * (column(points, "y_low") + column(points, "y_high")), [p.omega_rad_s / (2 * np.pi) for p in RUN.good_points], rtol=1e-7
     )
     assert RUN.reference is not None
     assert any(row["series"] == RUN.reference.label for row in measured)

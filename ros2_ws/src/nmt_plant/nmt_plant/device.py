@@ -198,25 +198,33 @@ class Device(ABC):
             raise DeviceStateError(f"{call} needs a device that is {names}; this one is {self.state.value}")
 
     @abstractmethod
-    def _configure(self) -> None: ...
+    def _configure(self) -> None:
+        """Do everything that takes time; called again after a stop."""
 
     @abstractmethod
-    def _start(self) -> None: ...
+    def _start(self) -> None:
+        """Begin at sample 0 with the drive at zero."""
 
     @abstractmethod
-    def _read(self) -> list[SampleBlock]: ...
+    def _read(self) -> list[SampleBlock]:
+        """Wait for the next block: one first sample, one oscillator phase, SI units; none where samples were lost."""
 
     @abstractmethod
-    def _write(self, command: DriveCommand) -> None: ...
+    def _write(self, command: DriveCommand) -> None:
+        """Take the command for the first block at or after `apply_at_sample`; BenchError for what is beyond a limit."""
 
     @abstractmethod
-    def _quiet(self, reason: str, ramp: float | None, cause: StopCause) -> None: ...
+    def _quiet(self, reason: str, ramp: float | None, cause: StopCause) -> None:
+        """Start the emergency ramp and hold zero until reset; reading goes on."""
 
     @abstractmethod
-    def _reset(self) -> None: ...
+    def _reset(self) -> None:
+        """Clear the trip."""
 
     @abstractmethod
-    def _stop(self) -> None: ...
+    def _stop(self) -> None:
+        """End with zero output."""
 
     @abstractmethod
-    def _close(self) -> None: ...
+    def _close(self) -> None:
+        """Release everything."""

@@ -26,18 +26,19 @@ if TYPE_CHECKING:
 
 
 def frequency_figure(data: RunReportData) -> ReportFigure:
-    """ω̃ over q with standard uncertainties, and the deviation from the reference where there is one."""
+    """f̃ over q with standard uncertainties, and the deviation from the reference where there is one."""
     points = data.good_points
     abscissa = abscissa_of(data)
     x, x_std = abscissa.of_points(points)
     omega, omega_std = _column(points, "omega_rad_s")
-    figure, main, residual = _axes_with_residual(data.reference is not None)
+    hertz, hertz_std = omega / (2.0 * math.pi), omega_std / (2.0 * math.pi)
+    figure, main, residual = _axes_with_residual(data.reference is not None, right=0.86)
     if data.linear is not None:
-        linear = data.linear.frequencies_rad_s[data.linear.target_mode]
+        linear = data.linear.frequency_hz
         main.axhline(linear, color=MUTED, linewidth=0.9, linestyle=(0, (1, 2)))
         main.annotate(
-            rf"linear mode $\omega_{{{data.linear.target_mode + 1}}}$ = {linear:.2f} rad/s",
-            (0.99, linear),
+            f"linear mode {data.linear.target_mode + 1}: {linear:.3f} Hz",
+            (0.98, linear),
             xycoords=("axes fraction", "data"),
             xytext=(0, 3),
             textcoords="offset points",
@@ -46,24 +47,18 @@ def frequency_figure(data: RunReportData) -> ReportFigure:
             color=MUTED,
             fontsize=8,
         )
-        ratio = main.secondary_yaxis(1.19, functions=_scaled(linear))
-        _quiet_axis(ratio, rf"$\tilde\omega\,/\,\omega_{{{data.linear.target_mode + 1}}}$")
-    hertz = main.secondary_yaxis(1.0, functions=_scaled(2.0 * math.pi))
-    _quiet_axis(hertz, r"$\tilde f$ / Hz")
-    _reference_line(main, data, abscissa, "omega_rad_s", 1.0, x)
-    tips = _points(main, points, x, x_std, omega, omega_std, "omega_rad_s", "rad/s", data.reference is None)
-    main.set_ylabel(r"modal frequency $\tilde\omega$ / (rad/s)")
+        _quiet_axis(main.secondary_yaxis(1.0, functions=_scaled(linear)), "relative to the linear mode")
+    _reference_line(main, data, abscissa, "omega_rad_s", 0.5 / math.pi, x)
+    tips = _points(main, points, x, x_std, hertz, hertz_std, "omega_rad_s", "Hz", data.reference is None)
+    main.set_ylabel(r"modal frequency $\tilde f$ / Hz")
+    main.ticklabel_format(axis="y", useOffset=False)
+    main.margins(y=0.08)  # room for the name of the linear mode
     if data.reference is not None:
         _deviation(residual, data, abscissa, points, omega, omega_std, 0)
     _finish(main, residual, abscissa, x)
-    caption = (
-        "Modal frequency ω̃ over "
-        + abscissa.html
-        + ", also as f̃ and relative to the linear mode. Bars: standard uncertainty."
-        + _reference_caption(data)
-    )
+    caption = "Modal frequency f̃ over " + abscissa.html + ". Bars: standard uncertainty." + _reference_caption(data)
     label = "Modal frequency over modal amplitude"
-    return ReportFigure("backbone", "Backbone ω̃(q)", caption, svg_text(figure, "backbone", label, tips))
+    return ReportFigure("backbone", "Backbone f̃(q)", caption, svg_text(figure, "backbone", label, tips))
 
 
 def damping_figure(data: RunReportData) -> ReportFigure:
@@ -245,15 +240,13 @@ def _points(
             f"q = {significant(point.modal_amplitude, 5)} m√kg\n"
             f"{_PLAIN_SYMBOLS[name]} = {uncertain(float(vertical), float(std), 6)} {unit}".rstrip()
         )
-        if name == "omega_rad_s":
-            tips[gid] += f"\nf̃ = {uncertain(point.frequency_hz, point.frequency_hz_std, 5)} Hz"
     return tips
 
 
 # The abscissa spans a factor of 2.56 at least: a bar of this relative size is shorter than a mark.
 _HIDDEN = 0.004
 _PLAIN_SYMBOLS = {
-    "omega_rad_s": "ω̃",
+    "omega_rad_s": "f̃",
     "damping_ratio": "δ̃",
     "modal_amplitude": "q",
     "force_n": "|F₁|",
@@ -264,7 +257,7 @@ _PLAIN_SYMBOLS = {
 }
 
 
-def _axes_with_residual(with_residual: bool, right: float = 0.715) -> tuple[Figure, Axes, Axes | None]:
+def _axes_with_residual(with_residual: bool, right: float) -> tuple[Figure, Axes, Axes | None]:
     figure = Figure(figsize=(6.3, 4.9 if with_residual else 4.2))
     if with_residual:
         main, residual = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1))

@@ -38,7 +38,6 @@ class ModalColumn:
 
 MODAL_COLUMNS = (
     ModalColumn("frequency_hz", "f̃", "f̃", "Hz", decimals=4),
-    ModalColumn("omega_rad_s", "ω̃", "ω̃", "rad/s", decimals=3),
     ModalColumn("damping_ratio", "δ̃", "δ̃", "%", factor=100.0, decimals=3),
     ModalColumn(
         "hysteresis_damping", Markup("δ<sub>hyst</sub>"), "δ_hyst", "%", factor=100.0, decimals=3, optional=True

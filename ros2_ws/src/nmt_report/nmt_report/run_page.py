@@ -33,7 +33,7 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
 
     Args:
         data: the run.
-        figures: figures by section: ``modal``, ``shape`` and ``run``.
+        figures: figures by section: ``first``, ``modal``, ``shape`` and ``run``.
     """
     description = data.rig.get("description", "")
     return render(
@@ -46,6 +46,7 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         shown_cards=_cards(data),
         facts=_facts(data),
         modal_table=_modal_table(data),
+        first_figures=figures.get("first", ()),
         modal_figures=figures.get("modal", ()),
         shape_figures=figures.get("shape", ()),
         run_figures=figures.get("run", ()),
@@ -144,7 +145,7 @@ def _cards(data: RunReportData) -> list[tuple[str, str, str]]:
     if data.reference is not None:
         omega, damping = worst_deviation(data)
         label = f"Largest deviation from {data.reference.label}"
-        cards.append((label, f"ω̃ {_percent(omega)}, δ̃ {_percent(damping)}", ""))
+        cards.append((label, f"f̃ {_percent(omega)}, δ̃ {_percent(damping)}", ""))
     else:
         cards.append(("PBMIF, worst level", significant(min(point.pbmif for point in points), 4), ""))
     return cards
@@ -202,7 +203,7 @@ def _modal_table(data: RunReportData) -> Table | None:
     for c in columns:
         head.append(Column(c.symbol, " ".join(filter(None, (power_of_ten(exponents[c.name]), c.unit))) or "1"))
     if data.reference is not None:
-        head += [Column("Δω̃", "%"), Column("Δδ̃", "%")]
+        head += [Column("Δf̃", "%"), Column("Δδ̃", "%")]
     rows = []
     for point in data.points:
         cells: list[str] = [significant(point.level)]
@@ -227,11 +228,11 @@ def _modal_table(data: RunReportData) -> Table | None:
         rows.append(Row(cells))
     note = ""
     if data.reference is not None:
-        note = f"Δω̃, Δδ̃: deviation from {data.reference.label} at the same modal amplitude."
+        note = f"Δf̃, Δδ̃: deviation from {data.reference.label} at the same modal amplitude."
     return Table(head, rows, note)
 
 
-_BUDGET_SYMBOLS = {"omega_rad_s": "ω̃", "damping_ratio": "δ̃", "modal_amplitude": "q", "force_n": "F₁"}
+_BUDGET_SYMBOLS = {"omega_rad_s": "f̃", "damping_ratio": "δ̃", "modal_amplitude": "q", "force_n": "F₁"}
 
 
 def _budget_tables(data: RunReportData) -> list[Table]:
@@ -372,8 +373,8 @@ def _settings(data: RunReportData) -> list[tuple[str, str]]:
     """Name and JSON text of each."""
     parts: list[tuple[str, Mapping[str, Any]]] = [
         ("run.json: plan, parameters, versions", data.run),
-        ("Rig file as used", data.rig),
-        ("Stop record", data.stop),
+        ("rig.yaml: the rig as used", data.rig),
+        ("Stop record of the bag", data.stop),
     ]
     return [(name, json.dumps(values, indent=1, ensure_ascii=False, default=str)) for name, values in parts if values]
 

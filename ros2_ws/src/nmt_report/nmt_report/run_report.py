@@ -49,9 +49,8 @@ def report_html(data: RunReportData) -> str:
     from nmt_report import shape_figures as report_shapes
 
     builders: dict[str, tuple[_Builder, ...]] = {
+        "first": (report_backbone.frequency_figure, report_backbone.damping_figure),
         "modal": (
-            report_backbone.frequency_figure,
-            report_backbone.damping_figure,
             report_backbone.indicator_figure,
             report_backbone.participation_figure,
         ),

@@ -12,6 +12,7 @@ from typing import Any
 import matplotlib
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 from nmt_report.figure_record import packed, record
 from nmt_report.kept_formulas import kept_formulas
@@ -21,6 +22,9 @@ FIGURE_TYPE = "application/x-nmt-figure"
 
 _HALF_PAGE = 600.0
 """Points: a wider figure takes the whole page."""
+
+_SCALE_WIDTH = 0.05
+"""Share of a figure's width: narrower axes are a colour scale, and stay with what is left of them."""
 
 INK = "#22272e"
 MUTED = "#6b7480"
@@ -111,7 +115,36 @@ def svg_text(figure: Figure, name: str, label: str, tips: Mapping[str, str] | No
     head = f'<svg class="plot" role="img" aria-label="{escape(words)}" viewBox="0 0 {width:g} {height:g}"'
     text = re.sub(r"<svg\b[^>]*", lambda _: head, text, count=1).strip()
     numbers = packed(record(figure, name, words, bool(width > _HALF_PAGE), drawn=True))
-    return Markup(f'{text}<script type="{FIGURE_TYPE}">{numbers}</script>')
+    return Markup(f'{text}{_columns(figure, name)}<script type="{FIGURE_TYPE}">{numbers}</script>')
+
+
+def _columns(figure: Figure, name: str) -> str:
+    """Views of the columns of a figure, for a narrow screen to show below each other; empty for one column.
+
+    A view draws nothing anew: it refers to the figure's own element.
+    """
+    columns: list[tuple[float, list[Any]]] = []
+    for axes in sorted(figure.axes, key=lambda axes: float(axes.get_position().x0)):
+        left, right = axes.get_position().x0, axes.get_position().x1
+        if not axes.get_visible():
+            continue
+        beside = right - left < _SCALE_WIDTH or columns and left < columns[-1][0]
+        if columns and beside:
+            columns[-1] = max(columns[-1][0], right), [*columns[-1][1], axes]
+        else:
+            columns.append((right, [axes]))
+    if len(columns) < 2:
+        return ""
+    groups = [[legend] for legend in figure.legends] + [group for _, group in columns]
+    height, scale = figure.get_figheight() * 72.0, 72.0 / figure.dpi
+    views = ""
+    for group in groups:
+        boxes = (item.get_tightbbox() if hasattr(item, "get_tightbbox") else item.get_window_extent() for item in group)
+        box = Bbox.union([box for box in boxes if box is not None])
+        place = (scale * box.x0 - 2.0, height - scale * box.y1 - 2.0, scale * box.width + 4.0, scale * box.height + 4.0)
+        frame = " ".join(f"{value:.1f}" for value in place)
+        views += f'<svg viewBox="{frame}" aria-hidden="true"><use href="#{name}-figure_1"/></svg>'
+    return f'<div class="panels">{views}</div>'
 
 
 def _shortened(way: str) -> str:

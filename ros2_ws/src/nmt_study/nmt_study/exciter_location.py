@@ -131,7 +131,7 @@ def _findings(results: Sequence[Result]) -> list[Finding]:
         Finding(
             "The results agree well with the numerical reference for all drive points.",
             "largest distance to EPMC "
-            + ", ".join(f"point {p}: ω̃ {percent(omega[p])}, δ̃ {percent(damping[p])}" for p in summary),
+            + ", ".join(f"point {p}: f̃ {percent(omega[p])}, δ̃ {percent(damping[p])}" for p in summary),
             all(value < 0.01 for value in omega.values()),
         )
     )
@@ -143,8 +143,9 @@ def _findings(results: Sequence[Result]) -> list[Finding]:
             Finding(
                 "With the exciter at points 5 or 6 the accuracy is slightly lower.",
                 "root mean square of the distance of δ̃ to EPMC "
-                + ", ".join(f"point {p}: {percent(rms[p])}" for p in rms),
-                max(rms[p] for p in far) > max(rms[p] for p in near),
+                + ", ".join(f"point {p}: {percent(rms[p])}" for p in rms)
+                + f"; best at point {min(rms, key=lambda p: rms[p])}",
+                min(rms[p] for p in far) > max(rms[p] for p in near),
             )
         )
     second = {p: max(row["participation_2"] or 0.0 for row in rows[p]) for p in summary}

@@ -35,6 +35,7 @@ def study_page(
         name=name,
         heading=title,
         subtitle=f"{len(results)} {noun} of {specimen} through the bench’s nodes, {duration(bench)} of bench time",
+        result=_verdict(output.findings, summary),
         warnings=short if quick else [],
         summary_table=_summary_table(summary),
         finding_table=_finding_table(output.findings),
@@ -59,12 +60,24 @@ def index_page(entries: Sequence[tuple[str, str, Sequence[SummaryRow], Sequence[
     )
 
 
+def _verdict(findings: Sequence[Finding], summary: Sequence[SummaryRow]) -> tuple[str, str]:
+    """One sentence on what the study showed, and its class: ``good``, ``partly`` or ``bad``."""
+    locked, levels = sum(row.locked for row in summary), sum(row.levels for row in summary)
+    judged = [finding for finding in findings if finding.holds is not None]
+    holding = sum(bool(finding.holds) for finding in judged)
+    parts = [f"{locked} of {levels} levels locked and extracted"]
+    if judged:
+        parts.insert(0, f"{holding} of {len(judged)} statements hold")
+    whole = locked == levels and holding == len(judged)
+    return "; ".join(parts), "good" if whole and locked else "partly" if locked else "bad"
+
+
 _SUMMARY_COLUMNS = (
     Column("Case", kind="text"),
     Column("Levels"),
-    Column("Test: ω̃", "%"),
+    Column("Test: f̃", "%"),
     Column("Test: δ̃", "%"),
-    Column("Method: ω̃", "%"),
+    Column("Method: f̃", "%"),
     Column("Method: δ̃", "%"),
     Column("Periods", "per level"),
     Column("Note", kind="text wrap"),
@@ -108,14 +121,14 @@ def _finding_table(findings: Sequence[Finding]) -> Table | None:
 
 _MOST_ROWS = 400
 _LEVEL_COLUMNS = (
-    ("omega_rad_s", "ω̃", "rad/s", 1.0, 6),
+    ("omega_rad_s", "f̃", "Hz", 0.5 / math.pi, 6),
     ("damping_ratio", "δ̃", "%", 100.0, 4),
     ("modal_amplitude", Markup("<i>q</i>"), "10⁻⁶ m√kg", 1e6, 5),
     ("force_n", Markup("|<i>F</i>₁|"), "N", 1.0, 4),
     ("pbmif", "PBMIF", "1", 1.0, 5),
-    ("omega_error_single_point", "Δω̃ test", "%", 100.0, 2),
+    ("omega_error_single_point", "Δf̃ test", "%", 100.0, 2),
     ("damping_error_single_point", "Δδ̃ test", "%", 100.0, 2),
-    ("omega_error_epmc", "Δω̃ method", "%", 100.0, 2),
+    ("omega_error_epmc", "Δf̃ method", "%", 100.0, 2),
     ("damping_error_epmc", "Δδ̃ method", "%", 100.0, 2),
     ("time_to_lock_s", "lock", "s", 1.0, 3),
     ("periods", "periods", "", 1.0, 4),

@@ -415,8 +415,8 @@ def _report(
             ("Bench time", duration(result.bench_time)),
         ],
         sections=[
-            ("force", "Held force", force_html + html_figures([force])),
             ("responses", "Frequency responses", html_figures(figures)),
+            ("force", "Held force", force_html + html_figures([force])),
             ("comparison", "Near the resonance", comparison_html),
         ],
         footer=Markup(

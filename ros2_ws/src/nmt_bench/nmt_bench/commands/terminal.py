@@ -76,7 +76,7 @@ def _table(
         head = " ".join(filter(None, (power_of_ten(exponents[column.name]), column.unit)))
         table.add_column(f"{column.plain_symbol}\n{head or '1'}", justify="right", no_wrap=True)
     if reference is not None:
-        table.add_column("Δω̃\n%", justify="right", no_wrap=True)
+        table.add_column("Δf̃\n%", justify="right", no_wrap=True)
         table.add_column("Δδ̃\n%", justify="right", no_wrap=True)
     for point in points:
         cells = [significant(point.level)]

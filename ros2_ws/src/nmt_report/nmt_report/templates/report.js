@@ -99,7 +99,7 @@
 (function () {
   let opened = [];
   window.addEventListener("beforeprint", function () {
-    opened = Array.from(document.querySelectorAll("details:not([open])"));
+    opened = Array.from(document.querySelectorAll("details:not([open]):not(.raw)"));
     opened.forEach(function (element) { element.open = true; });
   });
   window.addEventListener("afterprint", function () { opened.forEach(function (element) { element.open = false; }); });

@@ -6,8 +6,8 @@
 
 A page holds its tables between ``<!-- generated: KIND NAME -->`` and ``<!-- end -->``; everything else is
 written by hand. KIND is ``message`` (a .msg, .srv or .action file), ``parameters`` (the table of a node), ``rig``
-(a section of the rig file), ``options`` (a command), ``python`` (the public names of a package), ``effects`` (a place
-of the diagnosis) or ``priors``. The tables of parameters stand in the node modules, so they need ROS 2.
+(a section of the rig file), ``keys`` (attributes of a class by its docstring), ``options`` (a command), ``python`` (the
+public names of a package), ``effects`` (a place of the diagnosis) or ``priors``. The tables of parameters stand in the node modules, so they need ROS 2.
 """
 
 from __future__ import annotations
@@ -504,6 +504,31 @@ def rig_table(name: str) -> str:
     return "\n".join(lines)
 
 
+def keys_table(name: str) -> str:
+    """Attributes of a class as its docstring describes them, with types and defaults where it is a pydantic model.
+
+    Args:
+        name: of the class with its module.
+    """
+    module, _, kind = name.rpartition(".")
+    model = getattr(importlib.import_module(module), kind)
+    text = (model.__doc__ or "").partition("Attributes:\n")[2].partition("\n\n")[0]
+    meanings = {key: " ".join(words.split()) for key, words in _ATTRIBUTE.findall(text)}
+    fields = getattr(model, "model_fields", {})
+    lines = ["| key | type | default | meaning |", "|---|---|---|---|"] if fields else ["| key | meaning |", "|---|---|"]
+    for key, meaning in meanings.items():
+        cells = [f"`{key}`"]
+        if fields:
+            kinds, bounds = _type_and_range(key, fields[key])
+            value = fields[key].get_default(call_default_factory=True)
+            cells += [f"{kinds} {bounds}".strip(), "required" if fields[key].is_required() else _default(value)]
+        lines.append(f"| {' | '.join(cells)} | {_cell(meaning.replace('``', '`'))} |")
+    return "\n".join(lines)
+
+
+_ATTRIBUTE = re.compile(r"^ {8}(\w+): (.*?)(?=^ {8}\w+: |\Z)", re.S | re.M)
+
+
 def options_table(name: str) -> str:
     """Arguments and options of a command, part by part where it has parts."""
     from nmt_bench.cli import build_parser
@@ -584,6 +609,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "message": message_table,
     "parameters": parameters_table,
     "rig": rig_table,
+    "keys": keys_table,
     "options": options_table,
     "python": python_table,
 }

@@ -138,7 +138,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     wanted |= {("rig", name) for name in sections - {"Section"}}
     wanted |= {("python", name) for name in PYTHON}
     wanted |= {("effects", effect.place) for effect in library()} | {("priors", "all")}
-    assert shown == wanted
+    assert {region for region in shown if region[0] != "keys"} == wanted
 
 
 def test_every_rig_key_has_a_meaning_and_no_other() -> None:

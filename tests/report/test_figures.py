@@ -5,14 +5,17 @@ from __future__ import annotations
 import base64
 import csv
 import io
+import itertools
 import json
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 from report import diagnosis_fixture as fixture
 from report.synthetic_run import synthetic_run
 
@@ -139,6 +142,42 @@ def test_width_and_letters(redrawn: dict[str, tuple[dict[str, Any], Figure]]) ->
         assert min(box.x0, box.y0) > -0.02, name
         assert box.x1 < width + 0.02, name
         assert box.y1 < height + 0.04, name
+
+
+def test_no_text_is_cut_off_or_touches_another_or_a_mark(redrawn: dict[str, tuple[dict[str, Any], Figure]]) -> None:
+    for name, (_, page) in redrawn.items():
+        page.draw_without_rendering()
+        found = list(texts(page))
+        assert len(found) > 5
+        for text, box, _ in found:
+            assert min(box.x0, box.y0) > -1.0, (name, text)
+            assert box.x1 < page.bbox.width + 1.0, (name, text)
+            assert box.y1 < page.bbox.height + 1.0, (name, text)
+        for (text, box, _), (other, beside, _) in itertools.combinations(found, 2):
+            assert not box.padded(-1.0).overlaps(beside), (name, text, other)
+        for line in (line for axes in page.axes for line in axes.lines if line.get_marker() not in ("None", "")):
+            marks = line.get_transform().transform(np.column_stack(line.get_data()))
+            for text, box, inside in found:
+                assert not inside or not np.any(np.all((marks >= box.min) & (marks <= box.max), axis=1)), (name, text)
+
+
+def texts(page: Figure) -> Iterator[tuple[str, Bbox, bool]]:
+    """Every text that is drawn with its box, pixels, and whether it stands among the data."""
+    for axes in [*page.axes, *(child for axes in page.axes for child in axes.child_axes)]:
+        outside = [axes.title, axes._left_title]
+        for axis in (axis for axis in (axes.xaxis, axes.yaxis) if axis.get_visible()):
+            low, high = sorted(axis.get_view_interval())
+            ticks = [tick for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+            outside += [axis.label, axis.offsetText, *(label for t in ticks for label in (t.label1, t.label2))]
+        legend = axes.get_legend()
+        inside = [*axes.texts, *(legend.get_texts() if legend else ())]
+        yield from ((t.get_text(), t.get_window_extent(), t in inside) for t in outside + inside if drawn(t))
+    for text in (text for legend in page.legends for text in legend.get_texts()):
+        yield text.get_text(), text.get_window_extent(), False
+
+
+def drawn(text: Any) -> bool:
+    return bool(text.get_visible() and text.get_text())
 
 
 @pytest.mark.campaign

@@ -57,5 +57,5 @@ def test_page_is_one_file_with_what_it_is_given() -> None:
     assert "S &amp; T" in text
     assert '<td class="text">&lt;b&gt;x&lt;/b&gt;</td><td>1</td>' in text
     assert '<td class="text"><b>y</b></td><td>2</td>' in text
-    assert text.count("<svg") == 3
+    assert text.count('<svg class="plot"') == 3
     assert "http" not in text.replace("http-equiv", "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from nmt_study import (
     linear_modes,
     noise,
 )
-from nmt_study.study_report import index_page, study_page
+from nmt_study.study_report import _verdict, index_page, study_page
 from nmt_study.study_runner import load_study
 from nmt_study.study_table import level_rows, summary_row
 
@@ -33,7 +34,7 @@ def shown(module, results):
     rows = [row for result in results for row in level_rows("s", result)]
     summary = [summary_row(result, level_rows("s", result)) for result in results]
     page = study_page("s", module.TITLE, results, summary, [*rows, *output.extra_rows], output, True)
-    assert page.count("<svg") == len(output.figures) > 0
+    assert page.count('<svg class="plot"') == len(output.figures) > 0
     assert not re.search(r'(?:src|href)="(?!#|\w+/report\.html)', page)  # self-contained
     assert index_page([("s", module.TITLE, summary, output.findings)], False).startswith("<!DOCTYPE")
     return output
@@ -54,6 +55,24 @@ def test_cases_are_well_formed(name):
 def test_an_unknown_study_is_refused():
     with pytest.raises(BenchError, match="There is no study 'x'"):
         load_study("x")
+
+
+def test_a_far_point_that_is_best_contradicts_the_lower_accuracy(monkeypatch):
+    errors = {2: 0.02, 4: 0.03, 5: 0.01, 6: 0.05}
+    row = {"participation_2": 0.0, "pbmif": 1.0, "gamma_force": 1.0}
+    monkeypatch.setattr(
+        exciter_location, "level_rows", lambda _, result: [{**row, "damping_error_epmc": errors[result["case"]["exciter"]]}]
+    )
+    monkeypatch.setattr(exciter_location, "summary_row", lambda *_: SimpleNamespace(epmc=(0.0, 0.0)))
+    results = [{"case": {"exciter": point}} for point in errors]
+    findings = exciter_location._findings(results)
+    lower = next(finding for finding in findings if "5 or 6" in finding.claim)
+    assert not lower.holds
+    assert lower.found.endswith("best at point 5")
+    whole = SimpleNamespace(locked=4, levels=4)
+    assert _verdict(findings, [whole]) == ("4 of 5 statements hold; 4 of 4 levels locked and extracted", "partly")
+    errors[5] = 0.04
+    assert _verdict(exciter_location._findings(results), [whole])[1] == "good"
 
 
 @pytest.mark.campaign

@@ -1,12 +1,12 @@
-"""Makes the pictures of the documentation from the results folder of a run; Chromium draws page and report.
+"""Makes the pictures of the documentation; runs the commands whose results are not there yet. Chromium draws the pages.
 
-./nmt demo
 ./nmt shell
-python docs/make_pictures.py out/demo [--diagnosis diagnosis] [--notebooks]
+python docs/make_pictures.py out/pictures              # make
+python docs/make_pictures.py out/pictures --check      # exit code 1 if a stored picture is no longer what is made
+python docs/make_pictures.py out/pictures --notebooks  # and the outputs of the notebooks
 
-bench.svg: the nodes, and the backbone they measured. page.png: the live page replaying the run. report.png: its report.
-diagnosis.png: the report of the diagnosis of docs/how-to/diagnose.md, where its folder is named.
-Notebooks of examples/ are run and stored with their outputs.
+bench.svg: the nodes, and the backbone they measured. page.png: the live page replaying the demo. The others: the first
+screen of every kind of report, for docs/gallery.md.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import io
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -38,6 +39,7 @@ sys.path.insert(0, str(DOCS.parent / "tests"))
 from node.browser import Browser  # noqa: E402
 
 COLOURS = 96  # of a PNG: a third of the bytes, and nothing that the eye sees
+STILL, MOVING = 0.002, 0.06  # shares of points that may differ: dates of a report; the cursor of a replay
 INK, LINE, FILL, ACCENT = "#1c2733", "#5b6b7b", "#eef3f8", "#c0392b"
 
 # Node: centre and what it does.
@@ -114,10 +116,38 @@ def draw_bench(results: Path, target: Path) -> None:
     figure.savefig(target, metadata={"Date": None})
 
 
-async def screenshots(results: Path, diagnosis: Path | None, folder: Path) -> None:
-    """The live page in the middle of a replay, and the report."""
+# Picture: results folder, height of the shown part, and the command that makes the folder beside the others.
+HEAVY = "structure.added_masses=[{point: 5, mass_kg: 0.004}]"
+REPORTS: dict[str, tuple[str, int, tuple[str, ...]]] = {
+    "report": ("demo", 1150, ("demo",)),
+    "linear": ("linear", 800, ("linear", "joint_resonator")),
+    "sweep": (
+        "sweep",
+        900,
+        ("sweep", "joint_resonator", "--force", "14.65", "--from", "364", "--to", "372", "--stepped", "33"),
+    ),
+    "backbone": ("backbone", 900, ("run", "joint_resonator", "--linear", "linear/linear.json")),
+    "synthesis": ("synthesis", 900, ("synthesis", "--backbone", "backbone", "--sweep", "sweep")),
+    "reference": ("reference", 800, ("reference", "beam")),
+    "heavy": ("heavy", 0, ("run", "beam", "--set", HEAVY, "--levels", "0.05:1.5:8", "--periods", "60")),
+    "diagnosis": ("diagnosis", 1150, ("diagnose", "--model", "beam", "--real", "heavy")),
+    "study": ("study", 1000, ("study", "exciter_location", "--quick")),
+}
+
+
+def make_results(base: Path) -> None:
+    """Run the commands whose folders are not there, in the order of the table."""
+    base.mkdir(parents=True, exist_ok=True)
+    for folder, _, words in REPORTS.values():
+        if not (base / folder / "report.html").exists():
+            command = [sys.executable, "-m", "nmt_bench", *words, "--out", folder, "--force"]
+            subprocess.run(command, cwd=base, check=True)
+
+
+async def screenshots(base: Path, folder: Path) -> None:
+    """The live page in the middle of a replay, and the first screen of every report."""
     player = subprocess.Popen(
-        [sys.executable, "-m", "nmt_bench", "page", str(results / "bag")], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "nmt_bench", "page", str(base / "demo" / "bag")], stdout=subprocess.PIPE, text=True
     )
     try:
         assert player.stdout
@@ -132,19 +162,35 @@ async def screenshots(results: Path, diagnosis: Path | None, folder: Path) -> No
             await browser.value(f"{faster.replace('10', '1')} speed.dispatchEvent(new Event('change'))")
             await asyncio.sleep(2.0)
             await browser.picture(folder / "page.png")
-            for name, height, source in (("report", 1750, results), ("diagnosis", 1150, diagnosis)):
-                if source is None:
-                    continue
-                await browser.size(1200, height)
-                await browser.open((source / "report.html").resolve().as_uri())
-                await browser.until("document.readyState === 'complete'")
-                await browser.picture(folder / f"{name}.png")
+            for name, (source, height, _) in REPORTS.items():
+                if height:
+                    await browser.size(1200, height)
+                    await browser.open((base / source / "report.html").resolve().as_uri())
+                    await browser.until("document.readyState === 'complete'")
+                    await browser.picture(folder / f"{name}.png")
     finally:
         player.terminate()
         player.wait()
     for path in folder.glob("*.png"):
         small = Image.open(io.BytesIO(path.read_bytes())).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
         small.save(path, optimize=True)
+
+
+def stale(made: Path, stored: Path) -> list[str]:
+    """Names of stored pictures that are missing or differ from those made; a date or a replay's cursor may differ."""
+    found = []
+    for path in sorted(made.glob("*.png")):
+        new = Image.open(path).convert("L")
+        old = Image.open(stored / path.name).convert("L") if (stored / path.name).exists() else None
+        most = MOVING if path.name == "page.png" else STILL
+        if old is None or old.size != new.size or _share(new, old) > most:
+            found.append(path.name)
+    return found
+
+
+def _share(new: Image.Image, old: Image.Image) -> float:
+    """Share of the points that differ clearly."""
+    return float(np.mean(np.abs(np.asarray(new, dtype=int) - np.asarray(old, dtype=int)) > 64))
 
 
 def run_notebooks() -> None:
@@ -161,13 +207,22 @@ def run_notebooks() -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Draw all pictures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("results", type=Path, help="results folder of a run")
-    parser.add_argument("--diagnosis", type=Path, help="results folder of a diagnosis")
+    parser.add_argument("results", type=Path, help="folder of the results folders; what is missing is made")
+    parser.add_argument("--check", action="store_true", help="write nothing; 1 if a picture is not current")
     parser.add_argument("--notebooks", action="store_true", help="run the notebooks, too")
     parser.add_argument("--out", type=Path, default=DOCS / "images", help="folder of the pictures")
     options = parser.parse_args(arguments)
-    draw_bench(options.results, options.out / "bench.svg")
-    asyncio.run(screenshots(options.results, options.diagnosis, options.out))
+    make_results(options.results)
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder)
+        draw_bench(options.results / "demo", made / "bench.svg")
+        asyncio.run(screenshots(options.results, made))
+        old = stale(made, options.out)
+        sys.stdout.write(f"Differ: {', '.join(old) or 'none'}\n")
+        if options.check:
+            return 1 if old else 0
+        for path in made.iterdir():
+            shutil.copy(path, options.out / path.name)
     if options.notebooks:
         run_notebooks()
     return 0

@@ -7,7 +7,8 @@
 A page holds its tables between ``<!-- generated: KIND NAME -->`` and ``<!-- end -->``; everything else is
 written by hand. KIND is ``message`` (a .msg, .srv or .action file), ``parameters`` (the table of a node), ``rig``
 (a section of the rig file), ``keys`` (attributes of a class by its docstring), ``options`` (a command), ``python`` (the
-public names of a package), ``effects`` (a place of the diagnosis) or ``priors``. The tables of parameters stand in the node modules, so they need ROS 2.
+public names of a package), ``effects`` (a place of the diagnosis) or ``priors``. The tables of
+parameters stand in the node modules, so they need ROS 2.
 """
 
 from __future__ import annotations
@@ -515,7 +516,9 @@ def keys_table(name: str) -> str:
     text = (model.__doc__ or "").partition("Attributes:\n")[2].partition("\n\n")[0]
     meanings = {key: " ".join(words.split()) for key, words in _ATTRIBUTE.findall(text)}
     fields = getattr(model, "model_fields", {})
-    lines = ["| key | type | default | meaning |", "|---|---|---|---|"] if fields else ["| key | meaning |", "|---|---|"]
+    lines = (
+        ["| key | type | default | meaning |", "|---|---|---|---|"] if fields else ["| key | meaning |", "|---|---|"]
+    )
     for key, meaning in meanings.items():
         cells = [f"`{key}`"]
         if fields:

@@ -95,7 +95,9 @@ def test_table_of_the_backbone_holds_the_modal_points(report: Path, tmp_path: Pa
     points = [row for row in measured if row["y_low"]]
     np.testing.assert_allclose(column(points, "x"), [p.modal_amplitude for p in RUN.good_points], rtol=1e-7)
     np.testing.assert_allclose(
-        0.5 * (column(points, "y_low") + column(points, "y_high")), [p.omega_rad_s / (2 * np.pi) for p in RUN.good_points], rtol=1e-7
+        0.5 * (column(points, "y_low") + column(points, "y_high")),
+        [p.omega_rad_s / (2 * np.pi) for p in RUN.good_points],
+        rtol=1e-7,
     )
     assert RUN.reference is not None
     assert any(row["series"] == RUN.reference.label for row in measured)
@@ -163,7 +165,7 @@ def test_no_text_is_cut_off_or_touches_another_or_a_mark(redrawn: dict[str, tupl
 
 def texts(page: Figure) -> Iterator[tuple[str, Bbox, bool]]:
     """Every text that is drawn with its box, pixels, and whether it stands among the data."""
-    for axes in [*page.axes, *(child for axes in page.axes for child in axes.child_axes)]:
+    for axes in [*page.axes, *(child for parent in page.axes for child in parent.child_axes)]:
         outside = [axes.title, axes._left_title]
         for axis in (axis for axis in (axes.xaxis, axes.yaxis) if axis.get_visible()):
             low, high = sorted(axis.get_view_interval())

@@ -61,7 +61,9 @@ def test_a_far_point_that_is_best_contradicts_the_lower_accuracy(monkeypatch):
     errors = {2: 0.02, 4: 0.03, 5: 0.01, 6: 0.05}
     row = {"participation_2": 0.0, "pbmif": 1.0, "gamma_force": 1.0}
     monkeypatch.setattr(
-        exciter_location, "level_rows", lambda _, result: [{**row, "damping_error_epmc": errors[result["case"]["exciter"]]}]
+        exciter_location,
+        "level_rows",
+        lambda _, result: [{**row, "damping_error_epmc": errors[result["case"]["exciter"]]}],
     )
     monkeypatch.setattr(exciter_location, "summary_row", lambda *_: SimpleNamespace(epmc=(0.0, 0.0)))
     results = [{"case": {"exciter": point}} for point in errors]

@@ -193,8 +193,8 @@ def amplitude_figure(data: RunReportData) -> ReportFigure:
     for axes in (upper, lower):
         axes.set_xscale("log")
         axes.set_yscale("log")
-        _decade_ticks(axes.yaxis, *axes.get_ylim())
-    _decade_ticks(lower.xaxis, *lower.get_xlim())
+        decade_ticks(axes.yaxis, *axes.get_ylim())
+    decade_ticks(lower.xaxis, *lower.get_xlim())
     caption = "Modal amplitude and fundamental of the excitation force at each level."
     label = "Modal amplitude and force over level"
     return ReportFigure("amplitudes", "Amplitude and force", caption, svg_text(figure, "amplitudes", label, tips))
@@ -332,13 +332,14 @@ def _log_x(axes: Axes, x: Any) -> None:
     good = x[np.isfinite(x) & (x > 0)]
     if good.size:
         axes.set_xlim(good.min() / 1.6, good.max() * 1.6)
-    _decade_ticks(axes.xaxis, *axes.get_xlim())
+    decade_ticks(axes.xaxis, *axes.get_xlim())
 
 
-def _decade_ticks(axis: Any, low: float, high: float) -> None:
-    """Ticks of a logarithmic axis: decades, and 2 and 5 between them where the range is short."""
-    short = math.log10(high / low) < 1.9
-    axis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0) if short else (1.0,), numticks=20))
+def decade_ticks(axis: Any, low: float, high: float) -> None:
+    """Ticks of a logarithmic axis: decades, and between them 3, or 2 and 5, where the range is short."""
+    decades = math.log10(high / low)
+    between = (1.0, 2.0, 5.0) if decades < 0.9 else (1.0, 3.0) if decades < 1.9 else (1.0,)
+    axis.set_major_locator(LogLocator(10.0, subs=between, numticks=20))
     axis.set_minor_locator(LogLocator(10.0, subs=tuple(range(2, 10)), numticks=40))
     axis.set_major_formatter(LogFormatterSciNotation(10.0, labelOnlyBase=False))
     axis.set_minor_formatter(NullFormatter())

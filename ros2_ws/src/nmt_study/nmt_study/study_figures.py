@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from nmt_core.arrays import FloatArray
 from nmt_extract.modal_point import Status
+from nmt_report.backbone_figures import decade_ticks
 from nmt_report.quantity_format import significant
 from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
 from nmt_study.study import Result
@@ -199,12 +199,7 @@ def log_q(axes: Axes, amplitudes: Sequence[Any]) -> None:
     good = good[np.isfinite(good) & (good > 0)]
     if good.size:
         axes.set_xlim(good.min() / 1.5, good.max() * 1.5)
-    low, high = axes.get_xlim()
-    short = math.log10(high / low) < 1.9
-    axes.xaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0) if short else (1.0,), numticks=20))
-    axes.xaxis.set_minor_locator(LogLocator(10.0, subs=tuple(range(2, 10)), numticks=40))
-    axes.xaxis.set_major_formatter(LogFormatterSciNotation(10.0, labelOnlyBase=False))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    decade_ticks(axes.xaxis, *axes.get_xlim())
 
 
 def percent(value: float, digits: int = 2) -> str:

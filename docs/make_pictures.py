@@ -145,32 +145,40 @@ def make_results(base: Path) -> None:
 
 
 async def screenshots(base: Path, folder: Path) -> None:
-    """The live page in the middle of a replay, and the first screen of every report."""
-    player = subprocess.Popen(
-        [sys.executable, "-m", "nmt_bench", "page", str(base / "demo" / "bag")], stdout=subprocess.PIPE, text=True
-    )
+    """The first screen of every report."""
+    async with Browser() as browser:
+        for name, (source, height, _) in REPORTS.items():
+            if height:
+                await browser.size(1200, height)
+                await browser.open((base / source / "report.html").resolve().as_uri())
+                await browser.until("document.readyState === 'complete'", 120.0)
+                await browser.picture(folder / f"{name}.png")
+
+
+async def live_page(bag: Path, target: Path) -> None:
+    """The live page in the middle of a replay."""
+    command = [sys.executable, "-m", "nmt_bench", "page", str(bag)]
+    player = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert player.stdout
         address = next(line for line in player.stdout if "http://" in line).split()[-1]
         async with Browser() as browser:
             await browser.size(1440, 885)
             await browser.open(address)
-            await browser.until("document.body.dataset.sample")
+            await browser.until("document.body.dataset.sample", 120.0)
             faster = "var speed = document.getElementById('speed'); speed.value = '10';"
             await browser.value(f"{faster} speed.dispatchEvent(new Event('change'))")
-            await browser.until("document.querySelectorAll('#points tbody tr').length > 7", 60.0)
+            await browser.until("document.querySelectorAll('#points tbody tr').length > 7", 120.0)
             await browser.value(f"{faster.replace('10', '1')} speed.dispatchEvent(new Event('change'))")
             await asyncio.sleep(2.0)
-            await browser.picture(folder / "page.png")
-            for name, (source, height, _) in REPORTS.items():
-                if height:
-                    await browser.size(1200, height)
-                    await browser.open((base / source / "report.html").resolve().as_uri())
-                    await browser.until("document.readyState === 'complete'")
-                    await browser.picture(folder / f"{name}.png")
+            await browser.picture(target)
     finally:
         player.terminate()
         player.wait()
+
+
+def shrink(folder: Path) -> None:
+    """Fewer colours in every picture of a folder."""
     for path in folder.glob("*.png"):
         small = Image.open(io.BytesIO(path.read_bytes())).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
         small.save(path, optimize=True)
@@ -217,6 +225,8 @@ def main(arguments: list[str] | None = None) -> int:
         made = Path(folder)
         draw_bench(options.results / "demo", made / "bench.svg")
         asyncio.run(screenshots(options.results, made))
+        asyncio.run(live_page(options.results / "demo" / "bag", made / "page.png"))
+        shrink(made)
         old = stale(made, options.out)
         sys.stdout.write(f"Differ: {', '.join(old) or 'none'}\n")
         if options.check:

@@ -126,7 +126,7 @@ REPORTS: dict[str, tuple[str, int, tuple[str, ...]]] = {
         900,
         ("sweep", "joint_resonator", "--force", "14.65", "--from", "364", "--to", "372", "--stepped", "33"),
     ),
-    "backbone": ("backbone", 0, ("run", "joint_resonator", "--linear", "linear/linear.json")),
+    "backbone": ("backbone", 900, ("run", "joint_resonator", "--linear", "linear/linear.json")),
     "synthesis": ("synthesis", 900, ("synthesis", "--backbone", "backbone", "--sweep", "sweep")),
     "reference": ("reference", 800, ("reference", "beam")),
     "heavy": ("heavy", 0, ("run", "beam", "--set", HEAVY, "--levels", "0.05:1.5:8", "--periods", "60")),

@@ -556,14 +556,15 @@ class Bench:
     def _await_bag(self, lost: str) -> tuple[str, float]:
         """Wait until all that was sent is in the bag; its state, and the bench time that it lacks, s."""
         client = self.client
-        if lost == "sequencer" and self.processes is not None:
+        stands_still = lost == "plant" and self.test.pacing == "lockstep"
+        if (lost == "sequencer" or stands_still) and self.processes is not None:
             # Nobody tells the recorder that the run is over: wait for the plant's own ramp, then end all nodes.
-            self._spin_while(lambda: not client.drive_is_at_zero, 10.0)
+            self._spin_while(lambda: not (client.drive_is_at_zero or stands_still), 10.0)
             self.spin(_LAST_WRITES)
             self.processes.end()
         begun = moved = time.monotonic()
         written = client.recorded
-        ended = ("recorder", "sequencer")
+        ended = ("recorder", "sequencer", "plant") if stands_still else ("recorder", "sequencer")
         while client.bag.state == "open" and lost not in ended and time.monotonic() - moved < _STILL:
             self._turn()
             lost = lost or self._lost_node(time.monotonic())

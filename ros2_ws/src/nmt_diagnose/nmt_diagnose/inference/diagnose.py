@@ -200,8 +200,8 @@ def find(
     for source in beside:
         explained[source.placement.kind] = max(explained.get(source.placement.kind, 0.0), source.explained)
     best = first.best if first.best is not None and comparison.log_odds > ALARM else null
-    known = best is first_null  # nothing has moved since the scan
-    visible = _visible(search, scores if known else search.scores(best), rig) if settings.look_ahead else ()
+    unmoved = best is first_null  # since the scan
+    visible = _visible(search, scores if unmoved else search.scores(best), rig) if settings.look_ahead else ()
     return Findings(data, search, given, null, tuple(named), comparison, explained, visible, modes.findings)
 
 

@@ -312,7 +312,7 @@ def test_the_sheet_says_what_was_reached(tmp_path: Path) -> None:
     text = files[1].read_text()
     assert text == files[3].read_text()
     assert "66.7 % (21–94 %, 2 of 3)" in text
-    assert page(scores).count('<svg class="plot"') == 4
+    assert page(scores).count("<svg") == 4
     assert any("missed" in line for line in print_scores(scores))
 
 

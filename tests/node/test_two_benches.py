@@ -83,7 +83,7 @@ def test_a_node_without_its_parameters_does_not_start(name: str, needed: str) ->
 
 @pytest.mark.parametrize("namespace", ["/", "/second", "/hall/second"])
 def test_a_parameter_file_moves_with_its_namespace(namespace: str, tmp_path: Path) -> None:
-    plan = plan_nodes(plan_test("beam", [0.2], run_id="moved"), tmp_path / "bag", tmp_path / "rig.yaml")
+    plan = plan_nodes(plan_test("beam", [0.2], run_id="moved", linked=False), tmp_path / "bag", tmp_path / "rig.yaml")
     plan.write_parameters(tmp_path / "nodes.yaml")
     arguments = ["--ros-args", "--params-file", str(tmp_path / "nodes.yaml"), "-r", f"__ns:={namespace}"]
     with Bench("beam", [0.3]) as bench:

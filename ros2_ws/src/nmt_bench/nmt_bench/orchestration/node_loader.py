@@ -39,6 +39,7 @@ PREPARED = (
     "nmt_core.command_judge",
     "nmt_core.dds_profile",
     "nmt_core.launcher_watch",
+    "nmt_core.link",
     "nmt_core.liveness",
     "nmt_core.shared_memory",
     "nmt_plant.guarded_device",

@@ -177,7 +177,8 @@ class LowLevelModes:
             responses[rows.channel[row], rows.level[row]] = math.exp(observations.values[row])
         for row in np.flatnonzero((rows.test == number) & (rows.part == Part.PHASE)):
             responses[rows.channel[row], rows.level[row]] *= np.exp(1j * observations.values[row])
-        kept = np.isfinite(responses).sum(axis=1) >= _FEWEST_LINES
+        turned = rows.channel[(rows.test == number) & (rows.part == Part.PHASE)]
+        kept = (np.isfinite(responses).sum(axis=1) >= _FEWEST_LINES) & np.isin(np.arange(len(responses)), turned)
         model = self.modes(self.rig, test)
         if model is None or not kept.any():
             return

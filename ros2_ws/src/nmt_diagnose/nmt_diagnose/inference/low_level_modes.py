@@ -22,6 +22,7 @@ from nmt_diagnose.inference.tuned import (
     MODE_ALIKE,
     MODE_APART,
     MODE_DAMPING_STD,
+    MODE_EDGE,
     MODE_FREQUENCY_STD,
     MODE_NEAR,
     MODE_SAME,
@@ -202,7 +203,8 @@ class LowLevelModes:
 
     def _judge(self, test: RandomTest, found: Modes, model: Modes, which: np.ndarray, likeness: FloatArray) -> None:
         said = []
-        for k in np.flatnonzero(which < 0):
+        low, high = MODE_EDGE * test.lines_hz[0], test.lines_hz[-1] / MODE_EDGE
+        for k in np.flatnonzero((which < 0) & (found.frequencies_hz > low) & (found.frequencies_hz < high)):
             if any(abs(math.log(found.frequencies_hz[k] / told)) < MODE_SAME for told in self._told):
                 continue
             self._told.append(float(found.frequencies_hz[k]))

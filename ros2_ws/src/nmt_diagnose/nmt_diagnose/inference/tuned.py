@@ -88,3 +88,5 @@ SEEN = 5.0
 MODE_SHARE, MODE_UNLIKE, MODE_ALIKE, MODE_APART, MODE_NEAR, MODE_SAME = 0.5, 0.3, 0.5, 0.5, 0.1, 0.02
 # How near the model's modes are brought to the measured ones before lines are fitted, ln of frequency and damping.
 MODE_FREQUENCY_STD, MODE_DAMPING_STD = 1e-3, 0.1
+# Frequency over an end of the band up to which a pole that the model lacks may be noise: responses are small there.
+MODE_EDGE = 1.3

@@ -41,7 +41,7 @@ _ROUNDS = 20
 # Pairs of poles beside those of the modes: what noise and modes outside of the band need.
 _EXTRA = 3
 # Damping ratios beyond which a pole is no mode: of a measured one, and of the model's that it may be.
-_HIGHEST_MEASURED, _HIGHEST_DAMPING = 0.1, 0.3
+_HIGHEST_MEASURED, _HIGHEST_DAMPING = 0.05, 0.3
 _FEWEST_LINES = 20
 # Residual of what has no such modes; most steps of a start.
 _NOWHERE, _STEPS = 1e3, 40

@@ -85,6 +85,9 @@ def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: 
         frequency_hz: lines, ascending, (n,).
         responses: motions over a force or voltage, (channels, n); not a number where a line is missing.
         expected: modes that are expected.
+
+    Returns:
+        Modes within the lines; shapes are residues over 2π times the last line, (k, channels).
     """
     scale = 2.0 * np.pi * frequency_hz[-1]
     s = 2j * np.pi * frequency_hz / scale
@@ -154,6 +157,38 @@ def _real(values: ComplexArray) -> FloatArray:
     return np.concatenate([values.real, values.imag])
 
 
+def inadequacies(
+    name: str, band_hz: tuple[float, float], found: Modes, which: np.ndarray, likeness: FloatArray
+) -> list[tuple[float, str]]:
+    """What the model has to be corrected for before effects can be told: frequency in Hz and a sentence each.
+
+    Args:
+        name: of the test.
+        band_hz: its first and last line; near them responses may be so small that noise passes for a mode.
+        found: its modes, k of them.
+        which: the model's mode of each, -1 where it has none, (k,).
+        likeness: modal assurance criterion of each with each of the model's, (k, modes).
+    """
+    low, high = MODE_EDGE * band_hz[0], band_hz[1] / MODE_EDGE
+    own = found.frequencies_hz
+    result = [
+        (
+            float(own[k]),
+            f"{name} has a mode at {own[k]:.4g} Hz (damping {100 * found.dampings[k]:.2g} %) that the model lacks; add "
+            "it to the model, or leave its band out.",
+        )
+        for k in np.flatnonzero((which < 0) & (own > low) & (own < high))
+    ]
+    for a, b in pairwise(np.flatnonzero(which >= 0)):
+        if which[a] > which[b] and max(likeness[a, which[b]], likeness[b, which[a]]) < MODE_ALIKE:
+            sentence = (
+                f"{name} has the modes at {own[a]:.4g} and {own[b]:.4g} Hz in the other order than the model; correct "
+                "the model first."
+            )
+            result.append((float(own[a]), sentence))
+    return result
+
+
 class LowLevelModes:
     """Modes of the random tests and linear responses of some observations.
 
@@ -196,30 +231,17 @@ class LowLevelModes:
         near = apart[own, theirs]
         sure = (near < MODE_NEAR) | ((likeness[own, theirs] > MODE_UNLIKE) & (near < MODE_APART))
         which[own[sure]] = theirs[sure]
-        self._judge(test, found, model, which, likeness)
+        self._tell(inadequacies(test.name, (lines[0], lines[-1]), found, which, likeness))
         used = which >= 0
         if used.any():
             self.tests.append((test, Modes(found.poles[used], found.shapes[used]), which[used]))
 
-    def _judge(self, test: RandomTest, found: Modes, model: Modes, which: np.ndarray, likeness: FloatArray) -> None:
-        said = []
-        low, high = MODE_EDGE * test.lines_hz[0], test.lines_hz[-1] / MODE_EDGE
-        for k in np.flatnonzero((which < 0) & (found.frequencies_hz > low) & (found.frequencies_hz < high)):
-            if any(abs(math.log(found.frequencies_hz[k] / told)) < MODE_SAME for told in self._told):
-                continue
-            self._told.append(float(found.frequencies_hz[k]))
-            said.append(
-                f"{test.name} has a mode at {found.frequencies_hz[k]:.4g} Hz (damping {100 * found.dampings[k]:.2g} %) "
-                f"that the model lacks; add it to the model, or leave its band out."
-            )
-        used = np.flatnonzero(which >= 0)
-        for a, b in pairwise(used):
-            if which[a] > which[b] and max(likeness[a, which[b]], likeness[b, which[a]]) < MODE_ALIKE:
-                said.append(
-                    f"{test.name} has the modes at {found.frequencies_hz[a]:.4g} and {found.frequencies_hz[b]:.4g} Hz "
-                    "in the other order than the model; correct the model first."
-                )
-        self.findings = (*self.findings, *said)
+    def _tell(self, found: list[tuple[float, str]]) -> None:
+        """Keep what is wrong, each frequency (Hz) once however many tests show it."""
+        for frequency, sentence in found:
+            if all(abs(math.log(frequency / told)) >= MODE_SAME for told in self._told):
+                self._told.append(frequency)
+                self.findings = (*self.findings, sentence)
 
     def modes(self, rig: Rig, test: RandomTest) -> Modes | None:
         """Modes of a rig as a test meets it, local forces at rest; None where it cannot be taken apart."""

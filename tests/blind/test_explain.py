@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 from diagnose.twin_observations import chain, observations_of_twin, real
 
-from nmt_blind.campaign.explain import account, follows, parameters_of
+from nmt_blind.campaign import explain
+from nmt_blind.campaign.explain import account, follows, measured_strengths, parameters_of
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
@@ -66,3 +68,24 @@ def test_what_a_miss_comes_from(
 
 def test_a_healthy_case_that_is_called_healthy_is_no_miss() -> None:
     assert follows(True, False, (1.0, 1.0, 1.0), (0.0, 0.0), 0.0, 0.0, [1.0]) == "healthy"
+
+
+def test_strengths_are_measured_by_the_noise_of_the_recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}])
+    observations = observations_of_twin(truth, seed=6, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
+    monkeypatch.setattr(explain, "_recorded", lambda folder, case, settings: (MODEL, observations))
+    told: list[str] = []
+    unknown = {**entry(1.0), "case": "0002", "effects": [{"name": "no_such_effect", "detail": "", "sigma": 3.0}]}
+    healthy = {**entry(1.0), "case": "0003", "effects": []}
+    cases = {"cases": [entry(2e8), unknown, healthy]}
+
+    def measured() -> dict[str, float]:
+        return measured_strengths(tmp_path, cases, progress=lambda done, total, case: told.append(case))
+
+    found = measured()
+    assert set(found) == {"0001"}
+    assert found["0001"] == pytest.approx(account(MODEL, observations, SETTINGS, entry(2e8)).sigma, rel=0.05)
+    assert told == ["0001", "0002"]
+    # Once measured they are kept.
+    assert measured() == found
+    assert told == ["0001", "0002"]

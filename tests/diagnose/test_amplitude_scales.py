@@ -184,7 +184,7 @@ def test_motions_that_the_model_is_far_from_are_taken_as_measured() -> None:
     # Samples that were looked at show no step of a converter; without samples nothing says so.
     same = operating_range(model, observations.tests, observations=observations)
     assert set(same.steps.values()) == {0.0}
-    assert replace(same, steps={}) == plain
+    assert replace(same, steps={}, delays={}) == plain
     motion = (
         (observations.rows.part == Part.LOG_MAGNITUDE) & (observations.rows.channel > 0) & (observations.rows.test == 0)
     )

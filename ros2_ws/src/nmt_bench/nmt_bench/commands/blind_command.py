@@ -92,6 +92,12 @@ def _add_score(parts: Subparsers) -> None:
         help="diagnosed development campaign that the generic classifier learns from",
     )
     score.add_argument(
+        "--measured", action="store_true",
+        help="judge strengths by the noise that each case's recordings have, in place of the generator's",
+    )  # fmt: skip
+    add_jobs(score)
+    add_task_page_option(score)
+    score.add_argument(
         "--docs", metavar="FILE", type=Path, help="write the score sheet as a page of the documentation, too",
     )  # fmt: skip
 
@@ -215,7 +221,20 @@ def _score(arguments: argparse.Namespace) -> int:
     from nmt_blind.campaign.score import score_campaign
     from nmt_blind.campaign.score_sheet import print_scores, write_sheets
 
-    scores = score_campaign(arguments.out, arguments.results, arguments.again, arguments.train)
+    def measured(truth: dict[str, Any]) -> dict[str, float]:
+        from nmt_blind.campaign.explain import measured_strengths
+
+        with _bar(arguments, "measuring strengths") as bar:
+            return measured_strengths(
+                arguments.out,
+                truth,
+                worker_count(arguments),
+                progress=lambda done, total, case: bar.update(done, total),
+            )
+
+    scores = score_campaign(
+        arguments.out, arguments.results, arguments.again, arguments.train, measured if arguments.measured else None
+    )
     files = write_sheets(scores, arguments.out, arguments.docs)
     for line in print_scores(scores):
         _console().print(line, markup=False)

@@ -7,8 +7,9 @@ the learnt scales tell whether the search, the priors, the physics, the noise or
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,16 +21,23 @@ from nmt_blind.campaign.run import read_public
 from nmt_blind.campaign.score import opened_truth
 from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.hardened import read_json
+from nmt_core.whole_file import write_whole
+from nmt_core.workers import worked
 from nmt_diagnose.effects.effect import Candidate
+from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import starts_of
-from nmt_diagnose.inference.diagnose import Findings, find, observed
+from nmt_diagnose.inference.diagnose import Findings, about, find, model_alone, observed, own_parameters
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.fitting import FitError, fit
-from nmt_diagnose.inference.search import Found
+from nmt_diagnose.inference.fitting import FitError, approach, fit
+from nmt_diagnose.inference.low_level_modes import LowLevelModes
+from nmt_diagnose.inference.search import Found, Search
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig, load_rig
 
+_MEASURED_FILE = "measured.json"
 _SAME = 2.0  # difference of costs that is none
 _SEEN = 5.0  # standard deviations from which recordings show an effect
 _HALF = 0.5  # share of the drawn strength below which noise hides it
@@ -76,14 +84,110 @@ def explain_case(folder: Path, case: str) -> Account:
     truth = {str(entry["case"]): entry for entry in opened_truth(folder)["cases"]}
     if case not in truth:
         raise BenchError(f"The campaign {folder} has no case {case}; it has {min(truth)} to {max(truth)}.")
+    withheld = tuple(word for word in str(truth[case]["withheld"]).split(",") if word)
+    settings = DiagnosisSettings(withheld=withheld, look_ahead=False, matters={})
+    rig, observations = _recorded(folder, case, settings)
+    return account(rig, observations, settings, truth[case])
+
+
+def _recorded(folder: Path, case: str, settings: DiagnosisSettings) -> tuple[Rig, Observations]:
+    """Model and observations of a case.
+
+    Raises:
+        BenchError: it has no bags.
+    """
     own = folder / "cases" / case
-    bags = [own / test for test in read_public(folder)["tests"]]
     if not (own / "bags.json").is_file():
         raise BenchError(f"Case {case} of {folder} has no bags; go on with './nmt blind make'.")
     rig = load_rig(str(own / "model.yaml"))
-    withheld = tuple(word for word in str(truth[case]["withheld"]).split(",") if word)
-    settings = DiagnosisSettings(withheld=withheld, look_ahead=False, matters={})
-    return account(rig, observed(rig, bags, (), settings), settings, truth[case])
+    return rig, observed(rig, [own / test for test in read_public(folder)["tests"]], (), settings)
+
+
+def measured_strength(folder: Path, truth: Mapping[str, Any]) -> float:
+    """How far the weakest true effect of a case lies beyond the noise that its recordings have, standard deviations.
+
+    The truth is fitted from its true parameters, with and without each effect, chain and scales free. Effects that the
+    diagnosis went without count.
+
+    Args:
+        folder: the campaign's folder.
+        truth: the case's entry in the sealed file.
+
+    Returns:
+        NaN where the library lacks an effect, or the model has no solution with it.
+
+    Raises:
+        BenchError: the case has no bags, or they cannot be used.
+    """
+    rig, observations = _recorded(folder, str(truth["case"]), DiagnosisSettings(matters={}))
+    parameters = own_parameters(rig, observations)
+    everything = np.ones(len(observations.rows), dtype=bool)
+    found = model_alone(rig, observations, parameters, everything, LowLevelModes(observations, rig))
+    null, data = found[2], found[3]
+    library = candidates(rig, operating_range(rig, observations.tests, observations=observations))
+    true = _fitted(Search(data, rig, parameters, library), null, rig, truth)
+    if true is None:
+        return math.nan
+    search = Search(about(rig, data.observations, true.fit, data.used), rig, parameters, library)
+    true = search.again(true)
+    without = [search.again(own) for own in _each_left_out(search, true)]
+    return math.sqrt(max(0.0, min(own.fit.cost for own in without) - true.fit.cost)) if without else math.nan
+
+
+def measured_strengths(
+    folder: Path,
+    truth: Mapping[str, Any],
+    jobs: int = 1,
+    scheduler: str = "",
+    progress: Callable[[int, int, str], None] = lambda done, total, case: None,
+) -> dict[str, float]:
+    """Strengths of all cases with effects by the noise that their recordings have, by case, standard deviations.
+
+    They are kept in ``measured.json`` in the campaign's folder, so that the next call goes on; cases without bags or
+    without a fit of the truth are left out.
+
+    Args:
+        folder: the campaign's folder.
+        truth: its opened truth.
+        jobs: worker processes on this machine.
+        scheduler: address of a Dask scheduler in place of them.
+        progress: called with cases done, cases in all and the newest case.
+    """
+    path = folder / _MEASURED_FILE
+    known: dict[str, float | None] = read_json(path, "list of strengths") if path.is_file() else {}
+    cases = [entry for entry in truth["cases"] if entry["effects"]]
+    todo = [(folder.absolute(), entry) for entry in cases if str(entry["case"]) not in known]
+    for case, value in worked(_named_strength, todo, jobs, scheduler):
+        known[case] = value if math.isfinite(value) else None
+        write_whole(path, json.dumps(dict(sorted(known.items())), indent=1) + "\n")
+        progress(len(known), len(cases), case)
+    return {case: value for case, value in known.items() if value is not None}
+
+
+def _named_strength(folder: Path, entry: Mapping[str, Any]) -> tuple[str, float]:
+    case = str(entry["case"])
+    try:
+        return case, measured_strength(folder, entry)
+    except BenchError:
+        return case, math.nan
+
+
+def _each_left_out(search: Search, true: Found) -> list[Found]:
+    """Fits with one effect less, one for each; those that have no solution are left out."""
+    own, count = true.fit, len(search.parameters)
+    result = []
+    for missing in range(len(true.candidates)):
+        kept = [k for k in range(len(true.candidates)) if k != missing]
+        parametrisation = search.parametrisation(
+            [true.candidates[k] for k in kept], [own.parametrisation.spread(k) for k in kept]
+        )
+        theta = np.concatenate([own.theta[:count], *[own.theta[own.parametrisation.index_of(k)] for k in kept]])
+        try:
+            fitted = approach(search.data, parametrisation, theta)
+        except FitError:
+            continue
+        result.append(Found(tuple(parametrisation.candidates), fitted))
+    return result
 
 
 def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, truth: Mapping[str, Any]) -> Account:
@@ -100,7 +204,7 @@ def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, t
     leader = findings.comparison.classes[0].head if findings.comparison.classes else None
     raised = leader is not None and findings.comparison.none < leader_probability(findings)
     winner = leader if leader is not None and raised else null
-    true = _fitted(findings, rig, truth)
+    true = _fitted(findings.search, findings.null, rig, truth)
     fits = [null, winner, true or null]
     costs = null.fit.cost, winner.fit.cost, true.fit.cost if true is not None else math.nan
     evidence = tuple(own.fit.log_evidence - null.fit.log_evidence for own in fits[1:])
@@ -165,9 +269,8 @@ def follows(
     return "information" if sigma < _SEEN else "priors"
 
 
-def _fitted(findings: Findings, rig: Rig, truth: Mapping[str, Any]) -> Found | None:
+def _fitted(search: Search, null: Found, rig: Rig, truth: Mapping[str, Any]) -> Found | None:
     """The truth fitted from its true parameters; None where the library lacks it or the model has no solution."""
-    search = findings.search
     chosen: list[tuple[Candidate, FloatArray]] = []
     for effect in truth["effects"]:
         candidate = _candidate(search.candidates, str(effect["name"]), str(effect["detail"]))
@@ -175,7 +278,7 @@ def _fitted(findings: Findings, rig: Rig, truth: Mapping[str, Any]) -> Found | N
             return None
         chosen.append((candidate, parameters_of(candidate, rig, effect.get("figures", {}))))
     edits = {tuple(edit["path"]): edit["value"] for edit in truth["edits"] if edit["kind"] == "set"}
-    start = findings.null.fit.theta.copy()
+    start = null.fit.theta.copy()
     for k, parameter in enumerate(search.parameters):
         if parameter.path in edits:
             value = float(edits[parameter.path])
@@ -183,7 +286,7 @@ def _fitted(findings: Findings, rig: Rig, truth: Mapping[str, Any]) -> Found | N
     own = search.parametrisation([candidate for candidate, _ in chosen])
     theta = np.concatenate([start, *[values for _, values in chosen]])
     try:
-        return Found(tuple(c for c, _ in chosen), search.widened(fit(findings.data, own, theta, None)))
+        return Found(tuple(c for c, _ in chosen), search.widened(fit(search.data, own, theta, None)))
     except FitError:
         return None
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -188,7 +188,13 @@ class Scores:
         return result
 
 
-def score_campaign(folder: Path, results: Path | None = None, again: bool = False, train: Path | None = None) -> Scores:
+def score_campaign(
+    folder: Path,
+    results: Path | None = None,
+    again: bool = False,
+    train: Path | None = None,
+    measured: Callable[[dict[str, Any]], Mapping[str, float]] | None = None,
+) -> Scores:
     """Open the seal and compute all figures.
 
     Args:
@@ -196,6 +202,8 @@ def score_campaign(folder: Path, results: Path | None = None, again: bool = Fals
         results: folder of the results; None = ``results`` in it.
         again: score although the seal has been opened before.
         train: diagnosed development campaign for the generic classifier.
+        measured: gives for the opened truth the strength of each case by the noise that its recordings have, standard
+            deviations; the generator's counts for those left out, and for all of them without it.
 
     Raises:
         BenchError: the truth or the bags' hashes are not those that were sealed, the seal has been opened before,
@@ -211,6 +219,9 @@ def score_campaign(folder: Path, results: Path | None = None, again: bool = Fals
     trail = _checked_trail(folder, seal, truth, results)
     openings = _note_opening(folder, seal, again)
     cases, missing = read_cases(truth, results)
+    if measured is not None:
+        strengths = measured(truth)
+        cases = tuple(replace(case, sigma=strengths.get(case.name, case.sigma)) for case in cases)
     failed = tuple(case.name for case in cases if case.verdict == "failed")
     return compute_scores(
         cases, {"rig": str(public["rig"]), "purpose": str(seal["purpose"]), "missing": missing, "failed": failed,

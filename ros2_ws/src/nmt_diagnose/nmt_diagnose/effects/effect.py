@@ -46,6 +46,7 @@ class Site:
         option: which of several forms: a direction, or a key of the rig file.
         reference: size that a strength is counted from, in the unit of the channel; the frequency of a line, Hz; or a
             speed, m/s.
+        starts: strengths beside zero from which a fit begins, by name, in their unit.
         limits: largest magnitude that physics allows a parameter, by name, in its unit; none for those left out.
     """
 
@@ -56,6 +57,7 @@ class Site:
     index: int = -1
     option: str = ""
     reference: float = 0.0
+    starts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     limits: Mapping[str, float] = field(default_factory=dict)
 
 

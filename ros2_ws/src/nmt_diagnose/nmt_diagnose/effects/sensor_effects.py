@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import exp, pi
+from statistics import median
 
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Reported, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
@@ -17,6 +19,8 @@ MEASUREMENT = "Ewins, Modal Testing (2000)"
 Change = Callable[[Rig, Site, Mapping[str, float]], Rig]
 
 
+# Turn of the motion under test by a delay from which a fit begins there, too, rad.
+_MUCH_LATE = 0.3
 # Depth of clipping that is looked at where no samples stand at a level; what depth counts from where they do.
 _CLIP_DEPTH, _SEEN_DEPTH = 0.1, 0.5
 
@@ -146,17 +150,35 @@ def _with_hum(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("sensors", site.index), sensor.model_copy(update=changes))
 
 
+def _late(operating: OperatingRange, channels: Sequence[str]) -> tuple[float, ...]:
+    """Common delay of channels that a fit from zero would not reach, s; none where it would."""
+    known = [operating.delays[name] for name in channels if name in operating.delays]
+    delay = median(known) if known else 0.0
+    return (delay,) if abs(delay) * operating.omega > _MUCH_LATE else ()
+
+
+def _skew_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    sites = _per_channel((*RESPONSES, "force"), "tau", lambda operating, channel: 0.005 / operating.omega)
+    return tuple(
+        replace(site, starts={"tau": _late(operating, (rig.sensor_channel(rig.sensors[site.index]),))})
+        for site in sites(rig, operating)
+    )
+
+
 def _group_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     """Responses of one quantity, which share a conditioner, where there are several."""
-    groups: dict[str, int] = {}
-    for _, sensor, _ in _sensors(rig, RESPONSES):
-        groups[sensor.quantity] = groups.get(sensor.quantity, 0) + 1
+    groups: dict[str, list[str]] = {}
+    for _, sensor, channel in _sensors(rig, RESPONSES):
+        groups.setdefault(sensor.quantity, []).append(channel)
     scale = {"tau": 0.005 / operating.omega}
     return tuple(
-        Site(Placement("response_sensor", detail=f"{quantity} channels"), scale, option=quantity)
-        for quantity, count in groups.items()
-        if count > 1
-    )
+        Site(
+            Placement("response_sensor", detail=f"{quantity} channels"), scale, option=quantity,
+            starts={"tau": _late(operating, channels)},
+        )
+        for quantity, channels in groups.items()
+        if len(channels) > 1
+    )  # fmt: skip
 
 
 def _with_shared_delay(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
@@ -174,7 +196,9 @@ def _hold_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     """Without a recorded voltage nothing tells when the drive acts."""
     if not _sensors(rig, ("voltage",)):
         return ()
-    return (Site(Placement("exciter", detail="drive"), {"hold": 0.01 / operating.omega}),)
+    late = _late(operating, [channel for _, _, channel in _sensors(rig, (*RESPONSES, "force"))])
+    starts = {"hold": tuple(2.0 * delay for delay in late if delay > 0.0)}
+    return (Site(Placement("exciter", detail="drive"), {"hold": 0.01 / operating.omega}, starts=starts),)
 
 
 def _with_hold(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
@@ -252,9 +276,11 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         change=_set("mass_kg", lambda sensor, values: sensor.mass_kg + values["m"]),
         equivalents={"added_mass": "a test with the sensor taken off"},
     ),
-    _chain_effect(
-        "channel_skew", "e^{−iωτ}", EffectParameter("tau", "s", signed=True), "delay_s",
-        lambda sensor, values: sensor.delay_s + values["tau"], lambda operating, channel: 0.005 / operating.omega,
+    Effect(
+        name="channel_skew", place="response_sensor", equation="e^{−iωτ}", reference=MEASUREMENT,
+        keys="sensors.delay_s", parameters=(EffectParameter("tau", "s", signed=True),),
+        sites=_skew_sites,
+        change=_set("delay_s", lambda sensor, values: sensor.delay_s + values["tau"]),
         equivalents={"low_pass": "a random test"},
     ),
     Effect(

@@ -44,5 +44,8 @@ def starts_of(candidate: Candidate) -> list[FloatArray]:
         if parameter.kind == "shape":
             grids.append(tuple(float(np.log(value)) for value in parameter.grid or _SHAPE_STARTS))
         else:
-            grids.append(parameter.grid or (0.0,))
+            begun = [
+                value / candidate.site.scales[parameter.name] for value in candidate.site.starts.get(parameter.name, ())
+            ]
+            grids.append((*(parameter.grid or (0.0,)), *begun))
     return [np.array(values) for values in product(*grids)]

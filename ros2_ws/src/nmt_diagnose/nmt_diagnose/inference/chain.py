@@ -431,16 +431,19 @@ class _Builder:
         return found
 
     def _sweeps(self) -> dict[str, FloatArray]:
-        """Shift of the resonance in each sweep at a held amplitude."""
+        """Shift of the resonance from test to test, as temperature makes it; locked windows have none."""
         found = {}
-        for test in self.tests.tests:
-            if isinstance(test, SteppedSineTest):
+        for number, test in enumerate(self.tests.tests):
+            if isinstance(test, SteppedSineTest | RandomTest):
                 shifted = tuple(
                     replace(t, lines_hz=t.lines_hz * (1.0 - _SHIFT_STEP)) if t is test else t for t in self.tests.tests
                 )
-                found[f"resonance in {test.name}"] = (
-                    SWEEP_SHIFT_STD * self.tests.moved(shifted, self.base) / _SHIFT_STEP
-                )
+                slope = self.tests.moved(shifted, self.base) / _SHIFT_STEP
+            elif isinstance(test, RingDownTest):
+                slope = ((self.rows.test == number) & (self.rows.part == Part.LOG_FREQUENCY)).astype(np.float64)
+            else:
+                continue
+            found[f"resonance in {test.name}"] = SWEEP_SHIFT_STD * slope
         return found
 
 

@@ -17,6 +17,7 @@ from nmt_diagnose.inference.search import Found
 from nmt_diagnose.inference.sources import SourcePlace, places
 from nmt_diagnose.inference.tuned import (
     EQUIVALENT,
+    ORDINARY,
     PRIOR_EFFECT,
     PRIOR_NONE,
     PRIOR_PAIR,
@@ -152,6 +153,7 @@ class Hypotheses:
     """All that competes.
 
     Args:
+        data: what was fitted.
         null: the model alone.
         named: explanations by one or two effects.
         candidates: the library at all places.
@@ -161,13 +163,14 @@ class Hypotheses:
 
     def __init__(
         self,
+        data: Data,
         null: Found,
         named: Sequence[Found],
         candidates: Sequence[Candidate],
         alone: Sequence[Source],
         behind: Sequence[Source],
     ) -> None:
-        self.null, self.named = null, list(named)
+        self.data, self.null, self.named = data, null, list(named)
         self.alone, self.behind = alone, behind
         spots: dict[str, set[object]] = {}
         for candidate in candidates:
@@ -183,6 +186,11 @@ class Hypotheses:
         each -= 0.5 * sum(far**2 for far in beyond_limits(found).values())
         return each + math.log(PRIOR_EFFECT if len(found.candidates) == 1 else 2.0 * PRIOR_PAIR)
 
+    def _left(self, found: Found) -> float:
+        """ln of the probability that what an explanation leaves is noise; 0 where nothing speaks against that."""
+        own = found.fit.errors
+        return min(0.0, math.log(max(self.data.groups.chance(own.squares, self.data.counts), 1e-300) / ORDINARY))
+
     @cached_property
     def best(self) -> Found | None:
         """The most probable explanation."""
@@ -194,7 +202,7 @@ class Hypotheses:
         none = math.log(PRIOR_NONE)
         named = [own.fit.log_evidence - zero + self._prior(own) for own in self.named]
         alone = [math.log(PRIOR_UNNAMED / max(1, len(self.alone))) + source.gain for source in self.alone]
-        best = self.best
+        best, count = self.best, len(named)
         behind = (
             [max(named) + math.log(PRIOR_UNNAMED / len(self.behind)) + source.gain for source in self.behind]
             if best is not None
@@ -203,7 +211,10 @@ class Hypotheses:
         logs = np.array([none, *named, *alone, *behind])
         weights = np.exp(logs - logs.max())
         weights = weights / weights.sum()
-        count = len(named)
+        # What leaves more than noise has something unnamed beside it, wherever that is.
+        noise = np.exp([self._left(own) for own in self.named])
+        weights[count + 1 :] += float(weights[1 : count + 1] @ (1.0 - noise)) * _shares(logs[count + 1 :])
+        weights[1 : count + 1] *= noise
         p_named, p_unnamed = weights[1 : count + 1], weights[count + 1 :]
         by_place: dict[Placement, float] = {}
         for own, p in zip(self.named, p_named, strict=True):
@@ -223,6 +234,14 @@ class Hypotheses:
             float(np.logaddexp.reduce(logs[1:]) - none) if logs.size > 1 else -math.inf,
             labels,
         )
+
+
+def _shares(logs: FloatArray) -> FloatArray:
+    """Weights of sum 1 by their logarithms; empty where there are none."""
+    if not logs.size:
+        return logs
+    weights = np.exp(logs - logs.max())
+    return np.asarray(weights / weights.sum())
 
 
 def _classes(named: Sequence[Found], weights: FloatArray) -> tuple[Equivalents, ...]:

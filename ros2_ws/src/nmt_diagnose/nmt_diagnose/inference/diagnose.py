@@ -152,15 +152,11 @@ def find(
     Raises:
         BenchError: the model has no solution for any of the observations.
     """
-    parameters: tuple[CalibrationParameter, ...] = (
-        *calibration_parameters(rig),
-        *mode_dampings(rig, *_band(observations)),
-        *shared_delays(observations, rig),
-    )
+    parameters = own_parameters(rig, observations)
     tell("re-fitting the model's own parameters")
     unseen = named_tests(observations, settings.hold_out)
     modes = LowLevelModes(observations, rig)
-    observations, given, null, data = _null(rig, observations, parameters, ~unseen, modes)
+    observations, given, null, data = model_alone(rig, observations, parameters, ~unseen, modes)
     operating = operating_range(rig, observations.tests, observations=observations)
     candidates = () if modes.findings else library_candidates(rig, operating, settings.withheld)
     search = Search(data, rig, parameters, candidates, tell)
@@ -187,15 +183,15 @@ def find(
     named = sorted([*singles, *pairs], key=lambda own: -own.fit.log_evidence)
     if named and named[0].fit.log_evidence > null.fit.log_evidence:
         # Errors of the chain act about the best explanation; every other competes under the same noise.
-        data = _about(rig, observations, named[0].fit, data.used)
+        data = about(rig, observations, named[0].fit, data.used)
         search = Search(data, rig, parameters, candidates, tell)
         null, named = search.again(null), search.all_again(named)
     found = source_places(data, rig, null)
     beside = sources(data, null, found, len(parameters))
-    first = Hypotheses(null, named, candidates, beside, [])
+    first = Hypotheses(data, null, named, candidates, beside, [])
     rest = first.best is not None and matters(left_size(data, first.best), settings.matters)
     behind = sources(data, first.best, found, len(parameters)) if first.best is not None and rest else []
-    comparison = Hypotheses(null, named, candidates, beside, behind).compared()
+    comparison = Hypotheses(data, null, named, candidates, beside, behind).compared()
     explained: dict[str, float] = {}
     for source in beside:
         explained[source.placement.kind] = max(explained.get(source.placement.kind, 0.0), source.explained)
@@ -205,6 +201,15 @@ def find(
     return Findings(data, search, given, null, tuple(named), comparison, explained, visible, modes.findings)
 
 
+def own_parameters(rig: Rig, observations: Observations) -> tuple[CalibrationParameter, ...]:
+    """Parameters that are free in every explanation: of the model, damping of its modes, delays of its sensors."""
+    return (
+        *calibration_parameters(rig),
+        *mode_dampings(rig, *_band(observations)),
+        *shared_delays(observations, rig),
+    )
+
+
 def _band(observations: Observations) -> tuple[float, float]:
     """Lowest and highest frequency of all rows, Hz; empty where none has one."""
     known = observations.rows.frequency_hz
@@ -212,14 +217,28 @@ def _band(observations: Observations) -> tuple[float, float]:
     return (float(known.min()), float(known.max())) if known.size else (1.0, 0.0)
 
 
-def _null(
+def model_alone(
     rig: Rig,
     observations: Observations,
     parameters: Sequence[CalibrationParameter],
     fitted: BoolArray,
     modes: LowLevelModes,
 ) -> tuple[Observations, Prediction, Found, Data]:
-    """The model alone: first by logarithms, then with its chain about where it stands."""
+    """The model alone: first by logarithms, then with its chain about where it stands.
+
+    Args:
+        rig: the model.
+        observations: the real side.
+        parameters: those of the model and its chain that are free.
+        fitted: rows that are compared, (m,).
+        modes: of the observations.
+
+    Returns:
+        Observations with the error of the solver, prediction of the model as given, its fit, and what that worked on.
+
+    Raises:
+        BenchError: the model has no solution for most of the observations.
+    """
     try:
         given = Forward(observations.tests, observations.rows).predict(rig)
         observations = replace(observations, tests=traced(observations.tests, given))
@@ -235,7 +254,7 @@ def _null(
             nearer = fit(data, own, modes.start(own, own.zero)[0])
             found = nearer if nearer.cost < found.cost else found
         for _ in range(CHAIN_ROUNDS):
-            data = _about(rig, observations, found, used)
+            data = about(rig, observations, found, used)
             found = fit(data, own, found.theta, found.prediction)
     except (FitError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
@@ -267,7 +286,7 @@ def _visible(search: Search, scores: Sequence[Score], rig: Rig) -> tuple[Visible
     return tuple(result)
 
 
-def _about(rig: Rig, observations: Observations, near: Fitted, used: BoolArray) -> Data:
+def about(rig: Rig, observations: Observations, near: Fitted, used: BoolArray) -> Data:
     """What fits work on, noise of measured amplitudes and errors of the chain about a fit."""
     observations = replace(observations, tests=traced(observations.tests, near.prediction))
     own = near.parametrisation.rig(near.theta)

@@ -32,6 +32,7 @@ from nmt_diagnose.inference.tuned import (
 )
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.twin.lateness import lateness
 from nmt_diagnose.twin.rig_parts import rig_parts
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -202,17 +203,23 @@ class LowLevelModes:
         self.tests: list[tuple[RandomTest, Modes, np.ndarray]] = []
         self.findings: tuple[str, ...] = ()
         self._told: list[float] = []
+        late = lateness(observations, rig)
         for number, test in enumerate(observations.tests):
             if isinstance(test, RandomTest) and not math.isfinite(test.drive_hold_hz):
-                self._add(number, test, observations)
+                self._add(number, test, observations, late)
 
-    def _add(self, number: int, test: RandomTest, observations: Observations) -> None:
+    def _add(
+        self, number: int, test: RandomTest, observations: Observations, late: dict[tuple[int, int], float]
+    ) -> None:
+        """Keep the modes of a test; what delays its channels (s) is no pole and is taken off."""
         rows = observations.rows
         responses = np.full((len(test.channels), test.lines_hz.size), np.nan, dtype=np.complex128)
         for row in np.flatnonzero((rows.test == number) & (rows.part == Part.LOG_MAGNITUDE)):
             responses[rows.channel[row], rows.level[row]] = math.exp(observations.values[row])
         for row in np.flatnonzero((rows.test == number) & (rows.part == Part.PHASE)):
-            responses[rows.channel[row], rows.level[row]] *= np.exp(1j * observations.values[row])
+            channel = int(rows.channel[row])
+            advance = 2.0 * np.pi * rows.frequency_hz[row] * late.get((number, channel), 0.0)
+            responses[channel, rows.level[row]] *= np.exp(1j * (observations.values[row] + advance))
         turned = rows.channel[(rows.test == number) & (rows.part == Part.PHASE)]
         kept = (np.isfinite(responses).sum(axis=1) >= _FEWEST_LINES) & np.isin(np.arange(len(responses)), turned)
         model = self.modes(self.rig, test)

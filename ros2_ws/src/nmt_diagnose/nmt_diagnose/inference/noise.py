@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import f as fisher
 
 from nmt_core.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.blocks import Quantity
@@ -52,6 +53,14 @@ class Groups:
         nu = np.where(np.isfinite(self.degrees), self.degrees, 1.0)
         student = (nu + counts) * np.log1p(squares / nu)
         return float(np.sum(np.where(np.isfinite(self.degrees), student, squares)))
+
+    def chance(self, squares: FloatArray, counts: FloatArray) -> float:
+        """Probability that any learnt scale is as large as the largest is by its prior alone (Fisher's F, Holm)."""
+        learnt = np.isfinite(self.degrees) & (counts > 0.0)
+        if not learnt.any():
+            return 1.0
+        tails = fisher.sf(squares[learnt] / counts[learnt], counts[learnt], self.degrees[learnt])
+        return float(min(1.0, tails.min() * tails.size))
 
     def weights(self, squares: FloatArray, counts: FloatArray) -> FloatArray:
         """1/s² of each group, (K,): most probable given its squares."""

@@ -26,7 +26,7 @@ from nmt_diagnose.inference.candidate_starts import (
     strength_parameter,
     strength_position,
 )
-from nmt_diagnose.inference.fitting import Data, FitError, Fitted, Metric, fit, predicted, without_rows
+from nmt_diagnose.inference.fitting import Data, FitError, Fitted, Metric, approach, fit, predicted, without_rows
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.tuned import (
     FAR_BEHIND,
@@ -288,7 +288,7 @@ class Search:
         """All explanations that are not far behind the best, fitted again, the best first."""
         most = max(own.fit.log_evidence for own in found)
         near = [own for own in found if own.fit.log_evidence > most - FAR_BEHIND][:FINALISTS]
-        return sorted(map(self.again, near), key=lambda own: -own.fit.log_evidence)
+        return sorted((self.unbent(self.again(own)) for own in near), key=lambda own: -own.fit.log_evidence)
 
     def widened(self, found: Fitted) -> Fitted:
         """The fit with the part of its strengths' prior that makes it most probable."""
@@ -379,7 +379,7 @@ class Search:
         best_yet = max(fits, key=lambda own: own.fit.log_evidence, default=base)
         if not base.candidates and self._strained(best_yet):
             for number in dict.fromkeys(score.candidate for score in wanted):
-                found += [self.climbed(number), self.from_below(number)]
+                found += [self.climbed(number), *self.from_elsewhere(number)]
         return best_of([own for own in found if own is not None])
 
     def from_modes(self, null: Found, modes: LowLevelModes) -> list[Found]:
@@ -432,27 +432,52 @@ class Search:
                 return None
         return found
 
-    def from_below(self, number: int) -> Found | None:
-        """A candidate fitted from the parameters that the lowest levels tell and the strength that all levels promise.
+    def from_elsewhere(self, number: int) -> list[Found]:
+        """A candidate fitted from parameters that it does not bend, and the strength that all levels promise there.
 
         For forces that go with a power of the amplitude that is a straight line of ω² over that power.
         """
-        below = self._below
-        if below is None:
-            return None
-        part = Search(self.data, self.rig, self.parameters, [self.candidates[number]])
-        scores = part.scores(below)
-        return part.added(below, scores[0], lost=math.inf) if scores else None
+        result = []
+        for base in self._unbent:
+            part = Search(self.data, self.rig, self.parameters, [self.candidates[number]])
+            scores = part.scores(base)
+            if not scores:
+                continue
+            spread = _spread_of(float(scores[0].start[strength_position(self.candidates[number])]))
+            own = self.parametrisation((self.candidates[number],), (spread,))
+            try:
+                near = approach(self.data, own, np.concatenate([base.fit.theta, scores[0].start]))
+                result.append(Found(own.candidates, self.widened(near)))
+            except FitError:
+                continue
+        return result
 
     @cached_property
-    def _below(self) -> Found | None:
-        """The model alone with the parameters that the lowest levels tell."""
+    def _unbent(self) -> tuple[Found, ...]:
+        """The model alone as given, and with the parameters that the lowest levels tell."""
         own = self.parametrisation()
+        result = []
+        for rows in (None, self._stages[0]):
+            try:
+                start = None if rows is None else fit(without_rows(self.data, rows), own, own.zero)
+                theta, near = (own.zero, None) if start is None else (start.theta, start.prediction)
+                result.append(Found((), fit(self.data, own, theta, near, steps=0)))
+            except FitError:
+                continue
+        return tuple(result)
+
+    def unbent(self, found: Found) -> Found:
+        """An explanation fitted again from the model as given where its fit leaves too much; the better of the two."""
+        if not self._strained(found):
+            return found
+        own = found.fit
+        theta = own.theta.copy()
+        theta[: len(self.parameters)] = 0.0
         try:
-            low = fit(without_rows(self.data, self._stages[0]), own, own.zero)
-            return Found((), fit(self.data, own, low.theta, low.prediction, steps=0))
+            again = Found(found.candidates, self.widened(approach(self.data, own.parametrisation, theta)))
         except FitError:
-            return None
+            return found
+        return again if again.fit.log_evidence > own.log_evidence else found
 
     @cached_property
     def _stages(self) -> tuple[BoolArray, ...]:

@@ -12,12 +12,14 @@ AIM_STD = math.radians(1.0)
 LOCK_STD = math.radians(0.5)
 # Harmonics of a drive that was not recorded, over its fundamental.
 DRIVE_HARMONIC_STD = 1e-3
-# Shift of the resonance from sweep to sweep, relative.
+# Shift of the resonance from test to test, relative.
 SWEEP_SHIFT_STD = 3e-4
 # Degrees of freedom of the prior of a scale: stated noise is right to a factor of about 1.5.
 SCALE_DEGREES = 6.0
 # Most steps of a fit; promised fall of the cost below which it has converged; largest step in prior deviations.
 FIT_STEPS, CONVERGED, LARGEST_STEP = 25, 0.2, 3.0
+# Shares of the natural size of every row to which fits from afar come close one after the other; steps to each.
+APPROACH, APPROACH_STEPS = (0.1, 0.01, 0.001), 10
 # Share of the promised fall of the cost below which sensitivities are computed anew after a step.
 BROYDEN_TRUST = 0.75
 # Most reweightings of chain and scales for one prediction: near the optimum three suffice.
@@ -34,6 +36,8 @@ WIDER_STRENGTH = 2.5
 LARGEST_LOG_RATIO = 3.0
 # Prior probabilities: nothing is missing, one effect is, two are, something without a name is.
 PRIOR_NONE, PRIOR_EFFECT, PRIOR_PAIR, PRIOR_UNNAMED = 0.6, 0.25, 0.05, 0.1
+# Probability that what an explanation leaves is noise below which something unnamed is beside it.
+ORDINARY = 0.05
 # Distance in standard deviations below which two explanations are one class.
 EQUIVALENT = 3.0
 # Sizes that an unnamed source may have, in units of 1 % of force or response.

@@ -23,6 +23,7 @@ from nmt_diagnose.observations.conditions import (
     Test,
 )
 from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.twin.lateness import lateness
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
 from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
@@ -123,7 +124,20 @@ def operating_range(
         cycles=max(max(cycles, default=0.0), 1.0),
         steps=_of_samples(observations, Part.STEP) if observations else {},
         limits=_clipped_at(observations) if observations else {},
+        delays=_late(observations, rig) if observations else {},
     )
+
+
+def _late(observations: Observations, rig: Rig) -> dict[str, float]:
+    """Delay of each channel against the voltage, or against the force where no test tells that, s."""
+    found: dict[str, float] = {}
+    for (number, channel), delay in lateness(observations, rig).items():
+        test = observations.tests[number]
+        assert isinstance(test, RandomTest)
+        name = test.channels[channel].name
+        if name not in found or test.reference == "voltage":
+            found[name] = delay
+    return found
 
 
 def _clipped_at(observations: Observations) -> dict[str, float]:

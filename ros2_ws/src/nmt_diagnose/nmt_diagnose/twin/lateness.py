@@ -1,0 +1,66 @@
+"""How late channels are against the model by the phases of all their lines, however many turns that is.
+
+Least squares on phases lead to the right delay from within half a turn of it at the highest line only. The sum of all
+lines, each turned by what a delay would make of it, is largest at the right one (Knapp and Carter, IEEE Trans. Acoust.
+Speech Signal Process. 24 (1976) 320, phase transform).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nmt_core.arrays import FloatArray
+from nmt_core.errors import BenchError
+from nmt_diagnose.observations.conditions import RandomTest
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.twin.forward import Forward
+from nmt_rig.rig import Rig
+
+# Turns of the highest line between delays that are tried; the latest that is, s.
+_STEP_TURNS, _LATEST_S = 1.0 / 16.0, 0.01
+
+
+def delay_of(frequency_hz: FloatArray, later: FloatArray) -> float:
+    """Delay that explains phases best, s.
+
+    Args:
+        frequency_hz: of each line, (n,).
+        later: phase lag of each, rad, (n,).
+
+    Returns:
+        Within 10 ms either way.
+    """
+    step = _STEP_TURNS / float(frequency_hz.max())
+    count = math.ceil(_LATEST_S / step)
+    tried = step * np.arange(-count, count + 1)
+    sums = np.abs(np.exp(1j * (2.0 * np.pi * tried[:, None] * frequency_hz - later)).sum(axis=1))
+    return float(tried[np.argmax(sums)])
+
+
+def lateness(observations: Observations, rig: Rig) -> dict[tuple[int, int], float]:
+    """Delay of each channel of each random test against a rig, s, by numbers of test and channel.
+
+    Args:
+        observations: the real side.
+        rig: the model.
+    """
+    rows = observations.rows
+    random = [k for k, test in enumerate(observations.tests) if isinstance(test, RandomTest)]
+    mine = np.isin(rows.test, random) & (rows.part == Part.PHASE)
+    if not mine.any():
+        return {}
+    forward = Forward(observations.tests, rows.take(mine))
+    try:
+        predicted = forward.predict(rig).values
+    except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+        return {}
+    rows, lag = rows.take(mine), predicted - observations.values[mine]
+    found = {}
+    for test in random:
+        for channel in np.unique(rows.channel[rows.test == test]):
+            own = (rows.test == test) & (rows.channel == channel) & np.isfinite(lag)
+            if own.any():
+                found[test, int(channel)] = delay_of(rows.frequency_hz[own], lag[own])
+    return found

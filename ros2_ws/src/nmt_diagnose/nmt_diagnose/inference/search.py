@@ -379,7 +379,7 @@ class Search:
         best_yet = max(fits, key=lambda own: own.fit.log_evidence, default=base)
         if not base.candidates and self._strained(best_yet):
             for number in dict.fromkeys(score.candidate for score in wanted):
-                found += [self.climbed(number), *self.from_elsewhere(number)]
+                found += [self.climbed(number), self.from_given(number)]
         return best_of([own for own in found if own is not None])
 
     def from_modes(self, null: Found, modes: LowLevelModes) -> list[Found]:
@@ -432,39 +432,33 @@ class Search:
                 return None
         return found
 
-    def from_elsewhere(self, number: int) -> list[Found]:
-        """A candidate fitted from parameters that it does not bend, and the strength that all levels promise there.
+    def from_given(self, number: int) -> Found | None:
+        """A candidate fitted from the model as given and the strength that all levels promise there.
 
         For forces that go with a power of the amplitude that is a straight line of ω² over that power.
         """
-        result = []
-        for base in self._unbent:
-            part = Search(self.data, self.rig, self.parameters, [self.candidates[number]])
-            scores = part.scores(base)
-            if not scores:
-                continue
-            spread = _spread_of(float(scores[0].start[strength_position(self.candidates[number])]))
-            own = self.parametrisation((self.candidates[number],), (spread,))
-            try:
-                near = approach(self.data, own, np.concatenate([base.fit.theta, scores[0].start]))
-                result.append(Found(own.candidates, self.widened(near)))
-            except FitError:
-                continue
-        return result
+        if self._given is None:
+            return None
+        candidate = self.candidates[number]
+        scores = Search(self.data, self.rig, self.parameters, [candidate]).scores(self._given)
+        if not scores:
+            return None
+        start = scores[0].start
+        own = self.parametrisation((candidate,), (_spread_of(float(start[strength_position(candidate)])),))
+        try:
+            near = approach(self.data, own, np.concatenate([self._given.fit.theta, start]))
+            return Found(own.candidates, self.widened(near))
+        except FitError:
+            return None
 
     @cached_property
-    def _unbent(self) -> tuple[Found, ...]:
-        """The model alone as given, and with the parameters that the lowest levels tell."""
+    def _given(self) -> Found | None:
+        """The model alone as it was given."""
         own = self.parametrisation()
-        result = []
-        for rows in (None, self._stages[0]):
-            try:
-                start = None if rows is None else fit(without_rows(self.data, rows), own, own.zero)
-                theta, near = (own.zero, None) if start is None else (start.theta, start.prediction)
-                result.append(Found((), fit(self.data, own, theta, near, steps=0)))
-            except FitError:
-                continue
-        return tuple(result)
+        try:
+            return Found((), fit(self.data, own, own.zero, steps=0))
+        except FitError:
+            return None
 
     def unbent(self, found: Found) -> Found:
         """An explanation fitted again from the model as given where its fit leaves too much; the better of the two."""

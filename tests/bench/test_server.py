@@ -13,7 +13,7 @@ import aiohttp
 import numpy as np
 import pytest
 
-from nmt_bench.page.bench_link import Answer, StartRequest
+from nmt_bench.page.bench_link import ServiceAnswer, StartRequest
 from nmt_bench.page.door import Door
 from nmt_bench.page.frames import read_frame
 from nmt_bench.page.live_view import LiveView
@@ -30,13 +30,13 @@ class FakeBench:
         self.started: list[StartRequest] = []
         self.stops = 0
 
-    async def steer(self, request: SteeringRequest) -> Answer:
+    async def steer(self, request: SteeringRequest) -> ServiceAnswer:
         self.asked.append(request)
-        return Answer(True, "taken")
+        return ServiceAnswer(True, "taken")
 
-    async def start(self, request: StartRequest) -> Answer:
+    async def start(self, request: StartRequest) -> ServiceAnswer:
         self.started.append(request)
-        return Answer(True, "begun")
+        return ServiceAnswer(True, "begun")
 
     def emergency_stop(self) -> None:
         self.stops += 1

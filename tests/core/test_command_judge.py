@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from nmt_core.command_judge import CommandJudge, Refusal, Source
+from nmt_core.command_judge import CommandJudge, CommandSource, Refusal
 from nmt_core.errors import BenchError
 
 BLOCK, HORIZON = 200, 100_000
@@ -155,8 +155,8 @@ def test_a_judge_needs_sensible_numbers(options: dict[str, int]) -> None:
 
 def test_of_a_topic_with_two_publishers_nothing_is_taken() -> None:
     judge = fresh()
-    both = Source("gid", "/pll", alone=False)
+    both = CommandSource("gid", "/pll", alone=False)
     assert "several publishers, /pll" in judge.judge(both, next_sample=200, based_on=199)
     assert judge.counts["refused_second_source"] == 1
     assert judge.last is None
-    assert judge.judge(Source("gid", "/pll"), next_sample=200, based_on=199) == ""
+    assert judge.judge(CommandSource("gid", "/pll"), next_sample=200, based_on=199) == ""

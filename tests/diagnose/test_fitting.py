@@ -13,6 +13,7 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import starts_of
+from nmt_diagnose.inference.diagnose import model_alone, own_parameters
 from nmt_diagnose.inference.fitting import Errors, _normal, approach, data_about, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups
@@ -20,6 +21,7 @@ from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.lateness import delay_of, lateness
 from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.twin.twin_settings import TwinSettings
 
 MODEL = chain()
 
@@ -115,3 +117,20 @@ def test_late_channels_are_effects_that_begin_there_and_no_modes() -> None:
         own.site.placement.channel: [start[0] * own.site.scales["tau"] for start in starts_of(own)] for own in skews
     }
     assert any(abs(value - 4e-3) < 1e-3 for values in begun.values() for value in values)
+
+
+def test_what_the_harmonic_balance_leaves_out_is_part_of_the_uncertainty() -> None:
+    healthy = observations_of_twin(MODEL, noise=0.0, drives=(0.4, 1.6), random=False)
+    operating = operating_range(MODEL, healthy.tests)
+    stiffness, gap = 0.3 * operating.effective_stiffness(2), 0.7 * operating.displacement[2]
+    stop = [{"kind": "unilateral_stop", "point": 2, "stiffness_n_m": stiffness, "gap_m": gap}]
+    rig = real(MODEL, local_elements=stop)
+    observations = observations_of_twin(rig, noise=0.0, drives=(0.4, 1.6), random=False)
+    given = Forward(observations.tests, observations.rows).predict(rig)
+    fine = Forward(observations.tests, observations.rows, TwinSettings(harmonics=27)).predict(rig)
+    parameters = own_parameters(rig, observations)
+    everything = np.ones(len(observations.rows), dtype=bool)
+    seen = model_alone(rig, observations, parameters, everything, LowLevelModes(observations, rig))[0]
+    change = np.abs(np.nan_to_num(fine.values - given.values))
+    assert change.max() > 1e-6
+    np.testing.assert_allclose(seen.floor, np.hypot(observations.floor, change), rtol=1e-3, atol=1e-9)

@@ -285,3 +285,11 @@ def test_an_effect_that_is_not_there_lowers_the_evidence() -> None:
     assert found is not None
     assert found.fit.cost < null.fit.cost + 0.5
     assert found.fit.log_evidence < null.fit.log_evidence - 1.0
+
+
+def test_what_an_explanation_leaves_beyond_noise_is_something_unnamed() -> None:
+    settings = DiagnosisSettings(withheld=(*WITHHELD, "cubic_stiffness"))
+    found = diagnose_observations(MODEL, observed(HARDENING), settings).diagnosis
+    assert found.probabilities["unknown"] > 0.95
+    assert found.verdict is Verdict.UNKNOWN
+    assert all(row.probability < 0.05 for row in found.ranking)

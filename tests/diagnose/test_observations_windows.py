@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest, RandomTest, RingDownTest
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.moderated_variance import moderated
@@ -496,7 +496,7 @@ def test_a_window_without_its_transient_is_that_of_the_settled_rig() -> None:
     data = data + (harmonics[:, 1:] * np.exp(4j * np.pi * cycles)).real
     quantities = (Quantity.FORCE, Quantity.DISPLACEMENT, Quantity.ACCELERATION)
     channels = tuple(MeasuredChannel(f"c{k}", quantity, 1) for k, quantity in enumerate(quantities))
-    stretch = Stretch(0, rate, channels, data, cycles, {}, math.nan)
+    stretch = SampleStretch(0, rate, channels, data, cycles, {}, math.nan)
     segment = SimpleNamespace(level_index=0, level_unit="V", level=1.0, frequency_hz=frequency)
     found = [analyse_window(segment, stretch, ObservationSettings(), settled) for settled in (True, False)]
     errors = [np.abs(window.amplitudes[:, 1:3] / harmonics[:, :1] - harmonics / harmonics[:, :1]) for window in found]

@@ -12,7 +12,7 @@ from scipy.special import ellipk
 
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
-from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
 from nmt_diagnose.observations.decay_nodes import nodes
 from nmt_diagnose.observations.decay_signal import demodulated, middles, ridges, slow_amplitude, window
@@ -71,7 +71,7 @@ def observations_of(samples: FloatArray, rate: float, model: Rig, **others: Floa
     """Observations of a laser's samples, and of further channels by name: quantity letter and point."""
     channels = [LASER]
     channels += [MeasuredChannel(name, Quantity.ACCELERATION, int(name[1:])) for name in others]
-    stretch = Stretch(0, rate, tuple(channels), np.stack([samples, *others.values()]), None, {}, math.nan)
+    stretch = SampleStretch(0, rate, tuple(channels), np.stack([samples, *others.values()]), None, {}, math.nan)
     view = ModelView.of(model, 1)
     return ring_down_observations(
         "decay", stretch, math.nan, view, {c.name: c for c in channels}, ObservationSettings()

@@ -14,7 +14,7 @@ import pytest
 from bench import synthetic_bag
 
 from nmt_bench.cli import COMMANDS, build_parser, main
-from nmt_bench.command_parser import Refusal, leaf_parsers
+from nmt_bench.command_parser import CommandRefusal, leaf_parsers
 from nmt_rig.rig import find_rig
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -83,7 +83,7 @@ def the_parser_accepts(page: str, line: str, capsys: pytest.CaptureFixture[str])
         return
     try:
         build_parser(words[0]).parse_args(words)
-    except Refusal as refusal:
+    except CommandRefusal as refusal:
         pytest.fail(f"{page}: {line}: {refusal.sentence}")
     finally:
         capsys.readouterr()

@@ -11,7 +11,7 @@ import pytest
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.modal_point import ModalPoint, Status
-from nmt_extract.synthesis import Backbone, OtherModes, Synthesis, peak, resonance_error
+from nmt_extract.synthesis import OtherModes, Synthesis, SynthesisedBackbone, peak, resonance_error
 from nmt_report.response_analysis import interpolate_curve, model_responses
 from nmt_rig.linear_description import linear_description
 from nmt_rig.reference import compute_reference
@@ -22,10 +22,10 @@ SHAPE = np.array([0.4, 0.5 + 0.01j, -0.6])
 POINTS = (1, 2, 3)
 
 
-def backbone(q: np.ndarray, stiffening: float = 0.0) -> Backbone:
+def backbone(q: np.ndarray, stiffening: float = 0.0) -> SynthesisedBackbone:
     """ω̃² = ω² + ¾ κ q², viscous damping: a Duffing oscillator in one-term balance."""
     omega = np.sqrt(OMEGA**2 + 0.75 * stiffening * q**2)
-    return Backbone(q, omega, DAMPING * OMEGA / omega, np.tile(SHAPE, (q.size, 1)), POINTS)
+    return SynthesisedBackbone(q, omega, DAMPING * OMEGA / omega, np.tile(SHAPE, (q.size, 1)), POINTS)
 
 
 def test_linear_limit_is_the_frequency_response() -> None:
@@ -115,7 +115,9 @@ def test_against_the_models_forced_response(joint_resonator, force: float, toler
     fundamental = int(np.flatnonzero(reference.orders == 1)[0])
     rows = [point - 1 for point in linear.points]
     shape = reference.normalised_shape[:, fundamental][:, rows]
-    measured = Backbone(reference.modal_amplitude, reference.omega_rad_s, reference.damping_ratio, shape, linear.points)
+    measured = SynthesisedBackbone(
+        reference.modal_amplitude, reference.omega_rad_s, reference.damping_ratio, shape, linear.points
+    )
     s = Synthesis(measured, linear.drive_point, OtherModes.from_modes(linear, linear.points), force)
     model = model_responses(joint_resonator, [force], 350.0, 390.0, ["a1", "a2", "a3"])[0]
     hertz = np.linspace(350.0, 390.0, 401)
@@ -137,14 +139,14 @@ def point(q: float, **values) -> ModalPoint:
 
 def test_backbone_from_levels() -> None:
     levels = [point(3e-4), point(1e-4), point(1.0001e-4), replace(point(2e-4), status=Status.NOT_LOCKED)]
-    found = Backbone.from_points(levels)
+    found = SynthesisedBackbone.from_points(levels)
     assert found.modal_amplitude == pytest.approx([1.00005e-4, 3e-4])
     lower = np.array([0.2 + 0j, 0.1, 0.3])
     others = replace(OtherModes.none(POINTS), lower=lower)
-    own = Backbone.from_points(levels, others)
+    own = SynthesisedBackbone.from_points(levels, others)
     assert own.shape[1] == pytest.approx(SHAPE + lower / OMEGA**2 * 2.0j / 3e-4)
     with pytest.raises(BenchError, match="two levels"):
-        Backbone.from_points(levels[:1])
+        SynthesisedBackbone.from_points(levels[:1])
     with pytest.raises(BenchError, match="drive point 9"):
         Synthesis(found, 9, OtherModes.none(POINTS), 1.0)
     with pytest.raises(BenchError, match="positive"):

@@ -21,7 +21,7 @@ from nmt_extract.uncertainty_budget import (
     Budget,
     BudgetInputs,
     MethodError,
-    Source,
+    UncertaintySource,
     left_out,
     uncertainty_budget,
     write_budget,
@@ -52,7 +52,7 @@ def one_point(**changes: float) -> ModalPoint:
     return ModalPoint(0, Status.OK, "", 1.0, "N", points=(1,), shape_harmonics=shape, **values)  # type: ignore[arg-type]
 
 
-def part(source: Source, quantity: str, inputs: BudgetInputs, point: ModalPoint | None = None) -> float:
+def part(source: UncertaintySource, quantity: str, inputs: BudgetInputs, point: ModalPoint | None = None) -> float:
     (found,) = uncertainty_budget([point or one_point()], inputs)
     budget = found.budgets[quantity]
     return budget.parts.get(source, 0.0) / abs(budget.value)
@@ -70,38 +70,40 @@ def known(**channels: float) -> Tolerances:
 def test_gains_with_shapes_of_a_model() -> None:
     # δ̃ = P₁ / (ω̃³ q²) ~ g_F g_x / g_x² and q ~ g_x.
     inputs = BudgetInputs(linear("model"), known(force=0.01, response=0.02), A)
-    assert part(Source.GAINS, "damping_ratio", inputs) == pytest.approx(math.hypot(0.01, 0.02), rel=1e-3)
-    assert part(Source.GAINS, "modal_amplitude", inputs) == pytest.approx(0.02, rel=1e-3)
-    assert part(Source.GAINS, "force_n", inputs) == pytest.approx(0.01)
-    assert part(Source.GAINS, "omega_rad_s", inputs) == 0.0
+    assert part(UncertaintySource.GAINS, "damping_ratio", inputs) == pytest.approx(math.hypot(0.01, 0.02), rel=1e-3)
+    assert part(UncertaintySource.GAINS, "modal_amplitude", inputs) == pytest.approx(0.02, rel=1e-3)
+    assert part(UncertaintySource.GAINS, "force_n", inputs) == pytest.approx(0.01)
+    assert part(UncertaintySource.GAINS, "omega_rad_s", inputs) == 0.0
 
 
 def test_gains_with_shapes_that_the_same_sensors_measured() -> None:
     # The scale of such a shape is off by √(g_x / g_F): both errors cancel in the damping, and q goes with √(g_x g_F).
     inputs = BudgetInputs(linear("test"), known(force=0.01, response=0.02), A)
-    assert part(Source.GAINS, "damping_ratio", inputs) == pytest.approx(0.0, abs=1e-6)
-    assert part(Source.GAINS, "modal_amplitude", inputs) == pytest.approx(0.5 * math.hypot(0.01, 0.02), rel=1e-2)
+    assert part(UncertaintySource.GAINS, "damping_ratio", inputs) == pytest.approx(0.0, abs=1e-6)
+    assert part(UncertaintySource.GAINS, "modal_amplitude", inputs) == pytest.approx(
+        0.5 * math.hypot(0.01, 0.02), rel=1e-2
+    )
     other = Tolerances(inputs.tolerances.channels, inputs.tolerances.default, 0.0, same_sensors=False)
     apart = BudgetInputs(linear("test"), other, A)
-    assert part(Source.GAINS, "damping_ratio", apart) == pytest.approx(math.hypot(0.01, 0.02), rel=1e-3)
+    assert part(UncertaintySource.GAINS, "damping_ratio", apart) == pytest.approx(math.hypot(0.01, 0.02), rel=1e-3)
 
 
 def test_phase_moves_the_frequency_by_the_slope_of_the_resonance() -> None:
     # Near resonance the phase of the force turns by dφ = dω / (δ̃ ω̃).
     inputs = BudgetInputs(linear("model"), known(phase=0.01), A)
-    assert part(Source.PHASES, "omega_rad_s", inputs) == pytest.approx(0.01 * 0.01)
-    assert part(Source.PHASES, "damping_ratio", inputs) == pytest.approx(0.5 * 0.01**2, rel=1e-2)
+    assert part(UncertaintySource.PHASES, "omega_rad_s", inputs) == pytest.approx(0.01 * 0.01)
+    assert part(UncertaintySource.PHASES, "damping_ratio", inputs) == pytest.approx(0.5 * 0.01**2, rel=1e-2)
 
 
 def test_shapes_clock_and_method() -> None:
     tolerant = Tolerances({}, ChannelTolerance(0.0, 0.0, 0.0), 1e-5)
     method = MethodError(np.array([5e-4, 2e-3]), np.array([1e-4, 1e-4]), np.array([0.01, 0.03]))
     inputs = BudgetInputs(linear("test", ((0.02,),)), tolerant, A, method)
-    assert part(Source.SHAPES, "modal_amplitude", inputs) == pytest.approx(0.01, rel=1e-3)
-    assert part(Source.SHAPES, "damping_ratio", inputs) == pytest.approx(0.02, rel=1e-3)
-    assert part(Source.CLOCK, "omega_rad_s", inputs) == pytest.approx(1e-5)
-    assert part(Source.METHOD, "omega_rad_s", inputs) == pytest.approx(1e-4)
-    assert part(Source.METHOD, "damping_ratio", inputs) == pytest.approx(0.01 + 0.02 / 3.0)
+    assert part(UncertaintySource.SHAPES, "modal_amplitude", inputs) == pytest.approx(0.01, rel=1e-3)
+    assert part(UncertaintySource.SHAPES, "damping_ratio", inputs) == pytest.approx(0.02, rel=1e-3)
+    assert part(UncertaintySource.CLOCK, "omega_rad_s", inputs) == pytest.approx(1e-5)
+    assert part(UncertaintySource.METHOD, "omega_rad_s", inputs) == pytest.approx(1e-4)
+    assert part(UncertaintySource.METHOD, "damping_ratio", inputs) == pytest.approx(0.01 + 0.02 / 3.0)
     assert not list(left_out(inputs))
 
 
@@ -109,16 +111,18 @@ def test_repeats_count_beyond_the_noise() -> None:
     inputs = BudgetInputs(linear("model"), known(), A)
     points = [one_point(damping_ratio=value, damping_ratio_std=3e-5) for value in (0.0100, 0.0102, 0.0104)]
     for found in uncertainty_budget(points, inputs):
-        spread = found.budgets["damping_ratio"].parts[Source.REPEATS]
+        spread = found.budgets["damping_ratio"].parts[UncertaintySource.REPEATS]
         assert spread == pytest.approx(math.sqrt(4e-8 - 9e-10))
     (alone,) = uncertainty_budget(points[:1], inputs)
-    assert Source.REPEATS not in alone.budgets["damping_ratio"].parts
+    assert UncertaintySource.REPEATS not in alone.budgets["damping_ratio"].parts
 
 
 def test_coverage_factor_follows_the_degrees_of_freedom() -> None:
     # Student's t at 9 degrees of freedom, 97.5 %: 2.262 (JCGM 100:2008, table G.2); 1.960 for many.
-    assert Budget("q", 1.0, {Source.NOISE: 0.1}).coverage_factor == pytest.approx(2.262, abs=1e-3)
-    assert Budget("q", 1.0, {Source.NOISE: 1e-6, Source.GAINS: 0.1}).coverage_factor == pytest.approx(1.960, abs=1e-3)
+    assert Budget("q", 1.0, {UncertaintySource.NOISE: 0.1}).coverage_factor == pytest.approx(2.262, abs=1e-3)
+    assert Budget(
+        "q", 1.0, {UncertaintySource.NOISE: 1e-6, UncertaintySource.GAINS: 0.1}
+    ).coverage_factor == pytest.approx(1.960, abs=1e-3)
 
 
 @pytest.mark.campaign

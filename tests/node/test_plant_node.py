@@ -16,7 +16,7 @@ from rclpy.serialization import serialize_message
 from nmt_bench.harness import Bench, Progress
 from nmt_core.arrays import FloatArray
 from nmt_core.base_node import BenchNode
-from nmt_core.command_judge import Source
+from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_extract.modal_point import Status
@@ -105,7 +105,7 @@ def test_a_failed_device_is_an_error_at_once_and_ends_the_run(bench: Bench, monk
     assert result.code == ResultCode.NODE_LOST
     assert "Node plant reports: The device failed: the amplifier is on fire" in result.message
     late = Drive(waveform=Drive.SINE, frequency_hz=20.0, amplitude=0.1)
-    plant._on_drive(serialize_message(late), Source("", "/pll", alone=True))  # on its way when the device failed
+    plant._on_drive(serialize_message(late), CommandSource("", "/pll", alone=True))  # on its way when the device failed
     errors = [status for status in listener.heard if status.level == DiagnosticStatus.ERROR]
     assert errors
     assert "the amplifier is on fire" in errors[0].message

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nmt_core.command_judge import Refusal, Source
+from nmt_core.command_judge import CommandSource, Refusal
 from nmt_core.errors import BenchError
 from nmt_core.records import DriveCommand, RunState
 from nmt_core.vocabulary import BlockFlag, OutputState, Quantity, ResultCode, RunPhase, StopCause, Waveform
@@ -15,8 +15,8 @@ from nmt_plant.loopback_device import LoopbackDevice
 from nmt_plant.plant_core import PlantCore
 
 BLOCK, RATE = 100, 1000.0
-LOOP = Source("01", "/pll")
-STRANGER = Source("02", "/stranger")
+LOOP = CommandSource("01", "/pll")
+STRANGER = CommandSource("02", "/stranger")
 
 
 def state(phase: RunPhase, horizon: int = 10_000) -> RunState:
@@ -98,7 +98,7 @@ def test_a_second_source_is_named_and_moves_nothing() -> None:
 def test_of_several_publishers_none_is_believed_even_before_the_first_command() -> None:
     core = running()
     produce(core)
-    both = Source("01 02", "/pll and /stranger", alone=False)
+    both = CommandSource("01 02", "/pll and /stranger", alone=False)
     assert "several publishers" in core.take_drive(sine(BLOCK - 1, 5.0), both)
     assert not core.due
     assert "/pll and /stranger" in core.second_source

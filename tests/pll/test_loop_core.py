@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
-from nmt_core.command_judge import Source
+from nmt_core.command_judge import CommandSource
 from nmt_core.parameters import check_values
 from nmt_core.records import LevelCommand, LoopStatus
 from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, TestKind, Waveform
@@ -149,7 +149,7 @@ def test_a_lock_event_names_the_unit_of_its_level(control: ControlKind, response
 def test_levels_come_from_one_source_and_zero_from_anybody() -> None:
     told: list[str] = []
     loop = LoopCore(check_values(PARAMETERS, VALUES, "pll"), lambda sentence, _: told.append(sentence))
-    own, stranger = Source("01", "/sequencer"), Source("02", "/stranger")
+    own, stranger = CommandSource("01", "/sequencer"), CommandSource("02", "/stranger")
     feed(loop, 0, 3)
     assert loop.take_level(LEVEL, own) == ()
     feed(loop, 3, 8)
@@ -164,7 +164,7 @@ def test_levels_come_from_one_source_and_zero_from_anybody() -> None:
 def test_of_several_publishers_no_level_is_taken() -> None:
     loop = core()
     feed(loop, 0, 3)
-    assert loop.take_level(LEVEL, Source("01 02", "/sequencer and /stranger", alone=False)) == ()
+    assert loop.take_level(LEVEL, CommandSource("01 02", "/sequencer and /stranger", alone=False)) == ()
     assert all(answer.drive.amplitude == 0.0 for answer in feed(loop, 3, 20))
     assert not loop.at_work
 

@@ -15,7 +15,7 @@ from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.vocabulary import LoopState, TestKind
 from nmt_record.sample_table import SampleTable
 from nmt_record.topic_blocks import ExcitationPhase, TopicBlocks, TopicStretch, phase_reference
-from nmt_record.window_policy import POLICIES, Effect, Fault, Finding, NamedWindow, judge
+from nmt_record.window_policy import POLICIES, Consequence, NamedWindow, WindowFault, WindowFinding, judge
 
 BLOCK = 50
 TOPICS = ("force", "displacement")
@@ -86,13 +86,13 @@ def test_a_window_is_spoiled_by_exactly_the_blocks_that_share_a_sample_with_it(f
     ],
 )
 def test_edges_of_a_window(index, window, spoils):
-    assert (table_of(flagged({index}), window=window).verdict.fault is Fault.LIMIT) == spoils
+    assert (table_of(flagged({index}), window=window).verdict.fault is WindowFault.LIMIT) == spoils
     holed = [block for number, block in enumerate(FORCE) if number != index]
-    assert (table_of(holed, window=window).verdict.fault is Fault.MISSING) == spoils
+    assert (table_of(holed, window=window).verdict.fault is WindowFault.MISSING) == spoils
     # The block after the window need not come; that of its last sample must.
     ended = table_of(FORCE[:12], window=NamedWindow(200, 400))
     assert ended.verdict.fault is None
-    assert table_of(FORCE[:12], window=NamedWindow(200, 401)).verdict.fault is Fault.INCOMPLETE
+    assert table_of(FORCE[:12], window=NamedWindow(200, 401)).verdict.fault is WindowFault.INCOMPLETE
 
 
 @pytest.mark.parametrize(("lost", "spoils"), [(198, False), (199, False), (200, True), (598, True), (649, True)])
@@ -100,7 +100,7 @@ def test_the_lock_must_hold_from_the_first_to_the_last_sample(lost, spoils):
     """A state belongs to the block that ends with its sample: that after the last sample counts, if it is over it."""
     states = [(lost, LoopState.LOCK_LOST), (700 if lost > 199 else 649, LoopState.LOCKED)]
     cut = table_of(window=NamedWindow(200, 400, lock_sample=199), states=states)
-    assert (cut.verdict.fault is Fault.LOST_LOCK) == spoils
+    assert (cut.verdict.fault is WindowFault.LOST_LOCK) == spoils
 
 
 @pytest.mark.parametrize(("sample", "spoils"), [(598, True), (599, False), (649, False)])
@@ -108,28 +108,28 @@ def test_the_block_that_ends_the_window_may_show_the_next_level(sample, spoils):
     """What the loop does after that block takes effect after it."""
     states = [(199, LoopState.LOCKED), (sample, LoopState.ACQUIRING), (700, LoopState.ACQUIRING)]
     cut = table_of(window=NamedWindow(200, 400, lock_sample=199), states=states)
-    assert (cut.verdict.fault is Fault.LOST_LOCK) == spoils
+    assert (cut.verdict.fault is WindowFault.LOST_LOCK) == spoils
     given_up = [(199, LoopState.LOCKED), (sample, LoopState.LOCK_LOST), (700, LoopState.LOCK_LOST)]
-    assert table_of(window=NamedWindow(200, 400), states=given_up).verdict.fault is Fault.LOST_LOCK
+    assert table_of(window=NamedWindow(200, 400), states=given_up).verdict.fault is WindowFault.LOST_LOCK
     # A test that is not locked to a phase is only lost when it is given up.
     stepped = NamedWindow(200, 400, kind=TestKind.STEPPED_SINE)
     assert table_of(window=stepped, states=states).verdict.fault is None
-    assert table_of(window=stepped, states=given_up).verdict.fault is Fault.LOST_LOCK
+    assert table_of(window=stepped, states=given_up).verdict.fault is WindowFault.LOST_LOCK
 
 
 FAULTY = {
-    Fault.LIMIT: flagged({8}),
-    Fault.WATCHDOG: flagged({8}, BlockFlag.WATCHDOG),
-    Fault.STOPPED: flagged({8}, BlockFlag.STOP),
-    Fault.OVERLOAD: flagged({8}, BlockFlag.OVERLOAD),
-    Fault.MISSING: [block for number, block in enumerate(FORCE) if number != 8],
-    Fault.REPEATED: [*FORCE[:9], FORCE[8], *FORCE[9:]],
-    Fault.CHANNELS: [replace(b, channels=("f9",)) if i == 8 else b for i, b in enumerate(FORCE)],
-    Fault.RATE: [replace(b, sample_rate=2.0 * RATE) if i == 8 else b for i, b in enumerate(FORCE)],
-    Fault.PHASE_JUMP: [
+    WindowFault.LIMIT: flagged({8}),
+    WindowFault.WATCHDOG: flagged({8}, BlockFlag.WATCHDOG),
+    WindowFault.STOPPED: flagged({8}, BlockFlag.STOP),
+    WindowFault.OVERLOAD: flagged({8}, BlockFlag.OVERLOAD),
+    WindowFault.MISSING: [block for number, block in enumerate(FORCE) if number != 8],
+    WindowFault.REPEATED: [*FORCE[:9], FORCE[8], *FORCE[9:]],
+    WindowFault.CHANNELS: [replace(b, channels=("f9",)) if i == 8 else b for i, b in enumerate(FORCE)],
+    WindowFault.RATE: [replace(b, sample_rate=2.0 * RATE) if i == 8 else b for i, b in enumerate(FORCE)],
+    WindowFault.PHASE_JUMP: [
         replace(b, oscillator=b.oscillator._replace(cycles=0.123)) if i == 8 else b for i, b in enumerate(FORCE)
     ],
-    Fault.SILENT: [
+    WindowFault.SILENT: [
         replace(b, oscillator=OscillatorPhase(b.oscillator.cycles, 0.0)) if i == 8 else b for i, b in enumerate(FORCE)
     ],
 }
@@ -147,9 +147,9 @@ def test_what_spoils_a_window_of_a_steady_state(fault, kind):
 @pytest.mark.parametrize("fault", list(FAULTY))
 def test_a_sweep_can_be_used_up_to_its_fault(fault):
     verdict = table_of(FAULTY[fault], window=NamedWindow(200, 400, kind=TestKind.SWEEP)).verdict
-    if fault is Fault.SILENT:
+    if fault is WindowFault.SILENT:
         # Silence is no fault of a sweep; that the phase has gone on meanwhile is.
-        assert (verdict.fault, verdict.samples) == (Fault.PHASE_JUMP, 250)
+        assert (verdict.fault, verdict.samples) == (WindowFault.PHASE_JUMP, 250)
     else:
         assert (verdict.fault, verdict.first_sample) == (fault, 200)
         # A doubled block is all right until it comes again.
@@ -157,33 +157,33 @@ def test_a_sweep_can_be_used_up_to_its_fault(fault):
 
 
 def test_the_earliest_fault_ends_a_sweep():
-    force = flagged({10}, BlockFlag.OVERLOAD, FAULTY[Fault.LIMIT])
+    force = flagged({10}, BlockFlag.OVERLOAD, FAULTY[WindowFault.LIMIT])
     displacement = flagged({6}, BlockFlag.WATCHDOG, DISPLACEMENT)
     verdict = table_of(force, displacement, NamedWindow(200, 400, kind=TestKind.SWEEP)).verdict
-    assert (verdict.fault, verdict.samples) == (Fault.WATCHDOG, 100)
+    assert (verdict.fault, verdict.samples) == (WindowFault.WATCHDOG, 100)
 
 
 def test_random_excitation_can_be_used_in_its_longest_part():
     holed = [block for number, block in enumerate(FORCE) if number not in (5, 16)]
     window = NamedWindow(100, 800, kind=TestKind.RANDOM)
     verdict = table_of(holed, window=window).verdict
-    assert (verdict.fault, verdict.first_sample, verdict.samples) == (Fault.MISSING, 300, 500)
+    assert (verdict.fault, verdict.first_sample, verdict.samples) == (WindowFault.MISSING, 300, 500)
     halved = [block for number, block in enumerate(FORCE) if number not in (9,)]
     assert table_of(halved, window=NamedWindow(100, 750, kind=TestKind.RANDOM)).verdict.samples == 0
-    for fault in (Fault.PHASE_JUMP, Fault.SILENT):
+    for fault in (WindowFault.PHASE_JUMP, WindowFault.SILENT):
         assert table_of(FAULTY[fault], window=window).verdict.fault is None
-    assert table_of(FAULTY[Fault.OVERLOAD], window=window).verdict.samples == 0
+    assert table_of(FAULTY[WindowFault.OVERLOAD], window=window).verdict.samples == 0
 
 
 def test_faults_of_topics_that_a_window_does_not_need_cost_channels_only():
     window = NamedWindow(200, 400)
-    finding = Finding(Fault.OVERLOAD, "A voltage was too large.", 300, "voltage", 350)
+    finding = WindowFinding(WindowFault.OVERLOAD, "A voltage was too large.", 300, "voltage", 350)
     assert judge(window, [finding], TOPICS).fault is None
-    assert window.policy.effect(finding, TOPICS) is Effect.CHANNELS
-    assert judge(window, [finding], (*TOPICS, "voltage")).fault is Fault.OVERLOAD
-    unit = Finding(Fault.UNIT, "The unit is odd.", 200, "force")
+    assert window.policy.effect(finding, TOPICS) is Consequence.CHANNELS
+    assert judge(window, [finding], (*TOPICS, "voltage")).fault is WindowFault.OVERLOAD
+    unit = WindowFinding(WindowFault.UNIT, "The unit is odd.", 200, "force")
     assert judge(window, [unit], TOPICS).fault is None
-    assert judge(window, [unit], TOPICS, every_channel=True).fault is Fault.UNIT
+    assert judge(window, [unit], TOPICS, every_channel=True).fault is WindowFault.UNIT
     # What spoils the window itself is said first, whoever asks.
     both = [unit, finding._replace(topic="force")]
     assert judge(window, both, TOPICS, every_channel=True) == judge(window, both, TOPICS)
@@ -191,11 +191,11 @@ def test_faults_of_topics_that_a_window_does_not_need_cost_channels_only():
 
 def test_every_kind_says_what_every_fault_does():
     for kind in TestKind:
-        assert set(POLICIES[kind].effects) == set(Fault)
+        assert set(POLICIES[kind].effects) == set(WindowFault)
     assert POLICIES[TestKind.UNKNOWN].effects == POLICIES[TestKind.PHASE_RESONANCE].effects
     record = POLICIES[TestKind.RECORD].effects
-    assert record[Fault.LIMIT] is Effect.CHANNELS
-    assert record[Fault.INCOMPLETE] is Effect.WINDOW
+    assert record[WindowFault.LIMIT] is Consequence.CHANNELS
+    assert record[WindowFault.INCOMPLETE] is Consequence.WINDOW
 
 
 def shifted(blocks, by, since):
@@ -209,7 +209,7 @@ def test_a_clock_that_is_set_back_spoils_what_was_not_complete(by):
     assert table_of(force, window=NamedWindow(200, 400)).verdict.fault is None
     assert table_of(force, window=NamedWindow(200, 450)).verdict.fault is None
     spoiled = table_of(force, window=NamedWindow(700, 60)).verdict
-    assert spoiled.fault is Fault.SET_BACK
+    assert spoiled.fault is WindowFault.SET_BACK
     assert f"set back from sample 650 to {650 - by}" in spoiled.reason
     # In whichever order the streams arrive.
     table = SampleTable(TOPICS, require_loop_state=False)
@@ -224,7 +224,7 @@ def test_one_block_out_of_order_is_no_clock_that_was_set_back():
     for extra in ([FORCE[9]], [FORCE[3]], [FORCE[0]]):
         force = [*FORCE[:10], *extra, *FORCE[10:]]
         assert table_of(force, window=NamedWindow(600, 300)).verdict.fault is None
-        assert table_of(force, window=NamedWindow(200, 400)).verdict.fault is Fault.REPEATED
+        assert table_of(force, window=NamedWindow(200, 400)).verdict.fault is WindowFault.REPEATED
 
 
 def test_a_source_that_begins_anew_is_a_new_acquisition_in_streams_and_none_in_recordings():
@@ -243,9 +243,9 @@ def test_a_source_that_begins_anew_is_a_new_acquisition_in_streams_and_none_in_r
         faults = {cut.key: cut.verdict.fault for cut in table.take()}
         if one_acquisition:
             # The samples of the first acquisition are the only ones of that name.
-            assert faults == {"old": Fault.SET_BACK, "new": None, "later": None}
+            assert faults == {"old": WindowFault.SET_BACK, "new": None, "later": None}
         else:
-            assert faults == {"old": Fault.NEW_ACQUISITION, "new": None, "later": None}
+            assert faults == {"old": WindowFault.NEW_ACQUISITION, "new": None, "later": None}
 
 
 def test_only_the_blocks_of_a_window_are_looked_at():
@@ -304,7 +304,7 @@ def test_a_phase_that_runs_backwards_is_a_jump():
         else b
         for i, b in enumerate(FORCE)
     ]
-    assert table_of(backwards).verdict.fault is Fault.PHASE_JUMP
+    assert table_of(backwards).verdict.fault is WindowFault.PHASE_JUMP
 
 
 def test_the_force_says_the_phase():

@@ -9,7 +9,6 @@ import numpy as np
 from nmt_core.linear_description import LinearDescription
 from nmt_extract.modal_point import MEASURED, ModalPoint, Status
 from nmt_report.run_data import (
-    Envelope,
     Excerpt,
     FileEntry,
     LevelStart,
@@ -17,6 +16,7 @@ from nmt_report.run_data import (
     LoopHistory,
     ReferenceCurve,
     RunReportData,
+    SignalEnvelope,
 )
 
 SAMPLE_RATE = 10_000.0
@@ -109,7 +109,7 @@ def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = Tr
     history = LoopHistory(np.array(samples), np.array(hertz), np.array(phase), np.array(state), np.array(drive))
     centre = history.sample.astype(float) - BLOCK / 2
     envelopes = [
-        Envelope(name, symbol, unit, centre, -factor * history.drive_amplitude, factor * history.drive_amplitude)
+        SignalEnvelope(name, symbol, unit, centre, -factor * history.drive_amplitude, factor * history.drive_amplitude)
         for name, symbol, unit, factor in (
             ("u", "$u$", "V", 1.0),
             ("f2", "$F$", "N", 2.2),

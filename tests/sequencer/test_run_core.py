@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from sequencer.bench import status
 
-from nmt_core.command_judge import Source
+from nmt_core.command_judge import CommandSource
 from nmt_core.parameters import check_values
 from nmt_core.records import DriveStop, LoopStatus
 from nmt_core.vocabulary import BlockFlag, LoopState, OutputState, ResultCode, RunPhase, StopCause
@@ -15,7 +15,7 @@ from nmt_sequencer.run_core import PARAMETERS, RunCore
 from nmt_sequencer.run_machine import RunPlan
 
 BLOCK, RATE = 100, 1000.0
-LOOP, STRANGER = Source("01", "/pll"), Source("02", "/stranger")
+LOOP, STRANGER = CommandSource("01", "/pll"), CommandSource("02", "/stranger")
 
 
 def running(**values: Any) -> RunCore:
@@ -74,7 +74,7 @@ def test_a_second_source_ends_the_run_by_name_and_with_a_ramp() -> None:
 def test_of_several_publishers_none_is_believed_and_the_run_is_over() -> None:
     core = running()
     feed(core, 0, 12)
-    assert core.take_status(fixed(13 * BLOCK - 1, 10), Source("01 02", "/pll and /stranger", alone=False))
+    assert core.take_status(fixed(13 * BLOCK - 1, 10), CommandSource("01 02", "/pll and /stranger", alone=False))
     state = core.state()
     assert state is not None
     assert (state.phase, state.result_code) == (RunPhase.DONE, ResultCode.REFUSED)

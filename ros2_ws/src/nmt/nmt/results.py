@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from nmt_extract.swept_response import FrequencyResponseTable
-    from nmt_record.frf_table import FrequencyResponse
+    from nmt_record.frf_table import FrequencyResponseRecord
     from nmt_rig.reference import PointShapes
 
 
@@ -319,7 +319,7 @@ class LinearResult(Results):
 
     description: LinearDescription
     document: Mapping[str, Any] = field(default_factory=dict)
-    responses: tuple[FrequencyResponse, ...] = ()
+    responses: tuple[FrequencyResponseRecord, ...] = ()
 
     @classmethod
     def read(cls, folder: Path) -> LinearResult:
@@ -701,7 +701,7 @@ def _parameter(name: str, item: Mapping[str, Any]) -> str:
 
 
 def _plot_responses(
-    folder: Path, responses: Sequence[FrequencyResponse], drawn: Axes, style: Mapping[str, Any]
+    folder: Path, responses: Sequence[FrequencyResponseRecord], drawn: Axes, style: Mapping[str, Any]
 ) -> Axes:
     if not responses:
         raise BenchError(f"{folder} has no frf.csv, so there are no frequency responses.")

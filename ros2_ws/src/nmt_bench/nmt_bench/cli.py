@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from nmt_bench.command_parser import EXIT_USER, CommandParser, Refusal, leaf_parsers
+from nmt_bench.command_parser import EXIT_USER, CommandParser, CommandRefusal, leaf_parsers
 from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
 
@@ -236,7 +236,7 @@ def _run(words: list[str], end: _End) -> int:
         if end.arguments.command is None:
             parser.error("a command is missing")
         return run_parsed(end.arguments)
-    except Refusal as refusal:
+    except CommandRefusal as refusal:
         end.sentence = refusal.sentence
         return EXIT_USER
     except SystemExit as stop:

@@ -12,7 +12,7 @@ from nmt_core.proposal import did_you_mean
 EXIT_USER = 2
 
 
-class Refusal(SystemExit):
+class CommandRefusal(SystemExit):
     """The end of a command whose words were refused.
 
     Attributes:
@@ -35,7 +35,7 @@ class CommandParser(argparse.ArgumentParser):
         """
         sentence = message[:1].upper() + message[1:].rstrip(".")
         sys.stderr.write(f"{self.prog}: {sentence}; see '{self.prog} --help'.\n")
-        raise Refusal(sentence + ".")
+        raise CommandRefusal(sentence + ".")
 
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None

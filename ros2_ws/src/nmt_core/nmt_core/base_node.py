@@ -30,7 +30,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from nmt_core.command_judge import Source
+from nmt_core.command_judge import CommandSource
 from nmt_core.dds_profile import check_ports, seal_transport
 from nmt_core.errors import BenchError
 from nmt_core.launcher_watch import LauncherWatch
@@ -176,7 +176,7 @@ class BenchNode(Node):  # type: ignore[misc]
         self.received = 0
         self._expected = _parse_peers(self.values["expected_peers"], self.get_name())
         self._endpoints: dict[str, list[Any]] = {}
-        self._sources: dict[str, tuple[int, Source]] = {}
+        self._sources: dict[str, tuple[int, CommandSource]] = {}
         self._command_types: dict[str, str] = {}
         self._own_topics: list[str] = []
         self._own_services: list[str] = []
@@ -274,7 +274,7 @@ class BenchNode(Node):  # type: ignore[misc]
         return self.link is not None and TAKEN_BY.get(topic) == self.get_name()
 
     def command_subscription(
-        self, kind: Any, topic: str, callback: Callable[[bytes, Source], None], qos: QoSProfile
+        self, kind: Any, topic: str, callback: Callable[[bytes, CommandSource], None], qos: QoSProfile
     ) -> Any:
         """A raw subscription to a topic that one publisher may command; the callback is told who sent a message.
 
@@ -287,11 +287,11 @@ class BenchNode(Node):  # type: ignore[misc]
         asked = self._known_source if self.takes_past_middleware(topic) else self.source
         return self.bench_subscription(kind, topic, lambda raw: callback(raw, asked(topic)), qos, raw=True)
 
-    def _known_source(self, topic: str) -> Source:
+    def _known_source(self, topic: str) -> CommandSource:
         known = self._sources.get(topic)
         return self.source(topic) if known is None else known[1]
 
-    def source(self, topic: str) -> Source:
+    def source(self, topic: str) -> CommandSource:
         """Who publishes on a topic of `command_subscription` now."""
         count = max(connected() for connected in self._endpoints[topic])
         known = self._sources.get(topic)
@@ -299,7 +299,7 @@ class BenchNode(Node):  # type: ignore[misc]
             return known[1]
         return self._look_for_publishers(topic, count)
 
-    def _look_for_publishers(self, topic: str, count: int) -> Source:
+    def _look_for_publishers(self, topic: str, count: int) -> CommandSource:
         found = {
             bytes(info.endpoint_gid).hex(): _full_name(info.node_namespace, info.node_name)
             for info in self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
@@ -311,7 +311,7 @@ class BenchNode(Node):  # type: ignore[misc]
             source = known[1]  # what it sent before it left
         else:
             names = " and ".join(sorted(found.values())) or "a publisher that is not known yet"
-            source = Source(" ".join(sorted(found)), names, alone=len(found) == 1 and count <= 1)
+            source = CommandSource(" ".join(sorted(found)), names, alone=len(found) == 1 and count <= 1)
         self._sources[topic] = (count, source)
         return source
 

@@ -20,7 +20,7 @@ LONGEST_AHEAD = 60.0  # s of bench time that a command may name ahead; no ramp o
 
 
 @dataclass(frozen=True)
-class Source:
+class CommandSource:
     """Who publishes on a topic.
 
     Attributes:
@@ -129,7 +129,7 @@ class CommandJudge:
         apply_at: int | None,
         values: Mapping[str, float],
     ) -> tuple[Refusal, str] | None:
-        if isinstance(source, Source) and not source.alone:
+        if isinstance(source, CommandSource) and not source.alone:
             self.strangers[source] += 1
             return Refusal.SOURCE, f"the topic has several publishers, {source}; one is accepted."
         if self.source is not None and source != self.source:

@@ -159,12 +159,12 @@ def modal_point(
     """
     settings = settings or ExtractionSettings()
     try:
-        return _Evaluation(window, linear, settings, history or ChannelHistory()).point()
+        return _WindowEvaluation(window, linear, settings, history or ChannelHistory()).point()
     except BenchError as error:
         return rejected_point(window.lock, window.sample_rate, str(error))
 
 
-class _Evaluation:
+class _WindowEvaluation:
     """One window on its way to a modal point; set 0 is the whole window, set k lacks sub-window k."""
 
     def __init__(

@@ -39,7 +39,7 @@ _SAME = 2.0e-3  # relative distance of modal amplitudes below which two points o
 
 
 @dataclass(frozen=True, eq=False)
-class Backbone:
+class SynthesisedBackbone:
     """Measured nonlinear mode over its amplitude.
 
     Attributes:
@@ -64,7 +64,7 @@ class Backbone:
             raise BenchError("A synthesis needs damping ratios between 0 and 1 and positive frequencies.")
 
     @classmethod
-    def from_points(cls, points: Sequence[ModalPoint], others: OtherModes | None = None) -> Backbone:
+    def from_points(cls, points: Sequence[ModalPoint], others: OtherModes | None = None) -> SynthesisedBackbone:
         """From extracted levels in any order; points of (nearly) the same amplitude are averaged.
 
         Args:
@@ -262,7 +262,7 @@ class Synthesis:
     """
 
     def __init__(
-        self, backbone: Backbone, drive_point: int, others: OtherModes, force: float, points: int = 4000
+        self, backbone: SynthesisedBackbone, drive_point: int, others: OtherModes, force: float, points: int = 4000
     ) -> None:
         if drive_point not in backbone.points:
             raise BenchError(

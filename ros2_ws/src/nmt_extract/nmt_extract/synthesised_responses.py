@@ -19,7 +19,7 @@ from nmt_core.linear_description import LinearDescription
 from nmt_extract.modal_table import read_json
 from nmt_extract.response_table import read_response_csv
 from nmt_extract.swept_response import FrequencyResponseTable
-from nmt_extract.synthesis import Backbone, OtherModes, ResonanceError, Synthesis, resonance_error
+from nmt_extract.synthesis import OtherModes, ResonanceError, Synthesis, SynthesisedBackbone, resonance_error
 
 POINTS = 801
 """Frequencies of ``synthesis.csv`` where nothing else is asked for."""
@@ -41,7 +41,7 @@ class SynthesisResult:
         remarks: sentences on stretches for which the backbone says nothing.
     """
 
-    backbone: Backbone
+    backbone: SynthesisedBackbone
     others: OtherModes
     inputs: Mapping[str, Any]
     synthesised: Mapping[float, Synthesis]
@@ -103,7 +103,7 @@ def synthesise(
     """
     points, inputs = read_json(_file(Path(backbone), "modal.json"))
     description, others = _others(None if linear is None else Path(linear), inputs, _points(points))
-    measured = Backbone.from_points(points, others)
+    measured = SynthesisedBackbone.from_points(points, others)
     tables = [table for path in sweeps for table in read_response_csv(_file(Path(path), "frf.csv"))]
     for table in tables:
         if table.level_unit != "N":

@@ -40,7 +40,7 @@ COLUMNS = ("level_index", "level", "quantity", "value", "source", "std")
 """Columns of ``uncertainty.csv``."""
 
 
-class Source(Enum):
+class UncertaintySource(Enum):
     """Where an uncertainty comes from; the value is its name in reports."""
 
     NOISE = "noise"
@@ -53,7 +53,7 @@ class Source(Enum):
     REPEATS = "repeats of the level"
 
 
-_WITHIN_WINDOW = (Source.NOISE, Source.PHASE)
+_WITHIN_WINDOW = (UncertaintySource.NOISE, UncertaintySource.PHASE)
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Budget:
 
     quantity: str
     value: float
-    parts: Mapping[Source, float]
+    parts: Mapping[UncertaintySource, float]
     noise_degrees: float = 9.0
 
     @property
@@ -130,7 +130,7 @@ class Budget:
     @property
     def coverage_factor(self) -> float:
         """k for an interval of 95 %, Student's t at the effective degrees of freedom (Welch–Satterthwaite)."""
-        noise, total = self.parts.get(Source.NOISE, 0.0), self.total
+        noise, total = self.parts.get(UncertaintySource.NOISE, 0.0), self.total
         degrees = self.noise_degrees * (total / noise) ** 4 if noise > 0.0 and self.noise_degrees > 0.0 else math.inf
         return two_sided_quantile(max(degrees, 1.0), COVERAGE)
 
@@ -187,21 +187,21 @@ def uncertainty_budget(points: Sequence[ModalPoint], inputs: BudgetInputs) -> li
 
 
 def _point_budgets(point: ModalPoint, inputs: BudgetInputs, repeats: Mapping[str, float]) -> dict[str, Budget]:
-    parts: dict[str, dict[Source, float]] = {name: {} for name in UNITS}
+    parts: dict[str, dict[UncertaintySource, float]] = {name: {} for name in UNITS}
     for name in UNITS:
         own = 2.0 * math.pi * point.frequency_hz_std if name == "omega_rad_s" else getattr(point, f"{name}_std")
-        parts[name][Source.NOISE] = own
+        parts[name][UncertaintySource.NOISE] = own
     turn = point.damping_ratio * point.omega_rad_s
-    parts["omega_rad_s"][Source.PHASE] = turn * math.hypot(point.phase_error, point.phase_error_std)
+    parts["omega_rad_s"][UncertaintySource.PHASE] = turn * math.hypot(point.phase_error, point.phase_error_std)
     for source, changes in _changes(point, inputs):
         for name, change in changes.items():
             parts[name][source] = math.hypot(parts[name].get(source, 0.0), change)
     if inputs.method is not None:
         omega, damping = inputs.method.at(point.modal_amplitude)
-        parts["omega_rad_s"][Source.METHOD] = omega * point.omega_rad_s
-        parts["damping_ratio"][Source.METHOD] = damping * abs(point.damping_ratio)
+        parts["omega_rad_s"][UncertaintySource.METHOD] = omega * point.omega_rad_s
+        parts["damping_ratio"][UncertaintySource.METHOD] = damping * abs(point.damping_ratio)
     for name, spread in repeats.items():
-        parts[name][Source.REPEATS] = spread
+        parts[name][UncertaintySource.REPEATS] = spread
     degrees = max(1, min(inputs.sub_windows, point.window_periods // 2) - 1)
     return {
         name: Budget(
@@ -226,7 +226,7 @@ class _Measured:
         return {"damping_ratio": damping, "modal_amplitude": amplitude}
 
 
-def _changes(point: ModalPoint, inputs: BudgetInputs) -> Iterator[tuple[Source, dict[str, float]]]:
+def _changes(point: ModalPoint, inputs: BudgetInputs) -> Iterator[tuple[UncertaintySource, dict[str, float]]]:
     """Each source's changes of the quantities."""
     linear = inputs.linear
     matrix = linear.shape_matrix
@@ -251,7 +251,7 @@ def _changes(point: ModalPoint, inputs: BudgetInputs) -> Iterator[tuple[Source, 
         changes = spread(gained)
         if kind is Quantity.FORCE:
             changes["force_n"] = tolerance.gain * point.force_n
-        yield Source.GAINS, changes
+        yield UncertaintySource.GAINS, changes
         angle = tolerance.phase_at(point.omega_rad_s)
 
         def turned(sign: float, kind: Quantity | None = kind, index: int | None = index, angle: float = angle) -> Any:
@@ -260,7 +260,7 @@ def _changes(point: ModalPoint, inputs: BudgetInputs) -> Iterator[tuple[Source, 
         changes = spread(turned)
         if kind is Quantity.FORCE or _at_drive(linear, index):
             changes["omega_rad_s"] = abs(point.damping_ratio) * point.omega_rad_s * angle
-        yield Source.PHASES, changes
+        yield UncertaintySource.PHASES, changes
     for (row, mode), std in np.ndenumerate(np.array(linear.shape_stds or np.zeros_like(matrix))):
         if std > 0.0:
 
@@ -269,12 +269,12 @@ def _changes(point: ModalPoint, inputs: BudgetInputs) -> Iterator[tuple[Source, 
                 other[row, mode] += sign * std
                 return _Measured(1.0, shape, other)
 
-            yield Source.SHAPES, spread(moved)
+            yield UncertaintySource.SHAPES, spread(moved)
     clock = inputs.tolerances.clock
     if clock > 0.0:
         # A displacement from an acceleration takes the frequency's error twice.
         twice = {name: 2.0 * clock * abs(value) for name, value in base.items()}
-        yield Source.CLOCK, {"omega_rad_s": clock * point.omega_rad_s, **twice}
+        yield UncertaintySource.CLOCK, {"omega_rad_s": clock * point.omega_rad_s, **twice}
 
 
 def _channels(linear: LinearDescription) -> Iterator[tuple[Quantity | None, int | None]]:

@@ -49,7 +49,7 @@ _MAINS_HZ = (50.0, 60.0)
 _MOST_LOST = 0.02  # of the blocks; fewer are marked and cost a window each
 
 
-class Finding(NamedTuple):
+class CheckFinding(NamedTuple):
     """Something that is not right.
 
     Attributes:
@@ -135,7 +135,7 @@ class CheckResult:
         modes: of the model, in the band of the check.
     """
 
-    findings: tuple[Finding, ...]
+    findings: tuple[CheckFinding, ...]
     channels: tuple[ChannelFigures, ...]
     drive_peak_v: float
     drive_limit_v: float
@@ -303,7 +303,7 @@ class _Evaluation:
         self.ranges = np.array([entry.range_v for entry in self.inputs])
         self.quantities = {sensor.channel: sensor.quantity for sensor in device.sensors}
         self.points = {sensor.channel: sensor.point for sensor in device.sensors}
-        self.findings: list[Finding] = []
+        self.findings: list[CheckFinding] = []
         self.condemned: set[int] = set()  # what is wrong with them hides everything else
         band = drive_band(device)
         self.is_driven = record.put_out.size >= 8 * round(_SEGMENT * self.rate) // 2 and bool(record.put_out.any())
@@ -325,7 +325,7 @@ class _Evaluation:
         self.noise, self.mains, self.offset = self._floor()
 
     def add(self, name: str, rows: Sequence[int], sentence: str, remedy: str) -> None:
-        self.findings.append(Finding(name, tuple(self.names[row] for row in rows), sentence, remedy))
+        self.findings.append(CheckFinding(name, tuple(self.names[row] for row in rows), sentence, remedy))
 
     def _floor(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Noise (V rms), mains (V) and mean (V) of every channel in silence."""
@@ -816,10 +816,10 @@ def check(device: HardwareRig, levels: Sequence[float] = (), linear_hz: float = 
 
 __all__ = [
     "ChannelFigures",
+    "CheckFinding",
     "CheckRecord",
     "CheckResult",
     "DeviceFault",
-    "Finding",
     "ModeFigures",
     "check",
     "drive_level",

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from nmt_core.base_node import READY, SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.blocks import SampleBlock
 from nmt_core.bundle import LOOP_INPUT, PLANT_BUNDLE, BundleWriter
-from nmt_core.command_judge import Source
+from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
 from nmt_core.parameters import Parameter
 from nmt_core.run_announcement import RECORDED_TOPIC
@@ -247,7 +247,7 @@ class PlantNode(BenchNode):
         self.core.take_recorded(int(message.data))
         self._advance()
 
-    def _on_drive(self, raw: bytes, source: Source) -> None:
+    def _on_drive(self, raw: bytes, source: CommandSource) -> None:
         self._commands += 1
         if self._failed:
             return  # the device is closed; what failed has been said

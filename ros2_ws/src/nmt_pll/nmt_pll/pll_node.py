@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
 from nmt_core.bundle import LOOP_INPUT, PLL_BUNDLE, BundleWriter, read_bundle
-from nmt_core.command_judge import Source
+from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
 from nmt_core.records import LoopStatus
 from nmt_core.wire import LEVEL, LOCK_EVENT, BlockReader, NodeStatus, write_drive, write_status
@@ -102,7 +102,7 @@ class PllNode(BenchNode):
             level, message = DiagnosticStatus.ERROR, self._reported
         super().publish_diagnostics(level, message)
 
-    def _on_level(self, raw: bytes, source: Source) -> None:
+    def _on_level(self, raw: bytes, source: CommandSource) -> None:
         try:
             level = LEVEL.read(raw)
         except (BenchError, ValueError) as error:

@@ -25,7 +25,7 @@ from nmt_core.wire import LOCK_EVENT, RUN_RECORD, BlockHead, BlockReader
 from nmt_core.work_progress import counted
 from nmt_record.bag_keys import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY
 from nmt_record.bench_topics import SAMPLE_BLOCK, bench_name
-from nmt_record.mcap_file import Channel, LostStretch, McapFile, check_magic
+from nmt_record.mcap_file import LostStretch, McapChannel, McapFile, check_magic
 from nmt_record.message_definitions import MessageDefinition, typestore_of
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
@@ -463,7 +463,7 @@ class _Source(Protocol):
     cut: bool
     lost_bytes: int
 
-    def channels(self) -> list[tuple[Channel, int]]: ...
+    def channels(self) -> list[tuple[McapChannel, int]]: ...
 
     def raw(self, wanted: set[str] | None) -> Iterator[RawMessage]: ...
 
@@ -485,7 +485,7 @@ class _McapSource:
         self.cut = files[-1].cut
         self.lost_bytes = files[-1].lost_bytes
 
-    def channels(self) -> list[tuple[Channel, int]]:
+    def channels(self) -> list[tuple[McapChannel, int]]:
         return [(channel, file.counts.get(key, 0)) for file in self._files for key, channel in file.channels.items()]
 
     def raw(self, wanted: set[str] | None) -> Iterator[RawMessage]:
@@ -521,16 +521,16 @@ class _RosbagsSource:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._channels: list[tuple[Channel, int]] = []
+        self._channels: list[tuple[McapChannel, int]] = []
         with self._reader() as reader:
             for item in reader.connections:
                 definition = MessageDefinition(
                     item.msgdef.data, item.digest, _ENCODINGS.get(item.msgdef.format.name, "")
                 )
-                channel = Channel(item.topic, item.msgtype, definition, item.ext.serialization_format, [])
+                channel = McapChannel(item.topic, item.msgtype, definition, item.ext.serialization_format, [])
                 self._channels.append((channel, item.msgcount))
 
-    def channels(self) -> list[tuple[Channel, int]]:
+    def channels(self) -> list[tuple[McapChannel, int]]:
         return self._channels
 
     def raw(self, wanted: set[str] | None) -> Iterator[RawMessage]:

@@ -16,11 +16,11 @@ from nmt_record.import_sidecar import QuantityName
 Share = Annotated[float, Field(ge=0, lt=1)]
 
 
-class _Section(BaseModel):
+class _CalibrationSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-class CalibratedChannel(_Section):
+class CalibratedChannel(_CalibrationSection):
     """A channel of a calibration sheet, or all of a quantity where no point is given.
 
     Attributes:
@@ -52,7 +52,7 @@ class CalibratedChannel(_Section):
         return "calibration sheet" + (f" ({', '.join(words)})" if words else "")
 
 
-class CalibrationSheet(_Section):
+class CalibrationSheet(_CalibrationSection):
     """Sensitivities' uncertainties of a set-up, as their calibration sheets state them.
 
     Attributes:

@@ -25,7 +25,7 @@ _ESTIMATORS = ("hc", "hv", "h1", "h2", "")
 
 
 @dataclass(frozen=True, eq=False)
-class FrequencyResponse:
+class FrequencyResponseRecord:
     """Response over force at one point.
 
     Attributes:
@@ -47,7 +47,7 @@ class FrequencyResponse:
     estimator: str = ""
 
 
-def read_frf_table(path: Path, drive_point: int = 0) -> list[FrequencyResponse]:
+def read_frf_table(path: Path, drive_point: int = 0) -> list[FrequencyResponseRecord]:
     """Frequency responses of the ``frf.csv`` of a linear test or a sweep.
 
     Of several estimators of one channel the first of H_c, H_v, H_1, H_2 is taken. Each level of a sweep is a response
@@ -91,7 +91,7 @@ def read_frf_table(path: Path, drive_point: int = 0) -> list[FrequencyResponse]:
             if good.sum() < 2:
                 continue
             responses.append(
-                FrequencyResponse(
+                FrequencyResponseRecord(
                     channel + suffix,
                     _LETTERS[channel[0]],
                     int(channel[1:]),

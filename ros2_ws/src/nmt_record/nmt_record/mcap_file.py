@@ -57,7 +57,7 @@ _DAMAGE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class McapChannel:
     """A topic as the file describes it."""
 
     topic: str
@@ -122,7 +122,7 @@ class McapFile:
     """
 
     path: Path
-    channels: dict[int, Channel] = field(default_factory=dict)
+    channels: dict[int, McapChannel] = field(default_factory=dict)
     stretches: list[Stretch] = field(default_factory=list)
     counts: dict[int, int] = field(default_factory=dict)
     lost_bytes: int = 0
@@ -367,7 +367,7 @@ class McapFile:
 
     def _take(self, data: bytes | memoryview, schemas: dict[int, tuple[str, str, str]]) -> set[int]:
         """Note schemas, channels and counts of some records, all or nothing; returns the channels seen."""
-        new_channels: dict[int, Channel] = {}
+        new_channels: dict[int, McapChannel] = {}
         counts: dict[int, int] = {}
         for opcode, start, end in _records(data):
             if opcode == _OP_MESSAGE:
@@ -525,8 +525,8 @@ def _profiles(text: str) -> Any:
         return []
 
 
-def _channel(topic: str, serialization: str, metadata: dict[str, str], schema: tuple[str, str, str]) -> Channel:
+def _channel(topic: str, serialization: str, metadata: dict[str, str], schema: tuple[str, str, str]) -> McapChannel:
     name, encoding, text = schema
     profiles = copy.deepcopy(_profiles(metadata.get("offered_qos_profiles", "")))
     definition = MessageDefinition(text, metadata.get("topic_type_hash", ""), encoding)
-    return Channel(topic, name, definition, serialization, profiles if isinstance(profiles, list) else [])
+    return McapChannel(topic, name, definition, serialization, profiles if isinstance(profiles, list) else [])

@@ -20,11 +20,11 @@ from nmt_record.window_policy import (
     MINIMUM_PERIODS,
     STATE_NAMES,
     AnyBlock,
-    Effect,
-    Fault,
-    Finding,
+    Consequence,
     NamedWindow,
-    Verdict,
+    WindowFault,
+    WindowFinding,
+    WindowVerdict,
     judge,
 )
 
@@ -70,7 +70,7 @@ class LoopStates:
         self._samples.append(state.last_sample)
         self.reached = state.last_sample
 
-    def lost_lock(self, window: NamedWindow) -> Finding | None:
+    def lost_lock(self, window: NamedWindow) -> WindowFinding | None:
         """Where the loop did not hold its lock over a window, as far as states are known."""
         holds_lock = window.policy.holds_lock
         start = max(window.first_sample, window.lock_sample)
@@ -83,7 +83,7 @@ class LoopStates:
                 why = f" ({entry.reason.rstrip('.')})" if entry.reason else ""
                 where = f"{name} at sample {entry.last_sample}{why}"
                 reason = f"The loop did not hold its lock over the window: {where}."
-                return Finding(Fault.LOST_LOCK, reason, entry.last_sample)
+                return WindowFinding(WindowFault.LOST_LOCK, reason, entry.last_sample)
             if last:
                 break
         return None
@@ -109,7 +109,7 @@ class CutWindow:
 
     key: Any
     window: NamedWindow
-    verdict: Verdict
+    verdict: WindowVerdict
     stretches: tuple[TopicStretch, ...]
 
 
@@ -219,7 +219,7 @@ class SampleTable:
         if window.samples < 1 or (longest is not None and window.samples > longest):
             bounds = f"within 1..{longest} samples" if longest is not None else "one sample or more"
             reason = f"The window of {window.samples} samples is not {bounds}."
-            verdict = Verdict(reason, Fault.LENGTH, window.first_sample, 0)
+            verdict = WindowVerdict(reason, WindowFault.LENGTH, window.first_sample, 0)
             self._ready.append(CutWindow(key, window, verdict, ()))
             return
         self._pending.append((key, window))
@@ -274,9 +274,11 @@ class SampleTable:
     def _hopeless(self, window: NamedWindow) -> bool:
         """Whether nothing that is still to come can save any of the window."""
         effects = window.policy.effects
-        if effects[Fault.LOST_LOCK] is Effect.WINDOW and self._states.lost_lock(window) is not None:
+        if effects[WindowFault.LOST_LOCK] is Consequence.WINDOW and self._states.lost_lock(window) is not None:
             return True
-        return effects[Fault.SET_BACK] is Effect.WINDOW and any(map(partial(_set_back, window), self._blocks.values()))
+        return effects[WindowFault.SET_BACK] is Consequence.WINDOW and any(
+            map(partial(_set_back, window), self._blocks.values())
+        )
 
     def _complete(self, window: NamedWindow) -> bool:
         if self._require_loop_state and self._states.reached < window.end_sample - 1:
@@ -287,14 +289,14 @@ class SampleTable:
         )
 
     def _decide(self, key: Any, window: NamedWindow) -> None:
-        findings: list[Finding] = []
+        findings: list[WindowFinding] = []
         lost = self._states.lost_lock(window)
         if lost is not None:
             findings.append(lost)
         findings += self._missing(window)
         if 0 < window.periods < self._minimum_periods:
             reason = f"The window holds {window.periods} whole periods; at least {self._minimum_periods} are needed."
-            findings.append(Finding(Fault.PERIODS, reason, window.first_sample))
+            findings.append(WindowFinding(WindowFault.PERIODS, reason, window.first_sample))
         stretches = tuple(
             TopicStretch.of(
                 topic,
@@ -313,16 +315,18 @@ class SampleTable:
         """One topic began anew: what of the windows it had is gone."""
         for key, window in self._pending:
             reason = "The acquisition began anew before the window was complete."
-            verdict = Verdict(reason, Fault.NEW_ACQUISITION, window.first_sample, 0)
+            verdict = WindowVerdict(reason, WindowFault.NEW_ACQUISITION, window.first_sample, 0)
             self._ready.append(CutWindow(key, window, verdict, ()))
         self._pending = []
         self._next_end = math.inf
 
-    def _missing(self, window: NamedWindow) -> list[Finding]:
+    def _missing(self, window: NamedWindow) -> list[WindowFinding]:
         """Why a window is not complete; empty if it is."""
         end = window.end_sample
         if not self._topics:
-            return [Finding(Fault.INCOMPLETE, "There are no samples that a window needs.", window.first_sample)]
+            return [
+                WindowFinding(WindowFault.INCOMPLETE, "There are no samples that a window needs.", window.first_sample)
+            ]
         for blocks in self._blocks.values():
             reached = blocks.reached
             if blocks.set_back is not None and _set_back(window, blocks):
@@ -331,20 +335,20 @@ class SampleTable:
                     f"The sample clock of '{blocks.topic}' was set back from sample {turned} to {back}; what comes "
                     "after that is not where events say."
                 )
-                return [Finding(Fault.SET_BACK, reason, turned)]
+                return [WindowFinding(WindowFault.SET_BACK, reason, turned)]
             if reached is None:
                 reason = f"The window was never completed: no block of '{blocks.topic}' came."
-                return [Finding(Fault.INCOMPLETE, reason, window.first_sample)]
+                return [WindowFinding(WindowFault.INCOMPLETE, reason, window.first_sample)]
             if reached < end:
                 have = max(0, reached - window.first_sample)
                 reason = (
                     f"The window was never completed: '{blocks.topic}' ended after {have} of its "
                     f"{window.samples} samples."
                 )
-                return [Finding(Fault.INCOMPLETE, reason, reached)]
+                return [WindowFinding(WindowFault.INCOMPLETE, reason, reached)]
         if self._require_loop_state and window.policy.holds_lock and self._states.reached < end - 1:
             reason = "The window was never completed: the loop's state did not come up to its end."
-            return [Finding(Fault.INCOMPLETE, reason, max(window.first_sample, self._states.reached + 1))]
+            return [WindowFinding(WindowFault.INCOMPLETE, reason, max(window.first_sample, self._states.reached + 1))]
         return []
 
     def _forget(self, oldest_needed: int | None) -> None:
@@ -360,7 +364,7 @@ def _set_back(window: NamedWindow, blocks: TopicBlocks) -> bool:
     return blocks.set_back is not None and blocks.set_back[0] < window.end_sample
 
 
-def window_findings(stretches: Sequence[TopicStretch]) -> list[Finding]:
+def window_findings(stretches: Sequence[TopicStretch]) -> list[WindowFinding]:
     """What is wrong with the blocks of a window, topic by topic, between topics, and with the excitation's phase."""
     findings = [finding for stretch in stretches for finding in stretch.findings]
     present = [stretch for stretch in stretches if stretch.blocks]
@@ -370,7 +374,7 @@ def window_findings(stretches: Sequence[TopicStretch]) -> list[Finding]:
                 f"'{stretch.topic}' was sampled at {stretch.sample_rate:g} Hz, '{present[0].topic}' at "
                 f"{present[0].sample_rate:g} Hz."
             )
-            findings.append(Finding(Fault.RATE, reason, stretch.first_sample, stretch.topic))
+            findings.append(WindowFinding(WindowFault.RATE, reason, stretch.first_sample, stretch.topic))
     if present:
         findings += ExcitationPhase(phase_reference(present)).findings()
     return findings

@@ -20,7 +20,7 @@ from nmt_record.bag_reader import Bag
 from nmt_record.bench_topics import SAMPLE_BLOCK
 from nmt_record.sample_table import SampleTable, window_findings
 from nmt_record.topic_blocks import BlockRecord, ExcitationPhase, TopicStretch, phase_reference
-from nmt_record.window_policy import MINIMUM_PERIODS, Fault, Finding, NamedWindow, Verdict
+from nmt_record.window_policy import MINIMUM_PERIODS, NamedWindow, WindowFault, WindowFinding, WindowVerdict
 
 _ANALYSED = ("force", "displacement", "velocity", "acceleration")
 
@@ -92,7 +92,7 @@ class Signals:
     oscillator: FloatArray | None
     gaps: tuple[tuple[str, int, int], ...]
     flags: int = 0
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[WindowFinding, ...] = ()
     topics: dict[str, str] = field(default_factory=dict)
     cycles_before: float = math.nan
 
@@ -191,7 +191,7 @@ def read_signals(bag: Bag, first_sample: int, samples: int) -> Signals:
             "choose a stretch that was recorded."
         )
     for finding in signals.findings:
-        if finding.fault in (Fault.CHANNELS, Fault.RATE):
+        if finding.fault in (WindowFault.CHANNELS, WindowFault.RATE):
             raise BenchError(
                 f"In the bag {bag.path} the samples {first_sample} to {first_sample + samples - 1} do not belong "
                 f"together: {finding.reason.rstrip('.')}; choose a stretch of one kind of channels and one rate."
@@ -306,7 +306,7 @@ class _Collector:
         gaps = tuple(
             (finding.topic, finding.sample, finding.end - finding.sample)
             for finding in findings
-            if finding.fault is Fault.MISSING and finding.end is not None
+            if finding.fault is WindowFault.MISSING and finding.end is not None
         )
         return Signals(
             reference.sample_rate, self.first, channels, units, points, quantities, cycles, gaps, flags,
@@ -358,7 +358,7 @@ def _window(event: LockEvent) -> NamedWindow:
     )
 
 
-def _segment(event: LockEvent, verdict: Verdict) -> Segment:
+def _segment(event: LockEvent, verdict: WindowVerdict) -> Segment:
     return Segment(
         kind=TestKind.of(event.test),
         level_index=event.level_index,

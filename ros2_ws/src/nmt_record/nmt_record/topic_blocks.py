@@ -12,7 +12,7 @@ import numpy as np
 
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
-from nmt_record.window_policy import FLAG_FAULTS, PHASE_JUMP_CYCLES, AnyBlock, Fault, Finding
+from nmt_record.window_policy import FLAG_FAULTS, PHASE_JUMP_CYCLES, AnyBlock, WindowFault, WindowFinding
 
 # A source that goes on from below this share of the samples reached has been started anew; above, its clock is wrong.
 _NEW_ACQUISITION = 0.5
@@ -135,7 +135,7 @@ class TopicStretch:
     first_sample: int
     samples: int
     blocks: tuple[Any, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[WindowFinding, ...]
 
     @classmethod
     def of(
@@ -150,7 +150,7 @@ class TopicStretch:
         end = first_sample + samples
         position = first_sample
         blocks: list[AnyBlock] = []
-        findings: list[Finding] = []
+        findings: list[WindowFinding] = []
         started = False
         for record in records:
             if record.end <= first_sample and not started:
@@ -159,7 +159,9 @@ class TopicStretch:
                 break
             if record.first < position and started:
                 reason = f"'{topic}' repeats samples from {record.first} on within the window."
-                findings.append(Finding(Fault.REPEATED, reason, max(first_sample, record.first), topic, record.end))
+                findings.append(
+                    WindowFinding(WindowFault.REPEATED, reason, max(first_sample, record.first), topic, record.end)
+                )
                 continue
             if record.first > position:
                 findings.append(_missing(topic, position, min(record.first, end)))
@@ -171,12 +173,14 @@ class TopicStretch:
                 block = decode(record.payload)
             except ValueError as error:
                 reason = f"The block of '{topic}' at sample {record.first} is malformed: {error}."
-                findings.append(Finding(Fault.MALFORMED, reason, max(first_sample, record.first), topic, record.end))
+                findings.append(
+                    WindowFinding(WindowFault.MALFORMED, reason, max(first_sample, record.first), topic, record.end)
+                )
                 continue
             found = list(_faults_of(topic, block, blocks[0] if blocks else None, first_sample))
             findings += found
             if not found or not any(
-                finding.fault in (Fault.CHANNELS, Fault.RATE, Fault.MALFORMED) for finding in found
+                finding.fault in (WindowFault.CHANNELS, WindowFault.RATE, WindowFault.MALFORMED) for finding in found
             ):
                 blocks.append(block)
         if position < end:
@@ -217,7 +221,7 @@ class TopicStretch:
             inside = slice(max(0, -start), block.samples - max(0, stop - self.samples))
             target[:, max(0, start) : min(self.samples, stop)] = block.data[:, inside]
 
-    def missing_values(self, data: FloatArray) -> Finding | None:
+    def missing_values(self, data: FloatArray) -> WindowFinding | None:
         """The first sample of ``data``, shape ``(channels, samples)``, that is not a finite number."""
         # A row at a time: of hundreds of channels the whole would be tens of megabytes.
         if all(np.isfinite(row).all() for row in data):
@@ -227,38 +231,40 @@ class TopicStretch:
         channel = self.blocks[0].channels[int(np.argmin(finite[:, sample]))]
         where = self.first_sample + sample
         reason = f"Channel '{channel}' of '{self.topic}' has no valid value at sample {where}."
-        return Finding(Fault.VALUE, reason, where, self.topic)
+        return WindowFinding(WindowFault.VALUE, reason, where, self.topic)
 
 
-def _missing(topic: str, first: int, end: int) -> Finding:
+def _missing(topic: str, first: int, end: int) -> WindowFinding:
     reason = f"Samples {first} to {end - 1} of '{topic}' are missing from the window."
-    return Finding(Fault.MISSING, reason, first, topic, end)
+    return WindowFinding(WindowFault.MISSING, reason, first, topic, end)
 
 
-def _faults_of(topic: str, block: AnyBlock, head: AnyBlock | None, first_sample: int) -> Iterator[Finding]:
+def _faults_of(topic: str, block: AnyBlock, head: AnyBlock | None, first_sample: int) -> Iterator[WindowFinding]:
     """What is wrong with one block, given the first of the stretch (None = this is the first)."""
     where = f"in the block of '{topic}' at sample {block.first_sample}"
     sample = max(first_sample, block.first_sample)
 
-    def finding(fault: Fault, reason: str) -> Finding:
-        return Finding(fault, reason, sample, topic, block.end_sample)
+    def finding(fault: WindowFault, reason: str) -> WindowFinding:
+        return WindowFinding(fault, reason, sample, topic, block.end_sample)
 
     if head is None:
         if len(block.points) != len(block.channels):
-            yield finding(Fault.MALFORMED, f"The points do not match the channels {where}.")
+            yield finding(WindowFault.MALFORMED, f"The points do not match the channels {where}.")
         if not block.sample_rate > 0.0:
-            yield finding(Fault.RATE, f"The sampling rate is {block.sample_rate:g} Hz {where}.")
+            yield finding(WindowFault.RATE, f"The sampling rate is {block.sample_rate:g} Hz {where}.")
     else:
         if block.channels != head.channels or block.points != head.points:
-            yield finding(Fault.CHANNELS, f"The channels change within the window {where}.")
+            yield finding(WindowFault.CHANNELS, f"The channels change within the window {where}.")
         if block.sample_rate != head.sample_rate:
             reason = f"The sampling rate is {block.sample_rate:g} Hz {where}, {head.sample_rate:g} Hz before."
-            yield finding(Fault.RATE, reason)
+            yield finding(WindowFault.RATE, reason)
     if head is None or block.quantity is not head.quantity or block.unit != head.unit:
         if block.quantity is Quantity.UNKNOWN or block.quantity.topic != topic:
-            yield finding(Fault.UNIT, f"The quantity of '{topic}' is {block.quantity.name.lower()}.")
+            yield finding(WindowFault.UNIT, f"The quantity of '{topic}' is {block.quantity.name.lower()}.")
         elif block.unit != block.quantity.unit:
-            yield finding(Fault.UNIT, f"The unit of '{topic}' is '{block.unit}' instead of {block.quantity.unit}.")
+            yield finding(
+                WindowFault.UNIT, f"The unit of '{topic}' is '{block.unit}' instead of {block.quantity.unit}."
+            )
     if block.flags:
         for flag, fault, text in FLAG_FAULTS:
             if block.flags & flag:
@@ -300,7 +306,7 @@ class ExcitationPhase:
         """Whether nothing oscillates in any block."""
         return self.known and bool((self._frequency == 0.0).all())
 
-    def findings(self) -> Iterator[Finding]:
+    def findings(self) -> Iterator[WindowFinding]:
         """Blocks without periodic excitation, and where the phase is not continuous or does not rise."""
         if not self.known:
             return
@@ -309,17 +315,17 @@ class ExcitationPhase:
         if quiet.any():
             sample = int(self._first[np.argmax(quiet)])
             reason = f"There is no periodic excitation within the window (sample {sample})."
-            yield Finding(Fault.SILENT, reason, max(earliest, sample), topic)
+            yield WindowFinding(WindowFault.SILENT, reason, max(earliest, sample), topic)
         if self._jumps.any():
             sample = int(self._first[1 + np.argmax(self._jumps)])
             reason = f"The excitation's phase jumps within the window at sample {sample}."
-            yield Finding(Fault.PHASE_JUMP, reason, max(earliest, sample), topic)
+            yield WindowFinding(WindowFault.PHASE_JUMP, reason, max(earliest, sample), topic)
         last = self._frequency + self._rate * (self._samples - 1) / self._stretch.sample_rate
         falls = ~quiet & ~(last > 0.0)
         if falls.any():
             sample = int(self._first[np.argmax(falls)])
             reason = "The excitation's phase runs backwards within the window."
-            yield Finding(Fault.PHASE_JUMP, reason, max(earliest, sample), topic)
+            yield WindowFinding(WindowFault.PHASE_JUMP, reason, max(earliest, sample), topic)
 
     def cycles(self) -> FloatArray:
         """Phase at each sample of the stretch, cycles, shape ``(samples,)``; NaN in gaps."""

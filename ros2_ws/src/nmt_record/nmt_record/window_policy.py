@@ -32,7 +32,7 @@ AnyBlock = SampleBlock | BlockHead
 """What faults are looked for in: the samples themselves do not matter for most of them."""
 
 
-class Fault(Enum):
+class WindowFault(Enum):
     """What may be wrong with a window; the values are for people."""
 
     LENGTH = "too long, or without a sample"
@@ -56,7 +56,7 @@ class Fault(Enum):
     VALUE = "a sample is not a finite number"
 
 
-class Effect(Enum):
+class Consequence(Enum):
     """What a fault does to a window.
 
     Attributes:
@@ -75,7 +75,7 @@ class Effect(Enum):
     NONE = "nothing"
 
 
-class Finding(NamedTuple):
+class WindowFinding(NamedTuple):
     """One fault of one window.
 
     Attributes:
@@ -86,7 +86,7 @@ class Finding(NamedTuple):
         end: sample after the last one that must not be used; None = unknown or to the end.
     """
 
-    fault: Fault
+    fault: WindowFault
     reason: str
     sample: int
     topic: str = ""
@@ -94,56 +94,56 @@ class Finding(NamedTuple):
 
 
 FLAG_FAULTS = (
-    (BlockFlag.OVERLOAD, Fault.OVERLOAD, "a converter was overloaded"),
-    (BlockFlag.LIMIT, Fault.LIMIT, "a safety limit had tripped"),
-    (BlockFlag.WATCHDOG, Fault.WATCHDOG, "the drive watchdog had tripped"),
-    (BlockFlag.STOP, Fault.STOPPED, "the drive had been stopped"),
+    (BlockFlag.OVERLOAD, WindowFault.OVERLOAD, "a converter was overloaded"),
+    (BlockFlag.LIMIT, WindowFault.LIMIT, "a safety limit had tripped"),
+    (BlockFlag.WATCHDOG, WindowFault.WATCHDOG, "the drive watchdog had tripped"),
+    (BlockFlag.STOP, WindowFault.STOPPED, "the drive had been stopped"),
 )
 
-_CHANNEL_FAULTS = {Fault.UNIT: Effect.CHANNELS, Fault.VALUE: Effect.CHANNELS}
-_NO_PHASE = {Fault.SILENT: Effect.NONE, Fault.PHASE_JUMP: Effect.NONE}
-_EXCEPTIONS: dict[TestKind, dict[Fault, Effect]] = {
+_CHANNEL_FAULTS = {WindowFault.UNIT: Consequence.CHANNELS, WindowFault.VALUE: Consequence.CHANNELS}
+_NO_PHASE = {WindowFault.SILENT: Consequence.NONE, WindowFault.PHASE_JUMP: Consequence.NONE}
+_EXCEPTIONS: dict[TestKind, dict[WindowFault, Consequence]] = {
     # A sweep that was given up half way has measured the first half.
     TestKind.SWEEP: {
         **dict.fromkeys(
             (
-                Fault.LOST_LOCK,
-                Fault.INCOMPLETE,
-                Fault.SET_BACK,
-                Fault.MISSING,
-                Fault.REPEATED,
-                Fault.MALFORMED,
-                Fault.CHANNELS,
-                Fault.RATE,
-                Fault.OVERLOAD,
-                Fault.LIMIT,
-                Fault.WATCHDOG,
-                Fault.STOPPED,
-                Fault.PHASE_JUMP,
+                WindowFault.LOST_LOCK,
+                WindowFault.INCOMPLETE,
+                WindowFault.SET_BACK,
+                WindowFault.MISSING,
+                WindowFault.REPEATED,
+                WindowFault.MALFORMED,
+                WindowFault.CHANNELS,
+                WindowFault.RATE,
+                WindowFault.OVERLOAD,
+                WindowFault.LIMIT,
+                WindowFault.WATCHDOG,
+                WindowFault.STOPPED,
+                WindowFault.PHASE_JUMP,
             ),
-            Effect.REST,
+            Consequence.REST,
         ),
-        Fault.SILENT: Effect.NONE,
+        WindowFault.SILENT: Consequence.NONE,
     },
     # Noise has no phase, and any part of it is as good as another.
-    TestKind.RANDOM: {Fault.MISSING: Effect.PARTS, **_NO_PHASE},
+    TestKind.RANDOM: {WindowFault.MISSING: Consequence.PARTS, **_NO_PHASE},
     # The drive is switched off: the decay has its own phase.
     TestKind.RING_DOWN: _NO_PHASE,
     # Any excitation, any channels: the model is driven by the input that was measured.
     TestKind.RECORD: {
         **dict.fromkeys(
             (
-                Fault.MISSING,
-                Fault.REPEATED,
-                Fault.MALFORMED,
-                Fault.CHANNELS,
-                Fault.RATE,
-                Fault.OVERLOAD,
-                Fault.LIMIT,
-                Fault.WATCHDOG,
-                Fault.STOPPED,
+                WindowFault.MISSING,
+                WindowFault.REPEATED,
+                WindowFault.MALFORMED,
+                WindowFault.CHANNELS,
+                WindowFault.RATE,
+                WindowFault.OVERLOAD,
+                WindowFault.LIMIT,
+                WindowFault.WATCHDOG,
+                WindowFault.STOPPED,
             ),
-            Effect.CHANNELS,
+            Consequence.CHANNELS,
         ),
         **_NO_PHASE,
     },
@@ -162,19 +162,19 @@ class WindowPolicy:
     """
 
     kind: TestKind
-    effects: Mapping[Fault, Effect]
+    effects: Mapping[WindowFault, Consequence]
     holds_lock: bool
 
-    def effect(self, finding: Finding, topics: Sequence[str]) -> Effect:
+    def effect(self, finding: WindowFinding, topics: Sequence[str]) -> Consequence:
         """What a finding does to a window that needs some topics; the others only lose their channels."""
         effect = self.effects[finding.fault]
-        if effect is not Effect.NONE and finding.topic and finding.topic not in topics:
-            return Effect.CHANNELS
+        if effect is not Consequence.NONE and finding.topic and finding.topic not in topics:
+            return Consequence.CHANNELS
         return effect
 
 
 def _policy(kind: TestKind) -> WindowPolicy:
-    effects = {**dict.fromkeys(Fault, Effect.WINDOW), **_CHANNEL_FAULTS, **_EXCEPTIONS.get(kind, {})}
+    effects = {**dict.fromkeys(WindowFault, Consequence.WINDOW), **_CHANNEL_FAULTS, **_EXCEPTIONS.get(kind, {})}
     return WindowPolicy(kind, effects, kind in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE))
 
 
@@ -209,7 +209,7 @@ class NamedWindow(NamedTuple):
         return POLICIES[self.kind]
 
 
-class Verdict(NamedTuple):
+class WindowVerdict(NamedTuple):
     """What can be used of a window.
 
     Attributes:
@@ -220,14 +220,14 @@ class Verdict(NamedTuple):
     """
 
     reason: str
-    fault: Fault | None
+    fault: WindowFault | None
     first_sample: int
     samples: int
 
 
 def judge(
-    window: NamedWindow, findings: Sequence[Finding], topics: Sequence[str], *, every_channel: bool = False
-) -> Verdict:
+    window: NamedWindow, findings: Sequence[WindowFinding], topics: Sequence[str], *, every_channel: bool = False
+) -> WindowVerdict:
     """What can be used of a window.
 
     Args:
@@ -239,18 +239,18 @@ def judge(
     first, end = window.first_sample, window.end_sample
     found = [(finding, window.policy.effect(finding, topics)) for finding in findings]
     for finding, effect in found:
-        if effect is Effect.WINDOW:
-            return Verdict(finding.reason, finding.fault, first, 0)
+        if effect is Consequence.WINDOW:
+            return WindowVerdict(finding.reason, finding.fault, first, 0)
     for finding, effect in found:
-        if every_channel and effect is Effect.CHANNELS and finding.topic in topics:
-            return Verdict(finding.reason, finding.fault, first, 0)
-    cuts = sorted((f for f, effect in found if effect is Effect.REST), key=lambda finding: finding.sample)
+        if every_channel and effect is Consequence.CHANNELS and finding.topic in topics:
+            return WindowVerdict(finding.reason, finding.fault, first, 0)
+    cuts = sorted((f for f, effect in found if effect is Consequence.REST), key=lambda finding: finding.sample)
     if cuts:
         samples = min(max(0, cuts[0].sample - first), window.samples)
-        return Verdict(cuts[0].reason, cuts[0].fault, first, samples)
-    holes = sorted((f for f, effect in found if effect is Effect.PARTS), key=lambda finding: finding.sample)
+        return WindowVerdict(cuts[0].reason, cuts[0].fault, first, samples)
+    holes = sorted((f for f, effect in found if effect is Consequence.PARTS), key=lambda finding: finding.sample)
     if not holes:
-        return Verdict("", None, first, window.samples)
+        return WindowVerdict("", None, first, window.samples)
     best, position = (first, 0), first
     for hole in [*((f.sample, f.end if f.end is not None else end) for f in holes), (end, end)]:
         if hole[0] - position > best[1]:
@@ -258,4 +258,4 @@ def judge(
         position = max(position, hole[1])
     if 2 * best[1] < window.samples:
         best = (first, 0)
-    return Verdict(holes[0].reason, holes[0].fault, *best)
+    return WindowVerdict(holes[0].reason, holes[0].fault, *best)

@@ -42,7 +42,7 @@ class LoopHistory:
 
 
 @dataclass(frozen=True)
-class Envelope:
+class SignalEnvelope:
     """Smallest and largest value of a channel over consecutive stretches of the run.
 
     Attributes:
@@ -180,7 +180,7 @@ class RunReportData:
     stop: Mapping[str, Any] = field(default_factory=dict)
     linear: LinearDescription | None = None
     history: LoopHistory | None = None
-    envelopes: Sequence[Envelope] = ()
+    envelopes: Sequence[SignalEnvelope] = ()
     excerpts: Sequence[Excerpt] = ()
     excerpts_of: int = 0
     levels: Sequence[LevelStart] = ()

@@ -17,13 +17,13 @@ from nmt_core.hardened import yaml_value
 from nmt_core.linear_description import LinearDescription
 from nmt_core.wire import BlockReader
 from nmt_report.run_data import (
-    Envelope,
     Excerpt,
     LevelStart,
     LockMark,
     LoopHistory,
     ReferenceCurve,
     RunReportData,
+    SignalEnvelope,
 )
 from nmt_report.shown_levels import MOST_PANELS, spread_evenly
 
@@ -159,11 +159,11 @@ class _Signal:
         if len(self._gathered) >= self._blocks_per_stretch and end - self._first >= self._shortest * head.sample_rate:
             self._close_stretch(end)
 
-    def envelope(self) -> Envelope:
+    def envelope(self) -> SignalEnvelope:
         if self._gathered:
             self._close_stretch(self.end_sample)
         sample, low, high = np.array(self._envelope).reshape(-1, 3).T
-        return Envelope(self.channel, self.symbol, self.unit, sample, low, high)
+        return SignalEnvelope(self.channel, self.symbol, self.unit, sample, low, high)
 
     @property
     def symbol(self) -> str:
@@ -193,7 +193,7 @@ _SYMBOLS = {
 
 def _signals(
     bag: Bag, linear: LinearDescription | None, locks: Sequence[LockMark]
-) -> tuple[list[Envelope], list[Excerpt], int, float, int]:
+) -> tuple[list[SignalEnvelope], list[Excerpt], int, float, int]:
     """Envelopes, excerpts, windows that these were chosen from, sample rate (Hz), sample after the last one.
 
     The samples are read once. Of many windows only those are cut out that a page shows.

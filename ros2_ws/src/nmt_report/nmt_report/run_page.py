@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from nmt_core.vocabulary import ControlKind
 from nmt_extract.modal_point import Status
-from nmt_extract.uncertainty_budget import Source, channel_tolerances_used, left_out
+from nmt_extract.uncertainty_budget import UncertaintySource, channel_tolerances_used, left_out
 from nmt_plant.real_time import read_histogram
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.html_page import Column, Row, Table, render
@@ -241,7 +241,7 @@ def _budget_tables(data: RunReportData) -> list[Table]:
     unit = unit_text(data.points[0].level_unit) if data.points else ""
     for name, symbol in _BUDGET_SYMBOLS.items():
         budgets = [(point.level, point.budgets[name]) for point in data.budgets if name in point.budgets]
-        sources = [s for s in Source if any(budget.parts.get(s, 0.0) > 0.0 for _, budget in budgets)]
+        sources = [s for s in UncertaintySource if any(budget.parts.get(s, 0.0) > 0.0 for _, budget in budgets)]
         if not sources:
             continue
         columns = [Column("Level", unit), *(Column(source.value, "%") for source in sources)]

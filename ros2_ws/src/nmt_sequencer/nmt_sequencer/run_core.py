@@ -7,7 +7,7 @@ from collections.abc import Hashable, Mapping
 from typing import Any
 
 from nmt_core.cdr import bench_time_ns
-from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge, Source
+from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge, CommandSource
 from nmt_core.excitation import Excitation
 from nmt_core.modal_point import ModalPoint
 from nmt_core.parameters import Parameter
@@ -202,7 +202,7 @@ class RunCore:
         if self.judge.second_source and self.machine.active:
             reason = f"Topic frequency has a second publisher: {self.judge.second_source}."
             self.machine.stop(ResultCode.REFUSED, reason)
-            if isinstance(source, Source) and not source.alone:
+            if isinstance(source, CommandSource) and not source.alone:
                 # Nothing heard can be believed any more; the plant ramps to zero when the run is over.
                 self.machine.abandon(ResultCode.REFUSED, reason)
         if why:

@@ -13,7 +13,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
-from nmt_core.command_judge import Source
+from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
 from nmt_core.launcher_watch import LauncherWatch
 from nmt_core.output_record import drive_sentence
@@ -246,7 +246,7 @@ class SequencerNode(BenchNode):
 
     # -- what comes in -------------------------------------------------------------------------------------------
 
-    def _on_frequency(self, raw: bytes, source: Source) -> None:
+    def _on_frequency(self, raw: bytes, source: CommandSource) -> None:
         try:
             status = read_status(raw)
         except ValueError as error:

@@ -9,7 +9,7 @@ from nmt_sequencer.steering import SteeringRequest
 
 
 @dataclass(frozen=True)
-class Answer:
+class ServiceAnswer:
     """What became of a request: whether it was taken, and one sentence."""
 
     taken: bool
@@ -32,10 +32,10 @@ class StartRequest:
 class BenchLink(Protocol):
     """Way to the bench."""
 
-    async def steer(self, request: SteeringRequest) -> Answer:
+    async def steer(self, request: SteeringRequest) -> ServiceAnswer:
         """Ask to steer the run; answers within a few seconds."""
 
-    async def start(self, request: StartRequest) -> Answer:
+    async def start(self, request: StartRequest) -> ServiceAnswer:
         """Ask for a run; answers within a few seconds."""
 
     def emergency_stop(self) -> None:
@@ -45,13 +45,13 @@ class BenchLink(Protocol):
 class NoBench:
     """There is nothing to steer: a recording is shown."""
 
-    async def steer(self, request: SteeringRequest) -> Answer:
+    async def steer(self, request: SteeringRequest) -> ServiceAnswer:
         """Nothing is steered."""
-        return Answer(False, "a recording cannot be steered")
+        return ServiceAnswer(False, "a recording cannot be steered")
 
-    async def start(self, request: StartRequest) -> Answer:
+    async def start(self, request: StartRequest) -> ServiceAnswer:
         """Nothing is started."""
-        return Answer(False, "there is nothing that could be started here")
+        return ServiceAnswer(False, "there is nothing that could be started here")
 
     def emergency_stop(self) -> None:
         """There is no drive."""

@@ -29,7 +29,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_msgs.msg import Bool, String
 
-from nmt_bench.page.bench_link import Answer, StartRequest
+from nmt_bench.page.bench_link import ServiceAnswer, StartRequest
 from nmt_bench.page.live_view import LiveView
 from nmt_bench.page.message_records import RecordReader
 from nmt_bench.page.start_goal import goal_of
@@ -196,37 +196,39 @@ class NodeLink:
                 self._executor.spin_until_future_complete(never, timeout_sec=_LOOK_PERIOD)
                 self.node.look_at_signals()
 
-    async def steer(self, request: SteeringRequest) -> Answer:
+    async def steer(self, request: SteeringRequest) -> ServiceAnswer:
         """Ask the sequencer; it answers within a few seconds or is not there."""
         if not await self._found(self.node.steer_client.service_is_ready):
-            return Answer(False, "no sequencer is there to be asked")
+            return ServiceAnswer(False, "no sequencer is there to be asked")
         answer = await self._answer(self.node.steer_client.call_async(Steer.Request(**request.fields)))
         if answer is None:
-            return Answer(False, f"the sequencer has not answered within {_ANSWER_TIMEOUT:g} s")
-        return Answer(bool(answer.success), str(answer.message))
+            return ServiceAnswer(False, f"the sequencer has not answered within {_ANSWER_TIMEOUT:g} s")
+        return ServiceAnswer(bool(answer.success), str(answer.message))
 
-    async def start(self, request: StartRequest) -> Answer:
+    async def start(self, request: StartRequest) -> ServiceAnswer:
         """Send the sequencer a goal; the run goes on whatever becomes of the page."""
         if self._view.active:
-            return Answer(False, "a run is under way")
+            return ServiceAnswer(False, "a run is under way")
         if not await self._found(self.node.run_client.server_is_ready):
-            return Answer(False, "no sequencer is there to be asked")
+            return ServiceAnswer(False, "no sequencer is there to be asked")
         try:
             goal = goal_of(request, self._view.run_plan)
         except BenchError as error:
-            return Answer(False, str(error).rstrip("."))
+            return ServiceAnswer(False, str(error).rstrip("."))
         # A sequencer that has told the end of a run still waits for its last points and for the recorder.
         end = asyncio.get_running_loop().time() + _ANSWER_TIMEOUT
         while True:
             answer = await self._answer(self.node.run_client.send_goal_async(RunLevels.Goal(**goal)))
             if answer is None:
-                return Answer(False, f"the sequencer has not answered within {_ANSWER_TIMEOUT:g} s")
+                return ServiceAnswer(False, f"the sequencer has not answered within {_ANSWER_TIMEOUT:g} s")
             if answer.accepted:
                 break
             if self._view.active or asyncio.get_running_loop().time() > end:
-                return Answer(False, "the sequencer refuses this plan, or has not done with a run; its log says which")
+                return ServiceAnswer(
+                    False, "the sequencer refuses this plan, or has not done with a run; its log says which"
+                )
             await asyncio.sleep(_RETRY_PERIOD)
-        return Answer(True, "the run begins when every node is ready")
+        return ServiceAnswer(True, "the run begins when every node is ready")
 
     @staticmethod
     async def _found(ready: Callable[[], bool]) -> bool:

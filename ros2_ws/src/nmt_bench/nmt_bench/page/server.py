@@ -43,7 +43,7 @@ _FILES = {
 }
 
 
-class Source(Protocol):
+class PageSource(Protocol):
     """What the frames are made of; see :class:`nmt_bench.page.live_view.LiveView`."""
 
     FRAME_PERIOD: float
@@ -94,7 +94,7 @@ class PageServer:
         BenchError: the port is taken.
     """
 
-    def __init__(self, view: Source, link: BenchLink, port: int = 0, player: Player | None = None) -> None:
+    def __init__(self, view: PageSource, link: BenchLink, port: int = 0, player: Player | None = None) -> None:
         self.view, self.link, self.player = view, link, player
         try:
             self._socket = socket.create_server(("127.0.0.1", port), backlog=128)

@@ -86,7 +86,7 @@ def play_random(truth: Rig, model: Rig, bench: BenchSettings) -> QuietRecord:
     Raises:
         TrialError: the motion is not finite or the test does not end.
     """
-    heard = _Heard()
+    heard = _HeardSamples()
     play(as_built(quiet(truth, model), bench, _SEED), random_test(model, bench), heard)
     if heard.lock is None:
         raise TrialError("the random test was given up")
@@ -107,7 +107,7 @@ class _Block:
     voltage: FloatArray
 
 
-class _Heard:
+class _HeardSamples:
     """Listens to a test: blocks of the present level, in order, and its lock.
 
     Attributes:
@@ -150,7 +150,7 @@ class _Heard:
             self._join()
 
 
-class _Reduction(_Heard):
+class _Reduction(_HeardSamples):
     """Reduces the window of every level that locked when the level is over."""
 
     def __init__(self, truth: Rig, model: Rig) -> None:

@@ -93,7 +93,7 @@ class BenchRig:
 
 
 @dataclass(frozen=True, eq=False)
-class Decay:
+class SimulatedDecay:
     """A free decay.
 
     Attributes:
@@ -145,7 +145,7 @@ def fundamental(data: FloatArray, step: float) -> ComplexArray:
     return result
 
 
-def free_decay(built: Rig, model: Rig, level: float, seed: int) -> Decay:
+def free_decay(built: Rig, model: Rig, level: float, seed: int) -> SimulatedDecay:
     """Drive the mode that is tested to phase resonance at a level, and switch off.
 
     Args:
@@ -162,7 +162,7 @@ def free_decay(built: Rig, model: Rig, level: float, seed: int) -> Decay:
     frequency = settle(rig, level, start, damping)
     before = rig.drive(level, frequency, round(0.2 * rig.rate))
     length = -math.log(0.5 * LOWEST) / (2.0 * np.pi * start * damping)
-    return Decay(rig.names, rig.drive(0.0, frequency, round(length * rig.rate)), before, frequency)
+    return SimulatedDecay(rig.names, rig.drive(0.0, frequency, round(length * rig.rate)), before, frequency)
 
 
 def _damping(rig: Rig) -> float:

@@ -29,7 +29,7 @@ from nmt_rig.rig import Rig
 
 
 @dataclass(frozen=True)
-class Source:
+class SourceEvidence:
     """Evidence for something unnamed at a place, on top of a fit.
 
     Attributes:
@@ -91,7 +91,7 @@ def source_places(data: Data, rig: Rig, null: Found) -> list[SourcePlace]:
     return places(data.forward, rig, null.fit.prediction, data.observations, whitened)
 
 
-def sources(data: Data, base: Found, found: Sequence[SourcePlace], open_from: int) -> list[Source]:
+def sources(data: Data, base: Found, found: Sequence[SourcePlace], open_from: int) -> list[SourceEvidence]:
     """Evidence for a generic source at each place on top of a fit.
 
     Args:
@@ -111,7 +111,7 @@ def sources(data: Data, base: Found, found: Sequence[SourcePlace], open_from: in
         scored = [_source(data, base, metric, precision, block) for _, block in place.families]
         gains = np.array([gain for gain, _ in scored])
         mean = float(np.logaddexp.reduce(gains) - math.log(gains.size))
-        result.append(Source(place.placement, mean, scored[int(np.argmax(gains))][1]))
+        result.append(SourceEvidence(place.placement, mean, scored[int(np.argmax(gains))][1]))
     return result
 
 
@@ -167,8 +167,8 @@ class Hypotheses:
         null: Found,
         named: Sequence[Found],
         candidates: Sequence[Candidate],
-        alone: Sequence[Source],
-        behind: Sequence[Source],
+        alone: Sequence[SourceEvidence],
+        behind: Sequence[SourceEvidence],
     ) -> None:
         self.data, self.null, self.named = data, null, list(named)
         self.alone, self.behind = alone, behind
@@ -211,10 +211,6 @@ class Hypotheses:
         logs = np.array([none, *named, *alone, *behind])
         weights = np.exp(logs - logs.max())
         weights = weights / weights.sum()
-        # What leaves more than noise has something unnamed beside it, wherever that is.
-        noise = np.exp([self._left(own) for own in self.named])
-        weights[count + 1 :] += float(weights[1 : count + 1] @ (1.0 - noise)) * _shares(logs[count + 1 :])
-        weights[1 : count + 1] *= noise
         p_named, p_unnamed = weights[1 : count + 1], weights[count + 1 :]
         by_place: dict[Placement, float] = {}
         for own, p in zip(self.named, p_named, strict=True):
@@ -223,25 +219,21 @@ class Hypotheses:
         for source, p in zip((*self.alone, *self.behind), p_unnamed, strict=True):
             by_place[source.placement] = by_place.get(source.placement, 0.0) + float(p)
         total = sum(by_place.values())
-        labels = {"none": float(weights[0]), "unknown": float(p_unnamed.sum())}
+        # What leaves more than noise has something unnamed beside it, as far as is known at the same place.
+        noise = np.exp([self._left(own) for own in self.named])
+        unknown = float(p_unnamed.sum() + p_named @ (1.0 - noise))
+        p_named = p_named * noise
+        labels = {"none": float(weights[0]), "unknown": unknown}
         for own, p in zip(self.named, p_named, strict=True):
             labels[own.explanation.label] = labels.get(own.explanation.label, 0.0) + float(p)
         return Comparison(
             float(weights[0]),
-            float(p_unnamed.sum()),
+            unknown,
             _classes(self.named, p_named),
             {k: v / total for k, v in sorted(by_place.items(), key=lambda item: -item[1])} if total else {},
             float(np.logaddexp.reduce(logs[1:]) - none) if logs.size > 1 else -math.inf,
             labels,
         )
-
-
-def _shares(logs: FloatArray) -> FloatArray:
-    """Weights of sum 1 by their logarithms; empty where there are none."""
-    if not logs.size:
-        return logs
-    weights = np.exp(logs - logs.max())
-    return np.asarray(weights / weights.sum())
 
 
 def _classes(named: Sequence[Found], weights: FloatArray) -> tuple[Equivalents, ...]:

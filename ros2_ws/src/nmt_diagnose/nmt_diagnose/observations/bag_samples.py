@@ -12,11 +12,11 @@ from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_record.bag_reader import Bag
 from nmt_record.segments import Segment, Signals, needed_topics, read_stretches
-from nmt_record.window_policy import POLICIES, Effect
+from nmt_record.window_policy import POLICIES, Consequence
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class SampleStretch:
     """Samples of all channels between two sample indices.
 
     Attributes:
@@ -67,7 +67,7 @@ class Stretch:
         return None
 
 
-def read_windows(bag: Bag, windows: Sequence[Segment]) -> list[Stretch | None]:
+def read_windows(bag: Bag, windows: Sequence[Segment]) -> list[SampleStretch | None]:
     """Samples of what can be used of several windows, in one pass.
 
     Which windows can be used, and how far, is said by :func:`nmt_record.segments.segments`; here the channels follow.
@@ -90,11 +90,11 @@ def read_windows(bag: Bag, windows: Sequence[Segment]) -> list[Stretch | None]:
     ]
 
 
-def _stretch(window: Segment, signals: Signals, topics: Sequence[str]) -> Stretch:
+def _stretch(window: Segment, signals: Signals, topics: Sequence[str]) -> SampleStretch:
     policy = POLICIES[window.kind]
     by_topic: dict[str, str] = {}
     for finding in signals.findings:
-        if policy.effect(finding, topics) is Effect.CHANNELS:
+        if policy.effect(finding, topics) is Consequence.CHANNELS:
             by_topic.setdefault(finding.topic, finding.reason.rstrip("."))
     faults: dict[str, str] = {}
     for name, samples in signals.channels.items():
@@ -102,7 +102,7 @@ def _stretch(window: Segment, signals: Signals, topics: Sequence[str]) -> Stretc
         if fault:
             faults[name] = fault
     channels = tuple(MeasuredChannel(name, signals.quantities[name], signals.points[name]) for name in signals.channels)
-    return Stretch(
+    return SampleStretch(
         signals.first_sample,
         signals.sample_rate,
         channels,

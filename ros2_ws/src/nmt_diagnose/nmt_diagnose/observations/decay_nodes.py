@@ -31,7 +31,7 @@ _LARGE = 1.0  # of ln A below the largest, within which segments are half as lon
 
 
 @dataclass(frozen=True)
-class Segment:
+class DecaySegment:
     """Periods of one segment and the noise of its amplitudes.
 
     Attributes:
@@ -199,7 +199,7 @@ def _fit(design: FloatArray, weights: FloatArray, values: FloatArray) -> tuple[F
     return pseudo @ values, pseudo
 
 
-def _segment(slow: SlowAmplitude, first: int, stop: int) -> Segment:
+def _segment(slow: SlowAmplitude, first: int, stop: int) -> DecaySegment:
     design, _, _ = _design(slow, first, stop)
     size = np.abs(slow.values[first:stop])
     degree = _degrees(stop - first, slow.width)[-1]
@@ -212,7 +212,7 @@ def _segment(slow: SlowAmplitude, first: int, stop: int) -> Segment:
         maker = (np.eye(size.size) - own @ pseudo) * size[:, np.newaxis]
         squares += float(left @ left)
         degrees_of_freedom += float(np.sum((maker @ noise) * maker))
-    return Segment(
+    return DecaySegment(
         first,
         stop,
         math.sqrt(squares / degrees_of_freedom) if degrees_of_freedom > 1e-6 else math.inf,
@@ -220,7 +220,7 @@ def _segment(slow: SlowAmplitude, first: int, stop: int) -> Segment:
     )
 
 
-def _node(slow: SlowAmplitude, segment: Segment, typical: float) -> Node:
+def _node(slow: SlowAmplitude, segment: DecaySegment, typical: float) -> Node:
     first, stop = segment.first, segment.stop
     design, middle, half = _design(slow, first, stop)
     size = np.abs(slow.values[first:stop])

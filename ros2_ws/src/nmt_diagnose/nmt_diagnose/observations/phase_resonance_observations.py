@@ -12,7 +12,7 @@ from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.bag_samples import SampleStretch
 from nmt_diagnose.observations.clipping import clipping_level
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.converter_step import converter_step
@@ -84,7 +84,7 @@ class LockedWindow:
     """
 
     segment: Segment
-    stretch: Stretch
+    stretch: SampleStretch
     rows: tuple[str, ...]
     amplitudes: ComplexArray
     without: ComplexArray
@@ -108,7 +108,7 @@ class LockedWindow:
 
 
 def analyse_window(
-    segment: Segment, stretch: Stretch, settings: ObservationSettings, settled: bool = True
+    segment: Segment, stretch: SampleStretch, settings: ObservationSettings, settled: bool = True
 ) -> LockedWindow:
     """Harmonics of a locked window with those of its sub-windows.
 
@@ -208,7 +208,7 @@ def _settling(fundamentals: ComplexArray, channels: Sequence[MeasuredChannel]) -
     return Settling(result, found.rate, found.doubt)
 
 
-def _cycles(segment: Segment, stretch: Stretch, force: str) -> FloatArray:
+def _cycles(segment: Segment, stretch: SampleStretch, force: str) -> FloatArray:
     """Phase of the excitation at each sample, cycles; from a fit to the force where nobody recorded it."""
     if stretch.cycles is not None:
         return stretch.cycles
@@ -303,7 +303,7 @@ class _Cell:
 
 def phase_resonance_observations(
     name: str,
-    windows: Sequence[tuple[Segment, Stretch]],
+    windows: Sequence[tuple[Segment, SampleStretch]],
     view: ModelView,
     channels: dict[str, MeasuredChannel],
     settings: ObservationSettings,
@@ -554,7 +554,7 @@ def _repeats(run: _Run, table: RowTable) -> None:
             table.add(Part.REPEATS, share, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
 
 
-def _response(stretch: Stretch, drive_point: int, wanted: Quantity | None) -> MeasuredChannel | None:
+def _response(stretch: SampleStretch, drive_point: int, wanted: Quantity | None) -> MeasuredChannel | None:
     """Drive-point response that the phase is measured with."""
     order = ((wanted,) if wanted is not None else ()) + _RESPONSES
     for quantity in order:

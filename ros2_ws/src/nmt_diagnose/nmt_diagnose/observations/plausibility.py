@@ -10,7 +10,7 @@ import numpy as np
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.bag_samples import SampleStretch
 from nmt_diagnose.observations.clipping import clipping_level
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
@@ -41,7 +41,7 @@ def check_frequency(name: str, frequency_hz: Sequence[float], view: ModelView) -
 
 
 def out_of_scale(
-    name: str, stretches: Sequence[tuple[Stretch, float]], view: ModelView, channels: dict[str, MeasuredChannel]
+    name: str, stretches: Sequence[tuple[SampleStretch, float]], view: ModelView, channels: dict[str, MeasuredChannel]
 ) -> tuple[set[str], list[str]]:
     """Channels whose size can only be a wrong unit, from windows of nearly one frequency.
 
@@ -123,7 +123,7 @@ def _guess(factor: float) -> str:
     return "a wrong scale?"
 
 
-def clipping_notes(name: str, windows: Sequence[tuple[int, Stretch]]) -> list[str]:
+def clipping_notes(name: str, windows: Sequence[tuple[int, SampleStretch]]) -> list[str]:
     """Sentences on clipped channels.
 
     The rows stay, because clipping is an effect; a window in which a converter said that it was overloaded is rejected
@@ -142,7 +142,7 @@ def clipping_notes(name: str, windows: Sequence[tuple[int, Stretch]]) -> list[st
     ]
 
 
-def repeats_notes(name: str, stretches: Sequence[Stretch]) -> list[str]:
+def repeats_notes(name: str, stretches: Sequence[SampleStretch]) -> list[str]:
     """Sentences on channels in which samples were lost and the ones before recorded again."""
     found: dict[str, list[FloatArray]] = {}
     for stretch in stretches:

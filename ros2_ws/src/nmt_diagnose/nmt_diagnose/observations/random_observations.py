@@ -20,7 +20,7 @@ from scipy.signal import csd, welch
 
 from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
-from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.model_view import ORDER as DERIVATIVES
 from nmt_diagnose.observations.model_view import ModelView
@@ -243,7 +243,7 @@ def _steps(cross: ComplexArray) -> FloatArray:
 
 def random_observations(
     name: str,
-    stretch: Stretch,
+    stretch: SampleStretch,
     view: ModelView,
     channels: dict[str, MeasuredChannel],
     settings: ObservationSettings,
@@ -382,7 +382,7 @@ def _bias(
     return np.asarray(np.nan_to_num(np.abs(fitted / exact[:, :, REACH] - 1.0)))
 
 
-def _clean_part(stretch: Stretch) -> slice:
+def _clean_part(stretch: SampleStretch) -> slice:
     """Longest stretch in which force, voltage and some response all have values."""
     good = np.isfinite(stretch.data)
     # Channels that are hardly there at all do not decide about the others.

@@ -14,7 +14,7 @@ import numpy as np
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.observations.bag_samples import Stretch, read_windows
+from nmt_diagnose.observations.bag_samples import SampleStretch, read_windows
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
 from nmt_diagnose.observations.floors import repeatability, with_stated_repeatability
 from nmt_diagnose.observations.measuring_chain import measuring_chain, table_chain
@@ -171,7 +171,7 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
 @dataclass(frozen=True)
 class _Window:
     segment: Segment
-    stretch: Stretch
+    stretch: SampleStretch
 
 
 def _signals(

@@ -22,7 +22,7 @@ from scipy.signal import resample, welch
 
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
-from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RecordTest
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part, joined
@@ -85,7 +85,7 @@ def refinement(response: FloatArray, sample_rate: float) -> int:
 
 def record_observations(
     name: str,
-    stretches: Sequence[Stretch],
+    stretches: Sequence[SampleStretch],
     view: ModelView,
     channels: dict[str, MeasuredChannel],
     settings: ObservationSettings,
@@ -111,7 +111,7 @@ def record_observations(
 
 def _one(
     name: str,
-    stretch: Stretch,
+    stretch: SampleStretch,
     view: ModelView,
     channels: dict[str, MeasuredChannel],
     settings: ObservationSettings,
@@ -180,7 +180,7 @@ def _slowest(view: ModelView) -> float:
     return float(np.min(-modes.eigenvalues.real)) if modes.eigenvalues.size else 0.0
 
 
-def _start(slowest: float, stretch: Stretch) -> int:
+def _start(slowest: float, stretch: SampleStretch) -> int:
     """First sample that the model's unknown initial state does not reach, at most a tenth of the record."""
     longest = _LONGEST_START * stretch.samples
     return int(min(_DECAY / slowest * stretch.sample_rate if slowest > 0.0 else longest, longest))

@@ -16,7 +16,7 @@ import numpy as np
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
 from nmt_diagnose.observations.decay_hum import Hum, without_hum
 from nmt_diagnose.observations.decay_nodes import Node, nodes, ratio_at
@@ -57,7 +57,7 @@ class _Decay:
 
 def ring_down_observations(
     name: str,
-    stretch: Stretch,
+    stretch: SampleStretch,
     frequency_hz: float,
     view: ModelView,
     channels: dict[str, MeasuredChannel],
@@ -129,7 +129,11 @@ def ring_down_observations(
 
 
 def _decay(
-    stretch: Stretch, channel: MeasuredChannel, frequency_hz: float, view: ModelView, settings: ObservationSettings
+    stretch: SampleStretch,
+    channel: MeasuredChannel,
+    frequency_hz: float,
+    view: ModelView,
+    settings: ObservationSettings,
 ) -> _Decay:
     """Amplitudes, frequencies and damping ratios of one channel's decay.
 

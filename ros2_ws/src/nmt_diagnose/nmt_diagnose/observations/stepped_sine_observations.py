@@ -10,7 +10,7 @@ import numpy as np
 from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_diagnose.observations.bag_samples import Stretch
+from nmt_diagnose.observations.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.model_view import ORDER, ModelView
 from nmt_diagnose.observations.observables import Observations, Part, joined
@@ -24,14 +24,14 @@ FEWEST_LINES = 5
 """Windows of one level and direction from which they are a frequency response."""
 
 
-def is_response(windows: Sequence[tuple[Segment, Stretch]]) -> bool:
+def is_response(windows: Sequence[tuple[Segment, SampleStretch]]) -> bool:
     """Whether stepped-sine windows visit frequencies enough, with a measured force, to be a frequency response."""
     return len(windows) >= FEWEST_LINES and all(s.find(Quantity.FORCE) is not None for _, s in windows)
 
 
 def stepped_sine_observations(
     name: str,
-    windows: Sequence[tuple[Segment, Stretch]],
+    windows: Sequence[tuple[Segment, SampleStretch]],
     view: ModelView,
     channels: dict[str, MeasuredChannel],
     settings: ObservationSettings,

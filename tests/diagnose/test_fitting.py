@@ -13,10 +13,12 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import starts_of
+from nmt_diagnose.inference.comparison import source_places
 from nmt_diagnose.inference.diagnose import model_alone, own_parameters
 from nmt_diagnose.inference.fitting import Errors, _normal, approach, data_about, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups
+from nmt_diagnose.inference.search import Search
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.lateness import delay_of, lateness
@@ -134,3 +136,24 @@ def test_what_the_harmonic_balance_leaves_out_is_part_of_the_uncertainty() -> No
     change = np.abs(np.nan_to_num(fine.values - given.values))
     assert change.max() > 1e-6
     np.testing.assert_allclose(seen.floor, np.hypot(observations.floor, change), rtol=1e-3, atol=1e-9)
+
+
+def test_sources_act_on_the_model_as_it_was_fitted() -> None:
+    """The model as given has its resonances elsewhere: a drift without a name is that of temperature all the same."""
+    stiffer = real(MODEL, structure={"springs_n_m": [1.01 * k for k in MODEL.structure.springs_n_m]})
+    observations = observations_of_twin(stiffer, seed=3, drives=(0.1, 0.4))
+    tests = tuple(replace(t, start_s=20.0, stop_s=60.0) if isinstance(t, RandomTest) else t for t in observations.tests)
+    observations = replace(observations, tests=tests)
+    everything, parameters = np.ones(len(observations.rows), dtype=bool), own_parameters(MODEL, observations)
+    modes = LowLevelModes(observations, MODEL)
+    _, _, null, data = model_alone(MODEL, observations, parameters, everything, modes)
+    operating = operating_range(MODEL, tests, observations=observations)
+    search = Search(data, MODEL, parameters, candidates(MODEL, operating))
+    named = next(
+        score.column
+        for score in search.scores(null)
+        if search.candidates[score.candidate].effect.name == "temperature_drift"
+    )
+    (place,) = (place for place in source_places(data, null) if place.placement.kind == "time")
+    column = place.families[0][1][:, 0]
+    assert column @ named > 0.999 * np.linalg.norm(column) * np.linalg.norm(named)

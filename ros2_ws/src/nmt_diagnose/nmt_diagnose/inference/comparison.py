@@ -25,7 +25,6 @@ from nmt_diagnose.inference.tuned import (
     SOURCE_SIZES,
 )
 from nmt_diagnose.inference.warnings import beyond_limits
-from nmt_rig.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -82,13 +81,15 @@ class Comparison:
     by_label: Mapping[str, float]
 
 
-def source_places(data: Data, rig: Rig, null: Found) -> list[SourcePlace]:
-    """Places where something unnamed may sit, with what it could do to the rows."""
+def source_places(data: Data, base: Found) -> list[SourcePlace]:
+    """Places where something unnamed may sit beside a fit, with what it could do to the rows."""
 
     def whitened(columns: FloatArray) -> FloatArray:
-        return data.slopes(columns, null.fit.errors.values)
+        return data.slopes(columns, base.fit.errors.values)
 
-    return places(data.forward, rig, null.fit.prediction, data.observations, whitened)
+    # About the rig as it was fitted: resonances of the model as given lie elsewhere.
+    rig = base.fit.parametrisation.rig(base.fit.theta)
+    return places(data.forward, rig, base.fit.prediction, data.observations, whitened)
 
 
 def sources(data: Data, base: Found, found: Sequence[SourcePlace], open_from: int) -> list[SourceEvidence]:

@@ -186,11 +186,12 @@ def find(
         data = about(rig, observations, named[0].fit, data.used)
         search = Search(data, rig, parameters, candidates, tell)
         null, named = search.again(null), search.all_again(named)
-    found = source_places(data, rig, null)
-    beside = sources(data, null, found, len(parameters))
+    beside = sources(data, null, source_places(data, null), len(parameters))
     first = Hypotheses(data, null, named, candidates, beside, [])
     rest = first.best is not None and matters(left_size(data, first.best), settings.matters)
-    behind = sources(data, first.best, found, len(parameters)) if first.best is not None and rest else []
+    behind = []
+    if first.best is not None and rest:
+        behind = sources(data, first.best, source_places(data, first.best), len(parameters))
     comparison = Hypotheses(data, null, named, candidates, beside, behind).compared()
     explained: dict[str, float] = {}
     for source in beside:

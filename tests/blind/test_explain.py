@@ -89,3 +89,7 @@ def test_strengths_are_measured_by_the_noise_of_the_recordings(tmp_path: Path, m
     # Once measured they are kept.
     assert measured() == found
     assert told == ["0001", "0002"]
+    # Another program measures with another noise.
+    monkeypatch.setattr(explain, "diagnosis_digest", lambda: "another")
+    monkeypatch.setattr(explain, "measured_strength", lambda folder, entry: 7.0)
+    assert measured() == {"0001": 7.0, "0002": 7.0}

@@ -46,16 +46,6 @@ def test_a_step_is_that_of_parameters_and_chain_together() -> None:
     np.testing.assert_allclose(np.linalg.solve(normal, gradient), np.linalg.solve(joint, right)[:own], rtol=1e-5)
 
 
-def test_fits_with_a_measuring_chain_converge() -> None:
-    from diagnose.test_measured_noise import laboratory
-
-    observations = laboratory(observations_of_twin(MODEL, seed=3, drives=(0.1, 0.4)))
-    given = Forward(observations.tests, observations.rows).predict(MODEL)
-    data = data_about(observations, MODEL, given, np.isfinite(given.values))
-    own = Parametrisation(MODEL, calibration_parameters(MODEL))
-    assert fit(data, own, own.zero, given).converged
-
-
 def test_a_fit_from_afar_arrives_where_one_from_nearby_does() -> None:
     truth = real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}])
     observations = observations_of_twin(truth, seed=6, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
@@ -140,7 +130,7 @@ def test_what_the_harmonic_balance_leaves_out_is_part_of_the_uncertainty() -> No
 
 def test_sources_act_on_the_model_as_it_was_fitted() -> None:
     """The model as given has its resonances elsewhere: a drift without a name is that of temperature all the same."""
-    stiffer = real(MODEL, structure={"springs_n_m": [1.01 * k for k in MODEL.structure.springs_n_m]})
+    stiffer = real(MODEL, structure={"springs_n_m": [1.15 * k for k in MODEL.structure.springs_n_m]})
     observations = observations_of_twin(stiffer, seed=3, drives=(0.1, 0.4))
     tests = tuple(replace(t, start_s=20.0, stop_s=60.0) if isinstance(t, RandomTest) else t for t in observations.tests)
     observations = replace(observations, tests=tests)

@@ -13,10 +13,12 @@ from nmt_core.blocks import Quantity
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.inference.chain import SharedDelay, linear_chain
-from nmt_diagnose.inference.diagnose import diagnose_observations
+from nmt_diagnose.inference.comparison import Hypotheses
+from nmt_diagnose.inference.diagnose import diagnose_observations, model_alone, own_parameters
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.inference.fitting import best_errors, data_about
+from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups, groups_of
 from nmt_diagnose.inference.search import Score, Search
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest
@@ -288,8 +290,20 @@ def test_an_effect_that_is_not_there_lowers_the_evidence() -> None:
 
 
 def test_what_an_explanation_leaves_beyond_noise_is_something_unnamed() -> None:
-    settings = DiagnosisSettings(withheld=(*WITHHELD, "cubic_stiffness"))
-    found = diagnose_observations(MODEL, observed(HARDENING), settings).diagnosis
-    assert found.probabilities["unknown"] > 0.95
-    assert found.verdict is Verdict.UNKNOWN
-    assert all(row.probability < 0.05 for row in found.ranking)
+    """Without any source at a place to say so; a good explanation keeps its probability."""
+    observations = observed(HARDENING)
+    parameters = own_parameters(MODEL, observations)
+    everything = np.ones(len(observations.rows), dtype=bool)
+    null, data = model_alone(MODEL, observations, parameters, everything, LowLevelModes(observations, MODEL))[2:]
+    operating = operating_range(MODEL, observations.tests, observations=observations)
+    cubic = [own for own in candidates(MODEL, operating) if own.effect.name == "cubic_stiffness"]
+    search = Search(data, MODEL, parameters, cubic)
+    best = search.singles(null, search.scores(null))[0]
+    squares = best.fit.errors.squares.copy()
+    squares[0] *= 1e4
+    worse = replace(best, fit=replace(best.fit, errors=replace(best.fit.errors, squares=squares)))
+    good, left = (Hypotheses(data, null, [own], cubic, [], []).compared() for own in (best, worse))
+    assert good.unknown < 0.05
+    assert left.unknown > 0.95
+    assert left.classes[0].probability < 0.05
+    assert left.places == good.places

@@ -100,27 +100,25 @@ FLAG_FAULTS = (
     (BlockFlag.STOP, WindowFault.STOPPED, "the drive had been stopped"),
 )
 
+# Samples that are not there, or not to be relied on.
+_BROKEN = (
+    WindowFault.MISSING,
+    WindowFault.REPEATED,
+    WindowFault.MALFORMED,
+    WindowFault.CHANNELS,
+    WindowFault.RATE,
+    WindowFault.OVERLOAD,
+    WindowFault.LIMIT,
+    WindowFault.WATCHDOG,
+    WindowFault.STOPPED,
+)
 _CHANNEL_FAULTS = {WindowFault.UNIT: Consequence.CHANNELS, WindowFault.VALUE: Consequence.CHANNELS}
 _NO_PHASE = {WindowFault.SILENT: Consequence.NONE, WindowFault.PHASE_JUMP: Consequence.NONE}
 _EXCEPTIONS: dict[TestKind, dict[WindowFault, Consequence]] = {
     # A sweep that was given up half way has measured the first half.
     TestKind.SWEEP: {
         **dict.fromkeys(
-            (
-                WindowFault.LOST_LOCK,
-                WindowFault.INCOMPLETE,
-                WindowFault.SET_BACK,
-                WindowFault.MISSING,
-                WindowFault.REPEATED,
-                WindowFault.MALFORMED,
-                WindowFault.CHANNELS,
-                WindowFault.RATE,
-                WindowFault.OVERLOAD,
-                WindowFault.LIMIT,
-                WindowFault.WATCHDOG,
-                WindowFault.STOPPED,
-                WindowFault.PHASE_JUMP,
-            ),
+            (*_BROKEN, WindowFault.LOST_LOCK, WindowFault.INCOMPLETE, WindowFault.SET_BACK, WindowFault.PHASE_JUMP),
             Consequence.REST,
         ),
         WindowFault.SILENT: Consequence.NONE,
@@ -131,20 +129,7 @@ _EXCEPTIONS: dict[TestKind, dict[WindowFault, Consequence]] = {
     TestKind.RING_DOWN: _NO_PHASE,
     # Any excitation, any channels: the model is driven by the input that was measured.
     TestKind.RECORD: {
-        **dict.fromkeys(
-            (
-                WindowFault.MISSING,
-                WindowFault.REPEATED,
-                WindowFault.MALFORMED,
-                WindowFault.CHANNELS,
-                WindowFault.RATE,
-                WindowFault.OVERLOAD,
-                WindowFault.LIMIT,
-                WindowFault.WATCHDOG,
-                WindowFault.STOPPED,
-            ),
-            Consequence.CHANNELS,
-        ),
+        **dict.fromkeys(_BROKEN, Consequence.CHANNELS),
         **_NO_PHASE,
     },
 }

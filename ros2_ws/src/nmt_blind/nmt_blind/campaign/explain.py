@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
+from nmt_blind.campaign.frozen import diagnosis_digest
 from nmt_blind.campaign.run import read_public
 from nmt_blind.campaign.score import opened_truth
 from nmt_core.arrays import FloatArray
@@ -122,8 +123,8 @@ def measured_strength(folder: Path, truth: Mapping[str, Any]) -> float:
     rig, observations = _recorded(folder, str(truth["case"]), DiagnosisSettings(matters={}))
     parameters = own_parameters(rig, observations)
     everything = np.ones(len(observations.rows), dtype=bool)
-    found = model_alone(rig, observations, parameters, everything, LowLevelModes(observations, rig))
-    null, data = found[2], found[3]
+    modes = LowLevelModes(observations, rig)
+    _, _, null, data = model_alone(rig, observations, parameters, everything, modes)
     library = candidates(rig, operating_range(rig, observations.tests, observations=observations))
     true = _fitted(Search(data, rig, parameters, library), null, rig, truth)
     if true is None:
@@ -143,8 +144,9 @@ def measured_strengths(
 ) -> dict[str, float]:
     """Strengths of all cases with effects by the noise that their recordings have, by case, standard deviations.
 
-    They are kept in ``measured.json`` in the campaign's folder, so that the next call goes on; cases without bags or
-    without a fit of the truth are left out.
+    They are kept in ``measured.json`` in the campaign's folder with the SHA-256 of the diagnosis, so that the next call
+    goes on; those of another version of the program are measured again. Cases without bags or without a fit of the
+    truth are left out.
 
     Args:
         folder: the campaign's folder.
@@ -153,13 +155,15 @@ def measured_strengths(
         scheduler: address of a Dask scheduler in place of them.
         progress: called with cases done, cases in all and the newest case.
     """
-    path = folder / _MEASURED_FILE
-    known: dict[str, float | None] = read_json(path, "list of strengths") if path.is_file() else {}
+    path, program = folder / _MEASURED_FILE, diagnosis_digest()
+    kept = read_json(path, "list of strengths") if path.is_file() else {}
+    known: dict[str, float | None] = kept["strengths"] if kept.get("sha256") == program else {}
     cases = [entry for entry in truth["cases"] if entry["effects"]]
     todo = [(folder.absolute(), entry) for entry in cases if str(entry["case"]) not in known]
     for case, value in worked(_named_strength, todo, jobs, scheduler):
         known[case] = value if math.isfinite(value) else None
-        write_whole(path, json.dumps(dict(sorted(known.items())), indent=1) + "\n")
+        kept = {"sha256": program, "strengths": dict(sorted(known.items()))}
+        write_whole(path, json.dumps(kept, indent=1) + "\n")
         progress(len(known), len(cases), case)
     return {case: value for case, value in known.items() if value is not None}
 

@@ -461,8 +461,8 @@ def approach(
 ) -> Fitted:
     """Fit an explanation from afar: first to a tenth of everything measured, then ever closer.
 
-    Learnt scales give up a group of rows that a start is far from, and stay there. As long as all rows are off by less
-    than what is asked, none is given up. Arguments as for :func:`fit`.
+    Far from the optimum the learnt scale of a group of rows grows so large that the group hardly counts, and the fit
+    stays there. With a coarse demand on all rows at first no group is lost. Arguments as for :func:`fit`.
 
     Raises:
         FitError: the model cannot be solved at the start.

@@ -55,7 +55,12 @@ class Groups:
         return float(np.sum(np.where(np.isfinite(self.degrees), student, squares)))
 
     def chance(self, squares: FloatArray, counts: FloatArray) -> float:
-        """Probability that any learnt scale is as large as the largest is by its prior alone (Fisher's F, Holm)."""
+        """Probability by their prior that some learnt scale is as large as the largest (Fisher's F, Holm's correction).
+
+        Args:
+            squares: Σ (e/σ)² of each group, (K,).
+            counts: rows of each, (K,).
+        """
         learnt = np.isfinite(self.degrees) & (counts > 0.0)
         if not learnt.any():
             return 1.0

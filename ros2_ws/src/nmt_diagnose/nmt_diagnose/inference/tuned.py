@@ -18,7 +18,7 @@ SWEEP_SHIFT_STD = 3e-4
 SCALE_DEGREES = 6.0
 # Most steps of a fit; promised fall of the cost below which it has converged; largest step in prior deviations.
 FIT_STEPS, CONVERGED, LARGEST_STEP = 25, 0.2, 3.0
-# Shares of the natural size of every row to which fits from afar come close one after the other; steps to each.
+# Fits from afar: shares of the natural size of each row that are added to its noise one after the other; steps of each.
 APPROACH, APPROACH_STEPS = (0.1, 0.01, 0.001), 10
 # Share of the promised fall of the cost below which sensitivities are computed anew after a step.
 BROYDEN_TRUST = 0.75

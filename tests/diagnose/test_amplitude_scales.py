@@ -15,10 +15,12 @@ from tiers import with_quick
 
 from nmt_core.blocks import Quantity
 from nmt_diagnose.effects.library import library
+from nmt_diagnose.inference.chain import linear_chain, scale_columns
 from nmt_diagnose.inference.diagnose import diagnose_observations
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RandomTest, RingDownTest
+from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.table_observations import table_observations
@@ -120,6 +122,23 @@ def test_amplitudes_in_other_units_change_nothing(plain: Diagnosis, scale: float
     assert other.gap.closed == pytest.approx(plain.gap.closed, abs=0.01)
     k, wanted = other.ranking[0].parameters["k"], plain.ranking[0].parameters["k"]
     assert k.value * scale**2 == pytest.approx(wanted.value, rel=0.01)
+
+
+def test_the_gain_of_a_decays_channel_is_an_error_of_the_chain_and_counts_once() -> None:
+    values = {**oscillator().model_dump(), "local_elements": [{"kind": "cubic_spring", "point": 1,
+              "stiffness_n_m3": SHARE * OMEGA**2 / TOP**2}]}  # fmt: skip
+    rig = validate_rig(RigDocument("test", values, {}))
+    table = backbone(1.0)
+    amplitudes = np.sort(table.tests[0].amplitudes)[::-1]  # type: ignore[union-attr]
+    decay = RingDownTest("decay", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), amplitudes, HZ)
+    decays = replace(table, tests=(decay,), chains=(MeasuringChain(),))
+    found = Forward(decays.tests, decays.rows).predict(rig)
+    chain = linear_chain(decays, rig, found)
+    column = chain.columns[:, chain.names.index("gain x1")]
+    # k A² is 2 % larger where A is 1 % larger: from 0.14 % of ω at the smallest amplitude to 0.75 % at the largest.
+    assert abs(column).max() > 3e-3
+    assert scale_columns(decays, rig, found).shape[1] == 0
+    assert scale_columns(table, rig, Forward(table.tests, table.rows).predict(rig)).shape[1] == 1
 
 
 @pytest.mark.parametrize(

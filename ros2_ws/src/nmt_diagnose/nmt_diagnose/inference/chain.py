@@ -183,15 +183,15 @@ def scale_columns(observations: Observations, rig: Rig, prediction: Prediction) 
 
     The model is solved at these amplitudes. A gain that is off by 1 % makes a cubic stiffness off by 2 %, and no
     observable shows it: it is an error that is considered, not one that is fitted (Schmidt, Adv. Control Syst. 3
-    (1966) 293).
+    (1966) 293). Decays have it among the chain's columns, where the other tests tell it too.
     """
     found: dict[str, FloatArray] = {}
     for number, test in enumerate(observations.tests):
         chain = observations.chains[number] if number < len(observations.chains) else None
         state = prediction.states[number]
-        if not isinstance(test, BackboneTable | RingDownTest | SteppedSineTest) or state is None:
+        if not isinstance(test, BackboneTable | SteppedSineTest) or state is None:
             continue
-        if chain is None and not isinstance(test, BackboneTable):
+        if chain is None and isinstance(test, SteppedSineTest):
             continue
         channel = test.channels[0] if isinstance(test, SteppedSineTest) else test.channel
         gain = SCALE_STD if chain is None else chain.of(channel.name).gain
@@ -207,7 +207,7 @@ def scale_columns(observations: Observations, rig: Rig, prediction: Prediction) 
     return np.column_stack([*found.values()]) if found else np.zeros((len(observations.rows), 0))
 
 
-def _larger(test: BackboneTable | RingDownTest | SteppedSineTest) -> Test:
+def _larger(test: BackboneTable | SteppedSineTest) -> Test:
     """The test with its motion a little larger than recorded."""
     if isinstance(test, SteppedSineTest):
         return replace(test, scale=test.scale * (1.0 + _GAIN_STEP))

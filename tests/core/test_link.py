@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from nmt_core.link import Link, serve
+from nmt_core.link import Link, serve, serve_late
 
 BENCH = f"test {os.getpid()}"
 MANY = 500  # more than the kernel keeps
@@ -50,6 +50,32 @@ def test_a_node_that_has_gone_takes_nothing_and_holds_nobody_up(pair: tuple[Link
     serve((again,), 0.01)
     again.close()
     assert taken == [b"taken"]
+
+
+def test_a_taker_that_does_not_read_holds_up_no_other(pair: tuple[Link, Link]) -> None:
+    plant, pll = pair
+    recorder, extract = Link(BENCH, "recorder"), Link(BENCH, "extract")
+    for_extract: list[bytes] = []
+    for_loop: list[bytes] = []
+    extract.take("plant_bundle", for_extract.append)
+    pll.take("loop_input", for_loop.append)
+    bundle, send = plant.sender("plant_bundle"), plant.sender("loop_input")
+    sent = [number.to_bytes(4, "big") * 10_000 for number in range(MANY // 10)]
+    for message in sent:
+        bundle(message)  # the recorder takes none of them
+        send(message[:8])
+        serve_late(extract, 0.0001)
+        serve((pll,), 0.0001)
+    end = time.monotonic() + 10.0
+    while len(for_extract) < len(sent) and time.monotonic() < end:
+        plant.flush()
+        serve_late(extract, 0.001)
+    assert for_extract == sent
+    assert for_loop == [message[:8] for message in sent]
+    assert not plant.flush()
+    recorder.close()
+    extract.close()
+    assert plant.flush()
 
 
 def test_a_second_node_of_a_name_is_refused(pair: tuple[Link, Link]) -> None:

@@ -251,6 +251,7 @@ def test_the_loop_takes_its_input_joined_with_many_channels_or_past_the_middlewa
     plan = plan_test(large_rig(10, channels, 25_600.0), [0.3], pacing=pacing, linked=linked)
     values = plan_nodes(plan, Path("bag"), Path("rig.yaml")).values
     assert values["pll"].get("joined_input", False) is joined
+    assert {bool(values[name].get("linked")) for name in values} == {linked and pacing == "lockstep"}
     assert values["plant"].get("loop_topics", []) == (["force", "acceleration"] if joined else [])
     peers = values["pll"]["expected_peers"]
     assert ("loop_input:1" in peers) is joined

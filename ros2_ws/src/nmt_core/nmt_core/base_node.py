@@ -34,7 +34,7 @@ from nmt_core.command_judge import CommandSource
 from nmt_core.dds_profile import check_ports, seal_transport
 from nmt_core.errors import BenchError
 from nmt_core.launcher_watch import LauncherWatch
-from nmt_core.link import TAKEN_BY, Link, serve
+from nmt_core.link import TAKEN_BY, Link, serve, serve_late
 from nmt_core.liveness import BUSY, HANG_LIMIT, HUNG, READY, Liveness
 from nmt_core.parameters import Parameter, ParameterValue, check_values
 from nmt_core.process_watch import ProcessWatch
@@ -108,7 +108,7 @@ COMMON_PARAMETERS = (
         "linked",
         False,
         "",
-        "Lockstep: plant, loop and sequencer, all on this host, hand on the sample path past the middleware.",
+        "Lockstep: the nodes, all on this host, hand on the sample path past the middleware.",
     ),
 )
 
@@ -120,11 +120,12 @@ class Outlet:
 
     Args:
         publisher: of rclpy.
-        send: hands a message to the node that takes it past the middleware; None = there is none.
+        send: hands a message to the nodes that take it past the middleware; None = there are none.
+        takers: how many these are.
     """
 
-    def __init__(self, publisher: Any, send: Callable[[bytes], None] | None = None) -> None:
-        self.publisher, self._send = publisher, send
+    def __init__(self, publisher: Any, send: Callable[[bytes], None] | None = None, takers: int = 0) -> None:
+        self.publisher, self._send, self._takers = publisher, send, takers
         self._keeps = publisher.qos_profile.durability != DurabilityPolicy.VOLATILE
 
     def publish(self, raw: bytes) -> None:
@@ -136,7 +137,7 @@ class Outlet:
 
     def peers(self) -> int:
         """How many take what is published."""
-        return int(self.publisher.get_subscription_count()) + (self._send is not None)
+        return int(self.publisher.get_subscription_count()) + self._takers
 
 
 class BenchNode(Node):  # type: ignore[misc]
@@ -247,7 +248,9 @@ class BenchNode(Node):  # type: ignore[misc]
         publisher = self.create_publisher(kind, topic, qos)
         self._bench_publishers.append(publisher)
         self.claim(topic)
-        outlet = Outlet(publisher, self.link.sender(topic) if self.link is not None and topic in TAKEN_BY else None)
+        outlet = Outlet(publisher)
+        if self.link is not None and topic in TAKEN_BY:
+            outlet = Outlet(publisher, self.link.sender(topic), len(TAKEN_BY[topic]))
         self._endpoints.setdefault(topic, []).append(outlet.peers)
         return outlet
 
@@ -271,7 +274,7 @@ class BenchNode(Node):  # type: ignore[misc]
 
     def takes_past_middleware(self, topic: str) -> bool:
         """Whether the messages of a topic come over the node's link."""
-        return self.link is not None and TAKEN_BY.get(topic) == self.get_name()
+        return self.link is not None and self.get_name() in TAKEN_BY.get(topic, ())
 
     def command_subscription(
         self, kind: Any, topic: str, callback: Callable[[bytes, CommandSource], None], qos: QoSProfile
@@ -521,6 +524,8 @@ class BenchNode(Node):  # type: ignore[misc]
             patience: s, the longest wait; a stopped receiver takes nothing.
         """
         end = time.monotonic() + patience
+        while self.link is not None and not self.link.flush() and time.monotonic() < end:
+            time.sleep(LINK_PERIOD)
         for publisher in self._bench_publishers:
             with contextlib.suppress(RCLError):
                 publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
@@ -657,7 +662,9 @@ def spin_for_ever(executor: Any, node: BenchNode, request: EndRequest | None = N
                 over = since > (_LONGEST_WORK if works else node.end_grace)
             if request.hurry or over or node.may_end(since):
                 return
-        if node.link is not None:
+        if node.link is not None and burst_period > 0.0:
+            serve_late(node.link, burst_period)
+        elif node.link is not None:
             serve((node.link,), LINK_PERIOD)
         elif burst_period <= 0.0:
             executor.spin_until_future_complete(never, timeout_sec=_SPIN_LIMIT)

@@ -1,9 +1,10 @@
 """The sample path of a run in lockstep past the middleware: a Unix socket a node, a datagram a message.
 
 Plant, loop and sequencer wait for each other block by block, and a delivery by the middleware costs more than a block.
-Each of `TAKEN_BY` is handed to the node that waits for it over that node's socket; everybody else takes the topic. Why
-a drive stops goes the same way, so that it is there before the blocks of its ramp. The kernel keeps order and loses
-nothing, and a socket's name lives no longer than its process. Only the user of the process is heard.
+Each of `TAKEN_BY` is handed to the nodes that take it over their sockets, the bundles for recorder and extraction, too;
+everybody else takes the topic. Why a drive stops goes the same way, so that it is there before the blocks of its ramp.
+The kernel keeps order and loses nothing, and a socket's name lives no longer than its process. Only the user of the
+process is heard.
 """
 
 from __future__ import annotations
@@ -17,25 +18,54 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from nmt_core.bundle import LOOP_INPUT
+from nmt_core.bundle import LOOP_INPUT, PLANT_BUNDLE, PLL_BUNDLE
 
-TAKEN_BY = {
-    LOOP_INPUT: "pll",
-    "drive": "plant",
-    "frequency": "sequencer",
-    "lock": "sequencer",
-    "level": "pll",
-    "run_state": "plant",
-    "drive_stop": "sequencer",
-    "diagnostics": "sequencer",
+TAKEN_BY: dict[str, tuple[str, ...]] = {
+    LOOP_INPUT: ("pll",),
+    "drive": ("plant",),
+    "frequency": ("sequencer",),
+    "lock": ("sequencer",),
+    "level": ("pll",),
+    "run_state": ("plant",),
+    "drive_stop": ("sequencer",),
+    "diagnostics": ("sequencer",),
+    PLANT_BUNDLE: ("recorder", "extract"),
+    PLL_BUNDLE: ("recorder", "extract"),
 }
-"""Topics that are handed over, each with the node that takes them."""
+"""Topics that are handed over, each with the nodes that take them."""
 _TOPICS = tuple(TAKEN_BY)
 _PREFIX = {topic: bytes((number,)) for number, topic in enumerate(_TOPICS)}
 _LONGEST = 262_144  # bytes; the kernel takes 212,992
 _SENDER = struct.Struct("iII")  # process, user, group
 _ROOM = socket.CMSG_SPACE(_SENDER.size)
-_FULL = 0.0005  # s between two attempts to send what a receiver had no room for
+_FULL = 0.002  # s between two attempts to send what a receiver had no room for
+
+
+class _Outbox:
+    """What goes to one node, from a socket of its own: a reader that is slow or stopped holds up no other."""
+
+    def __init__(self, address: bytes) -> None:
+        self._address = address
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
+        self._waiting: deque[bytes] = deque()
+
+    def send(self, message: bytes) -> None:
+        self._waiting.append(message)
+        self.flush()
+
+    def flush(self) -> bool:
+        while self._waiting:
+            try:
+                self._socket.sendto(self._waiting[0], self._address)
+            except BlockingIOError:
+                return False
+            except ConnectionRefusedError:
+                pass
+            self._waiting.popleft()
+        return True
+
+    def close(self) -> None:
+        self._socket.close()
 
 
 class Link:
@@ -59,8 +89,10 @@ class Link:
             self._socket.close()
             raise
         self._user = os.getuid()
+        self._buffer = memoryview(bytearray(_LONGEST))
+        self._room = [self._buffer]
         self._takers: dict[int, Callable[[bytes], None]] = {}
-        self._waiting: deque[tuple[bytes, bytes]] = deque()
+        self._outboxes: dict[str, _Outbox] = {}
 
     def _address(self, node: str) -> bytes:
         return f"\0nmt {os.getuid()} {self._bench} {node}".encode()
@@ -75,43 +107,44 @@ class Link:
 
     def sender(self, topic: str) -> Callable[[bytes], None]:
         """What hands a serialised message over; without its taker it is lost, as on a topic."""
-        address, prefix = self._address(TAKEN_BY[topic]), _PREFIX[topic]
+        prefix = _PREFIX[topic]
+        boxes = [self._outbox(node) for node in TAKEN_BY[topic]]
 
         def send(raw: bytes) -> None:
-            self._waiting.append((address, prefix + raw))
-            self.flush()
+            message = prefix + raw
+            for box in boxes:
+                box.send(message)
 
         return send
 
+    def _outbox(self, node: str) -> _Outbox:
+        if node not in self._outboxes:
+            self._outboxes[node] = _Outbox(self._address(node))
+        return self._outboxes[node]
+
     def flush(self) -> bool:
         """Send what waits; whether everything has been."""
-        while self._waiting:
-            address, message = self._waiting[0]
-            try:
-                self._socket.sendto(message, address)
-            except BlockingIOError:
-                return False
-            except ConnectionRefusedError:
-                pass
-            self._waiting.popleft()
-        return True
+        sent = [box.flush() for box in self._outboxes.values()]
+        return all(sent)
 
     def read(self) -> bool:
         """Hand one message on; False if none is there."""
         try:
-            message, notes, _, _ = self._socket.recvmsg(_LONGEST, _ROOM)
+            size, notes, _, _ = self._socket.recvmsg_into(self._room, _ROOM)
         except BlockingIOError:
             return False
         user = next((_SENDER.unpack_from(data)[1] for _, kind, data in notes if kind == socket.SCM_CREDENTIALS), None)
-        if message and user == self._user:
-            taker = self._takers.get(message[0])
+        if size and user == self._user:
+            taker = self._takers.get(self._buffer[0])
             if taker is not None:
-                taker(message[1:])
+                taker(bytes(self._buffer[1:size]))
         return True
 
     def close(self) -> None:
         """Release the name."""
         self._socket.close()
+        for box in self._outboxes.values():
+            box.close()
 
 
 def serve(links: Sequence[Link], seconds: float) -> None:
@@ -131,3 +164,12 @@ def serve(links: Sequence[Link], seconds: float) -> None:
         with contextlib.suppress(InterruptedError):
             for descriptor, _ in poll.poll(1e3 * left):
                 by_descriptor[descriptor].read()
+
+
+def serve_late(link: Link, seconds: float) -> None:
+    """Sleep for a while (s), then hand on what has come over a link: nobody is woken for every message."""
+    link.flush()
+    time.sleep(seconds)
+    end = time.monotonic() + seconds
+    while link.read() and time.monotonic() < end:
+        pass

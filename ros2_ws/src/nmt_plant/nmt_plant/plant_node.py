@@ -172,7 +172,7 @@ class PlantNode(BenchNode):
         self._bundle: BundleWriter | None = None
         bundled = int(str(self.values["bundle_blocks"]))
         if bundled > 0:
-            topics = [quantity.topic for quantity in self.core.quantities]
+            topics = [*(quantity.topic for quantity in self.core.quantities), "monitor"]
             bundles = self.bench_publisher(Bundle, PLANT_BUNDLE, SAMPLES_QOS)
             self._bundle = BundleWriter(topics, bundled, bundles.publish)
         self._monitor = self.bench_publisher(Monitor, "monitor", SAMPLES_QOS)
@@ -296,11 +296,14 @@ class PlantNode(BenchNode):
             publisher.publish(raw)
             if self._bundle is not None:
                 self._bundle.add(topic, raw)
-        if self._bundle is not None:
-            self._bundle.end_block(last=self.core.phase != RunPhase.RUNNING)
         levels = self.core.levels(blocks)
         if levels is not None:
-            self._monitor.publish(MONITOR.write(levels))
+            monitor = MONITOR.write(levels)
+            self._monitor.publish(monitor)
+            if self._bundle is not None:
+                self._bundle.add("monitor", monitor)
+        if self._bundle is not None:
+            self._bundle.end_block(last=self.core.phase != RunPhase.RUNNING)
 
     def _publish_loop_input(self, joined: BundleWriter, blocks: list[SampleBlock], written: list[bytes]) -> None:
         """What the loop waits for, in one message and before all else; ``written``: the blocks as messages."""

@@ -326,11 +326,11 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     bundle = _bundle_blocks(test, len(topics))
     if bundle:
         values["plant"]["bundle_blocks"] = values["pll"]["bundle_blocks"] = bundle
-        values["recorder"]["bundled"] = [*topics, *LOOP_TOPICS]
+        values["recorder"]["bundled"] = [*topics, "monitor", *LOOP_TOPICS]
         values["extract"]["bundled"] = [*extraction.topics, "frequency"]
     linked = _is_linked(test)
     if linked:
-        for name in ("plant", "pll", "sequencer"):
+        for name in ("plant", "pll", "sequencer", *(("recorder", "extract") if bundle else ())):
             values[name]["linked"] = True
     joined = linked or _joins_loop_input(test, response)
     if joined:
@@ -415,7 +415,7 @@ def _joins_loop_input(test: TestPlan, response: str) -> bool:
 
 
 def _is_linked(test: TestPlan) -> bool:
-    """Whether plant, loop and sequencer hand on the sample path past the middleware."""
+    """Whether the nodes hand on the sample path past the middleware."""
     return test.linked and test.pacing == "lockstep" and 16 * int(test.rig.block_samples) <= MOST_BYTES
 
 
@@ -447,7 +447,7 @@ def expected_peers(
         modal_point=["sequencer", "recorder"],
         steering=["recorder"],
         run_state=["plant", "recorder"],
-        monitor=["recorder"],
+        monitor=[] if bundled else ["recorder"],
     )
     if bundled:
         subscribers[PLANT_BUNDLE] = subscribers[PLL_BUNDLE] = ["extract", "recorder"]

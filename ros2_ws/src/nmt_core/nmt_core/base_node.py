@@ -704,7 +704,8 @@ def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -
             executor = EventsExecutor()
             executor.add_node(node)
             calm_collector()
-            return_large_memory()
+            if node.link is None or node.BURST_PERIOD <= 0.0:  # who takes bundles gets no large messages
+                return_large_memory()
             node.get_logger().info(f"Started in ROS domain {node.context.get_domain_id()} as {node.instance}")
             with contextlib.suppress(ExternalShutdownException), node.watched_work():
                 spin_for_ever(executor, node, request)

@@ -231,7 +231,7 @@ class RecorderNode(BenchNode):
                 self._failed(error)
             if topic != "diagnostics" and not self.core.after_end:
                 self._last_own_time = self._last_time
-                if self.in_lockstep:
+                if self.in_lockstep and topic not in self._bundled:
                     self._tell_recorded()
             if self._end_time is None and self.core.end_sample is not None:
                 self._end_time = time.monotonic()
@@ -263,6 +263,8 @@ class RecorderNode(BenchNode):
             record = self._bundled.get(topic)
             if record is not None:
                 record(message)
+        if not self.core.after_end:
+            self._tell_recorded()
 
     def _watch(self) -> None:
         """Flush what has waited long enough, close the bag when the run is over, and open the next one."""

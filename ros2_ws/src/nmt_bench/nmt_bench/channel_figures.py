@@ -1,10 +1,14 @@
-"""Figures of ``./nmt benchmark`` for the whole bench: speed and processor time, many channels, real time."""
+"""Figures of ``./nmt benchmark`` for the whole bench: commands, speed, processor time, many channels, real time."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
 import os
+import resource
+import subprocess
+import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -34,6 +38,10 @@ LIMIT_LARGE_CPU = 0.5
 LIMIT_MEMORY = 500.0
 LIMIT_REAL_TIME = 0.98
 LIMIT_REAL_TIME_CPU = 0.6
+LIMIT_COMMAND = 6.0
+LIMITS_SMALLEST = {"": 3.8, "--one-process": 3.3}
+_TEN_LEVELS = ("--levels", "0.05:0.6:10")
+_SMALLEST = ("--levels", "0.3", "--periods", "5")
 _LEVELS = (0.2, 0.5, 1.0)
 _SHORT = "block_samples=200"  # 20 ms
 _ROUNDS = 2
@@ -136,6 +144,37 @@ def bench_figures(seconds: float) -> list[Figure]:
     more = 100.0 * (times[0] / times[1] - 1.0)
     figures.append(Figure.limited("bench time, long blocks beside 20 ms", more, "% more", LIMIT_BENCH_TIME, AT_MOST))
     return figures
+
+
+def command_figures(_: float) -> list[Figure]:
+    """Whole commands with start, reference and report: ten levels, and the smallest run in both kinds."""
+    wall, cpu = _command(*_TEN_LEVELS)
+    name = "command: run of ten levels"
+    figures = [
+        Figure.limited(name, wall, "s", LIMIT_COMMAND, AT_MOST),
+        Figure(name, cpu, "s of processor time", None, "all processes"),
+    ]
+    for option, limit in LIMITS_SMALLEST.items():
+        _, cpu = _command(*_SMALLEST, *filter(None, (option,)))
+        kind = "all nodes in one process" if option else "one process a node"
+        figures.append(Figure.limited(f"command: smallest run, {kind}", cpu, "s of processor time", limit, AT_MOST))
+    return figures
+
+
+def _command(*options: str) -> tuple[float, float]:
+    """Wall time and processor time (s) of ``./nmt run beam``, its nodes included.
+
+    Raises:
+        BenchError: it failed.
+    """
+    with tempfile.TemporaryDirectory(prefix="nmt-benchmark-") as folder:
+        words = [sys.executable, "-m", "nmt_bench", "run", "beam", *options, "--quiet", "--out", f"{folder}/out"]
+        before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        wall, after = time.monotonic() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode:
+        raise BenchError(f"'{' '.join(words[2:])}' failed: {done.stderr.strip() or done.stdout.strip()}")
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def channel_figures(seconds: float) -> list[Figure]:

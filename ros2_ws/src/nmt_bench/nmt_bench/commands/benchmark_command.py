@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
-PARTS = ("plant", "reference", "bag", "levels", "diagnosis", "ramp", "bench", "channels", "scheduler")
+PARTS = ("plant", "reference", "bag", "levels", "diagnosis", "ramp", "command", "bench", "channels", "scheduler")
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -29,11 +29,11 @@ def add_parser(subparsers: Subparsers) -> None:
         help="speed of this machine beside limits and peers",
         description=(
             "Measures the plant's time integration, the harmonic-balance reference, the work per block of each "
-            "node, reading and extracting bags, runs of very many levels, a diagnosis, ramped levels, and the whole "
-            "bench with its nodes in one process and in one process each, also with many channels, and what a Dask "
-            "scheduler leaves of its workers' time. Each figure is printed beside its limit, or beside a peer measured "
-            "in the same run, and the limits that were missed are named at the end. Takes about four minutes on two "
-            "idle cores."
+            "node, reading and extracting bags, runs of very many levels, a diagnosis, ramped levels, whole commands, "
+            "and the whole bench with its nodes in one process and in one process each, also with many channels, and "
+            "what a Dask scheduler leaves of its workers' time. Each figure is printed beside its limit, or beside a "
+            "peer measured in the same run, and the limits that were missed are named at the end. Takes about five "
+            "minutes on two idle cores."
         ),
     )
     parser.add_argument("--json", metavar="FILE", type=Path, help="also write the figures to this JSON file")
@@ -78,6 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         "levels": benchmark_figures.level_figures,
         "diagnosis": benchmark_figures.diagnosis_figures,
         "ramp": benchmark_figures.ramp_figures,
+        "command": channel_figures.command_figures,
         "bench": channel_figures.bench_figures,
         "channels": channel_figures.channel_figures,
         "scheduler": scheduler_figures.scheduler_figures,

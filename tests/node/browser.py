@@ -124,16 +124,6 @@ class Browser:
         """Click the element of this id."""
         await self.value(f"document.getElementById('{element}').click()")
 
-    async def click_until(self, element: str, expression: str, clicks: int = 5, patience: float = 3.0) -> None:
-        """Click the element of this id, and again where the expression does not become true in time."""
-        for left in reversed(range(clicks)):
-            await self.click(element)
-            try:
-                return await self.until(expression, patience)
-            except AssertionError:
-                if not left:
-                    raise
-
     async def submit(self, form: str) -> None:
         """Submit the form of this id as its button does."""
         await self.value(f"document.getElementById('{form}').requestSubmit()")

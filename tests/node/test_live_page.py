@@ -90,10 +90,11 @@ def test_a_person_starts_watches_steers_and_stops(tmp_path: Path) -> None:
         await browser.until(f"{SHOWN.format('rig')} === 'beam'")  # from the bag that is being written
         await browser.key("p")
         await browser.until(f"{phase} === 'paused'")
+        # The level that the page shows is the present one only while none can end: in a run a click may come too late.
+        await browser.click("skip")
         await browser.click("pause")
         await browser.until(f"{phase} === 'running'")
-        # A level that ends as one clicks is not skipped, nor is the next one: the page says so, and one clicks again.
-        await browser.click_until("skip", f"{acts}.includes('skipped by the live page')")
+        await browser.until(f"{acts}.includes('skipped by the live page')")
         await browser.value("document.getElementById('levels').value = '0.3, 0.3 0.3;0.3'")
         await browser.submit("change")
         await browser.until(f"{acts}.includes('levels to come changed by the live page')")

@@ -704,7 +704,7 @@ def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -
             executor = EventsExecutor()
             executor.add_node(node)
             calm_collector()
-            if node.link is None or node.BURST_PERIOD <= 0.0:  # who takes bundles gets no large messages
+            if node.link is None or node.BURST_PERIOD <= 0.0:  # bundles are small
                 return_large_memory()
             node.get_logger().info(f"Started in ROS domain {node.context.get_domain_id()} as {node.instance}")
             with contextlib.suppress(ExternalShutdownException), node.watched_work():

@@ -1,8 +1,8 @@
 """The sample path of a run in lockstep past the middleware: a Unix socket a node, a datagram a message.
 
 Plant, loop and sequencer wait for each other block by block, and a delivery by the middleware costs more than a block.
-Each of `TAKEN_BY` is handed to the nodes that take it over their sockets, the bundles for recorder and extraction, too;
-everybody else takes the topic. Why a drive stops goes the same way, so that it is there before the blocks of its ramp.
+Messages of `TAKEN_BY` go to the sockets of the nodes that take them, bundles to those of recorder and extraction.
+Everybody else takes the topic. Why a drive stops goes the same way, so that it is there before the blocks of its ramp.
 The kernel keeps order and loses nothing, and a socket's name lives no longer than its process. Only the user of the
 process is heard.
 """

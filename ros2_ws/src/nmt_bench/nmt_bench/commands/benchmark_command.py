@@ -32,8 +32,8 @@ def add_parser(subparsers: Subparsers) -> None:
             "node, reading and extracting bags, runs of very many levels, a diagnosis, ramped levels, whole commands, "
             "and the whole bench with its nodes in one process and in one process each, also with many channels, and "
             "what a Dask scheduler leaves of its workers' time. Each figure is printed beside its limit, or beside a "
-            "peer measured in the same run, and the limits that were missed are named at the end. Takes about five "
-            "minutes on two idle cores."
+            "peer measured in the same run, and the limits that were missed are named at the end. Takes some minutes "
+            "on two idle cores."
         ),
     )
     parser.add_argument("--json", metavar="FILE", type=Path, help="also write the figures to this JSON file")

@@ -331,7 +331,7 @@ def _over_bare_read(bag: Any) -> float:
 
 
 def ramp_figures(_: float) -> list[Figure]:
-    """Levels that the strategy ``ramp`` measures as well as is asked for, beside all of them."""
+    """Levels that the strategy ``ramp`` measures as well as is asked for at their own amplitude, beside all of them."""
     from nmt_rig.reference import single_point_reference
 
     test = plan_test(
@@ -339,16 +339,16 @@ def ramp_figures(_: float) -> list[Figure]:
     )
     with Session(test, record=False) as session:
         points = session.run().points
-    expected = single_point_reference(test.rig, None, list(test.levels)).mode
-    wrong = [
-        (
-            abs(point.omega_rad_s / expected.omega_rad_s[point.level_index] - 1.0),
-            abs(point.damping_ratio / expected.damping_ratio[point.level_index] - 1.0),
-        )
-        for point in points
-    ]
-    good = sum(frequency <= RAMP_ERRORS[0] and damping <= RAMP_ERRORS[1] for frequency, damping in wrong)
-    name = f"ramp: levels within 0.1 and 3 %, {_RAMP_PERIODS} periods each"
+    expected = single_point_reference(test.rig, None, np.geomspace(0.08, 1.1, 161).tolist()).mode
+    q = [point.modal_amplitude for point in points]
+    frequency = np.interp(q, expected.modal_amplitude, expected.omega_rad_s)
+    damping = np.interp(q, expected.modal_amplitude, expected.damping_ratio)
+    good = sum(
+        abs(point.omega_rad_s / frequency[k] - 1.0) <= RAMP_ERRORS[0]
+        and abs(point.damping_ratio / damping[k] - 1.0) <= RAMP_ERRORS[1]
+        for k, point in enumerate(points)
+    )
+    name = f"ramp: levels within 0.1 and 3 % at their own amplitude, {_RAMP_PERIODS} periods each"
     return [Figure.limited(name, float(good), "levels", float(_RAMP_LEVELS))]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.linear_description import LinearDescription
+from nmt_extract.harmonics import Moments
 
 _FLAT, _EDGE = 3e-3, 3e-2  # of half the peak to peak: depth of a flat top, and of its edge
 _FLAT_SHARE = 0.04  # of a period; a sine has 0.025 there
@@ -88,19 +89,20 @@ class ChannelHistory:
         self.faulty = frozenset()
 
 
-def noise_rms(data: FloatArray, amplitudes: ComplexArray) -> FloatArray:
+def noise_rms(data: FloatArray, moments: Moments, amplitudes: ComplexArray) -> FloatArray:
     """What no harmonic explains.
 
     Args:
-        data: shape ``(channels, samples)``, whole periods.
-        amplitudes: harmonics 0..H, shape ``(channels, H + 1)``.
+        data: shape ``(channels, samples)``.
+        moments: of the parts of the window; a level that still changes from part to part is no noise.
+        amplitudes: harmonics 0..H of each part, shape ``(parts, channels, H + 1)``.
 
     Returns:
         rms, shape ``(channels,)``.
     """
-    total = np.einsum("ij,ij->i", data, data) / data.shape[1]
-    explained = amplitudes[:, 0].real ** 2 + 0.5 * (np.abs(amplitudes[:, 1:]) ** 2).sum(axis=1)
-    return np.asarray(np.sqrt(np.maximum(total - explained, 0.0)))
+    total = np.einsum("ij,ij->i", data, data)
+    explained = (amplitudes * moments.projections).real.sum(axis=(0, 2))
+    return np.asarray(np.sqrt(np.maximum(total - explained, 0.0) / data.shape[1]))
 
 
 def flat_top(values: FloatArray, samples_per_period: float) -> float | None:

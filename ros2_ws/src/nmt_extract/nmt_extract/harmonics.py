@@ -13,12 +13,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.errors import BenchError
-
-IndexArray = NDArray[np.int64]
 
 _CHUNK = 4096  # samples whose rotations are held at a time: they fit in the cache
 _LEAST_PIVOT = 1e-9  # of the normal matrix beside the number of samples; below it the fit is not determined
@@ -49,7 +46,7 @@ class Moments:
         return Moments(total.basis - self.basis, total.projections - self.projections)
 
 
-def segment_moments(cycles: FloatArray, data: FloatArray, harmonics: int, bounds: IndexArray) -> Moments:
+def segment_moments(cycles: FloatArray, data: FloatArray, harmonics: int, bounds: IntArray) -> Moments:
     """Sums for the fit of each segment of a window.
 
     Args:
@@ -133,7 +130,7 @@ def harmonic_amplitudes(cycles: FloatArray, data: FloatArray, harmonics: int) ->
     return amplitudes
 
 
-def whole_period_bounds(cycles: FloatArray, periods: int, segments: int) -> IndexArray:
+def whole_period_bounds(cycles: FloatArray, periods: int, segments: int) -> IntArray:
     """Bounds of segments of whole periods.
 
     Args:

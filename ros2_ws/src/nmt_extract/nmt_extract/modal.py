@@ -270,9 +270,11 @@ class _WindowEvaluation:
                 np.concatenate((total.projections, rest.projections)),
             )
         self.amplitudes = solve_moments(sets)
-        self._find_frequency(bounds, moments)
+        self.part_amplitudes = solve_moments(moments)
+        self.part_moments = moments
+        self._find_frequency(bounds)
 
-    def _find_frequency(self, bounds: Any, moments: Moments) -> None:
+    def _find_frequency(self, bounds: Any) -> None:
         rate = self.window.sample_rate
         frequency = self.advance / (self.window.samples / rate)
         self.frequency_hz = np.full(1 + self.parts, frequency)
@@ -281,7 +283,7 @@ class _WindowEvaluation:
             return
         edges = np.append(self.cycles[bounds[:-1]], self.cycles[0] + self.advance)
         if self.fitted:
-            fundamental = solve_moments(moments)[:, self.force_row, 1]
+            fundamental = self.part_amplitudes[:, self.force_row, 1]
             middle = 0.5 * (bounds[1:] + bounds[:-1]) / rate
             # About their mean phase, so that no jump of 2π comes between.
             phases = np.angle(fundamental * np.conj(fundamental.sum())) / (2.0 * np.pi)
@@ -304,8 +306,7 @@ class _WindowEvaluation:
             flat = channel_judge.flat_top(window.data[row], window.samples / self.advance)
             if flat is not None:
                 faults[row] = f"is flat-topped at {flat:.4g} {window.channels[row].quantity.unit}"
-        whole = self.amplitudes[0]
-        noise = channel_judge.noise_rms(window.data, whole)
+        noise = channel_judge.noise_rms(window.data, self.part_moments, self.part_amplitudes)
         names = tuple(channel.name for channel in window.channels)
         history = self.history if self.history.knows(names) else None
         shape = self.amplitudes[:, self.shape_rows, 1]

@@ -30,8 +30,7 @@ MINIMUM_PARTS = 5
 class BalancedMode:
     """Modal properties from a balance over a window, with standard uncertainties.
 
-    All are means over the window, weighted with the energy, so that frequency and damping belong to the
-    amplitude.
+    The amplitude is a mean over the window, weighted with the energy; frequency and damping are those at it.
     """
 
     omega_rad_s: float
@@ -88,19 +87,16 @@ def balance(
     growth, growth_std = _rate(place, np.log(response * amplitude**2), degree, duration)
     # P₁ / E is the excitation of a steady level; growth of the action takes its share of it.
     local = 2.0 * power / (response * amplitude) ** 2 - growth
-    weight = (response * amplitude) ** 2
-    excitation = float(np.average(local, weights=weight))
-    q = float(np.average(amplitude, weights=weight))
-    excitation_std = math.hypot(
-        _scatter_of_mean(place, local), growth_std, _bend(amplitude, local, weight, q, excitation)
-    )
+    q = float(np.average(amplitude, weights=(response * amplitude) ** 2))
+    excitation, doubt = _at_amplitude(amplitude, local, q)
+    excitation_std = math.hypot(_scatter_of_mean(place, local), growth_std, doubt)
     # Growth at the rate g also takes ξ g + g² from the real part; with ω̃ nearly constant, g is half of that
     # of ω̃ q².
     modal = np.sqrt(response**2 + elastic / amplitude**2 - 0.5 * growth * (local + 0.5 * growth))
-    frequency = float(np.average(modal, weights=weight))
+    frequency, doubt = _at_amplitude(amplitude, modal, q)
     return BalancedMode(
         omega_rad_s=frequency,
-        omega_rad_s_std=math.hypot(_scatter_of_mean(place, modal), _bend(amplitude, modal, weight, q, frequency)),
+        omega_rad_s_std=math.hypot(_scatter_of_mean(place, modal), doubt),
         damping_ratio=excitation / (2.0 * frequency),
         damping_ratio_std=excitation_std / (2.0 * frequency),
         modal_amplitude=q,
@@ -110,12 +106,32 @@ def balance(
     )
 
 
-def _bend(amplitude: FloatArray, values: FloatArray, weight: FloatArray, q: float, mean: float) -> float:
-    """Distance of a mean over the window to the value at its amplitude: a quantity that bends over the range of q."""
+def _at_amplitude(amplitude: FloatArray, values: FloatArray, q: float) -> tuple[float, float]:
+    """Value of a property at one amplitude of the window's range, and how far the course over it leaves that open.
+
+    The course is a parabola or two straight lines that meet where slip begins or a gap closes, whichever is nearer to
+    the values; the other one says how much depends on that choice.
+
+    Args:
+        amplitude: q of each part, m√kg.
+        values: of the property in each part.
+        q: amplitude that the value is wanted at, m√kg.
+    """
     if float(np.ptp(amplitude)) < 1e-3 * q:
-        return 0.0
-    course = np.polynomial.Polynomial.fit(np.log(amplitude), values, 2, w=np.sqrt(weight))
-    return abs(float(course(math.log(q))) - mean)
+        return float(values.mean()), 0.0
+    place = np.log(amplitude / q)
+    ordered = np.sort(place)
+    corners = 0.5 * (ordered[1:] + ordered[:-1])[1:-1]
+    courses = [place**2, *(np.maximum(place - corner, 0.0) for corner in corners)]
+    at_q = [0.0, *np.maximum(-corners, 0.0)]
+    fitted = []
+    for third, third_at_q in zip(courses, at_q, strict=True):
+        columns = np.stack((np.ones_like(place), place, third), axis=1)
+        solution = np.linalg.lstsq(columns, values, rcond=None)[0]
+        misfit = float(np.sum((values - columns @ solution) ** 2))
+        fitted.append((misfit, float(solution[0] + solution[2] * third_at_q)))
+    parabola, bent = fitted[0], min(fitted[1:])
+    return min(parabola, bent)[1], 0.5 * abs(parabola[1] - bent[1])
 
 
 def _rate(place: FloatArray, values: FloatArray, degree: int, duration: float) -> tuple[FloatArray, float]:

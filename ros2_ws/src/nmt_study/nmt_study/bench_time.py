@@ -77,8 +77,8 @@ _REMARKS = (
     "“1° for 20 periods” uses the default loop with the rule that mean and scatter of the phase error stay within 1° "
     "over 20 periods, and no other condition; the published tool works on hardware with its own loop.",
     "“ramp”: windows during ramps that last as long as the windows; the amplitude lags behind the voltage, so errors "
-    "are taken at the measured q. A window across the corner from sticking to slipping mixes both regimes; its "
-    "stated uncertainty grows accordingly.",
+    "are taken at the measured q. In slip damping comes out low in proportion to the rate: hysteresis stores less "
+    "than an elastic mode of growing amplitude.",
     "“quick”: default criteria over a dwell of 5 periods and ramps of 0.1 s.",
 )
 

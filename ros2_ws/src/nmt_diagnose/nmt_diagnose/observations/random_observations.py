@@ -15,10 +15,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import csd, welch
 
-from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
@@ -28,8 +27,6 @@ from nmt_diagnose.observations.moderated_variance import moderated
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
-
-IndexArray = NDArray[np.int64]
 
 ORDER = 4
 """Degree of the local polynomials."""
@@ -64,12 +61,12 @@ class LocalResponses:
     noise: FloatArray
     factor: FloatArray
     resonance: FloatArray
-    resonant: NDArray[np.bool_]
+    resonant: BoolArray
     degrees_of_freedom: int
 
 
 def local_responses(
-    reference: FloatArray, responses: FloatArray, bins: IndexArray, resonant: NDArray[np.bool_] | None = None
+    reference: FloatArray, responses: FloatArray, bins: IntArray, resonant: BoolArray | None = None
 ) -> LocalResponses:
     """Frequency responses at some lines of the Fourier transform.
 
@@ -85,7 +82,7 @@ def local_responses(
     return local_fits(u[near], np.moveaxis(y[:, near], 0, -1), resonant)
 
 
-def local_fits(u: ComplexArray, y: ComplexArray, resonant: NDArray[np.bool_] | None = None) -> LocalResponses:
+def local_fits(u: ComplexArray, y: ComplexArray, resonant: BoolArray | None = None) -> LocalResponses:
     """Frequency responses from what lies around some lines.
 
     Args:
@@ -193,7 +190,7 @@ def _resonance(plain: _LocalFit) -> _LocalFit:
     return best
 
 
-def choose_bins(reference: FloatArray, response: FloatArray, sample_rate: float, wanted: int) -> IndexArray:
+def choose_bins(reference: FloatArray, response: FloatArray, sample_rate: float, wanted: int) -> IntArray:
     """Lines evenly spread over decades and over the turns of the response's phase, within the driven band.
 
     Args:
@@ -369,7 +366,7 @@ def _bias(
     channels: list[MeasuredChannel],
     reference: FloatArray,
     source: MeasuredChannel,
-    bins: IndexArray,
+    bins: IntArray,
     sample_rate: float,
 ) -> FloatArray:
     """Relative error that the local fits make on the model's own response, shape (channels, lines)."""

@@ -192,8 +192,9 @@ def test_a_bag_is_replayed_from_any_moment(tmp_path: Path) -> None:
         assert 1 <= len(head["table"]) < 3
         player.control({"seek": player.duration, "playing": True})
         until(lambda: len(facts(view)[0]["table"]) == 3)
-        player.control({"seek": 0.0, "speed": 50.0, "playing": True})
+        player.control({"seek": 0.0, "playing": False})
         until(lambda: len(facts(view)[0]["table"]) == 0)
+        player.control({"speed": 50.0, "playing": True})
         until(lambda: facts(view)[0]["phase"] == "done")
         for nonsense in ({"seek": float("nan")}, {"seek": "end"}, {"speed": 1e9}, {"playing": 1}, {}):
             player.control(nonsense)

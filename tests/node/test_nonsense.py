@@ -111,7 +111,8 @@ def test_a_second_publisher_of_level_moves_nothing_and_ends_the_run(linked: bool
     result, counters = disturbed(tmp_path / "out", Level, "level", sent, linked)
     assert result.code == ResultCode.NODE_LOST
     assert_ended_by_a_ramp(result)
-    assert counters["pll"]["refused"] >= (1 if linked else len(sent))
+    if not linked:  # past the middleware nothing of it need arrive before the run ends
+        assert counters["pll"]["refused"] >= len(sent)
 
 
 @pytest.mark.campaign

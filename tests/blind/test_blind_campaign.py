@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import shutil
@@ -113,6 +114,15 @@ def test_a_run_takes_the_cases_that_are_made_and_one_program_for_all(
     (campaign / "hashes.json").unlink()
     with pytest.raises(BenchError, match="Not all cases"):
         score_campaign(campaign, again=True)
+
+
+def test_a_case_with_a_test_that_failed_is_diagnosed_from_the_others(campaign: Path) -> None:
+    shutil.rmtree(campaign / "cases/0002/random")
+    run_campaign(campaign, diagnose=lambda model, bags, withheld: diagnosis("none", tests=[bag.name for bag in bags]))
+    result = read_result(campaign / "results", "0002")
+    assert result is not None
+    assert result["diagnosis"]["tests"] == ["backbone"]
+    assert result["bags"]["random"] == hashlib.sha256().hexdigest()  # as `make` notes what gave no bag
 
 
 def test_discarded_bags_leave_their_hashes(campaign: Path) -> None:

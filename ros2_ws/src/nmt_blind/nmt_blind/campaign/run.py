@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import shutil
 import time
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from nmt_blind.campaign.frozen import check_frozen
+from nmt_blind.cases.make import bag_hash
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_json
 from nmt_core.whole_file import write_whole
@@ -115,7 +115,7 @@ def run_campaign(
 def run_case(
     folder: Path, results: Path, case: str, withheld: str, discard_bags: bool, diagnose: Diagnose
 ) -> dict[str, Any]:
-    """Diagnose one case and keep the result; a failure is a result too.
+    """Diagnose one case from the tests that gave a bag, and keep the result; a failure is a result too.
 
     Returns:
         What was written, without the diagnosis.
@@ -124,9 +124,9 @@ def run_case(
     bags = [own / test for test in read_public(folder)["tests"]]
     begin, wall = time.process_time(), time.monotonic()
     result: dict[str, Any] = {"format": RESULT_FORMAT, "case": case, "withheld": withheld}
-    result["bags"] = {bag.name: bag_digest(bag) for bag in bags}
+    result["bags"] = {bag.name: bag_hash(bag) for bag in bags}
     try:
-        result["diagnosis"] = diagnose(own / "model.yaml", bags, withheld)
+        result["diagnosis"] = diagnose(own / "model.yaml", [bag for bag in bags if any(bag.glob("*.mcap"))], withheld)
     except BenchError as error:
         result["error"] = str(error)
     except Exception as error:
@@ -163,12 +163,3 @@ def read_result(results: Path, case: str) -> dict[str, Any] | None:
     except BenchError:
         return None
     return values if values.get("format") == RESULT_FORMAT else None
-
-
-def bag_digest(bag: Path) -> str:
-    """sha256 over the data files of a bag, in the order of their names; empty if there are none."""
-    digest = hashlib.sha256()
-    files = sorted(bag.glob("*.mcap"))
-    for path in files:
-        digest.update(path.read_bytes())
-    return digest.hexdigest() if files else ""

@@ -13,7 +13,7 @@ import pytest
 from nmt_core.blocks import SampleBlock
 from nmt_core.records import LevelCommand
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.channel_judge import flat_top
+from nmt_extract.channel_judge import flat_top, unrepeated_rms
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_session import Session, plan_test
 
@@ -118,13 +118,22 @@ def test_three_channels_of_three_modes_are_enough_to_tell(channel: str, change: 
         ("beam", [0.05, 1.5], {}),
         ("joint_resonator", [18.0, 0.25], {}),
         ("clamped_beam", [0.005, 0.3], {}),
+        ("beam", [0.7296, 1.065], {"exciter": 4}),
         ("beam", [0.5, 2.0], {"exciter": 6, "overrides": ["local_elements.0.point=2",
                                                            "local_elements.0.tangential_stiffness_n_m=500000"]}),
     ],
-    ids=("friction", "joint", "stiffening", "slip at the drive"),
+    ids=("friction", "joint", "stiffening", "harmonics of slip beyond the tenth", "slip at the drive"),
 )  # fmt: skip
 def test_a_shape_that_changes_much_from_level_to_level_is_no_fault(rig: str, levels: list[float], plan: Any) -> None:
     assert [(p.status, p.reason) for p in run(rig, levels, **plan)] == [(PointStatus.OK, "")] * 2
+
+
+def test_what_comes_again_each_period_is_no_noise() -> None:
+    samples_per_period = 61.3
+    time = np.arange(4000) / samples_per_period
+    noise = 0.1 * RANDOM.standard_normal(time.size)
+    assert unrepeated_rms(np.sin(2 * math.pi * 15 * time), samples_per_period) < 0.3 * math.sqrt(0.5)
+    assert unrepeated_rms(noise, samples_per_period) == pytest.approx(0.09, rel=0.1)
 
 
 def test_a_flat_top_is_told_from_rest_square_waves_and_coarse_samples() -> None:

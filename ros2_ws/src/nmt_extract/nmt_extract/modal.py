@@ -271,7 +271,7 @@ class _WindowEvaluation:
             )
         self.amplitudes = solve_moments(sets)
         self.part_amplitudes = solve_moments(moments)
-        self.part_moments = moments
+        self.part_moments, self.part_bounds = moments, bounds
         self._find_frequency(bounds)
 
     def _find_frequency(self, bounds: Any) -> None:
@@ -321,7 +321,7 @@ class _WindowEvaluation:
         if history is not None:
             rms = window.data.std(axis=1)
             judged = [row for row in rows if row not in faults]
-            faults.update(channel_judge.noise_jumps(noise, rms, history.noise, judged))
+            faults.update(channel_judge.noise_jumps(noise, rms, history.noise, judged, self._unrepeated))
         drive = self._drive_state()
         if history is not None and self.force_row not in faults and self.drive_row not in faults:
             suspect = self.force_row in history.faulty
@@ -341,6 +341,19 @@ class _WindowEvaluation:
             return
         self.history.faulty = frozenset(faults)
         self._leave_out(history)
+
+    def _unrepeated(self, row: int) -> float:
+        orders = np.arange(self.harmonics + 1)
+        residual = np.concatenate(
+            [
+                self.window.data[row, first:end]
+                - (amplitudes[row] @ np.exp(2j * np.pi * np.outer(orders, self.cycles[first:end]))).real
+                for first, end, amplitudes in zip(
+                    self.part_bounds[:-1], self.part_bounds[1:], self.part_amplitudes, strict=True
+                )
+            ]
+        )
+        return channel_judge.unrepeated_rms(residual, self.window.samples / self.advance)
 
     def _drive_state(self) -> channel_judge.DriveState:
         omega = 2.0 * np.pi * self.frequency_hz

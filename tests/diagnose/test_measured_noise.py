@@ -12,8 +12,9 @@ from scipy.integrate import quad
 from nmt_core.blocks import Quantity
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
+from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.chain import SharedDelay, linear_chain
-from nmt_diagnose.inference.comparison import Hypotheses
+from nmt_diagnose.inference.comparison import Hypotheses, SourceEvidence
 from nmt_diagnose.inference.diagnose import diagnose_observations, model_alone, own_parameters
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
@@ -307,3 +308,10 @@ def test_what_an_explanation_leaves_beyond_noise_is_something_unnamed() -> None:
     assert left.unknown > 0.95
     assert left.classes[0].probability < 0.05
     assert left.places == good.places
+    # A little that is left elsewhere makes it no less the place of the most.
+    fall = null.fit.cost - best.fit.cost
+    little = SourceEvidence(Placement("controller"), 50.0, 0.01 * fall)
+    beside = Hypotheses(data, null, [best], cubic, [], [little]).compared()
+    assert beside.unknown > 0.95
+    assert next(iter(beside.places)) == next(iter(good.places))
+    assert beside.places[little.placement] == pytest.approx(0.01 / 1.01, rel=0.05)

@@ -83,6 +83,7 @@ def explain_case(folder: Path, case: str) -> Account:
         BenchError: there is no such case, it has no bags, or its seal has not been opened.
     """
     truth = {str(entry["case"]): entry for entry in opened_truth(folder)["cases"]}
+    case = case.zfill(len(min(truth)))
     if case not in truth:
         raise BenchError(f"The campaign {folder} has no case {case}; it has {min(truth)} to {max(truth)}.")
     withheld = tuple(word for word in str(truth[case]["withheld"]).split(",") if word)

@@ -217,8 +217,16 @@ class Hypotheses:
         for own, p in zip(self.named, p_named, strict=True):
             for placement in own.explanation.placements:
                 by_place[placement] = by_place.get(placement, 0.0) + float(p) / len(own.candidates)
-        for source, p in zip((*self.alone, *self.behind), p_unnamed, strict=True):
+        for source, p in zip(self.alone, p_unnamed, strict=False):
             by_place[source.placement] = by_place.get(source.placement, 0.0) + float(p)
+        for source, p in zip(self.behind, p_unnamed[len(self.alone) :], strict=True):
+            # Both are missing then, each as far as it explains the recordings.
+            assert best is not None
+            explained = max(self.null.fit.cost - best.fit.cost, 0.0)
+            beside = float(p) * source.explained / max(source.explained + explained, 1e-300)
+            by_place[source.placement] = by_place.get(source.placement, 0.0) + beside
+            for placement in best.explanation.placements:
+                by_place[placement] = by_place.get(placement, 0.0) + (float(p) - beside) / len(best.candidates)
         total = sum(by_place.values())
         # What leaves more than noise has something unnamed beside it, as far as is known at the same place.
         noise = np.exp([self._left(own) for own in self.named])

@@ -108,7 +108,7 @@ class Scores:
             wrongly_unknown: share of named ones called so.
         calibrated: share of null cases with shifted parameters called calibration; plain_none: of those without shift
             called none.
-        width, count: reliability over bins of equal width and of equal count.
+        width, count: reliability over bins of equal width and of equal count, of null cases and effects from 8 σ.
         closed: median share of the held-out gap that was closed where an effect was accepted; harm: share of cases
             whose held-out gap grew.
         by_strength: sigma -> (detected, right first) of single effects.
@@ -277,8 +277,10 @@ def compute_scores(cases: Sequence[ScoredCase], about: dict[str, Any], classifie
     accepted = [case for case in cases if case.verdict == "effect" and case.known and math.isfinite(case.closed)]
     judged = [case for case in cases if math.isfinite(case.before) and math.isfinite(case.after)]
     settled = [case for case in cases if case.verdict != "failed"]
-    stated = [case.confidence for case in settled]
-    right = [case.settled_rightly for case in settled]
+    # Of an effect that the recordings do not show, "none" is no wrong answer.
+    shown = [case for case in settled if case.kind == "null" or case.sigma >= STRONG]
+    stated = [case.confidence for case in shown]
+    right = [case.settled_rightly for case in shown]
     false, true = roc_curve([c.answer.gap_score for c in strong], [c.answer.gap_score for c in null])
     return Scores(
         **about,

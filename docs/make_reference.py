@@ -33,7 +33,7 @@ NODE_MODULES = {
     "pll": "nmt_pll.pll_node",
     "sequencer": "nmt_sequencer.sequencer_node",
     "extract": "nmt_extract.extract_node",
-    "recorder": "nmt_record.recorder_node",
+    "recorder": "nmt_record.bag.recorder_node",
 }
 
 # What the keys of a rig file mean; units and ranges come from the models.

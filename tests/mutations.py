@@ -156,19 +156,19 @@ MUTATIONS = [
             "the turning level twice",
         ),
         (
-            "nmt_record/nmt_record/gap_counter.py",
+            "nmt_record/nmt_record/bag/gap_counter.py",
             "state.missing_samples += missing",
             "state.missing_samples += 1",
             "lost samples are counted as one",
         ),
         (
-            "nmt_record/nmt_record/gap_counter.py",
+            "nmt_record/nmt_record/bag/gap_counter.py",
             "return all(state.next_sample > sample for",
             "return any(state.next_sample > sample for",
             "a bag is closed before all its topics have come",
         ),
         (
-            "nmt_record/nmt_record/unit_table.py",
+            "nmt_record/nmt_record/exchange/unit_table.py",
             "STANDARD_GRAVITY = 9.80665",
             "STANDARD_GRAVITY = 9.81",
             "accelerations in g are 0.03 % off",

@@ -11,9 +11,9 @@ import numpy as np
 
 from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.linear_description import LinearDescription
-from nmt_record.bag_writer import BagWriter
-from nmt_record.bench_topics import parse_topic
-from nmt_record.message_definitions import local_definitions
+from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bench_topics import parse_topic
+from nmt_record.bag.message_definitions import local_definitions
 
 SAMPLE_RATE = 10_000.0
 BLOCK = 200

@@ -19,8 +19,8 @@ from nmt_core.parameters import check_values
 from nmt_core.run_announcement import RunAnnouncement
 from nmt_diagnose.observations.origin import origin_of
 from nmt_plant.hardware_rig import HARDWARE_LEAD, device_of
-from nmt_record.bag_reader import Bag
-from nmt_record.run_recorder import PARAMETERS, RunRecorder, described_run
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.bag.run_recorder import PARAMETERS, RunRecorder, described_run
 from nmt_rig.rig import load_rig
 from nmt_session.node_plan import NodePlan
 

@@ -19,7 +19,7 @@ from nmt_core.records import LockEvent
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.inference.next_test import proposals
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import find_rig, load_rig
 from nmt_session import Session, plan_test
 

@@ -19,7 +19,7 @@ from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.records import DriveStop, LoopStatus, RunState
 from nmt_core.vocabulary import OutputState, PointStatus, ResultCode, RunPhase, SteeringAct, StopCause
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 from nmt_report.quantity_format import uncertain
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session import Session, plan_test

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from nmt_bench.cli import main
-from nmt_record.bag_reader import Bag
-from nmt_record.bag_writer import BagWriter
-from nmt_record.message_definitions import local_definitions
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.message_definitions import local_definitions
 
 
 @pytest.fixture

@@ -25,8 +25,8 @@ from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_extract.offline import extract_bag
-from nmt_record.bag_reader import Bag
-from nmt_record.segments import read_signals, segments
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.windows.segments import read_signals, segments
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import Rig
 

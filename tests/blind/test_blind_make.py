@@ -20,7 +20,7 @@ from nmt_blind.cases.priors import LARGEST_SHIFT, parameters
 from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
 from nmt_blind.cases.strength_curve import spot_key
 from nmt_core.errors import BenchError
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import Rig, load_rig
 
 RIG = short_rig()
@@ -240,7 +240,7 @@ def test_keys_at_their_defaults_reproduce_the_plain_rig_bit_for_bit(tmp_path: Pa
 
 
 def test_the_two_tests_of_a_case_have_noise_of_their_own(tmp_path: Path) -> None:
-    from nmt_record.segments import read_signals
+    from nmt_record.windows.segments import read_signals
 
     record_backbone(tmp_path / "backbone", MODEL, MODEL, SHORT, 5)
     record_random(tmp_path / "random", MODEL, MODEL, SHORT, 5)

@@ -29,7 +29,7 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.observations.measuring_chain import measuring_chain
 from nmt_plant.oscillator import OscillatorBlock
 from nmt_plant.simulated_rig import SimulatedRig
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 
 MODAL = blind_rig("modal_beam").model()
 # Of the sensors of the modal beam, s.

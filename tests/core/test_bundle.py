@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nmt_core.bundle import MOST_BYTES, BundleWriter, read_bundle
-from nmt_record.message_definitions import local_definitions
+from nmt_record.bag.message_definitions import local_definitions
 
 TOPICS = ("force", "acceleration", "voltage")
 messages = st.lists(st.tuples(st.sampled_from(TOPICS), st.binary(max_size=40)), min_size=1, max_size=20)

@@ -71,7 +71,7 @@ from nmt_core.wire import (
     write_drive,
     write_status,
 )
-from nmt_record.message_definitions import local_definitions
+from nmt_record.bag.message_definitions import local_definitions
 
 MESSAGES = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "nmt_msgs" / "msg"
 CODECS = {

@@ -18,9 +18,9 @@ from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.loop_core import drive_command, lock_event
 from nmt_pll.loop_settings import settings_from
 from nmt_pll.random_drive import RandomDrive
-from nmt_record.bag_reader import Bag
-from nmt_record.bag_writer import BagWriter
-from nmt_record.bench_topics import SAMPLE_BLOCK, parse_topic
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bench_topics import SAMPLE_BLOCK, parse_topic
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import Rig, load_rig
 

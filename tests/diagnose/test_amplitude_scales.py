@@ -26,7 +26,7 @@ from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.table_observations import table_observations
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
-from nmt_record.observables import ObservableTable
+from nmt_record.exchange.observables import ObservableTable
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 

@@ -19,7 +19,7 @@ from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.observations.record_observations import interpolated, spread_samples, white_noise
 from nmt_diagnose.observations.table_observations import noise_of_weak_lines
-from nmt_record.imported_run import read_import, write_import
+from nmt_record.exchange.imported_run import read_import, write_import
 from nmt_rig.rig import Rig, load_rig
 
 RATE = 1e7 / 2**14

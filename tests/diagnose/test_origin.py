@@ -13,8 +13,8 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.inference.next_test import proposals
 from nmt_diagnose.observations.origin import Origin, origin_of, refuse_own_recordings, same_rig, strangers
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_record.bag_reader import Bag
-from nmt_record.bag_writer import BagWriter
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.bag.bag_writer import BagWriter
 from nmt_rig.rig import load_rig
 
 REAL = rig_with_noise(overrides=["structure.youngs_modulus_pa=2.2e11"])

@@ -19,10 +19,10 @@ from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.offline import extract_bag
-from nmt_record.bag_reader import Bag
-from nmt_record.bag_writer import BagWriter
-from nmt_record.bench_topics import SAMPLE_BLOCK, parse_topic
-from nmt_record.segments import Segment, segments
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bench_topics import SAMPLE_BLOCK, parse_topic
+from nmt_record.windows.segments import Segment, segments
 
 RIG = rig_with_noise()
 LEVELS = tuple(0.1 * 1.2**number for number in range(12))

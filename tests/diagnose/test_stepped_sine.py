@@ -27,7 +27,7 @@ from nmt_diagnose.twin.forward import Forward, traced
 from nmt_diagnose.twin.frequency_sweep import frequency_sweep
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_diagnose.twin.stepped_sine_twin import whitened_difference
-from nmt_record.imported_run import read_import, write_import
+from nmt_record.exchange.imported_run import read_import, write_import
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from nmt_record.bench_topics import BENCH_TOPICS
-from nmt_record.message_definitions import local_definitions
+from nmt_record.bag.bench_topics import BENCH_TOPICS
+from nmt_record.bag.message_definitions import local_definitions
 
 LAYOUTS = Path(__file__).resolve().parents[2] / "docs" / "layouts"
 TYPES = {topic.name: topic.message_type for topic in BENCH_TOPICS}

@@ -24,8 +24,8 @@ from nmt_extract.linear_evaluation import evaluate_linear_test
 from nmt_extract.linear_file import Linearity, description, frf_table, linear_mapping, linearity
 from nmt_extract.linear_test import LinearTest, LinearTestSettings, _target_of, linear_test
 from nmt_plant.simulated_rig import SimulatedRig
-from nmt_record.bag_reader import Bag
-from nmt_record.segments import Signals
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.windows.segments import Signals
 from nmt_report.linear_report import exact_modes, linear_page
 from nmt_report.quantity_format import uncertain
 from nmt_rig.linear_description import linear_description

@@ -26,8 +26,8 @@ from nmt_extract.extractor import Extractor
 from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import read_json, write_results
 from nmt_extract.offline import extract_bag
-from nmt_record.bag_reader import Bag
-from nmt_record.bag_writer import BagWriter
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.bag.bag_writer import BagWriter
 
 SAMPLES = round(5 * RATE / FREQUENCY)
 LOCK = lock_event(400, SAMPLES, 5, sample=399)

@@ -19,7 +19,7 @@ from nmt_extract.swept_response import (
     sweep_table,
     swept_response,
 )
-from nmt_record.segments import Signals
+from nmt_record.windows.segments import Signals
 
 RATE = 5000.0
 

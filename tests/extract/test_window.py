@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity
 from nmt_core.vocabulary import LoopState
 from nmt_extract.window import SpoiledWindow, Window, WindowAssembler
-from nmt_record.sample_table import SampleTable
-from nmt_record.topic_blocks import TopicBlocks
+from nmt_record.windows.sample_table import SampleTable
+from nmt_record.windows.topic_blocks import TopicBlocks
 
 SAMPLES = round(5 * RATE / FREQUENCY)
 LOCK = lock_event(300, SAMPLES, 5, sample=299)

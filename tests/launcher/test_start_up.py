@@ -97,7 +97,7 @@ def test_a_list_of_rigs_loads_no_model() -> None:
 
 
 def test_extraction_loads_no_schemas() -> None:
-    code = "import nmt_extract.bag_budget, nmt_extract.offline, nmt_bench.commands.terminal, nmt_record.bag_reader"
+    code = "import nmt_extract.bag_budget, nmt_extract.offline, nmt_bench.commands.terminal, nmt_record.bag.bag_reader"
     assert loaded_large(code) == "[]"
 
 

@@ -24,8 +24,8 @@ from nmt_bench.harness import Bench
 from nmt_core.blocks import Quantity
 from nmt_core.vocabulary import ResultCode
 from nmt_extract.ring_down import ring_down
-from nmt_record.bag_reader import Bag
-from nmt_record.segments import read_signals, segments
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.windows.segments import read_signals, segments
 from nmt_rig.linear_description import linear_description
 
 Values = dict[str, float]

@@ -29,7 +29,7 @@ from node.signal_trials import hear_signals
 
 from nmt_core.errors import BenchError
 from nmt_core.shared_memory import remove_dead_segments
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 from nmt_session.node_plan import NODES
 
 _LONGEST = 600.0  # s of wall time, after which a run is given up

@@ -30,7 +30,7 @@ from rclpy.serialization import deserialize_message
 from nmt_bench.harness import Bench
 from nmt_bench.page.page_process import page_process
 from nmt_core.vocabulary import Quantity
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 
 _WATCH = """
 window.drawnAt = []; window.pointAt = 0; window.newest = '';

@@ -20,7 +20,7 @@ from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import write_csv
 from nmt_extract.offline import extract_bag
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import load_rig
 

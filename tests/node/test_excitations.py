@@ -17,8 +17,8 @@ from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import LoopState, ResultCode, TestKind
 from nmt_extract.offline import extract_bag
-from nmt_record.bag_reader import Bag
-from nmt_record.segments import read_signals, segments
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.windows.segments import read_signals, segments
 
 RANDOM = {"test": "random", "levels": [0.05], "band_hz": (10.0, 500.0), "duration": 3.0, "seed": 5}
 SWEEP = {

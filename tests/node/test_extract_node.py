@@ -26,7 +26,7 @@ from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag
 from nmt_msgs.msg import Frequency, Level, LockEvent, ModalPoint
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
-from nmt_record.bag_writer import BagWriter
+from nmt_record.bag.bag_writer import BagWriter
 
 pytestmark = [
     pytest.mark.node,

@@ -18,7 +18,7 @@ from nmt_core.vocabulary import LoopState
 from nmt_core.wire import BlockReader
 from nmt_msgs import msg
 from nmt_plant.plant_node import PlantNode
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 
 LIMIT, RATE, BLOCK = 2.0, 10_000.0, 200
 RIG = [f"limits.voltage_v={LIMIT}", "limits.slew_v_s=500"]

@@ -17,7 +17,7 @@ from nmt_core.base_node import SAMPLES_QOS, STATE_QOS
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import DriveStop, ModalPoint, RunState
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 
 
 class Stranger(Node):  # type: ignore[misc]

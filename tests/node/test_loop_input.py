@@ -14,7 +14,7 @@ from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.bundle import read_bundle
 from nmt_core.wire import BlockReader
 from nmt_msgs import msg
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 
 pytestmark = pytest.mark.node
 

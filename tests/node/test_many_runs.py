@@ -15,8 +15,8 @@ from nmt_core.vocabulary import ResultCode
 from nmt_core.wire import MODAL_POINT
 from nmt_extract.offline import extract_bag
 from nmt_msgs.action import RunLevels
-from nmt_record.bag_reader import Bag
-from nmt_record.run_recorder import free_path
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.bag.run_recorder import free_path
 
 
 def send(bench: Bench, **goal: Any) -> Any:

@@ -26,7 +26,7 @@ from nmt_extract.modal_point import Status
 from nmt_msgs.msg import Drive, Frequency, Level, LockEvent
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 from nmt_msgs.srv import Steer
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 
 
 def stranger(bench: Bench) -> Node:

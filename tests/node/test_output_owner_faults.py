@@ -22,7 +22,7 @@ from nmt_bench.harness import Bench, Progress
 from nmt_core.output_record import OutputLine, output_sentence, read_output
 from nmt_core.vocabulary import ResultCode
 from nmt_plant.guarded_device import LEAST_LEAD
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 
 RATE, BLOCK = 10_000.0, 200
 LEAD = 60  # blocks; a busy machine may be late by more than a second without a fault

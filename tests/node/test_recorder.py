@@ -30,7 +30,7 @@ from nmt_core.wire import BlockReader, BlockWriter
 from nmt_msgs.msg import Drive, LockEvent, ModalPoint, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 from nmt_record import Bag
-from nmt_record.recorder_node import RecorderNode
+from nmt_record.bag.recorder_node import RecorderNode
 
 pytestmark = [
     pytest.mark.node,
@@ -220,7 +220,7 @@ def end_while_driven(stage, recorder):
 
 
 def test_the_ramp_of_a_plant_that_is_gone_is_not_waited_for(stage, monkeypatch):
-    monkeypatch.setattr("nmt_record.recorder_node._LONGEST_RAMP", 1000.0)
+    monkeypatch.setattr("nmt_record.bag.recorder_node._LONGEST_RAMP", 1000.0)
     recorder = stage.start(settle_time=0.0)
     end_while_driven(stage, recorder)
     stage.until(lambda: recorder.core.end_sample == 19)
@@ -231,7 +231,7 @@ def test_the_ramp_of_a_plant_that_is_gone_is_not_waited_for(stage, monkeypatch):
 
 
 def test_a_drive_that_never_comes_to_rest_does_not_keep_the_bag_open(stage, monkeypatch):
-    monkeypatch.setattr("nmt_record.recorder_node._LONGEST_RAMP", 0.2)
+    monkeypatch.setattr("nmt_record.bag.recorder_node._LONGEST_RAMP", 0.2)
     recorder = stage.start(settle_time=0.0)
     end_while_driven(stage, recorder)
     stage.until(lambda: recorder.state == "closed")
@@ -318,7 +318,7 @@ def end_with_a_lock(stage, recorder):
 
 
 def test_a_source_that_goes_on_does_not_keep_the_bag_open(stage, monkeypatch):
-    monkeypatch.setattr("nmt_record.recorder_node._LONGEST_END", 1000.0)
+    monkeypatch.setattr("nmt_record.bag.recorder_node._LONGEST_END", 1000.0)
     recorder = stage.start()
     first = end_with_a_lock(stage, recorder)
     stage.rig.modal_point.publish(ModalPoint())
@@ -330,7 +330,7 @@ def test_a_source_that_goes_on_does_not_keep_the_bag_open(stage, monkeypatch):
 
 def test_a_late_modal_point_is_in_the_bag(stage, monkeypatch):
     """Many times the silence that ends a run passes before it comes."""
-    monkeypatch.setattr("nmt_record.recorder_node._LONGEST_END", 1000.0)
+    monkeypatch.setattr("nmt_record.bag.recorder_node._LONGEST_END", 1000.0)
     recorder = stage.start(settle_time=0.01)
     first = end_with_a_lock(stage, recorder)
     end = time.monotonic() + 0.5
@@ -342,7 +342,7 @@ def test_a_late_modal_point_is_in_the_bag(stage, monkeypatch):
 
 
 def test_a_modal_point_that_never_comes_does_not_keep_the_bag_open(stage, monkeypatch):
-    monkeypatch.setattr("nmt_record.recorder_node._LONGEST_END", 0.5)
+    monkeypatch.setattr("nmt_record.bag.recorder_node._LONGEST_END", 0.5)
     recorder = stage.start()
     first = end_with_a_lock(stage, recorder)
     go_on_until(stage, lambda: recorder.state == "closed", first)
@@ -383,7 +383,7 @@ def look_at(recorder, count=5):
 def test_in_lockstep_a_bag_waits_for_its_backlog_however_long_that_takes(stage, monkeypatch):
     recorder = lockstep_run(stage)
     now = [time.monotonic()]
-    monkeypatch.setattr("nmt_record.recorder_node.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("nmt_record.bag.recorder_node.time.monotonic", lambda: now[0])
     now[0] += 0.9 * HANG_LIMIT
     look_at(recorder)
     assert recorder.state == "open"
@@ -400,7 +400,7 @@ def test_in_lockstep_a_bag_without_its_plant_says_what_it_lacks(stage, monkeypat
     recorder = lockstep_run(stage)
     monkeypatch.setattr(type(recorder), "_plant_is_there", property(lambda _: False))
     now = [time.monotonic() + 0.2]
-    monkeypatch.setattr("nmt_record.recorder_node.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("nmt_record.bag.recorder_node.time.monotonic", lambda: now[0])
     look_at(recorder)
     assert recorder.state == "closed"
     bag = Bag.open(stage.path)
@@ -520,7 +520,7 @@ def test_the_executable_under_signals(stage, number, whole):
             *(
                 sys.executable,
                 "-c",
-                "import sys; from nmt_record.recorder_node import main; sys.exit(main())",
+                "import sys; from nmt_record.bag.recorder_node import main; sys.exit(main())",
             ),
             *("--ros-args", "-p", f"output:={stage.path}"),
         ],

@@ -23,7 +23,7 @@ from nmt_core.base_node import STATE_QOS
 from nmt_core.records import DriveStop
 from nmt_core.vocabulary import BlockFlag, LoopState, OutputState, ResultCode, StopCause
 from nmt_core.wire import DRIVE_STOP
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 
 QUALITIES = {
     "latched": STATE_QOS,

@@ -20,7 +20,7 @@ from nmt_core.liveness import HUNG
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_msgs.action import RunLevels
 from nmt_pll.pll_node import PllNode
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 from nmt_session import plan_test
 from nmt_session.node_plan import NODES, plan_nodes
 

@@ -10,7 +10,7 @@ import pytest
 from nmt_core.blocks import rounded
 from nmt_core.errors import BenchError
 from nmt_extract.offline import extract_bag
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test
 

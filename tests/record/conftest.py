@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmt_record.bag_writer import BagWriter
-from nmt_record.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK
-from nmt_record.message_definitions import DefinitionStore, local_definitions
+from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK
+from nmt_record.bag.message_definitions import DefinitionStore, local_definitions
 
 RUN_JSON = '{"run_id": "run-7", "linear": {"source": "model"}, "extraction": {"harmonics": 5}}'
 RIG_YAML = "name: beam\n"

@@ -17,8 +17,8 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_record import Bag, BagWriter
-from nmt_record.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK
-from nmt_record.mcap_file import McapFile
+from nmt_record.bag.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK
+from nmt_record.bag.mcap_file import McapFile
 
 SHARE = Path(__file__).parents[2] / "ros2_ws" / "install" / "nmt_msgs" / "share" / "nmt_msgs" / "msg"
 
@@ -184,7 +184,7 @@ def test_reception_times_never_go_back(tmp_path, make_block, monkeypatch):
     writer.add_topic("force", SAMPLE_BLOCK)
     clock = iter([5_000, 4_000, 6_000])
     now = time.time_ns() + 10**9
-    monkeypatch.setattr("nmt_record.bag_writer.time.time_ns", lambda: now + next(clock))
+    monkeypatch.setattr("nmt_record.bag.bag_writer.time.time_ns", lambda: now + next(clock))
     for index in range(3):
         writer.write("force", make_block(20 * index))
     monkeypatch.undo()

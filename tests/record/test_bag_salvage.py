@@ -14,9 +14,9 @@ from rosbags.rosbag2 import Reader
 
 from nmt_core.errors import BenchError
 from nmt_record import Bag, BagWriter
-from nmt_record.bag_writer import COMPRESSIONS
-from nmt_record.bench_topics import SAMPLE_BLOCK
-from nmt_record.mcap_file import McapFile
+from nmt_record.bag.bag_writer import COMPRESSIONS
+from nmt_record.bag.bench_topics import SAMPLE_BLOCK
+from nmt_record.bag.mcap_file import McapFile
 
 BLOCKS, PER_CHUNK, SAMPLES = 30, 3, 20
 

@@ -20,8 +20,8 @@ from rosbags.rosbag2 import Reader
 
 from nmt_core.errors import BenchError
 from nmt_record import Bag, BagWriter
-from nmt_record.bag_writer import open_unbuffered
-from nmt_record.bench_topics import SAMPLE_BLOCK
+from nmt_record.bag.bag_writer import open_unbuffered
+from nmt_record.bag.bench_topics import SAMPLE_BLOCK
 
 SETTINGS = settings(
     max_examples=25,

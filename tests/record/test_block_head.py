@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from nmt_core.cdr import read_stamp
 from nmt_core.wire import BlockReader
-from nmt_record.bench_topics import SAMPLE_BLOCK
+from nmt_record.bag.bench_topics import SAMPLE_BLOCK
 
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
 SETTINGS = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

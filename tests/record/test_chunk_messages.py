@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from nmt_record.chunk_messages import ChunkMessages
+from nmt_record.bag.chunk_messages import ChunkMessages
 
 
 def file_of(compression: CompressionType, together: bool) -> bytes:

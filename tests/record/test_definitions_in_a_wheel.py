@@ -17,7 +17,7 @@ else:
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
-from nmt_record.message_definitions import local_definitions
+from nmt_record.bag.message_definitions import local_definitions
 print(local_definitions().definition("nmt_msgs/msg/SampleBlock").text)
 """
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nmt_record.gap_counter import GapCounter
+from nmt_record.bag.gap_counter import GapCounter
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=40), st.integers(0, 1000))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmt_record.bag_reader import Bag
-from nmt_record.segments import read_stretches
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.windows.segments import read_stretches
 from nmt_session import Session, plan_test
 
 

@@ -10,9 +10,9 @@ from scipy.io import savemat
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_record.imported_run import ImportedRun, read_import
-from nmt_record.sidecar_template import sidecar_templates
-from nmt_record.unit_table import channel_factor
+from nmt_record.exchange.imported_run import ImportedRun, read_import
+from nmt_record.exchange.sidecar_template import sidecar_templates
+from nmt_record.exchange.unit_table import channel_factor
 
 T = np.arange(400) / 1000.0
 X = np.exp(-5.0 * T) * np.sin(2.0 * np.pi * 20.0 * T)

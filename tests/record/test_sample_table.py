@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.vocabulary import LoopState, TestKind
-from nmt_record.sample_table import SampleTable
-from nmt_record.topic_blocks import ExcitationPhase, TopicBlocks, TopicStretch, phase_reference
-from nmt_record.window_policy import POLICIES, Consequence, NamedWindow, WindowFault, WindowFinding, judge
+from nmt_record.windows.sample_table import SampleTable
+from nmt_record.windows.topic_blocks import ExcitationPhase, TopicBlocks, TopicStretch, phase_reference
+from nmt_record.windows.window_policy import POLICIES, Consequence, NamedWindow, WindowFault, WindowFinding, judge
 
 BLOCK = 50
 TOPICS = ("force", "displacement")

@@ -12,11 +12,11 @@ from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
 from nmt_core.wire import BlockWriter, LoopStatus, write_status
-from nmt_record.bag_reader import Bag
-from nmt_record.bag_writer import BagWriter
-from nmt_record.bench_topics import SAMPLE_BLOCK
-from nmt_record.message_definitions import DefinitionStore, MessageDefinition
-from nmt_record.segments import read_signals, segments
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bench_topics import SAMPLE_BLOCK
+from nmt_record.bag.message_definitions import DefinitionStore, MessageDefinition
+from nmt_record.windows.segments import read_signals, segments
 
 RATE, BLOCK = 1000.0, 100
 LOCK = "nmt_msgs/msg/LockEvent"

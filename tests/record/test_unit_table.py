@@ -9,7 +9,7 @@ from scipy import constants
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_record.unit_table import factor_to_si, other_factor
+from nmt_record.exchange.unit_table import factor_to_si, other_factor
 
 _PREFIXES = {
     "M": constants.mega, "k": constants.kilo, "": 1.0, "c": constants.centi, "m": constants.milli,

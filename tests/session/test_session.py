@@ -28,7 +28,7 @@ from nmt_extract.offline import extract_bag
 from nmt_plant.device import DeviceFault
 from nmt_plant.oscillator import OscillatorBlock
 from nmt_plant.simulated_rig import SimulatedRig
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import load_rig
 from nmt_sequencer.run_core import PARAMETERS as SEQUENCER
 from nmt_sequencer.run_core import RunCore

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nmt_core.vocabulary import ResultCode
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test

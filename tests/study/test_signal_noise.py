@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 from nmt_study.signal_noise import window_signal_to_noise
 
 RATE, HZ, BLOCK = 5000.0, 20.0, 500

@@ -28,5 +28,5 @@ setup(
     maintainer_email="nmt@example.org",
     description="rosbag2 writer and reader of the bench; recorder node",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["recorder = nmt_record.recorder_node:main"]},
+    entry_points={"console_scripts": ["recorder = nmt_record.bag.recorder_node:main"]},
 )

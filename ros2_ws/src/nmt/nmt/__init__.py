@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from nmt_extract.linear_evaluation import evaluate_linear_test as linear
     from nmt_extract.offline import extract_bag as extract
     from nmt_extract.synthesised_responses import synthesise
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
     from nmt_report.figure_files import write_figures
     from nmt_rig.reference import compute_reference as reference
     from nmt_rig.rig import load_rig
 
 _HOMES = {
-    "Bag": "nmt_record.bag_reader",
+    "Bag": "nmt_record.bag.bag_reader",
     "BenchError": "nmt_core.errors",
     "DiagnosisResult": "nmt.results",
     "FrequencyResponses": "nmt.results",

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from nmt_extract.swept_response import FrequencyResponseTable
-    from nmt_record.frf_table import FrequencyResponseRecord
+    from nmt_record.exchange.frf_table import FrequencyResponseRecord
     from nmt_rig.reference import PointShapes
 
 
@@ -328,7 +328,7 @@ class LinearResult(Results):
         Raises:
             BenchError: damaged.
         """
-        from nmt_record.frf_table import read_frf_table
+        from nmt_record.exchange.frf_table import read_frf_table
 
         document = read_json(folder / "linear.json", "linear test")
         description = LinearDescription.from_mapping(document)

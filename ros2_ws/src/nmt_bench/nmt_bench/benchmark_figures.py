@@ -218,7 +218,7 @@ def bag_figures(seconds: float) -> list[Figure]:
     from rosbags.highlevel import AnyReader
 
     from nmt_extract.offline import extract_opened_bag
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
     from nmt_rig.rig import load_rig
 
     rig = load_rig("beam", [_SHORT])
@@ -277,7 +277,7 @@ def _bag_size(rig: Any) -> float:
 def level_figures(_: float) -> list[Figure]:
     """Very many levels: the report and its growth, and extraction beside a bare rosbags read."""
     from nmt_extract.offline import extract_opened_bag
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
     from nmt_report.run_report import report_data_from_bag, report_html
     from nmt_rig.rig import load_rig
 
@@ -311,7 +311,7 @@ def level_figures(_: float) -> list[Figure]:
 
 def _recorded(folder: Path, rig: Any, levels: Any, periods: int) -> Any:
     """A run recorded without live extraction, opened."""
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
 
     with Session(plan_test(rig, list(levels), window_periods=periods), folder, extract=False) as session:
         session.run()
@@ -424,8 +424,8 @@ def _read_bare(reader: Any, topics: list[str]) -> None:
 
 def _copy_time(bag: Any, destination: Path) -> float:
     """Process time of the recorder's writer for all messages of a bag, s."""
-    from nmt_record.bag_writer import BagWriter
-    from nmt_record.bench_topics import BENCH_TOPICS
+    from nmt_record.bag.bag_writer import BagWriter
+    from nmt_record.bag.bench_topics import BENCH_TOPICS
 
     messages = list(bag.raw_messages())
     writer = BagWriter(destination, records=False)

@@ -64,7 +64,7 @@ from nmt_core.wire import MODAL_POINT, RUN_STATE, read_diagnostics
 from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import RunState
 from nmt_msgs.srv import Steer
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import Rig
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session.node_plan import NODES, NodePlan, plan_nodes

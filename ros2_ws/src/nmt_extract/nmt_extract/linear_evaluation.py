@@ -13,8 +13,8 @@ from nmt_core.vocabulary import TestKind
 from nmt_core.work_progress import tell
 from nmt_extract.linear_file import Linearity, linear_mapping, linearity
 from nmt_extract.linear_test import LinearTest, LinearTestSettings, linear_test
-from nmt_record.bag_reader import Bag
-from nmt_record.segments import Segment, read_signals, segments
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.windows.segments import Segment, read_signals, segments
 
 DEFAULT_BAND_HZ = (10.0, 2000.0)
 """Band to look for modes in where neither the caller nor the recording says one, Hz."""

@@ -19,7 +19,7 @@ from nmt_extract.frf import AveragedSpectra, FrfEstimate, averaged_spectra, frf_
 from nmt_extract.linear_residuals import Residuals, fit_residuals, modal_receptance
 from nmt_extract.rational_fit import MOST_LINES, RationalFit, StructureMode, fit_rational, structure_mode
 from nmt_extract.stabilisation import OrderPoles, StablePole, order_poles, stable_poles
-from nmt_record.segments import Signals
+from nmt_record.windows.segments import Signals
 
 _POWERS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 
@@ -200,7 +200,7 @@ def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
     """Evaluate a record of random excitation.
 
     Args:
-        signals: the record, see :func:`nmt_record.segments.read_signals`.
+        signals: the record, see :func:`nmt_record.windows.segments.read_signals`.
         settings: what to look for.
 
     Raises:

@@ -56,7 +56,7 @@ def extract_bag(
     """Extract all modal points of a bag, streaming.
 
     Args:
-        path: bag, see :meth:`nmt_record.bag_reader.Bag.open`.
+        path: bag, see :meth:`nmt_record.bag.bag_reader.Bag.open`.
         linear: takes the place of the linear description in the bag's start record.
         settings: takes the place of the settings there.
 
@@ -66,7 +66,7 @@ def extract_bag(
     Raises:
         BenchError: no such bag, or it lacks lock events, samples or the linear description.
     """
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
 
     return extract_opened_bag(Bag.open(path), linear, settings)
 
@@ -120,7 +120,7 @@ def _linear_of(run: dict[str, Any], bag: Any) -> LinearDescription:
 
 
 def _settings_of(run: dict[str, Any], bag: Any) -> ExtractionSettings:
-    from nmt_record.segments import analysed_topics
+    from nmt_record.windows.segments import analysed_topics
 
     values = run.get("extraction") or {}
     if not isinstance(values, dict):

@@ -38,7 +38,7 @@ from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 
 if TYPE_CHECKING:
-    from nmt_record.segments import Signals
+    from nmt_record.windows.segments import Signals
 
 _ORDERS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 _ITERATIONS = 8

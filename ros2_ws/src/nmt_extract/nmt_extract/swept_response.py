@@ -40,7 +40,7 @@ from nmt_extract.harmonics import (
 from nmt_extract.uncertainty import sub_window_count
 
 if TYPE_CHECKING:
-    from nmt_record.segments import Signals
+    from nmt_record.windows.segments import Signals
 
 _BLACKMAN_HARRIS = (0.35875, -0.48829, 0.14128, -0.01168)
 _LEAST_PERIODS = 10.0

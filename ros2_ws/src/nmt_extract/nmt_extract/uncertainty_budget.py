@@ -29,7 +29,7 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.whole_file import write_whole
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.student import two_sided_quantile
-from nmt_record.channel_tolerances import Tolerances
+from nmt_record.exchange.channel_tolerances import Tolerances
 
 FORMAT = "nmt uncertainty budget 1"
 COVERAGE = 0.95

@@ -1,7 +1,7 @@
 """From blocks and lock events to whole windows, or to the reason why a window cannot be used.
 
 What comes out depends on the content of the streams alone, not on the order in which different streams
-arrive: live and offline evaluation see the same windows. The rule is that of :mod:`nmt_record.window_policy`.
+arrive: live and offline evaluation see the same windows. The rule is that of :mod:`nmt_record.windows.window_policy`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy as np
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.records import LockEvent
-from nmt_record.sample_table import HISTORY_SAMPLES, PATIENCE_SAMPLES, CutWindow, SampleTable
-from nmt_record.topic_blocks import ExcitationPhase, phase_reference
-from nmt_record.window_policy import MINIMUM_PERIODS, NamedWindow
+from nmt_record.windows.sample_table import HISTORY_SAMPLES, PATIENCE_SAMPLES, CutWindow, SampleTable
+from nmt_record.windows.topic_blocks import ExcitationPhase, phase_reference
+from nmt_record.windows.window_policy import MINIMUM_PERIODS, NamedWindow
 
 
 class Channel(NamedTuple):

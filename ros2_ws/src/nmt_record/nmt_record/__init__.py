@@ -2,7 +2,7 @@
 
 Public names, each loaded when it is asked for: :class:`Bag` reads, :class:`BagWriter` writes, :func:`export_run` hands
 a recording to other tools. Data measured elsewhere become a bag with :func:`nmt_bench.import_data`, which knows rig
-files too. The node is in :mod:`nmt_record.recorder_node`.
+files too. The node is in :mod:`nmt_record.bag.recorder_node`.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 from nmt_core.public_names import loaded
 
 if TYPE_CHECKING:
-    from nmt_record.bag_reader import Bag
-    from nmt_record.bag_writer import BagWriter
-    from nmt_record.exported_run import ExportedRun, export_run
-    from nmt_record.segments import read_signals
+    from nmt_record.bag.bag_reader import Bag
+    from nmt_record.bag.bag_writer import BagWriter
+    from nmt_record.exchange.exported_run import ExportedRun, export_run
+    from nmt_record.windows.segments import read_signals
 
 _HOMES = {
-    "Bag": "nmt_record.bag_reader",
-    "BagWriter": "nmt_record.bag_writer",
-    "ExportedRun": "nmt_record.exported_run",
-    "export_run": "nmt_record.exported_run",
-    "read_signals": "nmt_record.segments",
+    "Bag": "nmt_record.bag.bag_reader",
+    "BagWriter": "nmt_record.bag.bag_writer",
+    "ExportedRun": "nmt_record.exchange.exported_run",
+    "export_run": "nmt_record.exchange.exported_run",
+    "read_signals": "nmt_record.windows.segments",
 }
 __all__ = [
     "Bag",

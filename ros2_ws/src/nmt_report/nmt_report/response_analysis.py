@@ -13,10 +13,10 @@ from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
 from nmt_extract.swept_response import FrequencyResponseTable, stepped_point, stepped_table, sweep_table
-from nmt_record.segments import Segment, read_signals, segments
+from nmt_record.windows.segments import Segment, read_signals, segments
 
 if TYPE_CHECKING:
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
     from nmt_rig.rig import Rig
 
 

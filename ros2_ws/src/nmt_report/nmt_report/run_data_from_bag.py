@@ -29,8 +29,8 @@ from nmt_report.shown_levels import MOST_PANELS, spread_evenly
 
 if TYPE_CHECKING:
     from nmt_extract.modal_point import ModalPoint
-    from nmt_record.bag_reader import Bag
-    from nmt_record.segments import Signals
+    from nmt_record.bag.bag_reader import Bag
+    from nmt_record.windows.segments import Signals
 
 STRETCHES = 1200
 EXCERPT_PERIODS = 3.0
@@ -44,7 +44,7 @@ def report_data_from_bag(
     """Read what a report shows.
 
     Args:
-        path: a bag, as ``nmt_record.bag_reader.Bag.open`` takes it, or one that is open.
+        path: a bag, as ``nmt_record.bag.bag_reader.Bag.open`` takes it, or one that is open.
         points: modal points to show; None = those recorded in the bag.
         reference: computed backbone to compare with.
 
@@ -55,7 +55,7 @@ def report_data_from_bag(
         BenchError: the path is not a readable bag.
     """
     from nmt_core.wire import MODAL_POINT
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
 
     bag = path if isinstance(path, Bag) else Bag.open(path)
     run = bag.run_start or {}
@@ -198,8 +198,8 @@ def _signals(
 
     The samples are read once. Of many windows only those are cut out that a page shows.
     """
-    from nmt_record.bench_topics import SAMPLE_BLOCK
-    from nmt_record.segments import read_stretches
+    from nmt_record.bag.bench_topics import SAMPLE_BLOCK
+    from nmt_record.windows.segments import read_stretches
 
     present = [topic for topic in _SYMBOLS if bag.topics.get(topic, ("", 0))[1]]
     for topic in present:

@@ -38,7 +38,7 @@ def level_timings(bag: Path, sample_rate: float, block_samples: int) -> dict[int
     Raises:
         BenchError: the bag cannot be read.
     """
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
 
     opened = Bag.open(bag)
     states = [read_status(raw) for _, _, _, raw in opened.raw_messages(["frequency"])]
@@ -97,7 +97,7 @@ def loop_history(bag: Path, entries: int) -> dict[str, list[Any]]:
         ``time_s`` (bench time), ``omega_rad_s`` (None where the drive is off) and ``state`` (as in
         ``nmt_msgs/Frequency``).
     """
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
 
     opened = Bag.open(bag)
     states = [read_status(raw) for _, _, _, raw in opened.raw_messages(["frequency"])]

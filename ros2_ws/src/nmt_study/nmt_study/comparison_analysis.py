@@ -18,8 +18,8 @@ from nmt_extract.constant_amplitude import SolvedPoints, fit_at_amplitudes, half
 from nmt_extract.modal_point import Status
 from nmt_extract.ring_down import Decay, average_decays, ring_down
 from nmt_extract.swept_response import FrequencyResponseTable, stepped_point, stepped_table, sweep_table
-from nmt_record.bag_reader import Bag
-from nmt_record.segments import Segment, Signals, read_signals, segments
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.windows.segments import Segment, Signals, read_signals, segments
 from nmt_rig.linear_description import linear_description
 from nmt_study.case import StudyCase
 from nmt_study.case_reference import case_rig

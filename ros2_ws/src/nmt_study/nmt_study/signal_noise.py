@@ -26,7 +26,7 @@ def window_signal_to_noise(bag: Path, point: int, harmonics: int, periods: int =
     Raises:
         BenchError: the bag cannot be read.
     """
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
 
     opened = Bag.open(bag)
     found: dict[str, dict[str, float]] = {}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
-from nmt_record.export_formats import FORMATS
+from nmt_record.exchange.export_formats import FORMATS
 
 if TYPE_CHECKING:
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.work_display import WorkDisplay
-    from nmt_record.exported_run import export_run
+    from nmt_record.exchange.exported_run import export_run
 
     console = make_console()
     with WorkDisplay(console, ("exporting",)), OutputFolder(arguments.out, arguments.force) as folder:

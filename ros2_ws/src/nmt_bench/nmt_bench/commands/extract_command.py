@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from nmt_extract.extraction_settings import ExtractionSettings
     from nmt_extract.modal_point import ModalPoint
     from nmt_extract.uncertainty_budget import MethodError
-    from nmt_record.bag_reader import Bag
-    from nmt_record.calibration_file import CalibrationSheet
+    from nmt_record.bag.bag_reader import Bag
+    from nmt_record.exchange.calibration_file import CalibrationSheet
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     from nmt_bench.commands.work_display import WorkDisplay
     from nmt_extract.modal_table import write_results
     from nmt_extract.offline import extract_opened_bag
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
     from nmt_report.run_data import read_reference
 
     sheet = None if arguments.calibration is None else _calibration(arguments.calibration)
@@ -132,7 +132,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _calibration(path: Path) -> CalibrationSheet:
-    from nmt_record.calibration_file import read_calibration
+    from nmt_record.exchange.calibration_file import read_calibration
 
     return read_calibration(path)
 

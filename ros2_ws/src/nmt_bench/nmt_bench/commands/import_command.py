@@ -13,7 +13,7 @@ from nmt_core.errors import BenchError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from nmt_record.imported_run import ImportedRun
+    from nmt_record.exchange.imported_run import ImportedRun
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.init is not None:
         return _init(arguments.init, arguments.force)
     check_output(arguments.out, arguments.force)
-    from nmt_record.sidecar_template import no_sidecar
+    from nmt_record.exchange.sidecar_template import no_sidecar
 
     if not arguments.sidecar.exists() or arguments.sidecar.suffix.lower() in _DATA:
         raise no_sidecar(arguments.sidecar)
@@ -95,7 +95,7 @@ def _init(data: Path, force: bool) -> int:
         BenchError: the data cannot be read, or there is a sidecar already.
     """
     from nmt_core.whole_file import write_whole
-    from nmt_record.sidecar_template import sidecar_templates
+    from nmt_record.exchange.sidecar_template import sidecar_templates
 
     texts = sidecar_templates(data)
     stems = [data.stem] if len(texts) == 1 else [f"{data.stem}-{number + 1}" for number in range(len(texts))]
@@ -119,7 +119,7 @@ def _channel_table(imported: ImportedRun) -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from nmt_record.unit_table import si_unit
+    from nmt_record.exchange.unit_table import si_unit
 
     seconds = imported.samples / imported.sample_rate
     table = Table(

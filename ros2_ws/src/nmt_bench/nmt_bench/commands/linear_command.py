@@ -15,7 +15,7 @@ from nmt_core.whole_file import write_whole
 
 if TYPE_CHECKING:
     from nmt_extract.linear_evaluation import LinearTestResult
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
     from nmt_rig.rig import Rig
     from nmt_session.run_result import RunResult
 
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = make_console()
     if arguments.bag is not None:
-        from nmt_record.bag_reader import Bag
+        from nmt_record.bag.bag_reader import Bag
 
         bag = Bag.open(arguments.bag)
         with WorkDisplay(console, _STEPS, arguments.quiet) as display:
@@ -123,7 +123,7 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
     from nmt_bench.harness import Bench
     from nmt_bench.orchestration.interrupts import terminate_as_interrupt
     from nmt_core.vocabulary import ResultCode
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
     from nmt_rig.rig import load_rig
     from nmt_sequencer.level_plan import parse_levels
 

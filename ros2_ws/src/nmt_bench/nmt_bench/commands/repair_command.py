@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.work_display import WorkDisplay
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
 
     console = make_console()
     with WorkDisplay(console, ("opening the bag",)), OutputFolder(arguments.out, arguments.force) as folder:

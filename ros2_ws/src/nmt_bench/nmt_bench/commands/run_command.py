@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from nmt_bench.harness import Bench
-    from nmt_record.calibration_file import CalibrationSheet
+    from nmt_record.exchange.calibration_file import CalibrationSheet
     from nmt_report.run_data import ReferenceCurve
     from nmt_session.run_result import RunResult
 
@@ -135,7 +135,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from nmt_bench.commands.linear_input import check_fits, read_linear
     from nmt_bench.commands.work_display import WorkDisplay
     from nmt_bench.harness import Bench
-    from nmt_record.calibration_file import read_calibration
+    from nmt_record.exchange.calibration_file import read_calibration
 
     linear = read_linear(arguments.linear) if arguments.linear is not None else None
     sheet = None if arguments.calibration is None else read_calibration(arguments.calibration)
@@ -315,7 +315,7 @@ def _write_budget(
     from nmt_extract.bag_budget import bag_budget
     from nmt_extract.extraction_settings import ExtractionSettings
     from nmt_extract.uncertainty_budget import write_budget
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
 
     good = [point for point in result.points if point.status is PointStatus.OK]
     if not good or result.bag is None or not result.bag.exists():

@@ -184,7 +184,7 @@ def _finish(
     from nmt_core.vocabulary import ResultCode
     from nmt_core.whole_file import write_whole
     from nmt_extract.response_table import write_response_csv
-    from nmt_record.bag_reader import Bag
+    from nmt_record.bag.bag_reader import Bag
     from nmt_report.quantity_format import duration
     from nmt_report.response_analysis import held_force, responses_of_bag
 

@@ -50,8 +50,8 @@ PREPARED = (
     "nmt_pll.loop_core",
     "nmt_sequencer.run_core",
     "nmt_sequencer.steering",
-    "nmt_record.message_definitions",
-    "nmt_record.run_recorder",
+    "nmt_record.bag.message_definitions",
+    "nmt_record.bag.run_recorder",
     "nmt_extract.extraction_core",
     "nmt_msgs.action",
     "nmt_msgs.msg",
@@ -115,8 +115,8 @@ def _load_type_supports() -> None:
 
 def _read_definitions() -> None:
     """Definitions of messages, which the recorder writes into bags."""
-    from nmt_record.bench_topics import BENCH_TOPICS
-    from nmt_record.message_definitions import local_definitions
+    from nmt_record.bag.bench_topics import BENCH_TOPICS
+    from nmt_record.bag.message_definitions import local_definitions
 
     for topic in BENCH_TOPICS:
         local_definitions().definition(topic.message_type)

@@ -7,7 +7,7 @@ import resource
 from pathlib import Path
 
 from nmt_core.errors import BenchError
-from nmt_record.run_recorder import why_unwritable
+from nmt_record.bag.run_recorder import why_unwritable
 
 LEAST_FILES = 128
 """Open files that a process of the bench needs."""

@@ -15,7 +15,7 @@ from nmt_bench.page.server import Player
 from nmt_core.blocks import SAMPLE_TOPICS, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.hardened import yaml_value
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 _STEP = 0.02  # s of wall time

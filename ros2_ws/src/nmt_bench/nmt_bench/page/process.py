@@ -19,7 +19,7 @@ from nmt_bench.page.server import PageServer
 from nmt_bench.page.task_view import TaskView
 from nmt_core.errors import BenchError
 from nmt_core.hardened import yaml_value
-from nmt_record.bag_reader import Bag
+from nmt_record.bag.bag_reader import Bag
 
 _RETRY = 1.0  # s
 _LARGEST_BAG = 500_000_000  # bytes that are read again to catch up with a run

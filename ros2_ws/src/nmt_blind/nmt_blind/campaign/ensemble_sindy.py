@@ -19,8 +19,8 @@ from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
 from nmt_extract.harmonics import segment_moments, solve_moments
-from nmt_record.bag_reader import Bag
-from nmt_record.segments import Signals, read_stretches, segments
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.windows.segments import Signals, read_stretches, segments
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.model.local_elements import Jenkins
 from nmt_rig.rig import Rig, load_rig

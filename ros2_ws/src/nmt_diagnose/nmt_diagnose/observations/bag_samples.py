@@ -10,9 +10,9 @@ import numpy as np
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.conditions import MeasuredChannel
-from nmt_record.bag_reader import Bag
-from nmt_record.segments import Segment, Signals, needed_topics, read_stretches
-from nmt_record.window_policy import POLICIES, Consequence
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.windows.segments import Segment, Signals, needed_topics, read_stretches
+from nmt_record.windows.window_policy import POLICIES, Consequence
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class SampleStretch:
 def read_windows(bag: Bag, windows: Sequence[Segment]) -> list[SampleStretch | None]:
     """Samples of what can be used of several windows, in one pass.
 
-    Which windows can be used, and how far, is said by :func:`nmt_record.segments.segments`; here the channels follow.
+    Which windows can be used, and how far, says :func:`nmt_record.windows.segments.segments`; here the channels follow.
 
     Args:
         bag: an opened bag.

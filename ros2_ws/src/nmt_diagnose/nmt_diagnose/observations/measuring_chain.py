@@ -14,8 +14,8 @@ from typing import Any
 
 from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.conditions import MeasuredChannel
-from nmt_record.calibration_file import CalibrationSheet
-from nmt_record.channel_tolerances import (
+from nmt_record.exchange.calibration_file import CalibrationSheet
+from nmt_record.exchange.channel_tolerances import (
     CLOCK_STD,
     DELAY_STD_S,
     GAIN_STD,

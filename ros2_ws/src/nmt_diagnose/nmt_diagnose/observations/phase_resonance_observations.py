@@ -34,7 +34,7 @@ from nmt_extract.harmonics import (
 )
 from nmt_extract.sine_fit import fit_frequency
 from nmt_extract.uncertainty import sub_window_count
-from nmt_record.segments import Segment
+from nmt_record.windows.segments import Segment
 
 VELOCITY_LEAD = {Quantity.DISPLACEMENT: 0.5 * math.pi, Quantity.VELOCITY: 0.0, Quantity.ACCELERATION: -0.5 * math.pi}
 _RESPONSES = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)

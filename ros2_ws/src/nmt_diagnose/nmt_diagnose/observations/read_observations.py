@@ -32,9 +32,9 @@ from nmt_diagnose.observations.shared_scatter import with_shared_scatter
 from nmt_diagnose.observations.stepped_sine_observations import is_response, stepped_sine_observations
 from nmt_diagnose.observations.stepped_table_observations import measured_together
 from nmt_diagnose.observations.table_observations import table_observations
-from nmt_record.bag_reader import Bag
-from nmt_record.observables import observable_tables
-from nmt_record.segments import Segment, segments
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.exchange.observables import observable_tables
+from nmt_record.windows.segments import Segment, segments
 from nmt_rig.rig import Rig
 
 _LOCKED = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE)

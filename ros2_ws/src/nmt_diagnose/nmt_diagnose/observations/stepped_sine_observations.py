@@ -18,7 +18,7 @@ from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.phase_resonance_observations import LockedWindow, analyse_window
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
 from nmt_diagnose.observations.stepped_table_observations import jumps_of
-from nmt_record.segments import Segment
+from nmt_record.windows.segments import Segment
 
 FEWEST_LINES = 5
 """Windows of one level and direction from which they are a frequency response."""

@@ -17,8 +17,8 @@ from nmt_diagnose.observations.neighbour_cubics import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
-from nmt_record.observables import ObservableTable
-from nmt_record.unit_table import REFERENCE_UNITS, quantity_of_unit
+from nmt_record.exchange.observables import ObservableTable
+from nmt_record.exchange.unit_table import REFERENCE_UNITS, quantity_of_unit
 from nmt_rig.rig import ShakingTableSection
 
 # Relative noise of a table that neither states any nor has lines enough to show it.

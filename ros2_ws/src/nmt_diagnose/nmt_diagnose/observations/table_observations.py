@@ -18,7 +18,7 @@ from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
 from nmt_diagnose.observations.stepped_table_observations import has_levels, spread_lines, stepped_table_observations
-from nmt_record.observables import ObservableTable
+from nmt_record.exchange.observables import ObservableTable
 from nmt_rig.rig import Rig
 
 _WRONG_FREQUENCY = 1.6

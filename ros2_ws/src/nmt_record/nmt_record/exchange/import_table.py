@@ -16,8 +16,8 @@ from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.hardened import LARGEST_TABLE, open_regular, read_arrays
 from nmt_core.mat_file import MAT5, is_hdf5, read_mat
-from nmt_record import uff
-from nmt_record.unit_table import plain_unit, quantity_of_unit
+from nmt_record.exchange import uff
+from nmt_record.exchange.unit_table import plain_unit, quantity_of_unit
 
 LARGEST_DATA = 2**29  # bytes of a file of columns
 _MOST_COLUMNS = 64  # of one matrix

@@ -17,7 +17,7 @@ from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.validation_sentence import validation_sentence
 from nmt_core.yaml_document import YamlDocument, read_document
-from nmt_record.unit_table import measured_quantity
+from nmt_record.exchange.unit_table import measured_quantity
 
 Positive = Annotated[float, Field(gt=0)]
 Span = Annotated[list[float], Field(min_length=2, max_length=2)]

@@ -23,10 +23,10 @@ from nmt_core.records import RunRecord
 from nmt_core.vocabulary import RecordKind
 from nmt_core.wire import RUN_RECORD as RUN_RECORD_CODEC
 from nmt_core.yaml_text import yaml_text
-from nmt_record.bag_keys import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY
-from nmt_record.bench_topics import RUN_RECORD, Service, bench_name, qos_profile
-from nmt_record.chunk_messages import ChunkMessages
-from nmt_record.message_definitions import MessageDefinition, local_definitions
+from nmt_record.bag.bag_keys import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY
+from nmt_record.bag.bench_topics import RUN_RECORD, Service, bench_name, qos_profile
+from nmt_record.bag.chunk_messages import ChunkMessages
+from nmt_record.bag.message_definitions import MessageDefinition, local_definitions
 
 COMPRESSIONS = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
 

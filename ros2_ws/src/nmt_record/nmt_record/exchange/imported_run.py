@@ -20,18 +20,18 @@ from nmt_core.records import LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
 from nmt_core.wire import LEVEL, LOCK_EVENT, BlockWriter, write_status
 from nmt_core.yaml_document import YamlDocument
-from nmt_record.bag_writer import BagWriter
-from nmt_record.bench_topics import BENCH_TOPICS
-from nmt_record.frf_checks import ShapeSign, check_responses
-from nmt_record.import_checks import ImportedChannel, check_columns, check_names, check_physics
-from nmt_record.import_clock import Clock, find_clock
-from nmt_record.import_continuity import STEADY_KINDS, doubled_blocks, phase_jump
-from nmt_record.import_sidecar import Sidecar, SignalSection, TableSection, check_sidecar, read_sidecar
-from nmt_record.import_table import SourceTable, read_table
-from nmt_record.message_definitions import local_definitions
-from nmt_record.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, ObservableTable, read_observables
-from nmt_record.side_tables import BlockRow, read_block_table, read_loop_table
-from nmt_record.unit_table import channel_factor
+from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bench_topics import BENCH_TOPICS
+from nmt_record.bag.message_definitions import local_definitions
+from nmt_record.exchange.frf_checks import ShapeSign, check_responses
+from nmt_record.exchange.import_checks import ImportedChannel, check_columns, check_names, check_physics
+from nmt_record.exchange.import_clock import Clock, find_clock
+from nmt_record.exchange.import_continuity import STEADY_KINDS, doubled_blocks, phase_jump
+from nmt_record.exchange.import_sidecar import Sidecar, SignalSection, TableSection, check_sidecar, read_sidecar
+from nmt_record.exchange.import_table import SourceTable, read_table
+from nmt_record.exchange.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, ObservableTable, read_observables
+from nmt_record.exchange.side_tables import BlockRow, read_block_table, read_loop_table
+from nmt_record.exchange.unit_table import channel_factor
 
 _BLOCK_SECONDS, _LEAST_BLOCK = 0.02, 200  # s, samples: each block costs a message, however slow the clock is
 

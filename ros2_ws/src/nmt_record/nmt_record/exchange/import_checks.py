@@ -13,9 +13,9 @@ from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_record.import_sidecar import ChannelSection, SignalSection
-from nmt_record.import_table import SourceTable, split_name
-from nmt_record.unit_table import coordinate_of_unit, plain_unit, quantity_of_unit
+from nmt_record.exchange.import_sidecar import ChannelSection, SignalSection
+from nmt_record.exchange.import_table import SourceTable, split_name
+from nmt_record.exchange.unit_table import coordinate_of_unit, plain_unit, quantity_of_unit
 
 _WORDS = (
     (Quantity.FORCE, r"force|kraft|load|loadcell"),

@@ -20,12 +20,12 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.vocabulary import LEVEL_UNITS, ControlKind, TestKind
 from nmt_core.whole_file import write_whole
 from nmt_core.wire import BlockReader, LoopStatus, read_status
-from nmt_record import uff
-from nmt_record.bag_reader import Bag
-from nmt_record.export_formats import FORMATS
-from nmt_record.frf_table import read_frf_table
-from nmt_record.segments import Segment, Signals, read_signals, sample_topics, segments
-from nmt_record.side_tables import BlockRow, write_block_table, write_loop_table
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.exchange import uff
+from nmt_record.exchange.export_formats import FORMATS
+from nmt_record.exchange.frf_table import read_frf_table
+from nmt_record.exchange.side_tables import BlockRow, write_block_table, write_loop_table
+from nmt_record.windows.segments import Segment, Signals, read_signals, sample_topics, segments
 
 LATERAL = 3
 """Direction of every channel with a point: +z."""
@@ -168,7 +168,7 @@ def export_run(
         source: a bag, or a folder of results; its ``frf.csv`` is exported too (``uff`` only), and its ``linear.json``
             where the bag holds no linear modes.
         folder: exists.
-        form: one of :data:`nmt_record.export_formats.FORMATS`.
+        form: one of :data:`nmt_record.exchange.export_formats.FORMATS`.
         ascii_uff: UFF in ASCII (13 digits) instead of 58b (all bits).
         only: numbers of the segments (levels) to export, from 1, each into a folder ``segment-N``; none = the
             whole recording.
@@ -221,7 +221,7 @@ def export_bag(
     Args:
         bag: the bag.
         folder: exists.
-        form: one of :data:`nmt_record.export_formats.FORMATS`.
+        form: one of :data:`nmt_record.exchange.export_formats.FORMATS`.
         extent: the stretch.
         ascii_uff: UFF in ASCII (13 digits) instead of 58b (all bits).
         rig: text of the rig file; empty = none.

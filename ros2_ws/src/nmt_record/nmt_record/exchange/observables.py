@@ -16,11 +16,11 @@ from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.hardened import json_value
-from nmt_record import uff
-from nmt_record.bag_reader import Bag
-from nmt_record.import_sidecar import TableSection
-from nmt_record.import_table import SourceTable, kind_of, read_table, split_name
-from nmt_record.unit_table import (
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.exchange import uff
+from nmt_record.exchange.import_sidecar import TableSection
+from nmt_record.exchange.import_table import SourceTable, kind_of, read_table, split_name
+from nmt_record.exchange.unit_table import (
     REFERENCE_UNITS,
     factor_to_si,
     other_factor,

@@ -12,7 +12,7 @@ import numpy as np
 
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
-from nmt_record.window_policy import FLAG_FAULTS, PHASE_JUMP_CYCLES, AnyBlock, WindowFault, WindowFinding
+from nmt_record.windows.window_policy import FLAG_FAULTS, PHASE_JUMP_CYCLES, AnyBlock, WindowFault, WindowFinding
 
 # A source that goes on from below this share of the samples reached has been started anew; above, its clock is wrong.
 _NEW_ACQUISITION = 0.5

@@ -12,11 +12,11 @@ import numpy as np
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_record import uff
-from nmt_record.import_checks import hinted_quantity, looks_like_counts
-from nmt_record.import_clock import bare_name, is_clock
-from nmt_record.import_table import SourceTable, kind_of, read_table
-from nmt_record.unit_table import coordinate_of_unit, measured_quantity, plain_unit, quantity_of_unit
+from nmt_record.exchange import uff
+from nmt_record.exchange.import_checks import hinted_quantity, looks_like_counts
+from nmt_record.exchange.import_clock import bare_name, is_clock
+from nmt_record.exchange.import_table import SourceTable, kind_of, read_table
+from nmt_record.exchange.unit_table import coordinate_of_unit, measured_quantity, plain_unit, quantity_of_unit
 
 _FREQUENCY = re.compile(r"(f|fr?eq(uency)?)(_?hz)?|hz|hertz", re.I)
 # In this order: a damping ratio is no magnitude.

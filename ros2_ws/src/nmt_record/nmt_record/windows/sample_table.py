@@ -2,7 +2,7 @@
 
 One code for streams as they come (with bounded memory) and for recordings: what is made of a window depends on the
 content of the streams alone, not on the order in which different streams arrive. The rule is in
-:mod:`nmt_record.window_policy`.
+:mod:`nmt_record.windows.window_policy`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from nmt_core.vocabulary import LoopState
-from nmt_record.topic_blocks import ExcitationPhase, TopicBlocks, TopicStretch, phase_reference
-from nmt_record.window_policy import (
+from nmt_record.windows.topic_blocks import ExcitationPhase, TopicBlocks, TopicStretch, phase_reference
+from nmt_record.windows.window_policy import (
     MINIMUM_PERIODS,
     STATE_NAMES,
     AnyBlock,

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.hardened import yaml_value
-from nmt_record.run_device import SIMULATED_RIG
+from nmt_record.exchange.run_device import SIMULATED_RIG
 
 if TYPE_CHECKING:
-    from nmt_record.calibration_file import CalibrationSheet
+    from nmt_record.exchange.calibration_file import CalibrationSheet
 
 GAIN_STD = 0.01
 PHASE_STD_DEG = 0.2

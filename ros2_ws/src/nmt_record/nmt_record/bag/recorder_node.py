@@ -18,10 +18,10 @@ from nmt_core.errors import BenchError
 from nmt_core.liveness import HANG_LIMIT
 from nmt_core.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, RECORDED_TOPIC, BagState, RunAnnouncement
 from nmt_msgs.msg import Bundle
-from nmt_record.bag_writer import BagWriter
-from nmt_record.bench_topics import Service, parse_topic
-from nmt_record.message_definitions import local_definitions
-from nmt_record.run_recorder import PARAMETERS, RunRecorder, described_run, free_path, why_unwritable
+from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bench_topics import Service, parse_topic
+from nmt_record.bag.message_definitions import local_definitions
+from nmt_record.bag.run_recorder import PARAMETERS, RunRecorder, described_run, free_path, why_unwritable
 
 _QOS = {
     Service.SAMPLES: SAMPLES_QOS,

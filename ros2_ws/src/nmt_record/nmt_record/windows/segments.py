@@ -16,11 +16,11 @@ from nmt_core.errors import BenchError
 from nmt_core.records import LockEvent
 from nmt_core.vocabulary import TestKind
 from nmt_core.wire import LOCK_EVENT, BlockHead, BlockReader, read_status
-from nmt_record.bag_reader import Bag
-from nmt_record.bench_topics import SAMPLE_BLOCK
-from nmt_record.sample_table import SampleTable, window_findings
-from nmt_record.topic_blocks import BlockRecord, ExcitationPhase, TopicStretch, phase_reference
-from nmt_record.window_policy import MINIMUM_PERIODS, NamedWindow, WindowFault, WindowFinding, WindowVerdict
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.bag.bench_topics import SAMPLE_BLOCK
+from nmt_record.windows.sample_table import SampleTable, window_findings
+from nmt_record.windows.topic_blocks import BlockRecord, ExcitationPhase, TopicStretch, phase_reference
+from nmt_record.windows.window_policy import MINIMUM_PERIODS, NamedWindow, WindowFault, WindowFinding, WindowVerdict
 
 _ANALYSED = ("force", "displacement", "velocity", "acceleration")
 

@@ -23,10 +23,10 @@ from nmt_core.records import LockEvent
 from nmt_core.vocabulary import RecordKind
 from nmt_core.wire import LOCK_EVENT, RUN_RECORD, BlockHead, BlockReader
 from nmt_core.work_progress import counted
-from nmt_record.bag_keys import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY
-from nmt_record.bench_topics import SAMPLE_BLOCK, bench_name
-from nmt_record.mcap_file import LostStretch, McapChannel, McapFile, check_magic
-from nmt_record.message_definitions import MessageDefinition, typestore_of
+from nmt_record.bag.bag_keys import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY
+from nmt_record.bag.bench_topics import SAMPLE_BLOCK, bench_name
+from nmt_record.bag.mcap_file import LostStretch, McapChannel, McapFile, check_magic
+from nmt_record.bag.message_definitions import MessageDefinition, typestore_of
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _ENCODINGS = {"MSG": "ros2msg", "IDL": "ros2idl"}  # by the name of the format in rosbags
@@ -303,7 +303,7 @@ class Bag:
         Raises:
             BenchError: the folder exists, the disk is full, or this bag cannot be read.
         """
-        from nmt_record.bag_writer import BagWriter  # late: whoever only reads starts faster
+        from nmt_record.bag.bag_writer import BagWriter  # late: whoever only reads starts faster
 
         destination = Path(destination)
         writer = BagWriter(

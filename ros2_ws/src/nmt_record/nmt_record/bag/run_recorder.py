@@ -18,10 +18,10 @@ from nmt_core.parameters import Parameter
 from nmt_core.run_announcement import RunAnnouncement
 from nmt_core.vocabulary import ResultCode, RunPhase, StopCause
 from nmt_core.wire import DRIVE_STOP, RUN_STATE, BlockReader
-from nmt_record.bag_writer import COMPRESSIONS, BagWriter, parse_run
-from nmt_record.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, parse_topic
-from nmt_record.gap_counter import GapCounter
-from nmt_record.message_definitions import local_definitions
+from nmt_record.bag.bag_writer import COMPRESSIONS, BagWriter, parse_run
+from nmt_record.bag.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, parse_topic
+from nmt_record.bag.gap_counter import GapCounter
+from nmt_record.bag.message_definitions import local_definitions
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter(
@@ -147,7 +147,7 @@ class RunRecorder:
 
     @property
     def lacks_s(self) -> float:
-        """Bench time that the bag lacks, s; see :meth:`nmt_record.gap_counter.GapCounter.lacking`."""
+        """Bench time that the bag lacks, s; see :meth:`nmt_record.bag.gap_counter.GapCounter.lacking`."""
         return self.gaps.lacking(self.end_sample)
 
     @property

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_record.import_sidecar import Sidecar
-from nmt_record.import_table import SourceTable, split_name
-from nmt_record.unit_table import other_factor, plain_unit, quantity_of_unit
+from nmt_record.exchange.import_sidecar import Sidecar
+from nmt_record.exchange.import_table import SourceTable, split_name
+from nmt_record.exchange.unit_table import other_factor, plain_unit, quantity_of_unit
 
 _TIME_NAME = re.compile(r"(time|t|zeit|timestamp|seconds)(\.?\d+)?([_ ].*)?$", re.I)
 # Steps may scatter by this share (rounded or jittering time stamps); above it they are another clock's.

@@ -149,7 +149,7 @@ def _find_definition(message_type: str) -> Path:
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     candidates = [prefix / "share" / package / "msg" / f"{name}.msg" for prefix in prefixes]
     here = Path(__file__).resolve()
-    folders = (here.parents[2], here.with_name("definitions"))  # the source tree; a wheel
+    folders = (here.parents[3], here.parents[1] / "definitions")  # the source tree; a wheel
     candidates += [folder / package / "msg" / f"{name}.msg" for folder in folders]
     for candidate in candidates:
         if candidate.is_file():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from hypothesis import strategies as st
 from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import BASE, bench_time_ns
 from nmt_core.errors import BenchError
+from nmt_core.message_files import message_fields
 from nmt_core.modal_point import COMPLEX, ModalPoint
 from nmt_core.records import (
     DriveCommand,
@@ -83,16 +83,9 @@ WRITE.update(Drive=lambda drive: write_drive(drive, RATE), Frequency=lambda stat
 READ = {**{name: codec.read for name, codec in CODECS.items()}, "Drive": read_drive, "Frequency": read_status}
 
 
-def message_fields(name: str) -> list[tuple[str, str]]:
+def fields_of(name: str) -> dict[str, str]:
     """Name and type of the fields in a message file, in order."""
-    lines = (MESSAGES / f"{name}.msg").read_text(encoding="utf-8").splitlines()
-    found = [re.match(r"([A-Za-z0-9_/]+(?:\[\])?) +([a-z][a-z0-9_]*) *(?:#|$)", line) for line in lines]
-    return [(match[2], match[1]) for match in found if match]
-
-
-@pytest.mark.parametrize("name", sorted(CODECS))
-def test_tables_of_fields_are_those_of_the_message_files(name):
-    assert list(CODECS[name].fields) == message_fields(name)
+    return dict(message_fields((MESSAGES / f"{name}.msg").read_text(encoding="utf-8")))
 
 
 @pytest.mark.parametrize(
@@ -117,7 +110,7 @@ def test_tables_of_fields_are_those_of_the_message_files(name):
 )
 def test_records_have_the_fields_of_their_message(name, record, elsewhere):
     names = {item.name for item in fields(record)} if is_dataclass(record) else set(record._fields)
-    in_message = {field for field, _ in message_fields(name)}
+    in_message = set(fields_of(name))
     assert elsewhere <= in_message
     assert in_message - elsewhere == names - {"time_ns", "oscillator", "drive_point", *COMPLEX}
 
@@ -132,7 +125,7 @@ def rosbags_bytes(name: str, values: dict[str, Any]) -> bytes:
     store.definition(kind)
     types = store.typestore.types
     plain = {}
-    for field, kind_of_field in message_fields(name):
+    for field, kind_of_field in fields_of(name).items():
         value = values[field]
         if field == "stamp":
             value = types["builtin_interfaces/msg/Time"](*divmod(value, 10**9))

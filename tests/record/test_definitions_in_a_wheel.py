@@ -17,8 +17,9 @@ else:
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
+from nmt_core.wire import LEVEL
 from nmt_record.bag.message_definitions import local_definitions
-print(local_definitions().definition("nmt_msgs/msg/SampleBlock").text)
+print(local_definitions().definition("nmt_msgs/msg/SampleBlock").text, LEVEL.fields)
 """
 
 
@@ -36,5 +37,6 @@ def test_definition_is_found_beside_the_module(tmp_path: Path, complete: bool) -
     answer = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, env=environment)
     if complete:
         assert "first_sample" in answer.stdout, answer.stderr
+        assert "apply_at_sample" in answer.stdout
     else:
         assert "is not on this machine" in answer.stderr

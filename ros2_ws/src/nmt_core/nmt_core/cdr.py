@@ -1,4 +1,4 @@
-"""Serialised messages by a table of their fields: XCDR version 1, little endian, as Fast DDS and every bag have it.
+"""Serialised messages by the fields in their files: XCDR version 1, little endian, as Fast DDS and every bag have it.
 
 Every primitive is aligned to its own size, counted from the end of the four-byte encapsulation header; texts and
 sequences begin with a count, texts end with a zero byte. What stands behind the last field means nothing: rclpy leaves
@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+
+from nmt_core.message_files import find_message_file, message_fields
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 BASE = len(ENCAPSULATION)
@@ -75,23 +76,42 @@ def check_encapsulation(raw: bytes) -> None:
         raise ValueError("the message is not little-endian XCDR1")
 
 
-@dataclass(frozen=True)
 class MessageCodec(Generic[Record]):
-    """Bytes of one type of message, to and from its record.
+    """Bytes of one type of message of the bench, to and from its record. A stamp is a time in ns, ``time_ns``.
+
+    Args:
+        name: of the message; the fields are those of ``nmt_msgs/msg/<name>.msg``.
+        record: its type; attributes are named as the fields.
+        kinds: what the record has in place of the number or array of a field.
+        make: makes a record of the values by field, where they are not the record's own.
+        otherwise: values of the fields that the record has in another form.
+        later: first of the fields that older recordings lack; they are read as zero. Empty = there are none.
 
     Attributes:
-        name: of the message, ``nmt_msgs/<name>``.
-        fields: name and type of each field in the order of the message file. A stamp is a time in ns.
-        to_values: field values of a record, by name.
-        to_record: record of field values.
-        later: first of the fields that older recordings lack; they are read as zero. Empty = there are none.
+        name: of the message.
+        fields: name and type of each field in order.
     """
 
-    name: str
-    fields: tuple[tuple[str, str], ...]
-    to_values: Callable[[Record], Mapping[str, Any]]
-    to_record: Callable[[dict[str, Any]], Record]
-    later: str = ""
+    def __init__(
+        self,
+        name: str,
+        record: type[Record],
+        kinds: Mapping[str, Callable[[Any], Any]] | None = None,
+        *,
+        make: Callable[[dict[str, Any]], Record] | None = None,
+        otherwise: Callable[[Record], Mapping[str, Any]] | None = None,
+        later: str = "",
+    ) -> None:
+        self.name = name
+        self.fields = message_fields(find_message_file(f"nmt_msgs/msg/{name}").read_text(encoding="utf-8"))
+        self._stretches = _stretches(self.fields)
+        self._kinds = tuple((kinds or {}).items())
+        self._record: Callable[..., Record] = record
+        self._make = make
+        self._otherwise = otherwise
+        attributes = ((field, "time_ns" if field == "stamp" else field) for field, _ in self.fields)
+        self._plain = tuple(pair for pair in attributes if pair[1] in record.__annotations__)
+        self._later = later
 
     def write(self, record: Record) -> bytes:
         """The serialised message.
@@ -99,20 +119,30 @@ class MessageCodec(Generic[Record]):
         Raises:
             ValueError: a value that its field cannot hold.
         """
-        values = self.to_values(record)
+        values = {field: getattr(record, attribute) for field, attribute in self._plain}
+        if self._otherwise is not None:
+            values.update(self._otherwise(record))
+        return self.pack(values)
+
+    def pack(self, values: Mapping[str, Any]) -> bytes:
+        """The serialised message of field values by name.
+
+        Raises:
+            ValueError: as :meth:`write`.
+        """
         buffer = bytearray(ENCAPSULATION)
         try:
-            for names, kinds in _stretches(self.fields):
+            for names, kinds in self._stretches:
                 if kinds[0] in _NUMBERS:
                     layout = _layout(kinds, (len(buffer) - BASE) % 8)
                     buffer += layout.pack(*[values[name] for name in names])
                 else:
                     _append(buffer, kinds[0], values[names[0]])
         except (struct.error, OverflowError, TypeError):
-            return self._write_each(values)  # says which field it is
+            return self._pack_each(values)  # says which field it is
         return bytes(buffer)
 
-    def _write_each(self, values: Mapping[str, Any]) -> bytes:
+    def _pack_each(self, values: Mapping[str, Any]) -> bytes:
         buffer = bytearray(ENCAPSULATION)
         for name, kind in self.fields:
             try:
@@ -128,7 +158,12 @@ class MessageCodec(Generic[Record]):
             ValueError: the bytes are not a whole message, or a number stands for nothing known.
             BenchError: no such kind of test.
         """
-        return self.to_record(self.values(raw))
+        values = self.values(raw)
+        if "stamp" in values:
+            values["time_ns"] = values.pop("stamp")
+        for name, kind in self._kinds:
+            values[name] = kind(values[name])
+        return self._record(**values) if self._make is None else self._make(values)
 
     def values(self, raw: bytes) -> dict[str, Any]:
         """Field values of a serialised message by name, as plain numbers, texts, tuples and arrays.
@@ -140,7 +175,7 @@ class MessageCodec(Generic[Record]):
         values: dict[str, Any] = {}
         position = BASE
         try:
-            for names, kinds in _stretches(self.fields):
+            for names, kinds in self._stretches:
                 if kinds[0] in _NUMBERS:
                     layout = _layout(kinds, (position - BASE) % 8)
                     values.update(zip(names, layout.unpack_from(raw, position), strict=True))
@@ -157,7 +192,7 @@ class MessageCodec(Generic[Record]):
         old = False
         try:
             for name, kind in self.fields:
-                old = old or (name == self.later and position >= len(raw))
+                old = old or (name == self._later and position >= len(raw))
                 if old:
                     values[name] = _ZEROS[kind]
                 else:
@@ -167,7 +202,6 @@ class MessageCodec(Generic[Record]):
         return values
 
 
-@lru_cache(maxsize=64)
 def _stretches(fields: tuple[tuple[str, str], ...]) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]:
     """Names and types of the fields: numbers that follow each other together, everything else by itself."""
     stretches: list[tuple[list[str], list[str]]] = []

@@ -5,8 +5,8 @@ nested field of every message; these codecs go from the bench's own types to the
 endian, as Fast DDS and every bag have it) and back in a few microseconds. What others publish is read as well, and
 what is published here is the ordinary message: tests compare byte for byte with rclpy.
 
-Samples, drive commands and loop states, of which each block needs one, have codecs written out by hand; the others are
-tables of their fields.
+Samples, drive commands and loop states, of which each block needs one, have codecs written out by hand; those of the
+others follow from the message files.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.blocks import OscillatorPhase, SampleBlock
 from nmt_core.cdr import (
     BASE,
     COUNT,
     ENCAPSULATION,
     STAMP,
-    TIME,
     MessageCodec,
     aligned,
     bench_stamp,
@@ -35,7 +35,7 @@ from nmt_core.cdr import (
     string_bytes,
 )
 from nmt_core.errors import BenchError
-from nmt_core.modal_point import COMPLEX, MEASURED, ModalPoint
+from nmt_core.modal_point import COMPLEX, ModalPoint
 from nmt_core.records import (
     DriveCommand,
     DriveStop,
@@ -304,7 +304,11 @@ _DRIVE = struct.Struct("<4siIQQB7xdddIII4xdddd")
 def write_drive(drive: DriveCommand, sample_rate: float) -> bytes:
     """Serialise as ``nmt_msgs/Drive`` with the stamp of ``based_on_sample``."""
     if drive.harmonics:
-        return _HARMONIC_DRIVE.write((drive, sample_rate))
+        values = {**drive._asdict(), "stamp": bench_time_ns(drive.based_on_sample, sample_rate)}
+        values["harmonics"] = [order for order, _ in drive.harmonics]
+        values["harmonics_real"] = [value.real for _, value in drive.harmonics]
+        values["harmonics_imag"] = [value.imag for _, value in drive.harmonics]
+        return _HARMONIC_DRIVE.pack(values)
     return _DRIVE.pack(
         ENCAPSULATION,
         *bench_stamp(drive.based_on_sample, sample_rate),
@@ -336,7 +340,7 @@ def read_drive(raw: bytes) -> DriveCommand:
         raise ValueError("the message is not a whole Drive")
     values = _DRIVE.unpack_from(raw)
     if values[9] or values[10] or values[11]:
-        return _HARMONIC_DRIVE.read(raw)[0]
+        return _HARMONIC_DRIVE.read(raw)
     waveform = _WAVEFORMS.get(values[5])
     if waveform is None:
         raise _unknown_waveform(values[5])
@@ -350,54 +354,19 @@ def _unknown_waveform(value: int) -> BenchError:
     return BenchError(f"drive command: waveform {value} is unknown; use OFF, SINE, RANDOM or SWEEP.")
 
 
-def _drive_values(stamped: tuple[DriveCommand, float]) -> dict[str, Any]:
-    drive, sample_rate = stamped
-    values = drive._asdict()
-    harmonics = values.pop("harmonics")
-    return {
-        **values,
-        "stamp": bench_time_ns(drive.based_on_sample, sample_rate),
-        "harmonics": [order for order, _ in harmonics],
-        "harmonics_real": [value.real for _, value in harmonics],
-        "harmonics_imag": [value.imag for _, value in harmonics],
-    }
-
-
-def _drive_record(values: dict[str, Any]) -> tuple[DriveCommand, float]:
-    values.pop("stamp")
+def _drive_record(values: dict[str, Any]) -> DriveCommand:
     real, imag, orders = values.pop("harmonics_real"), values.pop("harmonics_imag"), values["harmonics"]
     if not len(orders) == len(real) == len(imag):
         raise BenchError("drive command: harmonics, harmonics_real and harmonics_imag must have equal lengths.")
     if values["waveform"] not in _WAVEFORMS:
         raise _unknown_waveform(values["waveform"])
+    del values["time_ns"]
     values["waveform"] = _WAVEFORMS[values["waveform"]]
-    values["harmonics"] = tuple(
-        (order, complex(a, b)) for order, a, b in zip(orders, real.tolist(), imag.tolist(), strict=True)
-    )
-    return DriveCommand(**values), 0.0
+    values["harmonics"] = tuple(zip(orders, map(complex, real.tolist(), imag.tolist()), strict=True))
+    return DriveCommand(**values)
 
 
-_HARMONIC_DRIVE: MessageCodec[tuple[DriveCommand, float]] = MessageCodec(
-    "Drive",
-    (
-        ("stamp", TIME),
-        ("apply_at_sample", "uint64"),
-        ("based_on_sample", "uint64"),
-        ("waveform", "uint8"),
-        ("frequency_hz", "float64"),
-        ("amplitude", "float64"),
-        ("ramp", "float64"),
-        ("harmonics", "uint32[]"),
-        ("harmonics_real", "float64[]"),
-        ("harmonics_imag", "float64[]"),
-        ("band_low_hz", "float64"),
-        ("band_high_hz", "float64"),
-        ("rate_hz_s", "float64"),
-        ("frequency_end_hz", "float64"),
-    ),
-    _drive_values,
-    _drive_record,
-)
+_HARMONIC_DRIVE = MessageCodec("Drive", DriveCommand, make=_drive_record)
 
 
 _STATUS_HEAD = struct.Struct("<4siIQIIB7xdddd")
@@ -502,216 +471,59 @@ def read_diagnostics(raw: bytes) -> list[NodeStatus]:
     return statuses
 
 
-def _plain_values(names: tuple[tuple[str, str], ...]) -> Any:
-    """Field values of a record whose attributes are named as the fields, the stamp ``time_ns``."""
-    attributes = tuple((name, "time_ns" if name == "stamp" else name) for name, _ in names)
-    return lambda record: {name: getattr(record, attribute) for name, attribute in attributes}
+def _numbers(values: Any) -> tuple[float, ...]:
+    return tuple(values.tolist())
 
 
-_LEVEL_FIELDS = (
-    ("sequence", "uint32"),
-    ("index", "uint32"),
-    ("control", "uint8"),
-    ("amplitude", "float64"),
-    ("apply_at_sample", "uint64"),
-    ("ramp", "float64"),
-    ("frequency_hz", "float64"),
-    ("window_periods", "uint32"),
-    ("timeout", "float64"),
-    ("test", "uint8"),
-    ("band_low_hz", "float64"),
-    ("band_high_hz", "float64"),
-    ("rate_hz_s", "float64"),
-    ("frequency_end_hz", "float64"),
-    ("duration", "float64"),
-)
-LEVEL: MessageCodec[LevelCommand] = MessageCodec(
-    "Level",
-    _LEVEL_FIELDS,
-    _plain_values(_LEVEL_FIELDS),
-    lambda values: LevelCommand(**{**values, "test": TestKind.of(values["test"])}),
-    later="test",
-)
+LEVEL = MessageCodec("Level", LevelCommand, {"test": TestKind.of}, later="test")
 """``nmt_msgs/Level``."""
-
-_LOCK_FIELDS = (
-    ("stamp", TIME),
-    ("level_index", "uint32"),
-    ("level", "float64"),
-    ("level_unit", "string"),
-    ("sample", "uint64"),
-    ("frequency_hz", "float64"),
-    ("phase_error", "float64"),
-    ("window_first_sample", "uint64"),
-    ("window_samples", "uint64"),
-    ("window_periods", "uint32"),
-    ("test", "uint8"),
-)
-
-
-def _lock_record(values: dict[str, Any]) -> LockEvent:
-    return LockEvent(time_ns=values.pop("stamp"), test=TestKind.of(values.pop("test")), **values)
-
-
-LOCK_EVENT: MessageCodec[LockEvent] = MessageCodec(
-    "LockEvent", _LOCK_FIELDS, _plain_values(_LOCK_FIELDS), _lock_record, later="test"
-)
+LOCK_EVENT = MessageCodec("LockEvent", LockEvent, {"test": TestKind.of}, later="test")
 """``nmt_msgs/LockEvent``."""
-
-_STATE_FIELDS = (
-    ("stamp", TIME),
-    ("run_id", "string"),
-    ("phase", "uint8"),
-    ("level_index", "uint32"),
-    ("level_count", "uint32"),
-    ("level", "float64"),
-    ("progress", "float64"),
-    ("sample", "uint64"),
-    ("horizon_sample", "uint64"),
-    ("result_code", "uint8"),
-    ("reason", "string"),
-)
-
-
-def _state_record(values: dict[str, Any]) -> RunState:
-    phase, code = RunPhase(values.pop("phase")), ResultCode(values.pop("result_code"))
-    return RunState(time_ns=values.pop("stamp"), phase=phase, result_code=code, **values)
-
-
-RUN_STATE: MessageCodec[RunState] = MessageCodec("RunState", _STATE_FIELDS, _plain_values(_STATE_FIELDS), _state_record)
+RUN_STATE = MessageCodec("RunState", RunState, {"phase": RunPhase, "result_code": ResultCode})
 """``nmt_msgs/RunState``."""
-
-_STEERING_FIELDS = (
-    ("stamp", TIME),
-    ("sequence", "uint32"),
-    ("run_id", "string"),
-    ("act", "uint8"),
-    ("level_index", "uint32"),
-    ("sample", "uint64"),
-    ("apply_at_sample", "uint64"),
-    ("taken", "bool"),
-    ("source", "string"),
-    ("reason", "string"),
-    ("levels", "float64[]"),
-    ("frequencies_hz", "float64[]"),
-)
-
-
-def _steering_record(values: dict[str, Any]) -> Steering:
-    levels, frequencies = (tuple(values.pop(name).tolist()) for name in ("levels", "frequencies_hz"))
-    act = SteeringAct(values.pop("act"))
-    return Steering(time_ns=values.pop("stamp"), act=act, levels=levels, frequencies_hz=frequencies, **values)
-
-
-STEERING: MessageCodec[Steering] = MessageCodec(
-    "Steering", _STEERING_FIELDS, _plain_values(_STEERING_FIELDS), _steering_record
-)
+STEERING = MessageCodec("Steering", Steering, {"act": SteeringAct, "levels": _numbers, "frequencies_hz": _numbers})
 """``nmt_msgs/Steering``."""
-_STOP_FIELDS = (("stamp", TIME), ("sample", "uint64"), ("cause", "uint8"), ("output", "uint8"), ("reason", "string"))
-DRIVE_STOP: MessageCodec[DriveStop] = MessageCodec(
-    "DriveStop",
-    _STOP_FIELDS,
-    _plain_values(_STOP_FIELDS),
-    lambda values: DriveStop(
-        values["sample"],
-        StopCause(values["cause"]),
-        OutputState(values["output"]),
-        values["reason"],
-        values["stamp"],
-    ),
-)
+DRIVE_STOP = MessageCodec("DriveStop", DriveStop, {"cause": StopCause, "output": OutputState})
 """``nmt_msgs/DriveStop``."""
+RUN_RECORD = MessageCodec("RunRecord", RunRecord, {"kind": RecordKind})
+"""``nmt_msgs/RunRecord``."""
 
 _LEVEL_PAIRS = tuple(
     f"{quantity.topic}_{what}" for quantity in Quantity if quantity is not Quantity.UNKNOWN for what in ("peak", "rms")
 )
-_MONITOR_FIELDS = (
-    ("stamp", TIME),
-    ("last_sample", "uint64"),
-    ("frequency_hz", "float64"),
-    *((name, "float64") for name in _LEVEL_PAIRS),
-    ("channels", "string"),
-    ("peak", "float64[]"),
-    ("rms", "float64[]"),
-    ("flags", "uint8"),
-)
 
 
-def _monitor_values(levels: SignalLevels) -> dict[str, Any]:
-    pairs = [value for pair in levels.drive_point for value in pair]
-    return {
-        "stamp": levels.time_ns,
-        "last_sample": levels.last_sample,
-        "frequency_hz": levels.frequency_hz,
-        **dict(zip(_LEVEL_PAIRS, pairs, strict=True)),
-        "channels": levels.channels,
-        "peak": np.array(levels.peak),
-        "rms": np.array(levels.rms),
-        "flags": levels.flags,
-    }
+def _level_pairs(levels: SignalLevels) -> dict[str, float]:
+    return dict(zip(_LEVEL_PAIRS, chain.from_iterable(levels.drive_point), strict=True))
 
 
 def _monitor_record(values: dict[str, Any]) -> SignalLevels:
     pairs = [values.pop(name) for name in _LEVEL_PAIRS]
-    peak, rms = (tuple(values.pop(name).tolist()) for name in ("peak", "rms"))
-    drive_point = tuple(zip(pairs[::2], pairs[1::2], strict=True))
-    return SignalLevels(time_ns=values.pop("stamp"), drive_point=drive_point, peak=peak, rms=rms, **values)
+    return SignalLevels(drive_point=tuple(zip(pairs[::2], pairs[1::2], strict=True)), **values)
 
 
-MONITOR: MessageCodec[SignalLevels] = MessageCodec("Monitor", _MONITOR_FIELDS, _monitor_values, _monitor_record)
+MONITOR = MessageCodec(
+    "Monitor", SignalLevels, {"peak": _numbers, "rms": _numbers}, make=_monitor_record, otherwise=_level_pairs
+)
 """``nmt_msgs/Monitor``."""
 
-_RECORD_FIELDS = (("stamp", TIME), ("kind", "uint8"), ("run_json", "string"), ("rig_yaml", "string"))
-RUN_RECORD: MessageCodec[RunRecord] = MessageCodec(
-    "RunRecord",
-    _RECORD_FIELDS,
-    _plain_values(_RECORD_FIELDS),
-    lambda values: RunRecord(RecordKind(values["kind"]), values["run_json"], values["rig_yaml"], values["stamp"]),
-)
-"""``nmt_msgs/RunRecord``."""
 
-_POINT_FIELDS = (
-    ("stamp", TIME),
-    ("level_index", "uint32"),
-    ("status", "uint8"),
-    ("reason", "string"),
-    ("level", "float64"),
-    ("level_unit", "string"),
-    ("window_first_sample", "uint64"),
-    ("window_samples", "uint64"),
-    ("window_periods", "uint32"),
-    *((name + suffix, "float64") for name in MEASURED for suffix in ("", "_std")),
-    ("harmonics", "uint32"),
-    ("points", "uint32[]"),
-    *((name + part, "float64[]") for name in COMPLEX for part in ("_real", "_imag")),
-)
-_POINT_COMPLEX = tuple(name + part for name in COMPLEX for part in ("_real", "_imag"))
-
-
-def _point_values(point: ModalPoint) -> dict[str, Any]:
-    values = {name: getattr(point, name) for name, _ in _POINT_FIELDS if name not in ("stamp", *_POINT_COMPLEX)}
-    values["stamp"] = point.time_ns
-    for name in COMPLEX:
-        array = getattr(point, name).ravel()
-        values[f"{name}_real"], values[f"{name}_imag"] = array.real, array.imag
-    return values
+def _complex_parts(point: ModalPoint) -> dict[str, Any]:
+    arrays = {name: getattr(point, name).ravel() for name in COMPLEX}
+    return {f"{name}_{part}": getattr(array, part) for name, array in arrays.items() for part in ("real", "imag")}
 
 
 def _point_record(values: dict[str, Any]) -> ModalPoint:
-    arrays: dict[str, Any] = {
-        name: _complex(values.pop(f"{name}_real"), values.pop(f"{name}_imag")) for name in COMPLEX
-    }
-    shape = arrays["shape_harmonics"]
-    arrays["shape_harmonics"] = shape.reshape((values["harmonics"] + 1, -1) if shape.size else (0, 0))
-    status = PointStatus(values.pop("status"))
-    return ModalPoint(time_ns=values.pop("stamp"), status=status, **values, **arrays)
+    for name in COMPLEX:
+        real = values.pop(f"{name}_real")
+        values[name] = np.empty(real.shape, dtype=np.complex128)
+        values[name].real, values[name].imag = real, values.pop(f"{name}_imag")
+    shape = values["shape_harmonics"]
+    values["shape_harmonics"] = shape.reshape((values["harmonics"] + 1, -1) if shape.size else (0, 0))
+    return ModalPoint(**values)
 
 
-def _complex(real: Any, imag: Any) -> ComplexArray:
-    values = np.empty(real.shape, dtype=np.complex128)
-    values.real, values.imag = real, imag
-    return values
-
-
-MODAL_POINT: MessageCodec[ModalPoint] = MessageCodec("ModalPoint", _POINT_FIELDS, _point_values, _point_record)
+MODAL_POINT = MessageCodec(
+    "ModalPoint", ModalPoint, {"status": PointStatus}, make=_point_record, otherwise=_complex_parts
+)
 """``nmt_msgs/ModalPoint``."""

@@ -19,6 +19,7 @@ from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import MessageCodec, Record
 from nmt_core.errors import BenchError
 from nmt_core.hardened import json_value, open_regular, read_text, yaml_value
+from nmt_core.message_files import message_fields
 from nmt_core.records import LockEvent
 from nmt_core.vocabulary import RecordKind
 from nmt_core.wire import LOCK_EVENT, RUN_RECORD, BlockHead, BlockReader
@@ -393,7 +394,8 @@ class Bag:
             for channel, _ in self._source.channels()
             if bench_name(channel.topic) == "run_record"
         )
-        if kind == f"nmt_msgs/msg/{RUN_RECORD.name}" and _fields_in(definition) == RUN_RECORD.fields:
+        known = kind == f"nmt_msgs/msg/{RUN_RECORD.name}" and definition.encoding == "ros2msg"
+        if known and message_fields(definition.text) == RUN_RECORD.fields:
             yield from self.records("run_record", RUN_RECORD)
         else:
             for _, _, record in self.messages(["run_record"]):
@@ -645,15 +647,6 @@ def _information(text: str, name: str) -> dict[str, Any]:
 def _custom_of(information: dict[str, Any]) -> dict[str, str]:
     custom = information.get("custom_data")
     return {str(key): str(value) for key, value in custom.items()} if isinstance(custom, dict) else {}
-
-
-def _fields_in(definition: MessageDefinition) -> tuple[tuple[str, str], ...]:
-    """Name and type of each field of a message, without those of messages in it; empty if its text is no ros2msg."""
-    if definition.encoding != "ros2msg":
-        return ()
-    own = definition.text.partition("=" * 80)[0]
-    words = [line.partition("#")[0].split() for line in own.splitlines() if "=" not in line.partition("#")[0]]
-    return tuple((pair[1], pair[0]) for pair in words if len(pair) == 2)
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

@@ -1,19 +1,17 @@
 """Texts and hashes of message definitions, which make a bag readable where the message packages are absent.
 
-The texts of the bench's own messages are those of the installed package ``nmt_msgs`` (found by
-``AMENT_PREFIX_PATH``) or, without ROS, those of the source tree or the wheel. The common ones come with ``rosbags``,
+The texts of the bench's own messages are those of :mod:`nmt_core.message_files`. The common ones come with ``rosbags``,
 which is imported where it is used: the bench's own bags are read without it.
 """
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
+from nmt_core.message_files import find_message_file
 
 _SECTION = "=" * 80
 
@@ -72,7 +70,7 @@ class DefinitionStore:
     def _register(self, message_type: str) -> None:
         if message_type in self.typestore.fielddefs:
             return
-        path = _find_definition(message_type)
+        path = find_message_file(message_type)
         text = path.read_text(encoding="utf-8")
         from rosbags.typesys import get_types_from_msg
 
@@ -142,22 +140,6 @@ def _compiled_store(definitions: tuple[tuple[str, MessageDefinition], ...]) -> A
 def local_definitions() -> DefinitionStore:
     """The definitions of this machine, loaded once."""
     return DefinitionStore()
-
-
-def _find_definition(message_type: str) -> Path:
-    package, _, name = message_type.partition("/msg/")
-    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    candidates = [prefix / "share" / package / "msg" / f"{name}.msg" for prefix in prefixes]
-    here = Path(__file__).resolve()
-    folders = (here.parents[3], here.parents[1] / "definitions")  # the source tree; a wheel
-    candidates += [folder / package / "msg" / f"{name}.msg" for folder in folders]
-    for candidate in candidates:
-        if candidate.is_file():
-            return candidate
-    raise BenchError(
-        f"The definition of message type {message_type} is not on this machine; "
-        f"source the workspace that contains {package} or leave the topic out."
-    )
 
 
 def _contained_type(description: Any) -> str | None:

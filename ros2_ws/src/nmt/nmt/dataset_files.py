@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.errors import BenchError
+from nmt_core.whole_file import writing
 
 
 def write_dataset(data: Any, path: Path, ending: str = "") -> Path:
@@ -38,10 +39,8 @@ def write_dataset(data: Any, path: Path, ending: str = "") -> Path:
         raise BenchError(
             f"{path.name}: arrays are written as {', '.join(DATASET_ENDINGS)}; choose one of these endings."
         )
-    try:
+    with writing(path):
         write(data, path)
-    except OSError as error:
-        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
     return path
 
 

@@ -20,6 +20,7 @@ from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_json, read_text
 from nmt_core.linear_description import LinearDescription
+from nmt_core.whole_file import writing
 from nmt_extract.modal_point import COMPLEX, MEASURED, ModalPoint, Status
 from nmt_report.html_page import Column, Row, Table, part
 from nmt_report.quantity_format import significant, uncertain
@@ -109,10 +110,8 @@ class Results:
         target = Path(path)
         if target.suffix != ".csv":
             return write_dataset(self.to_xarray(), target)
-        try:
+        with writing(target):
             self.to_dataframe().to_csv(target, index=False)
-        except OSError as error:
-            raise BenchError(f"{target} cannot be written: {error.strerror or error}.") from error
         return target
 
     def figures(self, folder: Path | str, **options: Any) -> list[Any]:

@@ -6,6 +6,8 @@ measured by their headers before memory is taken for them.
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
 import os
@@ -83,6 +85,14 @@ def read_text(path: Path, what: str, largest: int = LARGEST_TABLE) -> str:
         raise BenchError(f"{path} is not a text file in UTF-8; give a {what}.") from error
     except OSError as error:
         raise BenchError(f"The {what} {path} cannot be read: {error.strerror or error}.") from error
+
+
+def read_rows(path: Path, what: str) -> list[list[str]]:
+    """Rows of a table whose cells commas separate; arguments and errors as :func:`read_text`, or it is no table."""
+    try:
+        return list(csv.reader(io.StringIO(read_text(path, what))))
+    except csv.Error as error:
+        raise BenchError(f"{path} cannot be read as a table: {error}.") from error
 
 
 class _Bounded(yaml.composer.Composer):

@@ -31,6 +31,16 @@ class Quantity(IntEnum):
         """Name of the topic that carries the quantity."""
         return _TOPICS[self]
 
+    @property
+    def letter(self) -> str:
+        """Letter that names of its channels begin with; none for ``UNKNOWN``."""
+        return "_fxvaui"[self].strip("_")
+
+
+QUANTITIES = {quantity.letter: quantity for quantity in Quantity if quantity is not Quantity.UNKNOWN}
+"""Quantities by the letter that names of their channels begin with."""
+MOTIONS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
+"""Motions, and how many times each is the displacement differentiated by time."""
 
 _TOPICS = {quantity: quantity.name.lower() for quantity in Quantity}
 _UNITS = {

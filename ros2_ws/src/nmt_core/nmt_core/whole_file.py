@@ -4,7 +4,24 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+from nmt_core.errors import BenchError
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Say which file cannot be written, and why.
+
+    Raises:
+        BenchError: in place of an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -20,6 +20,7 @@ from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
+from nmt_core.whole_file import writing
 
 _DISPLACEMENT = 8
 _STRUCTURAL, _THREE_TRANSLATIONS = 1, 2
@@ -111,12 +112,9 @@ def write_mode_uff(
             "nodes": np.array(nodes),
         },
     ]
-    try:
+    with writing(path), contextlib.redirect_stdout(io.StringIO()):  # pyuff prints what it does
         path.unlink(missing_ok=True)
-        with contextlib.redirect_stdout(io.StringIO()):  # pyuff prints what it does
-            pyuff.UFF(str(path)).write_sets([*geometry, *(dict(mode) for mode in modes)], "overwrite")
-    except OSError as error:
-        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
+        pyuff.UFF(str(path)).write_sets([*geometry, *(dict(mode) for mode in modes)], "overwrite")
 
 
 def _common(text: str, number: int, points: Sequence[int]) -> dict[str, Any]:

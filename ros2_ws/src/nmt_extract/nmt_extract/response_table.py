@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_text
+from nmt_core.hardened import read_rows
 from nmt_core.whole_file import write_whole
 from nmt_extract.swept_response import FrequencyResponseTable
 
@@ -60,10 +60,7 @@ def read_response_csv(path: Path | str) -> list[FrequencyResponseTable]:
     Raises:
         BenchError: not there, other columns, or a value that is no number.
     """
-    try:
-        rows = list(csv.reader(io.StringIO(read_text(Path(path), "table of responses"))))
-    except csv.Error as error:
-        raise BenchError(f"{path} cannot be read as a table: {error}.") from error
+    rows = read_rows(Path(path), "table of responses")
     fixed = len(FIXED_COLUMNS)
     names = rows[0][fixed:] if rows else []
     channels = tuple(name.removesuffix("_real") for name in names[::3])

@@ -36,11 +36,11 @@ from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_core.vocabulary import MOTIONS
 
 if TYPE_CHECKING:
     from nmt_record.windows.segments import Signals
 
-_ORDERS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 _ITERATIONS = 8
 
 
@@ -221,7 +221,7 @@ def decay_of(
     settings = settings or DecaySettings()
     if not np.all(np.isfinite(data)):
         raise BenchError("Samples are missing in the decay; record it again.")
-    if not frequency_hz > 0.0 or quantity not in _ORDERS:
+    if not frequency_hz > 0.0 or quantity not in MOTIONS:
         raise BenchError(
             "A ring-down needs the frequency at its start, and displacements, velocities or accelerations."
         )
@@ -252,7 +252,7 @@ def decay_of(
         if window is None:
             break
         fit, exponent, centre = window
-        row, relative = _modal_row(fit, inverse, drive, _ORDERS[quantity])
+        row, relative = _modal_row(fit, inverse, drive, MOTIONS[quantity])
         if not relative < settings.worst_damping or not exponent.real < 0.0:
             break
         rows.append((centre, *row))

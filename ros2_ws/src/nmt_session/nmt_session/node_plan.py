@@ -27,7 +27,7 @@ from nmt_plant.guarded_device import LEAST_LEAD
 from nmt_plant.hardware_rig import HARDWARE_LEAD
 from nmt_pll.loop_settings import settings_from
 from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
-from nmt_record.exchange.run_device import SIMULATED_RIG, converter_name
+from nmt_record.bag.bag_keys import SIMULATED_RIG, converter_name
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS, SPECIMEN
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import Rig

@@ -49,9 +49,9 @@ from nmt_plant.plant_core import PlantCore
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.loop_core import PARAMETERS as PLL_PARAMETERS
 from nmt_pll.loop_core import LoopCore
+from nmt_record.bag.bag_keys import SIMULATED_RIG
 from nmt_record.bag.run_recorder import PARAMETERS as RECORDER_PARAMETERS
 from nmt_record.bag.run_recorder import RunRecorder
-from nmt_record.exchange.run_device import SIMULATED_RIG
 from nmt_sequencer.run_core import PARAMETERS as SEQUENCER_PARAMETERS
 from nmt_sequencer.run_core import RunCore
 from nmt_sequencer.steering import SteeringRequest

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
-from nmt_record.exchange.export_formats import FORMATS
+from nmt_record.exchange import FORMATS
 
 if TYPE_CHECKING:
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]

@@ -94,7 +94,7 @@ def _init(data: Path, force: bool) -> int:
     Raises:
         BenchError: the data cannot be read, or there is a sidecar already.
     """
-    from nmt_core.whole_file import write_whole
+    from nmt_core.whole_file import write_whole, writing
     from nmt_record.exchange.sidecar_template import sidecar_templates
 
     texts = sidecar_templates(data)
@@ -104,10 +104,8 @@ def _init(data: Path, force: bool) -> int:
     if there is not None:
         raise BenchError(f"{there} exists already; move it away or give --force to write it anew.")
     for target, text in zip(targets, texts, strict=True):
-        try:
+        with writing(target):
             write_whole(target, text)
-        except OSError as error:
-            raise BenchError(f"{target} cannot be written: {error.strerror or error}.") from error
         asks = "Answer what has a question mark and check" if "'?'" in text else "Check"
         sys.stdout.write(f"{text}\nWritten to {target}. {asks} it, then: ./nmt import {target} --out DIR\n")
     sys.stdout.flush()

@@ -10,8 +10,8 @@ from typing import Any, Literal
 
 from nmt_core.errors import BenchError
 from nmt_core.hardened import yaml_value
+from nmt_record.bag.bag_keys import SIMULATED_RIG
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange.run_device import SIMULATED_RIG
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 

@@ -1,4 +1,4 @@
-"""Keys of what a bag says of itself beside its messages, in rosbag2's custom data."""
+"""What a bag says of itself beside its messages: keys in rosbag2's custom data, and names of what was measured."""
 
 from __future__ import annotations
 
@@ -6,3 +6,11 @@ RUN_JSON_KEY = "run.json"
 RIG_YAML_KEY = "rig.yaml"
 FAILURE_KEY = "failure"
 REPAIR_KEY = "repair.json"
+
+SIMULATED_RIG = "simulated rig"
+"""Device of a run: the bench simulated the rig file that the bag keeps."""
+
+
+def converter_name(kind: str, name: str = "") -> str:
+    """Device of a run at a converter: its kind, and the name of what is known to be behind it."""
+    return f"{kind} ({name})" if name else kind

@@ -5,6 +5,7 @@ The message definitions come from the bag itself, so it opens where the bench's 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -206,6 +207,25 @@ class Bag:
                 raise BenchError(
                     f"A block of topic '{topic}' in the bag {self.path} cannot be used: {error}."
                 ) from error
+
+    @property
+    def sample_topics(self) -> list[str]:
+        """Topics that hold blocks of samples."""
+        return [name for name, (kind, count) in self.topics.items() if kind == SAMPLE_BLOCK and count]
+
+    def heads(self) -> Iterator[tuple[str, BlockHead]]:
+        """Topic of every block of samples, and the block without its samples; those that cannot be read are left out.
+
+        Raises:
+            BenchError: the bag cannot be read.
+        """
+        readers = {name: BlockReader() for name in self.sample_topics}
+        for topic, _, _, raw in self.raw_messages(readers) if readers else ():
+            try:
+                head = readers[topic].head(raw)
+            except ValueError:
+                continue
+            yield topic, head
 
     def lock_events(self) -> list[LockEvent]:
         """All lock events, in order; empty if the loop never locked.
@@ -437,17 +457,8 @@ class Bag:
         return f"The bag {self.path} {how} ({damage}){lost}; {kept}"
 
     def _newest_block(self) -> BlockHead | None:
-        last: BlockHead | None = None
-        names = [name for name, (kind, _) in self.topics.items() if kind == SAMPLE_BLOCK]
-        readers = {name: BlockReader() for name in names}
-        for topic, _, _, raw in self.raw_messages(names) if names else ():
-            try:
-                extent = readers[topic].head(raw)
-            except ValueError:
-                continue
-            if last is None or extent.end_sample > last.end_sample:
-                last = extent
-        return last
+        heads = (head for _, head in self.heads())
+        return max(heads, key=lambda head: head.end_sample, default=None)
 
     @property
     def end_time_s(self) -> float:
@@ -563,20 +574,7 @@ class _RosbagsSource:
             reader.open()
         except Exception as error:  # storage back ends raise their own kinds
             raise BenchError(f"The bag {self._path} cannot be opened: {str(error).rstrip('.')}.") from error
-        return _Closing(reader)
-
-
-class _Closing:
-    """Closes an opened reader at the end of a ``with`` block."""
-
-    def __init__(self, reader: Any) -> None:
-        self._reader = reader
-
-    def __enter__(self) -> Any:
-        return self._reader
-
-    def __exit__(self, *_: object) -> None:
-        self._reader.close()
+        return contextlib.closing(reader)
 
 
 def _open_file(path: Path) -> tuple[_Source, dict[str, str]]:

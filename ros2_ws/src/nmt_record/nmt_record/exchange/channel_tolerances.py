@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.hardened import yaml_value
-from nmt_record.exchange.run_device import SIMULATED_RIG
+from nmt_core.vocabulary import QUANTITIES
+from nmt_record.bag.bag_keys import SIMULATED_RIG
 
 if TYPE_CHECKING:
     from nmt_record.exchange.calibration_file import CalibrationSheet
@@ -24,7 +25,6 @@ GAIN_STD = 0.01
 PHASE_STD_DEG = 0.2
 DELAY_STD_S = 1e-5
 CLOCK_STD = 3e-5
-_LETTERS = {"f": "force", "x": "displacement", "v": "velocity", "a": "acceleration", "u": "voltage", "i": "current"}
 Place = tuple[Quantity, int]
 
 
@@ -146,12 +146,12 @@ def _stated(run: Mapping[str, Any], rig_yaml: str | None) -> Iterator[tuple[Plac
     device = rig.get("device") if isinstance(rig, dict) else None
     for section in _mappings(device.get("inputs") if isinstance(device, dict) else None):
         name = str(section.get("channel", ""))
-        quantity, point = _LETTERS.get(name[:1], ""), name[1:]
-        if quantity and (point.isdigit() or not point):
+        kind, point = QUANTITIES.get(name[:1]), name[1:]
+        if kind and (point.isdigit() or not point):
             date = section.get("calibrated")
             source = "rig file, section device" + (f" ({date})" if date else "")
             stated = {"gain_std": section.get("uncertainty")}
-            yield (Quantity[quantity.upper()], int(point or 0)), stated, source
+            yield (kind, int(point or 0)), stated, source
 
 
 def _mappings(sections: Any) -> Iterator[Mapping[str, Any]]:

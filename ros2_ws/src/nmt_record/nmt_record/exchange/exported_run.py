@@ -18,14 +18,13 @@ from nmt_core.errors import BenchError
 from nmt_core.hardened import read_text
 from nmt_core.linear_description import LinearDescription
 from nmt_core.vocabulary import LEVEL_UNITS, ControlKind, TestKind
-from nmt_core.whole_file import write_whole
-from nmt_core.wire import BlockReader, LoopStatus, read_status
+from nmt_core.whole_file import write_whole, writing
+from nmt_core.wire import LoopStatus, read_status
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange import uff
-from nmt_record.exchange.export_formats import FORMATS
+from nmt_record.exchange import FORMATS, uff
 from nmt_record.exchange.frf_table import read_frf_table
 from nmt_record.exchange.side_tables import BlockRow, write_block_table, write_loop_table
-from nmt_record.windows.segments import Segment, Signals, read_signals, sample_topics, segments
+from nmt_record.windows.segments import Segment, Signals, read_signals, segments
 
 LATERAL = 3
 """Direction of every channel with a point: +z."""
@@ -61,19 +60,11 @@ def recorded_extent(bag: Bag) -> Extent:
     Raises:
         BenchError: the bag has no samples.
     """
-    names = sample_topics(bag)
-    readers = {name: BlockReader() for name in names}
-    first, stop = None, 0
-    for topic, _, _, raw in bag.raw_messages(names) if names else ():
-        try:
-            extent = readers[topic].head(raw)
-        except ValueError:
-            continue
-        first = extent.first_sample if first is None else min(first, extent.first_sample)
-        stop = max(stop, extent.end_sample)
-    if first is None:
+    extents = [(head.first_sample, head.end_sample) for _, head in bag.heads()]
+    if not extents:
         raise BenchError(f"The bag {bag.path} holds no samples to export.")
-    return Extent(first, stop)
+    first, stop = zip(*extents, strict=True)
+    return Extent(min(first), max(stop))
 
 
 @dataclass(frozen=True)
@@ -97,11 +88,10 @@ def level_spans(bag: Bag, extent: Extent) -> list[LevelSpan]:
     """
     events = bag.lock_events()
     windows = list(zip(segments(bag), events, strict=True))
-    messages = [message for _, _, message in bag.messages(["level"]) if float(message.amplitude) > 0.0]
+    every = [message for _, _, message in bag.messages(["level"])]
+    messages = [message for message in every if float(message.amplitude) > 0.0]
     starts = [int(message.apply_at_sample) for message in messages]
-    quiet = [
-        int(message.apply_at_sample) for _, _, message in bag.messages(["level"]) if not float(message.amplitude) > 0.0
-    ]
+    quiet = [int(message.apply_at_sample) for message in every if not float(message.amplitude) > 0.0]
     spans: list[LevelSpan] = []
     known = {int(message.index) for message in messages}
     for number, message in enumerate(messages):
@@ -111,33 +101,15 @@ def level_spans(bag: Bag, extent: Extent) -> list[LevelSpan]:
         own = tuple(pair for pair in windows if pair[0].level_index == int(message.index))
         stop = min(max([stop, *(segment.end_sample for segment, _ in own)]), extent.stop)
         unit = own[0][0].level_unit if own else _unit(int(message.control))
-        spans.append(
-            LevelSpan(
-                int(message.index),
-                TestKind.of(int(getattr(message, "test", 0))),
-                float(message.amplitude),
-                unit,
-                first,
-                stop,
-                message,
-                own,
-            )
+        kind = TestKind.of(int(getattr(message, "test", 0)))
+        spans.append(LevelSpan(int(message.index), kind, float(message.amplitude), unit, first, stop, message, own))
+    spans += [
+        LevelSpan(
+            own.level_index, own.kind, own.level, own.level_unit, own.first_sample, own.end_sample, None, ((own, e),)
         )
-    for segment, event in windows:
-        if segment.level_index not in known:
-            first, stop = segment.first_sample, segment.end_sample
-            spans.append(
-                LevelSpan(
-                    segment.level_index,
-                    segment.kind,
-                    segment.level,
-                    segment.level_unit,
-                    first,
-                    stop,
-                    None,
-                    ((segment, event),),
-                )
-            )
+        for own, e in windows
+        if own.level_index not in known
+    ]
     return sorted(spans, key=lambda span: span.first)
 
 
@@ -168,7 +140,7 @@ def export_run(
         source: a bag, or a folder of results; its ``frf.csv`` is exported too (``uff`` only), and its ``linear.json``
             where the bag holds no linear modes.
         folder: exists.
-        form: one of :data:`nmt_record.exchange.export_formats.FORMATS`.
+        form: one of :data:`nmt_record.exchange.FORMATS`.
         ascii_uff: UFF in ASCII (13 digits) instead of 58b (all bits).
         only: numbers of the segments (levels) to export, from 1, each into a folder ``segment-N``; none = the
             whole recording.
@@ -221,7 +193,7 @@ def export_bag(
     Args:
         bag: the bag.
         folder: exists.
-        form: one of :data:`nmt_record.exchange.export_formats.FORMATS`.
+        form: one of :data:`nmt_record.exchange.FORMATS`.
         extent: the stretch.
         ascii_uff: UFF in ASCII (13 digits) instead of 58b (all bits).
         rig: text of the rig file; empty = none.
@@ -377,27 +349,22 @@ def write_time_uff(path: Path, signals: Signals, binary: bool = True) -> None:
 
 def _write_npz(path: Path, signals: Signals) -> None:
     arrays: dict[str, Any] = {**signals.channels, "sample_rate": np.array(signals.sample_rate)}
-    try:
+    with writing(path):
         np.savez(path, **arrays)
-    except OSError as error:
-        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
 
 
 def _write_hdf5(path: Path, signals: Signals) -> None:
     """One data set a channel, with unit and point as attributes."""
     import h5py
 
-    try:
-        with h5py.File(path, "w") as file:
-            file.attrs["sample_rate_hz"] = signals.sample_rate
-            file.attrs["first_sample"] = signals.first_sample
-            for name, values in signals.channels.items():
-                data = file.create_dataset(name, data=values)
-                data.attrs["unit"] = signals.units[name]
-                data.attrs["quantity"] = signals.quantities[name].topic
-                data.attrs["point"] = signals.points[name]
-    except OSError as error:
-        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
+    with writing(path), h5py.File(path, "w") as file:
+        file.attrs["sample_rate_hz"] = signals.sample_rate
+        file.attrs["first_sample"] = signals.first_sample
+        for name, values in signals.channels.items():
+            data = file.create_dataset(name, data=values)
+            data.attrs["unit"] = signals.units[name]
+            data.attrs["quantity"] = signals.quantities[name].topic
+            data.attrs["point"] = signals.points[name]
 
 
 def _write_mat(path: Path, signals: Signals) -> None:
@@ -406,39 +373,29 @@ def _write_mat(path: Path, signals: Signals) -> None:
 
     if any(values.nbytes >= _LARGEST_MAT for values in signals.channels.values()):
         raise BenchError(f"{path.name}: a channel is larger than a MATLAB file of version 5 can hold; export h5.")
-    try:
+    with writing(path):
         savemat(path, {**signals.channels, "sample_rate": signals.sample_rate}, oned_as="column")
-    except OSError as error:
-        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
 
 
 def _write_csv(path: Path, signals: Signals) -> None:
     time = (signals.first_sample + np.arange(signals.samples)) / signals.sample_rate
     names = ["time [s]", *(f"{name} [{signals.units[name]}]" for name in signals.channels)]
     columns: list[FloatArray] = [time, *signals.channels.values()]
-    try:
-        with path.open("w", encoding="utf-8", newline="") as file:
-            file.write(",".join(names) + "\n")
-            for first in range(0, signals.samples, _CSV_ROWS):
-                part = [column[first : first + _CSV_ROWS].tolist() for column in columns]
-                # repr gives the shortest digits that read back to the same bits.
-                file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*part, strict=True))
-    except OSError as error:
-        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
+    with writing(path), path.open("w", encoding="utf-8", newline="") as file:
+        file.write(",".join(names) + "\n")
+        for first in range(0, signals.samples, _CSV_ROWS):
+            part = [column[first : first + _CSV_ROWS].tolist() for column in columns]
+            # repr gives the shortest digits that read back to the same bits.
+            file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*part, strict=True))
 
 
 def _block_rows(bag: Bag, extent: Extent) -> list[BlockRow]:
     """Blocks of the topic whose phase the extraction uses; cut blocks keep the phase of their first sample."""
-    names = sample_topics(bag)
+    names = bag.sample_topics
     leading = "force" if "force" in names else names[0]
-    readers = {name: BlockReader() for name in names}
     rows: dict[int, BlockRow] = {}
     flags: list[tuple[str, int, int, int]] = []
-    for topic, _, _, raw in bag.raw_messages(names):
-        try:
-            block = readers[topic].head(raw)
-        except ValueError:
-            continue
+    for topic, block in bag.heads():
         first, stop = max(block.first_sample, extent.first), min(block.end_sample, extent.stop)
         if stop <= first:
             continue
@@ -525,18 +482,5 @@ def linear_text(bag: Bag) -> str:
 
 
 def _write_text(path: Path, text: str) -> None:
-    try:
+    with writing(path):
         write_whole(path, text)
-    except OSError as error:
-        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
-
-
-__all__ = [
-    "Extent",
-    "export_bag",
-    "export_frf",
-    "level_spans",
-    "linear_text",
-    "recorded_extent",
-    "write_time_uff",
-]

@@ -14,15 +14,14 @@ from collections.abc import Callable
 import numpy as np
 
 from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.vocabulary import MOTIONS
 from nmt_record.exchange.import_sidecar import TableSection
 from nmt_record.exchange.observables import ObservableTable
 
 ShapeSign = Callable[[int, int, float], float]
 """Sign of a response at its resonance by the model: point, drive point, frequency in Hz; 0 where it is not known."""
 
-_ORDERS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 _FEWEST_LINES = 5
 _NEAR = 0.3  # of the largest magnitude: lines that the resonance rules
 _LEAST_TURN = 0.8  # rad
@@ -44,7 +43,7 @@ def check_responses(section: TableSection, table: ObservableTable, place: str, s
     if (
         table.kind != "frf"
         or not table.phase_known
-        or table.quantity not in _ORDERS
+        or table.quantity not in MOTIONS
         or table.reference not in ("force", "base")
     ):
         return
@@ -66,7 +65,7 @@ def check_responses(section: TableSection, table: ObservableTable, place: str, s
     own = _expected_sign(table, float(frequency[peak]), sign)
     if own == 0.0:
         return
-    quarter = 0.5 * math.pi * (_ORDERS[table.quantity] - 1)
+    quarter = 0.5 * math.pi * (MOTIONS[table.quantity] - 1)
     expected = own * cmath.exp(1j * quarter) * (-1.0 if table.reference == "base" else 1.0)
     off = abs(cmath.phase(complex(response[peak]) / expected))
     if off > _WRONG:

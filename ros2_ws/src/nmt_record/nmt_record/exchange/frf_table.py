@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from dataclasses import dataclass
@@ -16,9 +14,9 @@ from numpy.typing import NDArray
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_text
+from nmt_core.hardened import read_rows
+from nmt_core.vocabulary import QUANTITIES
 
-_LETTERS = {"x": Quantity.DISPLACEMENT, "v": Quantity.VELOCITY, "a": Quantity.ACCELERATION}
 # a2 of a sweep; a2_f1_hv of a linear test. Responses over the voltage are no mechanical frequency responses.
 _COLUMN = re.compile(r"([xva])(\d+)(?:_f(\d*))?(?:_(hc|hv|h1|h2))?_real")
 _ESTIMATORS = ("hc", "hv", "h1", "h2", "")
@@ -60,10 +58,7 @@ def read_frf_table(path: Path, drive_point: int = 0) -> list[FrequencyResponseRe
     Raises:
         BenchError: no such file or no such columns.
     """
-    try:
-        rows = list(csv.reader(io.StringIO(read_text(path, "table of frequency responses"))))
-    except csv.Error as error:
-        raise BenchError(f"{path} cannot be read as a table: {error}.") from error
+    rows = read_rows(path, "table of frequency responses")
     head = rows[0] if rows else []
     if "frequency_hz" not in head:
         raise BenchError(f"{path} is not a table of frequency responses: it has no column frequency_hz.")
@@ -93,7 +88,7 @@ def read_frf_table(path: Path, drive_point: int = 0) -> list[FrequencyResponseRe
             responses.append(
                 FrequencyResponseRecord(
                     channel + suffix,
-                    _LETTERS[channel[0]],
+                    QUANTITIES[channel[0]],
                     int(channel[1:]),
                     force or drive_point,
                     frequency[good],

@@ -13,6 +13,7 @@ from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
+from nmt_core.vocabulary import MOTIONS, QUANTITIES
 from nmt_record.exchange.import_sidecar import ChannelSection, SignalSection
 from nmt_record.exchange.import_table import SourceTable, split_name
 from nmt_record.exchange.unit_table import coordinate_of_unit, plain_unit, quantity_of_unit
@@ -25,7 +26,6 @@ _WORDS = (
     (Quantity.VOLTAGE, r"volt|voltage|spannung"),
     (Quantity.CURRENT, r"current|strom"),
 )
-_LETTERS = {"f": Quantity.FORCE, "a": Quantity.ACCELERATION, "x": Quantity.DISPLACEMENT}
 # Peaks outside are possible, but a unit wrong by 1000 is likelier.
 _USUAL = {
     Quantity.FORCE: (1e-4, 1e5),
@@ -35,7 +35,6 @@ _USUAL = {
     Quantity.VOLTAGE: (1e-5, 1e3),
     Quantity.CURRENT: (1e-6, 1e3),
 }
-_ORDERS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 # Power factor below which the exciter would brake the structure throughout: an exchange or a sign, no phase error.
 _STEADY_POWER = -0.5
 # Over many lines most of the power is reactive; what is active must then be negative nearly everywhere.
@@ -118,7 +117,7 @@ def hinted_quantity(name: str, point: int) -> Quantity:
             return quantity
     match = re.fullmatch(r"([fax])_?(\d+)", plain)
     if match and point and int(match.group(2)) == point:
-        return _LETTERS[match.group(1)]
+        return QUANTITIES[match.group(1)]
     return Quantity.UNKNOWN
 
 
@@ -236,7 +235,7 @@ def check_physics(
     stretches = [_Stretch(*segment) for segment in segments]
     for force in (channel for channel in channels if channel.quantity is Quantity.FORCE):
         for response in channels:
-            if response.quantity in _ORDERS and (response.point == force.point or not force.point):
+            if response.quantity in MOTIONS and (response.point == force.point or not force.point):
                 _check_power(force, response, stretches, sample_rate)
     notes += _kinematic_notes(channels, stretches, sample_rate)
     if linear is not None:
@@ -292,7 +291,7 @@ def _power_factor(
         return None
     frequency, (forces, responses) = found
     omega = 2.0 * np.pi * frequency
-    velocity = responses * (1j * omega) ** (1 - _ORDERS[response.quantity])
+    velocity = responses * (1j * omega) ** (1 - MOTIONS[response.quantity])
     if steady:
         line = int(np.argmax(np.abs(forces[0] * velocity[0])))
         forces, velocity = forces[:, line : line + 1], velocity[:, line : line + 1]
@@ -324,7 +323,7 @@ def _kinematic_notes(
     if steady is None:
         return []
     notes = []
-    responses = [channel for channel in channels if channel.quantity in _ORDERS and channel.point]
+    responses = [channel for channel in channels if channel.quantity in MOTIONS and channel.point]
     for number, one in enumerate(responses):
         for other in responses[:number]:
             if one.point != other.point:
@@ -332,7 +331,7 @@ def _kinematic_notes(
             first, second = _amplitude(one, steady, sample_rate), _amplitude(other, steady, sample_rate)
             if first is None or second is None or not second[1] > 0.0:
                 continue
-            orders = _ORDERS[one.quantity] - _ORDERS[other.quantity]
+            orders = MOTIONS[one.quantity] - MOTIONS[other.quantity]
             ratio = first[1] / second[1] / (2.0 * math.pi * second[0]) ** orders
             if not 1.0 / 30.0 < ratio < 30.0:
                 notes.append(
@@ -349,7 +348,7 @@ def _damping_notes(
     """Force and response at the lowest level give a damping ratio; units off by 1000 put it off by as much."""
     levels = [s for s in stretches if s.segment.kind == "phase_resonance"]
     forces = [c for c in channels if c.quantity is Quantity.FORCE and c.point in (0, linear.drive_point)]
-    drives = [c for c in channels if c.quantity in _ORDERS and c.point == linear.drive_point]
+    drives = [c for c in channels if c.quantity in MOTIONS and c.point == linear.drive_point]
     if not levels or not forces or not drives:
         return []
     lowest = min(levels, key=lambda stretch: stretch.segment.level or math.inf)
@@ -357,7 +356,7 @@ def _damping_notes(
     if force is None or response is None or not response[1] > 0.0 or not linear.drive_point_shape:
         return []
     omega = 2.0 * math.pi * force[0]
-    displacement = response[1] / omega ** _ORDERS[drives[0].quantity]
+    displacement = response[1] / omega ** MOTIONS[drives[0].quantity]
     implied = abs(force[1] * linear.drive_point_shape**2 / (2.0 * omega**2 * displacement))
     expected = linear.damping_ratios[linear.target_mode]
     if not expected > 0.0 or 1.0 / 100.0 < implied / expected < 100.0:

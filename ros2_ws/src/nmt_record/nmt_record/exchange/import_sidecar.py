@@ -70,15 +70,7 @@ class ChannelSection(_Section):
         """Name of the channel in the bag."""
         if self.name is not None:
             return self.name
-        letter = {
-            "force": "f",
-            "displacement": "x",
-            "velocity": "v",
-            "acceleration": "a",
-            "voltage": "u",
-            "current": "i",
-        }
-        return letter[self.measures.name.lower()] + (str(self.point) if self.point else "")
+        return self.measures.letter + (str(self.point) if self.point else "")
 
 
 class SignalSection(_Section):

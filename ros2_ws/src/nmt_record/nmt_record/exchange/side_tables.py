@@ -11,8 +11,8 @@ from pathlib import Path
 
 from nmt_core.blocks import SAMPLE_TOPICS, OscillatorPhase
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_text
-from nmt_core.whole_file import write_whole
+from nmt_core.hardened import read_rows
+from nmt_core.whole_file import write_whole, writing
 from nmt_core.wire import LoopStatus
 
 _BLOCK_COLUMNS = ("first_sample", "samples", "cycles", "frequency_hz", "rate_hz_s")
@@ -132,15 +132,10 @@ def read_loop_table(path: Path) -> list[LoopStatus]:
 def _write(path: Path, lines: Iterable[Sequence[object]]) -> None:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(lines)
-    try:
+    with writing(path):
         write_whole(path, text.getvalue())
-    except OSError as error:
-        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
 
 
 def _read(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    try:
-        rows = list(csv.reader(io.StringIO(read_text(path, "table"))))
-    except csv.Error as error:
-        raise BenchError(f"{path} cannot be read as a table: {error}.") from error
+    rows = read_rows(path, "table")
     return (rows[0] if rows else []), [(number, row) for number, row in enumerate(rows[1:], start=2) if row]

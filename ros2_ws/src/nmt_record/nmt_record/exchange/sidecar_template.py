@@ -12,6 +12,7 @@ import numpy as np
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.vocabulary import MOTIONS, QUANTITIES
 from nmt_record.exchange import uff
 from nmt_record.exchange.import_checks import hinted_quantity, looks_like_counts
 from nmt_record.exchange.import_clock import bare_name, is_clock
@@ -30,10 +31,6 @@ _MEMBERS = {
     "force_n": r"force|load|f_?n",
 }
 _LETTER = re.compile(r"([faxvui])_?(\d*)", re.I)
-_LETTERS = {
-    "f": Quantity.FORCE, "a": Quantity.ACCELERATION, "x": Quantity.DISPLACEMENT, "v": Quantity.VELOCITY,
-    "u": Quantity.VOLTAGE, "i": Quantity.CURRENT,
-}  # fmt: skip
 _DECAYED = 0.8  # rms of the last fifth over that of the first
 _ASK = "'?'"
 _MOST_CHANNELS = 64
@@ -96,9 +93,7 @@ def _held_lines(table: SourceTable, frequencies: Sequence[int]) -> list[str]:
         own = [i for i in range(len(table.names)) if not prefix or table.names[i].startswith(prefix + ".")]
         frequency = next((i for i in frequencies if i in own), None)
         bare, quantity = bare_name(table, index), quantity_of_unit(table.units[index])
-        moves = quantity in (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION) and not _is_phase(
-            table, index
-        )
+        moves = quantity in MOTIONS and not _is_phase(table, index)
         if frequency is None or not (moves or re.fullmatch(_MEMBERS["amplitude"], bare, re.I)):
             continue
         later = [i for i in own if i > index and i not in used]
@@ -331,7 +326,7 @@ def _guess(table: SourceTable, index: int) -> _Guess:
     if quantity is Quantity.UNKNOWN:
         quantity = hinted_quantity(name, point)
     if quantity is Quantity.UNKNOWN and letter:
-        quantity = _LETTERS[letter.group(1).lower()]
+        quantity = QUANTITIES[letter.group(1).lower()]
     placed = quantity not in (Quantity.UNKNOWN, Quantity.VOLTAGE, Quantity.CURRENT)
     known = "" if quantity is Quantity.UNKNOWN else quantity.name.lower()
     return _Guess(coordinate_of_unit(unit) or known, unit, point if placed else 0)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import LARGEST_TABLE, open_regular
+from nmt_core.whole_file import writing
 
 TIME_RESPONSE = 1
 FREQUENCY_RESPONSE = 4
@@ -115,12 +116,9 @@ def write_uff(path: Path, functions: Sequence[UffFunction], binary: bool = True)
     Raises:
         BenchError: the file cannot be written.
     """
-    try:
-        with path.open("wb") as file:
-            for function in functions:
-                _write_function(file, function, binary)
-    except OSError as error:
-        raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
+    with writing(path), path.open("wb") as file:
+        for function in functions:
+            _write_function(file, function, binary)
 
 
 def read_uff(path: Path) -> list[UffFunction]:

@@ -8,6 +8,7 @@ import re
 
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.vocabulary import MOTIONS
 
 STANDARD_GRAVITY = 9.80665
 """m/s², by definition (CGPM 1901)."""
@@ -181,7 +182,7 @@ def response_unit(unit: str, where: str) -> tuple[Quantity, float]:
         BenchError: not the unit of a displacement, velocity or acceleration.
     """
     quantity = quantity_of_unit(unit)
-    if quantity not in (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION):
+    if quantity not in MOTIONS:
         given = f"'{unit.strip()}' is not" if unit.strip() else "it is missing, which must be"
         raise BenchError(f"{where}: the unit of the response must be given, such as mm, m/s or g; {given} one.")
     return quantity, _FACTORS[quantity][plain_unit(unit)]
@@ -193,15 +194,11 @@ def response_per_force(unit: str, where: str) -> tuple[Quantity, float]:
     Raises:
         BenchError: not a response divided by a force.
     """
-    plain = plain_unit(unit)
-    numerator, _, denominator = plain.rpartition("/")
-    numerator = numerator[1:-1] if numerator.startswith("(") and numerator.endswith(")") else numerator
-    quantity = quantity_of_unit(numerator) if numerator else Quantity.UNKNOWN
-    responses = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
-    if quantity not in responses or denominator not in _FACTORS[Quantity.FORCE]:
+    found = _quotient(unit)
+    if found is None or found[2] != "force":
         given = f"'{unit.strip()}' is not" if unit.strip() else "it is missing"
         raise BenchError(f"{where}: the unit must be a response per force, such as m/N or m/s^2/N or g/N; {given}.")
-    return quantity, _FACTORS[quantity][numerator] / _FACTORS[Quantity.FORCE][denominator]
+    return found[:2]
 
 
 REFERENCE_UNITS = {"force": "N", "base": "m/s^2", "voltage": "V"}
@@ -217,15 +214,9 @@ def response_over_reference(unit: str, where: str) -> tuple[Quantity, float, str
     Raises:
         BenchError: not a response over one of these.
     """
-    plain = plain_unit(unit)
-    if plain in ("1", "m/m"):
-        return Quantity.ACCELERATION, 1.0, "base"
-    for split in (match.start() for match in re.finditer("/", plain)):
-        above, below = (part[1:-1] if part[:1] == "(" and part[-1:] == ")" else part for part in _halves(plain, split))
-        quantity, reference = quantity_of_unit(above), quantity_of_unit(below)
-        known = {Quantity.FORCE: "force", Quantity.ACCELERATION: "base", Quantity.VOLTAGE: "voltage"}.get(reference)
-        if known and quantity in (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION):
-            return quantity, _FACTORS[quantity][above] / _FACTORS[reference][below], known
+    found = _quotient(unit)
+    if found is not None:
+        return found
     given = f"'{unit.strip()}' is not" if unit.strip() else "it is missing"
     raise BenchError(
         f"{where}: the unit must be a response per force, such as m/N or m/s^2/N or g/N, per acceleration of the base, "
@@ -233,8 +224,19 @@ def response_over_reference(unit: str, where: str) -> tuple[Quantity, float, str
     )
 
 
-def _halves(text: str, split: int) -> tuple[str, str]:
-    return text[:split], text[split + 1 :]
+def _quotient(unit: str) -> tuple[Quantity, float, str] | None:
+    """Response quantity, factor to SI and reference of a unit; None if it is no quotient of these."""
+    plain = plain_unit(unit)
+    if plain in ("1", "m/m"):
+        return Quantity.ACCELERATION, 1.0, "base"
+    for slash in re.finditer("/", plain):
+        halves = plain[: slash.start()], plain[slash.end() :]
+        above, below = (half[1:-1] if half[:1] == "(" and half[-1:] == ")" else half for half in halves)
+        quantity, reference = quantity_of_unit(above), quantity_of_unit(below)
+        known = {Quantity.FORCE: "force", Quantity.ACCELERATION: "base", Quantity.VOLTAGE: "voltage"}.get(reference)
+        if known and quantity in MOTIONS:
+            return quantity, _FACTORS[quantity][above] / _FACTORS[reference][below], known
+    return None
 
 
 def _close(unit: str, known: dict[str, float]) -> str:

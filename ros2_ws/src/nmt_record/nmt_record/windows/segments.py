@@ -17,7 +17,6 @@ from nmt_core.records import LockEvent
 from nmt_core.vocabulary import TestKind
 from nmt_core.wire import LOCK_EVENT, BlockHead, BlockReader, read_status
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.bag.bench_topics import SAMPLE_BLOCK
 from nmt_record.windows.sample_table import SampleTable, window_findings
 from nmt_record.windows.topic_blocks import BlockRecord, ExcitationPhase, TopicStretch, phase_reference
 from nmt_record.windows.window_policy import MINIMUM_PERIODS, NamedWindow, WindowFault, WindowFinding, WindowVerdict
@@ -110,15 +109,9 @@ class Signals:
         ]
 
 
-def sample_topics(bag: Bag) -> list[str]:
-    """Topics of a bag that hold blocks of samples."""
-    return [name for name, (kind, count) in bag.topics.items() if kind == SAMPLE_BLOCK and count]
-
-
 def analysed_topics(bag: Bag) -> tuple[str, ...]:
     """Topics with blocks that a window is extracted from unless the run says otherwise: force and motions."""
-    present = sample_topics(bag)
-    return tuple(topic for topic in _ANALYSED if topic in present)
+    return tuple(topic for topic in _ANALYSED if topic in bag.sample_topics)
 
 
 def needed_topics(bag: Bag) -> tuple[str, ...]:
@@ -126,7 +119,7 @@ def needed_topics(bag: Bag) -> tuple[str, ...]:
 
     Faults of other topics cost their channels, not the window.
     """
-    present = sample_topics(bag)
+    present = bag.sample_topics
     named = _extraction(bag).get("topics")
     chosen = [topic for topic in named if topic in present] if isinstance(named, list | tuple) else []
     return tuple(chosen) or analysed_topics(bag) or tuple(present)
@@ -219,7 +212,7 @@ def read_stretches(
     Raises:
         BenchError: the bag is damaged.
     """
-    names = sample_topics(bag)
+    names = bag.sample_topics
     readers = {name: BlockReader() for name in names}
     clock_topic = "force" if "force" in names else names[0] if names else ""
     collectors = [_Collector(first, samples) for first, samples in stretches]

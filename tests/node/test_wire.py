@@ -33,6 +33,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import bench_stamp
 from nmt_core.modal_point import COMPLEX
+from nmt_core.records import LoopStatus
 from nmt_core.wire import (
     DRIVE_STOP,
     LEVEL,
@@ -44,7 +45,6 @@ from nmt_core.wire import (
     STEERING,
     BlockReader,
     BlockWriter,
-    LoopStatus,
     NodeStatus,
     read_diagnostics,
     read_drive,

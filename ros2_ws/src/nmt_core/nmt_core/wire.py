@@ -60,30 +60,6 @@ from nmt_core.vocabulary import (
     Waveform,
 )
 
-__all__ = [
-    "DRIVE_STOP",
-    "LEVEL",
-    "LOCK_EVENT",
-    "MODAL_POINT",
-    "MONITOR",
-    "RUN_RECORD",
-    "RUN_STATE",
-    "STEERING",
-    "BlockHead",
-    "BlockReader",
-    "BlockWriter",
-    "DriveCommand",
-    "LoopStatus",
-    "NodeStatus",
-    "bench_stamp",
-    "read_diagnostics",
-    "read_drive",
-    "read_status",
-    "write_diagnostics",
-    "write_drive",
-    "write_status",
-]
-
 _INDEX = struct.Struct("<Qd")
 _TAIL = struct.Struct("<dddB")
 

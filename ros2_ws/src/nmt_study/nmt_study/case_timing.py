@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from nmt_core.arrays import FloatArray
-from nmt_core.wire import LoopStatus, read_status
+from nmt_core.records import LoopStatus
+from nmt_core.wire import read_status
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,10 @@ from nmt_core.blocks import OscillatorPhase, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_text
 from nmt_core.linear_description import LinearDescription
+from nmt_core.records import LoopStatus
 from nmt_core.vocabulary import LEVEL_UNITS, ControlKind, TestKind
 from nmt_core.whole_file import write_whole, writing
-from nmt_core.wire import LoopStatus, read_status
+from nmt_core.wire import read_status
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange import FORMATS, uff
 from nmt_record.exchange.frf_table import read_frf_table

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.vocabulary import MOTIONS, QUANTITIES
-from nmt_record.exchange.import_sidecar import ChannelSection, SignalSection
+from nmt_record.exchange.import_sidecar import STEADY_KINDS, ChannelSection, SignalSection
 from nmt_record.exchange.import_table import SourceTable, split_name
 from nmt_record.exchange.unit_table import coordinate_of_unit, plain_unit, quantity_of_unit
 
@@ -89,18 +90,16 @@ def check_names(channels: Sequence[ChannelSection], table: SourceTable, places: 
                 )
         if own is not Quantity.UNKNOWN and own is not channel.measures:
             raise BenchError(
-                f"{place}: {shown} holds {own.name.lower()} by its dataset, but {channel.quantity} by the sidecar; "
-                f"are columns "
-                "swapped?"
+                f"{place}: {shown} holds {own.name.lower()} by its dataset, but {channel.quantity} by the sidecar; are "
+                "columns swapped?"
             )
         if isinstance(channel.column, int):
             continue
         hinted = hinted_quantity(split_name(name)[0], channel.point)
         if hinted not in (Quantity.UNKNOWN, channel.measures):
             raise BenchError(
-                f"{place}: {shown} is called like {_article(hinted)}, but the sidecar says {channel.quantity}; "
-                f"are columns "
-                "swapped? (if the name misleads, give the column by its number)"
+                f"{place}: {shown} is called like {_article(hinted)}, but the sidecar says {channel.quantity}; are "
+                "columns swapped? (if the name misleads, give the column by its number)"
             )
 
 
@@ -143,9 +142,8 @@ def check_columns(channels: Sequence[ImportedChannel], table: SourceTable, place
             notes.append(_gap_note(channel, table, raw))
         if "scale" not in channel.section.model_fields_set and looks_like_counts(finite):
             raise BenchError(
-                f"{place}: column {channel.source} holds whole numbers from {finite.min():.0f} to "
-                f"{finite.max():.0f}, which looks "
-                f"like raw counts; give 'scale: …' ({channel.quantity.unit} per count, or 1 if they are "
+                f"{place}: column {channel.source} holds whole numbers from {finite.min():.0f} to {finite.max():.0f}, "
+                f"which looks like raw counts; give 'scale: …' ({channel.quantity.unit} per count, or 1 if they are "
                 f"{channel.section.unit})."
             )
         notes += _unusual(channel)
@@ -172,8 +170,7 @@ def _gap_note(channel: ImportedChannel, table: SourceTable, raw: FloatArray) -> 
     runs = int(np.count_nonzero(np.diff(missing.astype(np.int8), prepend=0) == 1))
     return (
         f"Column {channel.source} lacks {int(missing.sum())} values in {runs} stretches (first at "
-        f"{table.place(first)}); they are "
-        "marked as missing and windows over them will be rejected."
+        f"{table.place(first)}); they are marked as missing and windows over them will be rejected."
     )
 
 
@@ -200,8 +197,9 @@ def _unusual(channel: ImportedChannel) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class _Stretch:
+class Stretch(NamedTuple):
+    """Window or segment on the grid: its section, name, first sample and sample after the last one."""
+
     segment: SignalSection
     name: str
     first: int
@@ -210,7 +208,7 @@ class _Stretch:
 
 def check_physics(
     channels: Sequence[ImportedChannel],
-    segments: Sequence[tuple[SignalSection, str, int, int]],
+    stretches: Sequence[Stretch],
     sample_rate: float,
     linear: LinearDescription | None,
 ) -> list[str]:
@@ -221,7 +219,7 @@ def check_physics(
 
     Args:
         channels: all of them.
-        segments: section, name, first sample and sample after the last one of each, on the grid.
+        stretches: of the segments that were driven.
         sample_rate: Hz.
         linear: linear modes, if known.
 
@@ -232,7 +230,6 @@ def check_physics(
         BenchError: the structure would feed the exciter.
     """
     notes: list[str] = []
-    stretches = [_Stretch(*segment) for segment in segments]
     for force in (channel for channel in channels if channel.quantity is Quantity.FORCE):
         for response in channels:
             if response.quantity in MOTIONS and (response.point == force.point or not force.point):
@@ -244,10 +241,10 @@ def check_physics(
 
 
 def _check_power(
-    force: ImportedChannel, response: ImportedChannel, stretches: Sequence[_Stretch], sample_rate: float
+    force: ImportedChannel, response: ImportedChannel, stretches: Sequence[Stretch], sample_rate: float
 ) -> None:
     for stretch in stretches:
-        steady = stretch.segment.kind in ("phase_resonance", "stepped_sine")
+        steady = stretch.segment.kind in STEADY_KINDS
         if not steady and stretch.segment.kind not in ("random", "sweep"):
             continue
         found = _power_factor(force, response, stretch, sample_rate, steady)
@@ -256,11 +253,9 @@ def _check_power(
         factor, sign = found
         if factor < _STEADY_POWER if steady else factor < _BROAD_POWER and sign < _BROAD_SIGN:
             raise BenchError(
-                f"In {stretch.name} the exciter would take power out of the structure at point {response.point} "
-                f"(power factor "
-                f"{factor:.2f}): columns {force.source} ({force.name}) and {response.source} ({response.name}) are "
-                f"swapped, or one "
-                "has the wrong sign; exchange them or give one 'scale: -1'."
+                f"In {stretch.name} the exciter would take power out of the structure at point {response.point} (power "
+                f"factor {factor:.2f}): columns {force.source} ({force.name}) and {response.source} ({response.name}) "
+                "are swapped, or one has the wrong sign; exchange them or give one 'scale: -1'."
             )
 
 
@@ -279,7 +274,7 @@ def _spectra(
 
 
 def _power_factor(
-    force: ImportedChannel, response: ImportedChannel, stretch: _Stretch, sample_rate: float, steady: bool
+    force: ImportedChannel, response: ImportedChannel, stretch: Stretch, sample_rate: float, steady: bool
 ) -> tuple[float, float] | None:
     """Active over apparent power, and over the sum of its magnitudes line by line (−1 = negative everywhere).
 
@@ -302,7 +297,7 @@ def _power_factor(
     return float(active.sum()) / apparent, float(active.sum() / np.abs(active).sum())
 
 
-def _amplitude(channel: ImportedChannel, stretch: _Stretch, sample_rate: float) -> tuple[float, float] | None:
+def _amplitude(channel: ImportedChannel, stretch: Stretch, sample_rate: float) -> tuple[float, float] | None:
     """Frequency and amplitude of the strongest line of a steady segment."""
     found = _spectra([channel.data[stretch.first : min(stretch.stop, stretch.first + 2_000_000)]], sample_rate, 1)
     if found is None:
@@ -316,10 +311,10 @@ def _amplitude(channel: ImportedChannel, stretch: _Stretch, sample_rate: float) 
 
 
 def _kinematic_notes(
-    channels: Sequence[ImportedChannel], stretches: Sequence[_Stretch], sample_rate: float
+    channels: Sequence[ImportedChannel], stretches: Sequence[Stretch], sample_rate: float
 ) -> list[str]:
     """Displacement, velocity and acceleration at one point and one frequency are bound by powers of ω."""
-    steady = next((s for s in stretches if s.segment.kind in ("phase_resonance", "stepped_sine")), None)
+    steady = next((s for s in stretches if s.segment.kind in STEADY_KINDS), None)
     if steady is None:
         return []
     notes = []
@@ -336,14 +331,13 @@ def _kinematic_notes(
             if not 1.0 / 30.0 < ratio < 30.0:
                 notes.append(
                     f"{one.name} and {other.name} at point {one.point} differ by a factor {ratio:.3g} at "
-                    f"{second[0]:.4g} Hz; "
-                    f"check their units ({one.section.unit}, {other.section.unit})."
+                    f"{second[0]:.4g} Hz; check their units ({one.section.unit}, {other.section.unit})."
                 )
     return notes
 
 
 def _damping_notes(
-    channels: Sequence[ImportedChannel], stretches: Sequence[_Stretch], sample_rate: float, linear: LinearDescription
+    channels: Sequence[ImportedChannel], stretches: Sequence[Stretch], sample_rate: float, linear: LinearDescription
 ) -> list[str]:
     """Force and response at the lowest level give a damping ratio; units off by 1000 put it off by as much."""
     levels = [s for s in stretches if s.segment.kind == "phase_resonance"]

@@ -106,9 +106,8 @@ def _stated_clock(table: SourceTable, stated: float | None, sidecar: Sidecar, pl
         )
     if table.breaks:
         raise BenchError(
-            f"The header of {table.file} is repeated before {table.place(table.breaks[0])} and there is no time "
-            f"column to tell "
-            "whether samples are missing there; split the file or add the time column."
+            f"The header of {table.file} is repeated before {table.place(table.breaks[0])} and there is no time column "
+            "to tell whether samples are missing there; split the file or add the time column."
         )
     return Clock(stated, 0.0, table.rows)
 
@@ -196,8 +195,7 @@ def _measured_clock(table: SourceTable, time: FloatArray, name: str, stated: flo
     if stated is not None and abs(typical * stated - 1.0) > _STEP_TOLERANCE:
         raise BenchError(
             f"sample_rate is {stated:g} Hz, but {name} of {table.file} goes in steps of {typical:.6g} s "
-            f"({1.0 / typical:.6g} Hz); "
-            "correct one of them (unit of the time?)."
+            f"({1.0 / typical:.6g} Hz); correct one of them (unit of the time?)."
         )
     whole = np.round(steps / step)
     missing = int(np.maximum(whole - 1.0, 0.0).sum())
@@ -211,9 +209,8 @@ def _measured_clock(table: SourceTable, time: FloatArray, name: str, stated: flo
     worst = int(np.argmax(np.abs(drift)))
     if abs(drift[worst]) > max(0.6 * step, 1e-6 * (time[-1] - time[0])):
         raise BenchError(
-            f"The rate changes within {table.file}: at {table.place(worst)} {name} is {abs(drift[worst]):.3g} s off "
-            f"an even clock "
-            "(two clocks in one table, or a gap that is no whole number of samples); split the file there."
+            f"The rate changes within {table.file}: at {table.place(worst)} {name} is {abs(drift[worst]):.3g} s off an "
+            "even clock (two clocks in one table, or a gap that is no whole number of samples); split the file there."
         )
     return _grid(table, time, index, fitted, stated, missing, name)
 
@@ -256,14 +253,12 @@ def _not_ascending(table: SourceTable, time: FloatArray, steps: FloatArray, name
     where = table.place(row + 1)
     if steps[row] < 0.0:
         return (
-            f"{name} of {table.file} jumps back from {time[row]:.9g} to {time[row + 1]:.9g} at {where}: two "
-            f"recordings or two "
-            "clocks in one table; split the file there."
+            f"{name} of {table.file} jumps back from {time[row]:.9g} to {time[row + 1]:.9g} at {where}: two recordings "
+            "or two clocks in one table; split the file there."
         )
     return (
-        f"{name} of {table.file} stands still at {where} ({time[row]:.9g} twice); write it with more digits, or "
-        f"leave it out "
-        "and give sample_rate."
+        f"{name} of {table.file} stands still at {where} ({time[row]:.9g} twice); write it with more digits, or leave "
+        "it out and give sample_rate."
     )
 
 

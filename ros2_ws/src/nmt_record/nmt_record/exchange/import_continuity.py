@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from nmt_core.arrays import FloatArray
 
-STEADY_KINDS = ("phase_resonance", "stepped_sine")
 _PERIODS = 2.0  # length of the moving sine fit; its Hann window is half as long in effect
 _STEPS = 16  # positions of the fit in each length
 _FEWEST_PERIODS = 6.0

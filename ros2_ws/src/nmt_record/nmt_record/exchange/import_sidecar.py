@@ -28,6 +28,7 @@ QuantityName = Literal[
 SignalKind = Literal["phase_resonance", "random", "sweep", "ring_down", "stepped_sine", "record"]
 TableKind = Literal["backbone", "frf"]
 TABLE_KINDS = ("backbone", "frf")
+STEADY_KINDS = ("phase_resonance", "stepped_sine")
 
 
 class _Section(BaseModel):
@@ -347,7 +348,7 @@ def _check_channels(sidecar: Sidecar, document: YamlDocument) -> None:
 
 
 def _check_segment(segment: SignalSection, name: str, place: str) -> None:
-    needs_window = segment.kind in ("phase_resonance", "stepped_sine")
+    needs_window = segment.kind in STEADY_KINDS
     if needs_window and segment.locked and segment.window is None:
         raise BenchError(
             f"{place}: {name} needs window: [begin, end], its steady part in s, or locked: false if it never became "

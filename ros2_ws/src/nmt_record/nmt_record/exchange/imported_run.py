@@ -24,10 +24,17 @@ from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import BENCH_TOPICS
 from nmt_record.bag.message_definitions import local_definitions
 from nmt_record.exchange.frf_checks import ShapeSign, check_responses
-from nmt_record.exchange.import_checks import ImportedChannel, check_columns, check_names, check_physics
+from nmt_record.exchange.import_checks import ImportedChannel, Stretch, check_columns, check_names, check_physics
 from nmt_record.exchange.import_clock import Clock, find_clock
-from nmt_record.exchange.import_continuity import STEADY_KINDS, doubled_blocks, phase_jump
-from nmt_record.exchange.import_sidecar import Sidecar, SignalSection, TableSection, check_sidecar, read_sidecar
+from nmt_record.exchange.import_continuity import doubled_blocks, phase_jump
+from nmt_record.exchange.import_sidecar import (
+    STEADY_KINDS,
+    Sidecar,
+    SignalSection,
+    TableSection,
+    check_sidecar,
+    read_sidecar,
+)
 from nmt_record.exchange.import_table import SourceTable, read_table
 from nmt_record.exchange.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, ObservableTable, read_observables
 from nmt_record.exchange.side_tables import BlockRow, read_block_table, read_loop_table
@@ -78,7 +85,8 @@ class ImportedRun:
         loop: states of the loop; empty = not known.
         linear: linear modes; None = not known.
         notes: sentences on what was fixed, marked or is unusual.
-        files: name and SHA-256 of every file read.
+        sources: the files that were read, by name.
+        files: name and SHA-256 of each.
     """
 
     path: Path
@@ -92,12 +100,25 @@ class ImportedRun:
     loop: list[LoopStatus] = field(default_factory=list)
     linear: LinearDescription | None = None
     notes: list[str] = field(default_factory=list)
+    sources: dict[str, Path] = field(default_factory=dict)
     files: list[dict[str, str]] = field(default_factory=list)
 
     @property
     def samples(self) -> int:
         """Length of the time data."""
         return int(self.channels[0].data.shape[0]) if self.channels else 0
+
+    def beside(self, name: str, place: str) -> Path:
+        """A file that the sidecar names, which becomes one of the sources.
+
+        Raises:
+            BenchError: it is not there.
+        """
+        path = self.path.parent / name
+        if not path.is_file():
+            raise BenchError(f"{place}: there is no file {path}; names are relative to the sidecar.")
+        self.sources[path.name] = path
+        return path
 
 
 def read_import(
@@ -117,26 +138,23 @@ def read_import(
     """
     sidecar, document = read_sidecar(path)
     check_sidecar(sidecar, document)
-    run = ImportedRun(path, sidecar)
-    run.files.append(_digest(path))
+    run = ImportedRun(path, sidecar, sources={path.name: path})
     if sidecar.linear is None:
         run.linear = describe(sidecar)
     else:
-        run.linear = _read_linear(_beside(path, sidecar.linear, document.place(("linear",))))
-        run.files.append(_digest(_beside(path, sidecar.linear, "")))
+        run.linear = _read_linear(run.beside(sidecar.linear, document.place(("linear",))))
     if sidecar.channels:
         _read_signals(run, document)
     for number, section in enumerate(sidecar.segments):
         if isinstance(section, TableSection):
             place = document.place(("segments", number))
-            file = _beside(path, section.file or sidecar.file, place)
+            file = run.beside(section.file or sidecar.file, place)
             tables = read_observables(section, file, place)
             for table in tables:
                 check_responses(section, table, place, shape_sign)
             run.tables += tables
             run.notes += [note for table in tables for note in table.notes]
-            run.files.append(_digest(file))
-    run.files = list({entry["name"]: entry for entry in run.files}.values())
+    run.files = [_digest(source) for source in run.sources.values()]
     return run
 
 
@@ -201,10 +219,9 @@ def _description(run: ImportedRun, rig: str, versions: dict[str, str]) -> dict[s
 
 def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
     sidecar = run.sidecar
-    file = _beside(run.path, sidecar.file, document.place(("file",)))
+    file = run.beside(sidecar.file, document.place(("file",)))
     names = [channel.column for channel in sidecar.channels]
     table = read_table(file, [*names, *([] if sidecar.time is None else [sidecar.time])])
-    run.files.append(_digest(file))
     places = [document.place(("channels", number)) for number in range(len(sidecar.channels))]
     factors = [
         channel_factor(channel.quantity, channel.unit, f"{place}: column {channel.column}")
@@ -226,7 +243,7 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
     run.segments = _segments(run, clock, document)
     run.notes += check_columns(run.channels, table, places)
     stretches = [
-        (s.section, s.name, window[0] - run.first_sample, window[1] - run.first_sample)
+        Stretch(s.section, s.name, window[0] - run.first_sample, window[1] - run.first_sample)
         for s in run.segments
         for window in [s.window or (s.first_sample, s.stop_sample)]
         if s.section.locked
@@ -236,18 +253,13 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
         run.loop = _made_states(run)
     run.notes += check_physics(run.channels, stretches, run.sample_rate, run.linear)
     if sidecar.oscillator is not None:
-        side = _beside(run.path, sidecar.oscillator, document.place(("oscillator",)))
+        side = run.beside(sidecar.oscillator, document.place(("oscillator",)))
         run.blocks = read_block_table(side, run.first_sample, run.samples)
-        run.files.append(_digest(side))
     if sidecar.loop is not None:
-        side = _beside(run.path, sidecar.loop, document.place(("loop",)))
-        run.loop = read_loop_table(side)
-        run.files.append(_digest(side))
+        run.loop = read_loop_table(run.beside(sidecar.loop, document.place(("loop",))))
 
 
-def _check_continuity(
-    run: ImportedRun, table: SourceTable, clock: Clock, stretches: Sequence[tuple[SignalSection, str, int, int]]
-) -> None:
+def _check_continuity(run: ImportedRun, table: SourceTable, clock: Clock, stretches: Sequence[Stretch]) -> None:
     """Every row once, as far as the rows themselves and the phase of steady windows tell.
 
     Raises:
@@ -325,8 +337,7 @@ def _segments(run: ImportedRun, clock: Clock, document: YamlDocument) -> list[Im
         if section.start < clock.start - half or section.stop > end + half:
             raise BenchError(
                 f"{place}: {name} reaches from {section.start:g} to {section.stop:g} s, but the data from "
-                f"{clock.start:g} to "
-                f"{end:g} s; correct it (or the sampling rate)."
+                f"{clock.start:g} to {end:g} s; correct it (or the sampling rate)."
             )
 
         def sample(time: float) -> int:
@@ -338,20 +349,13 @@ def _segments(run: ImportedRun, clock: Clock, document: YamlDocument) -> list[Im
             window = sample(section.window[0]), sample(section.window[1])
         elif section.kind == "ring_down" and section.switch_off is not None:
             window = sample(section.switch_off), stop
-        elif section.kind not in ("phase_resonance", "stepped_sine"):
+        elif section.kind not in STEADY_KINDS:
             window = first, stop
         if window is not None and window[1] - window[0] < 2:
             raise BenchError(f"{place}: the window of {name} holds fewer than two samples; correct its times.")
         index = section.index if section.index is not None else count
         found.append(ImportedSegment(section, name, index, first, stop, window if section.locked else None))
     return found
-
-
-def _beside(sidecar: Path, name: str, place: str) -> Path:
-    path = sidecar.parent / name
-    if place and not path.is_file():
-        raise BenchError(f"{place}: there is no file {path}; names are relative to the sidecar.")
-    return path
 
 
 def _read_linear(path: Path) -> LinearDescription:

@@ -34,6 +34,10 @@ from nmt_record.exchange.unit_table import (
 OBSERVABLES_TOPIC = "observables"
 OBSERVABLES_TYPE = "std_msgs/msg/String"
 FORMAT = "nmt observable table 1"
+_STORED = (
+    "kind", "name", "source", "quantity", "level", "level_unit", "point", "drive_point", "reference", "held",
+    "direction", "noise", "units",
+)  # fmt: skip
 
 _REQUIRED = {"backbone": ("frequency_hz", "amplitude"), "frf": ("frequency_hz",)}
 _OPTIONAL = {
@@ -105,28 +109,14 @@ class ObservableTable:
 
     def to_json(self) -> str:
         """As it is stored in a bag; NaN becomes null."""
-        return json.dumps(
-            {
-                "format": FORMAT,
-                "kind": self.kind,
-                "name": self.name,
-                "source": self.source,
-                "quantity": self.quantity.name.lower(),
-                "level": None if math.isnan(self.level) else self.level,
-                "level_unit": self.level_unit,
-                "point": self.point,
-                "drive_point": self.drive_point,
-                "reference": self.reference,
-                "held": self.held,
-                "direction": self.direction,
-                "noise": None if math.isnan(self.noise) else self.noise,
-                "units": self.units,
-                "columns": {
-                    key: [float(value) if math.isfinite(value) else None for value in column]
-                    for key, column in self.columns.items()
-                },
-            }
-        )
+        values: dict[str, Any] = {"format": FORMAT, **{name: getattr(self, name) for name in _STORED}}
+        values["quantity"] = self.quantity.name.lower()
+        values |= {name: None for name in ("level", "noise") if math.isnan(values[name])}
+        values["columns"] = {
+            key: [float(value) if math.isfinite(value) else None for value in column]
+            for key, column in self.columns.items()
+        }
+        return json.dumps(values)
 
     @classmethod
     def from_json(cls, text: str) -> ObservableTable:
@@ -139,25 +129,14 @@ class ObservableTable:
             values: Mapping[str, Any] = json_value(text, "An observable table", bounded=False)
             if values["format"] != FORMAT:
                 raise ValueError(f"format {values['format']}")
+            columns = {key: np.array(list(column), dtype=np.float64) for key, column in values["columns"].items()}
+            level, noise = (math.nan if v is None else float(v) for v in (values["level"], values.get("noise")))
             return cls(
-                kind=values["kind"],
-                columns={
-                    key: np.array([math.nan if value is None else value for value in column], dtype=np.float64)
-                    for key, column in values["columns"].items()
-                },
-                units=dict(values["units"]),
-                quantity=Quantity[values["quantity"].upper()],
-                level=math.nan if values["level"] is None else float(values["level"]),
-                level_unit=values["level_unit"],
-                point=int(values["point"]),
-                drive_point=int(values["drive_point"]),
-                name=values["name"],
-                source=values["source"],
-                reference=values.get("reference", "force"),
-                held=values.get("held", ""),
-                direction=values.get("direction", ""),
-                noise=math.nan if values.get("noise") is None else float(values["noise"]),
-            )
+                values["kind"], columns, dict(values["units"]), Quantity[values["quantity"].upper()], level,
+                values["level_unit"], int(values["point"]), int(values["drive_point"]), values["name"],
+                values["source"], reference=values.get("reference", "force"), held=values.get("held", ""),
+                direction=values.get("direction", ""), noise=noise,
+            )  # fmt: skip
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise BenchError(
                 f"A table on topic '{OBSERVABLES_TOPIC}' is not of the form '{FORMAT}': {error}."
@@ -361,11 +340,6 @@ def _columns(section: TableSection, table: SourceTable, place: str) -> dict[str,
     return found
 
 
-def _plain_name(column: str) -> str:
-    """Name of a column without its unit."""
-    return split_name(column)[0]
-
-
 def _own_unit(table: SourceTable, section: TableSection, *names: str) -> str:
     for name in names:
         for index, column in enumerate(table.names):
@@ -402,13 +376,12 @@ def _complex(
         raise BenchError(f"{place}: the magnitude is negative at {table.place(row)}; is it in dB? give it linear.")
     if "phase" not in columns:
         return columns
-    named = "phase" not in section.columns and "phase" not in map(_plain_name, table.names)
+    named = "phase" not in section.columns and "phase" not in (split_name(name)[0] for name in table.names)
     unstated = not named and "phase" not in section.units and not _own_unit(table, section, "phase")
     if unstated and np.nanmax(np.abs(columns["phase"])) > 7.0:
         raise BenchError(
             f"{place}: the phase reaches {np.nanmax(np.abs(columns['phase'])):.4g}, more than a turn in rad; say "
-            f"units: "
-            "{phase: deg} or {phase: rad}."
+            "units: {phase: deg} or {phase: rad}."
         )
     response = columns["magnitude"] * np.exp(1j * columns["phase"])
     result = {name: values for name, values in columns.items() if name.split("_std")[0] not in ("magnitude", "phase")}

@@ -12,8 +12,8 @@ from pathlib import Path
 from nmt_core.blocks import SAMPLE_TOPICS, OscillatorPhase
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_rows
+from nmt_core.records import LoopStatus
 from nmt_core.whole_file import write_whole, writing
-from nmt_core.wire import LoopStatus
 
 _BLOCK_COLUMNS = ("first_sample", "samples", "cycles", "frequency_hz", "rate_hz_s")
 _FLAGS = "flags_"
@@ -81,8 +81,7 @@ def read_block_table(path: Path, first_sample: int, samples: int) -> list[BlockR
         if first < reached or count < 1 or first + count > first_sample + samples:
             raise BenchError(
                 f"{path.name} line {number}: the block of samples {first} to {first + count - 1} overlaps the one "
-                f"before or is "
-                f"outside the recording ({first_sample} to {first_sample + samples - 1})."
+                f"before or is outside the recording ({first_sample} to {first_sample + samples - 1})."
             )
         if any(map(math.isinf, phase)):
             raise BenchError(f"{path.name} line {number} has an infinite phase or frequency.")

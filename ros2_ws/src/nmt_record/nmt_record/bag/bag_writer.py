@@ -383,17 +383,12 @@ class BagWriter:
         return BenchError(self.failure)
 
     def _metadata(self) -> dict[str, Any]:
-        first, last = self._times or (0, 0)
-        span = {
-            "starting_time": {"nanoseconds_since_epoch": first},
-            "duration": {"nanoseconds": last - first},
-            "message_count": self.messages,
-        }
+        whole = _FileSpan("", self.messages, self._times).description()
         return {
             "version": _METADATA_VERSION,
             "storage_identifier": "mcap",
             "relative_file_paths": [file.name for file in self._files],
-            **span,
+            **{key: whole[key] for key in ("starting_time", "duration", "message_count")},
             "topics_with_message_count": [
                 {"topic_metadata": self._topics[topic], "message_count": count} for topic, count in self.counts.items()
             ],

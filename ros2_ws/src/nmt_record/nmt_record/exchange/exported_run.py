@@ -30,14 +30,6 @@ from nmt_record.windows.segments import Segment, Signals, read_signals, segments
 LATERAL = 3
 """Direction of every channel with a point: +z."""
 
-_SPECIFIC = {
-    Quantity.FORCE: (uff.FORCE, "Force"),
-    Quantity.DISPLACEMENT: (uff.DISPLACEMENT, "Displacement"),
-    Quantity.VELOCITY: (uff.VELOCITY, "Velocity"),
-    Quantity.ACCELERATION: (uff.ACCELERATION, "Acceleration"),
-    Quantity.VOLTAGE: (uff.GENERAL, "Voltage"),
-    Quantity.CURRENT: (uff.GENERAL, "Current"),
-}
 _CSV_ROWS = 50_000
 _LARGEST_MAT = 2**31
 
@@ -331,7 +323,6 @@ def write_time_uff(path: Path, signals: Signals, binary: bool = True) -> None:
     functions = []
     for name, data in signals.channels.items():
         quantity, point = signals.quantities[name], signals.points[name]
-        kind, label = _SPECIFIC[quantity]
         functions.append(
             uff.UffFunction(
                 uff.TIME_RESPONSE,
@@ -342,10 +333,14 @@ def write_time_uff(path: Path, signals: Signals, binary: bool = True) -> None:
                 response_node=point,
                 response_direction=LATERAL if point else 0,
                 abscissa_axis=uff.Axis(uff.TIME, "Time", "s"),
-                ordinate_axis=uff.Axis(kind, label, signals.units[name]),
+                ordinate_axis=_axis(quantity, signals.units[name]),
             )
         )
     uff.write_uff(path, functions, binary)
+
+
+def _axis(quantity: Quantity, unit: str) -> uff.Axis:
+    return uff.Axis(uff.DATA_TYPES.get(quantity, uff.GENERAL), quantity.name.capitalize(), unit)
 
 
 def _write_npz(path: Path, signals: Signals) -> None:
@@ -447,7 +442,6 @@ def export_frf(table: Path, path: Path, drive_point: int, binary: bool = True) -
     """
     functions = []
     for response in read_frf_table(table, drive_point):
-        kind, label = _SPECIFIC[response.quantity]
         even = _even(response.frequency_hz)
         functions.append(
             uff.UffFunction(
@@ -462,7 +456,7 @@ def export_frf(table: Path, path: Path, drive_point: int, binary: bool = True) -
                 response.drive_point,
                 LATERAL,
                 uff.Axis(uff.FREQUENCY, "Frequency", "Hz"),
-                uff.Axis(kind, label, response.quantity.unit),
+                _axis(response.quantity, response.quantity.unit),
                 uff.Axis(uff.FORCE, "Force", "N"),
             )
         )

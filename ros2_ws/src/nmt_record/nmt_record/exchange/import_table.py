@@ -109,7 +109,7 @@ class SourceTable:
                     f"{where}: {self.file} has {len(self.columns)} columns, so there is no column {column}."
                 )
             return column - 1
-        for candidates in (self.names, tuple(_without_unit(name) for name in self.names)):
+        for candidates in (self.names, tuple(split_name(name)[0] for name in self.names)):
             found = [index for index, name in enumerate(candidates) if name == column]
             if len(found) > 1:
                 raise BenchError(
@@ -187,10 +187,6 @@ def split_name(name: str) -> tuple[str, str]:
     """Name of a column and the unit in brackets behind it, empty if there is none."""
     match = _UNIT_IN_NAME.match(name)
     return (match.group(1).strip(), match.group(2).strip()) if match else (name, "")
-
-
-def _without_unit(name: str) -> str:
-    return split_name(name)[0]
 
 
 # --- CSV -------------------------------------------------------------------------------------------------------------
@@ -569,15 +565,6 @@ def _columns_of(key: str, array: NDArray[Any]) -> dict[str, FloatArray]:
     return result
 
 
-_UFF_QUANTITIES = {
-    uff.DISPLACEMENT: Quantity.DISPLACEMENT,
-    uff.VELOCITY: Quantity.VELOCITY,
-    uff.ACCELERATION: Quantity.ACCELERATION,
-    uff.FORCE: Quantity.FORCE,
-    9: Quantity.FORCE,
-}
-
-
 def _read_uff(path: Path) -> SourceTable:
     name = path.name
     functions = uff.read_uff(path)
@@ -619,7 +606,7 @@ def _read_uff(path: Path) -> SourceTable:
         tuple(f.name for f in times),
         tuple(np.ascontiguousarray(f.values, dtype=np.float64) for f in times),
         tuple(unit if quantity_of_unit(unit) is not Quantity.UNKNOWN else "" for unit in units),
-        tuple(_UFF_QUANTITIES.get(f.ordinate_axis.data_type, Quantity.UNKNOWN) for f in times),
+        tuple(uff.QUANTITIES.get(f.ordinate_axis.data_type, Quantity.UNKNOWN) for f in times),
         notes,
         None if head.abscissa is not None else head.abscissa_minimum,
         None if head.abscissa is not None else head.abscissa_increment,

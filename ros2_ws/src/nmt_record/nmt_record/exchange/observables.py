@@ -16,6 +16,7 @@ from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.hardened import json_value
+from nmt_core.vocabulary import MOTIONS
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange import uff
 from nmt_record.exchange.import_sidecar import TableSection
@@ -414,13 +415,6 @@ def _plausible(columns: dict[str, FloatArray], table: SourceTable, place: str) -
         )
 
 
-_UFF_RESPONSES = {
-    uff.DISPLACEMENT: Quantity.DISPLACEMENT,
-    uff.VELOCITY: Quantity.VELOCITY,
-    uff.ACCELERATION: Quantity.ACCELERATION,
-}
-
-
 def _from_uff(section: TableSection, path: Path, place: str) -> list[ObservableTable]:
     if section.kind != "frf":
         raise BenchError(f"{place}: {path.name} is a universal file; only 'kind: frf' is read from those.")
@@ -432,8 +426,8 @@ def _from_uff(section: TableSection, path: Path, place: str) -> list[ObservableT
     for function in functions:
         where = f"{place}: dataset {function.number} of {path.name}"
         quantity, factor = response_per_force(section.unit, where)
-        own = _UFF_RESPONSES.get(function.ordinate_axis.data_type)
-        if own is not None and own is not quantity:
+        own = uff.QUANTITIES.get(function.ordinate_axis.data_type)
+        if own in MOTIONS and own is not quantity:
             raise BenchError(f"{where} holds {own.name.lower()} per force, but the sidecar says {section.unit}.")
         if function.denominator_axis.data_type not in (0, uff.GENERAL, uff.FORCE, 9):
             raise BenchError(f"{where} is not referred to a force; leave it out.")
@@ -444,18 +438,9 @@ def _from_uff(section: TableSection, path: Path, place: str) -> list[ObservableT
         columns = {"frequency_hz": function.x, "real": values.real, "imag": values.imag}
         unit = f"{quantity.unit}/N"
         units = {"frequency_hz": "Hz", "real": unit, "imag": unit}
-        tables.append(
-            _table(
-                section,
-                columns,
-                units,
-                quantity,
-                path.name,
-                point=function.response_node,
-                drive_point=function.reference_node,
-                name=function.name or section.name,
-                level=level,
-                level_unit=level_unit,
-            )
-        )
+        table = _table(
+            section, columns, units, quantity, path.name, point=function.response_node,
+            drive_point=function.reference_node, name=function.name or section.name, level=level, level_unit=level_unit,
+        )  # fmt: skip
+        tables.append(table)
     return tables

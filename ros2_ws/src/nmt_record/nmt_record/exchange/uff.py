@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import LARGEST_TABLE, open_regular
+from nmt_core.vocabulary import Quantity
 from nmt_core.whole_file import writing
 
 TIME_RESPONSE = 1
@@ -34,6 +35,13 @@ FUNCTION_NAMES = {
 
 GENERAL, DISPLACEMENT, VELOCITY, ACCELERATION, FORCE, TIME, FREQUENCY = 1, 8, 11, 12, 13, 17, 18
 """Specific data types."""
+DATA_TYPES = {
+    Quantity.FORCE: FORCE, Quantity.DISPLACEMENT: DISPLACEMENT, Quantity.VELOCITY: VELOCITY,
+    Quantity.ACCELERATION: ACCELERATION,
+}  # fmt: skip
+"""Specific data type of a quantity; of others it is GENERAL."""
+QUANTITIES = {9: Quantity.FORCE, **{kind: quantity for quantity, kind in DATA_TYPES.items()}}
+"""Quantities by specific data type; 9 is a reaction force."""
 
 _DELIMITER = b"    -1"
 _HEADER_RECORDS = 11
@@ -152,11 +160,10 @@ def _write_function(file: Any, function: UffFunction, binary: bool) -> None:
     columns: list[FloatArray] = [] if function.abscissa is None else [function.abscissa]
     columns += [values.real, values.imag] if is_complex else [values]
     table = np.ascontiguousarray(np.column_stack(columns), dtype="<f8")
+    payload = _payload(table, even) if binary else b""
+    identifier = f"{58:6d}"
     if binary:
-        size = _payload_bytes(table, even)
-        identifier = f"{58:6d}b{1:6d}{2:6d}{_HEADER_RECORDS:12d}{size:12d}{0:6d}{0:6d}{0:12d}{0:12d}"
-    else:
-        identifier = f"{58:6d}"
+        identifier += f"b{1:6d}{2:6d}{_HEADER_RECORDS:12d}{len(payload):12d}{0:6d}{0:6d}{0:12d}{0:12d}"
     minimum, increment = (function.abscissa_minimum, function.abscissa_increment) if even else (0.0, 0.0)
     lines = (*function.lines, *("NONE",) * 5)[:5]
     records = [
@@ -174,16 +181,10 @@ def _write_function(file: Any, function: UffFunction, binary: bool) -> None:
     ]
     file.write("".join(f"{record:<80}\n" for record in records).encode("ascii"))
     if binary:
-        file.write(_payload(table, even))
-        file.write(b"    -1" + b" " * 74 + b"\n")
-        return
-    _write_ascii(file, table, even)
+        file.write(payload)
+    else:
+        _write_ascii(file, table, even)
     file.write(b"    -1" + b" " * 74 + b"\n")
-
-
-def _payload_bytes(table: NDArray[Any], even: bool) -> int:
-    rows, columns = int(table.shape[0]), int(table.shape[1])
-    return rows * (8 * columns if even else 8 * (columns - 1) + 4)
 
 
 def _payload(table: NDArray[Any], even: bool) -> bytes:
@@ -198,19 +199,13 @@ def _payload(table: NDArray[Any], even: bool) -> bytes:
 
 
 def _write_ascii(file: Any, table: NDArray[Any], even: bool) -> None:
-    if even:
-        flat = table.ravel()
-        whole = flat.shape[0] // 4 * 4
-        np.savetxt(file, flat[:whole].reshape(-1, 4), fmt="%20.12E", delimiter="")
-        if whole < flat.shape[0]:
-            np.savetxt(file, flat[whole:][np.newaxis], fmt="%20.12E", delimiter="")
-        return
-    form = "%13.5E" + "%20.12E" * (table.shape[1] - 1)
-    per_line = 2 if table.shape[1] == 2 else 1
-    whole = table.shape[0] // per_line * per_line
-    np.savetxt(file, table[:whole].reshape(-1, per_line * table.shape[1]), fmt=form * per_line)
-    if whole < table.shape[0]:
-        np.savetxt(file, table[whole:], fmt=form)
+    items = table.reshape(-1, 1) if even else table
+    form = "%20.12E" if even else "%13.5E" + "%20.12E" * (table.shape[1] - 1)
+    per_line = 4 if even else 2 if table.shape[1] == 2 else 1
+    whole = items.shape[0] // per_line * per_line
+    np.savetxt(file, items[:whole].reshape(-1, per_line * items.shape[1]), fmt=form * per_line)
+    if whole < items.shape[0]:
+        np.savetxt(file, items[whole:].reshape(1, -1), fmt=form * (items.shape[0] - whole))
 
 
 @dataclass(frozen=True)
@@ -333,13 +328,13 @@ def _read_function(dataset: _Dataset, name: str) -> UffFunction:
         form = records[6].ljust(80)
         value_type, count, even = int(form[0:10]), int(form[10:20]), int(form[20:30])
         minimum, increment = _number(form[30:43]), _number(form[43:56])
-        axes = [_read_axis(record) for record in records[7:10]]
+        axes = _read_axis(records[7]), _read_axis(records[8]), _read_axis(records[9])
     except ValueError:
         raise BenchError(f"{where} has a header that is not of the form of UFF58; export it again.") from None
     if value_type not in (2, 4, 5, 6) or even not in (0, 1) or count < 1:
         raise BenchError(
             f"{where} has {count} values of ordinate type {value_type} and spacing {even}; UFF58 knows types 2, 4, "
-            f"5, 6."
+            "5, 6."
         )
     columns = (1 if value_type < 5 else 2) + (0 if even else 1)
     table = (
@@ -355,13 +350,9 @@ def _read_function(dataset: _Dataset, name: str) -> UffFunction:
         increment,
         None if even else np.ascontiguousarray(table[:, 0]),
         tuple(record.rstrip() for record in records[:5]),
-        response[0],
-        response[1],
-        reference[0],
-        reference[1],
-        axes[0],
-        axes[1],
-        axes[2],
+        *response,
+        *reference,
+        *axes,
         dataset.number,
     )
 

@@ -137,7 +137,7 @@ class MessageCodec(Generic[Record]):
                     layout = _layout(kinds, (len(buffer) - BASE) % 8)
                     buffer += layout.pack(*[values[name] for name in names])
                 else:
-                    _append(buffer, kinds[0], values[names[0]])
+                    append(buffer, kinds[0], values[names[0]])
         except (struct.error, OverflowError, TypeError):
             return self._pack_each(values)  # says which field it is
         return bytes(buffer)
@@ -146,7 +146,7 @@ class MessageCodec(Generic[Record]):
         buffer = bytearray(ENCAPSULATION)
         for name, kind in self.fields:
             try:
-                _append(buffer, kind, values[name])
+                append(buffer, kind, values[name])
             except (struct.error, OverflowError, TypeError) as error:
                 raise ValueError(f"{self.name}.{name} cannot be {values[name]!r}: {error}") from error
         return bytes(buffer)
@@ -181,7 +181,7 @@ class MessageCodec(Generic[Record]):
                     values.update(zip(names, layout.unpack_from(raw, position), strict=True))
                     position += layout.size
                 else:
-                    values[names[0]], position = _take(raw, position, kinds[0])
+                    values[names[0]], position = take(raw, position, kinds[0])
         except (struct.error, UnicodeDecodeError, ValueError):
             return self._values_each(raw)  # an older recording, or not a whole message
         return values
@@ -196,7 +196,7 @@ class MessageCodec(Generic[Record]):
                 if old:
                     values[name] = _ZEROS[kind]
                 else:
-                    values[name], position = _take(raw, position, kind)
+                    values[name], position = take(raw, position, kind)
         except (struct.error, UnicodeDecodeError, ValueError) as error:
             raise ValueError(f"the message is not a whole {self.name}: {error}") from error
         return values
@@ -229,27 +229,29 @@ def _layout(kinds: tuple[str, ...], offset: int) -> struct.Struct:
 _ZEROS: dict[str, Any] = {TIME: 0, "string": "", **dict.fromkeys(_NUMBERS, 0), **dict.fromkeys(_ITEMS, ())}
 
 
-def _append(buffer: bytearray, kind: str, value: Any) -> None:
+def append(buffer: bytearray, kind: str, value: Any) -> None:
+    """Serialise a value of a type behind what is there, aligned."""
     number = _NUMBERS.get(kind)
     if number is not None:
-        _pad(buffer, number.size)
+        pad(buffer, number.size)
         buffer.extend(number.pack(value))
     elif kind == "string":
-        _pad(buffer, 4)
+        pad(buffer, 4)
         buffer.extend(string_bytes(value))
     elif kind == TIME:
-        _pad(buffer, 4)
+        pad(buffer, 4)
         buffer.extend(STAMP.pack(*divmod(int(value), 1_000_000_000)))
     else:
         items = np.ascontiguousarray(value, dtype=_ITEMS[kind])
-        _pad(buffer, 4)
+        pad(buffer, 4)
         buffer.extend(COUNT.pack(items.size))
         if items.size:
-            _pad(buffer, items.itemsize)
+            pad(buffer, items.itemsize)
             buffer.extend(items.tobytes())
 
 
-def _take(raw: bytes, position: int, kind: str) -> tuple[Any, int]:
+def take(raw: bytes, position: int, kind: str) -> tuple[Any, int]:
+    """The value of a type at a position, which is aligned first, and the position after it."""
     number = _NUMBERS.get(kind)
     if number is not None:
         position = aligned(position, number.size)
@@ -266,13 +268,17 @@ def _take(raw: bytes, position: int, kind: str) -> tuple[Any, int]:
         return (() if kind == "uint32[]" else np.empty(0)), position
     item = _ITEMS[kind]
     position = aligned(position, item.itemsize)
+    end = position + count * item.itemsize
+    if end > len(raw):
+        raise ValueError("a sequence runs past the end of the message")
     items = np.frombuffer(raw, item, count, position)
-    end = position + items.nbytes
     return (tuple(items.tolist()) if kind == "uint32[]" else items.astype(np.float64)), end
 
 
-def _pad(buffer: bytearray, size: int) -> None:
+def pad(buffer: bytearray, size: int) -> int:
+    """Fill up to the alignment of ``size``; returns the position reached."""
     buffer.extend(bytes(aligned(len(buffer), size) - len(buffer)))
+    return len(buffer)
 
 
 def read_stamp(raw: bytes) -> int:

@@ -23,16 +23,19 @@ from nmt_core.arrays import FloatArray
 from nmt_core.blocks import OscillatorPhase, SampleBlock
 from nmt_core.cdr import (
     BASE,
-    COUNT,
     ENCAPSULATION,
     STAMP,
+    TIME,
     MessageCodec,
     aligned,
+    append,
     bench_stamp,
     bench_time_ns,
     check_encapsulation,
+    pad,
     read_string,
     string_bytes,
+    take,
 )
 from nmt_core.errors import BenchError
 from nmt_core.modal_point import COMPLEX, ModalPoint
@@ -179,27 +182,20 @@ class BlockReader:
     def _find_layout(raw: bytes) -> _BlockLayout:
         check_encapsulation(raw)
         try:
-            _, index = read_string(raw, 12)
+            _, index = take(raw, BASE + STAMP.size, "string")
             index = aligned(index, 8)
             quantity_at = index + _INDEX.size
-            unit, position = read_string(raw, aligned(quantity_at + 1, 4))
-            position = aligned(position, 4)
-            (channel_count,) = COUNT.unpack_from(raw, position)
-            position += 4
+            unit, position = take(raw, quantity_at + 1, "string")
+            channel_count, position = take(raw, position, "uint32")
             if channel_count > len(raw):
                 raise ValueError("more channels than bytes")
             channels = []
             for _ in range(channel_count):
-                name, position = read_string(raw, aligned(position, 4))
+                name, position = take(raw, position, "string")
                 channels.append(name)
-            position = aligned(position, 4)
-            (point_count,) = COUNT.unpack_from(raw, position)
-            if 4 * point_count > len(raw):
-                raise ValueError("more points than bytes")
-            points = struct.unpack_from(f"<{point_count}I", raw, position + 4)
-            position += 4 + 4 * point_count
-            (count,) = COUNT.unpack_from(raw, position)
-            data = aligned(position + 4, 8)
+            points, position = take(raw, position, "uint32[]")
+            count, position = take(raw, position, "uint32")
+            data = aligned(position, 8)
             quantity = Quantity(raw[quantity_at])
         except (struct.error, IndexError, UnicodeDecodeError) as error:
             raise ValueError(f"the message is not a whole SampleBlock: {error}") from error
@@ -249,24 +245,16 @@ class BlockWriter:
     def _lay_out(self, block: SampleBlock) -> None:
         buffer = bytearray(ENCAPSULATION + bytes(STAMP.size) + self._frame)
 
-        def pad(size: int) -> int:
-            buffer.extend(bytes(aligned(len(buffer), size) - len(buffer)))
-            return len(buffer)
-
-        self._index = pad(8)
+        self._index = pad(buffer, 8)
         buffer.extend(bytes(_INDEX.size))
-        buffer.append(int(block.quantity))
-        pad(4)
-        buffer.extend(string_bytes(block.unit))
-        pad(4)
-        buffer.extend(COUNT.pack(len(block.channels)))
+        append(buffer, "uint8", block.quantity)
+        append(buffer, "string", block.unit)
+        append(buffer, "uint32", len(block.channels))
         for channel in block.channels:
-            pad(4)
-            buffer.extend(string_bytes(channel))
-        pad(4)
-        buffer.extend(COUNT.pack(len(block.points)) + struct.pack(f"<{len(block.points)}I", *block.points))
-        buffer.extend(COUNT.pack(block.data.size))
-        self._data = pad(8)
+            append(buffer, "string", channel)
+        append(buffer, "uint32[]", block.points)
+        append(buffer, "uint32", block.data.size)
+        self._data = pad(buffer, 8)
         buffer.extend(bytes(8 * block.data.size))
         self._tail = len(buffer)
         buffer.extend(bytes(_TAIL.size))
@@ -398,19 +386,15 @@ class NodeStatus:
 
 def write_diagnostics(status: NodeStatus, time_ns: int) -> bytes:
     """Serialise one status as ``diagnostic_msgs/DiagnosticArray``, stamped with a time."""
-    buffer = bytearray(ENCAPSULATION + STAMP.pack(*divmod(time_ns, 1_000_000_000)))
-
-    def add(text: str) -> None:
-        buffer.extend(bytes(aligned(len(buffer), 4) - len(buffer)) + string_bytes(text))
-
-    add("")
-    buffer.extend(bytes(aligned(len(buffer), 4) - len(buffer)) + COUNT.pack(1) + status.level)
+    buffer = bytearray(ENCAPSULATION)
+    for kind, value in ((TIME, time_ns), ("string", ""), ("uint32", 1)):
+        append(buffer, kind, value)
+    buffer.extend(status.level)
     for text in (status.name, status.message, status.hardware_id):
-        add(text)
-    buffer.extend(bytes(aligned(len(buffer), 4) - len(buffer)) + COUNT.pack(len(status.values)))
-    for key, value in status.values.items():
-        add(key)
-        add(str(value))
+        append(buffer, "string", text)
+    append(buffer, "uint32", len(status.values))
+    for word in chain.from_iterable(status.values.items()):
+        append(buffer, "string", str(word))
     return bytes(buffer)
 
 
@@ -423,24 +407,19 @@ def read_diagnostics(raw: bytes) -> list[NodeStatus]:
     check_encapsulation(raw)
     position = BASE + STAMP.size
 
-    def text() -> str:
+    def following(kind: str) -> Any:
         nonlocal position
-        found, position = read_string(raw, aligned(position, 4))
-        return found
-
-    def count() -> int:
-        nonlocal position
-        position = aligned(position, 4) + COUNT.size
-        return int(COUNT.unpack_from(raw, position - COUNT.size)[0])
+        value, position = take(raw, position, kind)
+        return value
 
     statuses = []
     try:
-        text()
-        for _ in range(count()):
+        following("string")
+        for _ in range(following("uint32")):
             level = raw[position : position + 1]
             position += 1
-            name, message, hardware = text(), text(), text()
-            values = [(text(), text()) for _ in range(count())]
+            name, message, hardware = (following("string") for _ in range(3))
+            values = [(following("string"), following("string")) for _ in range(following("uint32"))]
             statuses.append(NodeStatus(name, hardware, level, message, dict(values)))
     except (struct.error, UnicodeDecodeError, ValueError) as error:
         raise ValueError(f"the message is not a whole DiagnosticArray: {error}") from error

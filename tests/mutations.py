@@ -73,8 +73,8 @@ MUTATIONS = [
         ),
         (
             "nmt_core/nmt_core/command_judge.py",
-            "if isinstance(source, Source) and not source.alone:",
-            "if isinstance(source, Source) and source.alone:",
+            "if isinstance(source, CommandSource) and not source.alone:",
+            "if isinstance(source, CommandSource) and source.alone:",
             "commands are taken from a topic with two publishers",
         ),
         (

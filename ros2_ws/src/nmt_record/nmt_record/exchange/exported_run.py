@@ -17,10 +17,10 @@ from nmt_core.blocks import OscillatorPhase, Quantity
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_text
 from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LoopStatus
+from nmt_core.records import LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import LEVEL_UNITS, ControlKind, TestKind
 from nmt_core.whole_file import write_whole, writing
-from nmt_core.wire import read_status
+from nmt_core.wire import LEVEL, read_status
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange import FORMATS, uff
 from nmt_record.exchange.frf_table import read_frf_table
@@ -70,8 +70,8 @@ class LevelSpan:
     unit: str
     first: int
     stop: int
-    message: Any
-    locks: tuple[tuple[Segment, Any], ...]
+    command: LevelCommand | None
+    locks: tuple[tuple[Segment, LockEvent], ...]
 
 
 def level_spans(bag: Bag, extent: Extent) -> list[LevelSpan]:
@@ -81,21 +81,20 @@ def level_spans(bag: Bag, extent: Extent) -> list[LevelSpan]:
     """
     events = bag.lock_events()
     windows = list(zip(segments(bag), events, strict=True))
-    every = [message for _, _, message in bag.messages(["level"])]
-    messages = [message for message in every if float(message.amplitude) > 0.0]
-    starts = [int(message.apply_at_sample) for message in messages]
-    quiet = [int(message.apply_at_sample) for message in every if not float(message.amplitude) > 0.0]
+    every = list(bag.records("level", LEVEL))
+    levels = [level for level in every if level.amplitude > 0.0]
+    starts = [level.apply_at_sample for level in levels]
+    quiet = [level.apply_at_sample for level in every if not level.amplitude > 0.0]
     spans: list[LevelSpan] = []
-    known = {int(message.index) for message in messages}
-    for number, message in enumerate(messages):
+    known = {level.index for level in levels}
+    for number, level in enumerate(levels):
         first = max(starts[number], extent.first)
         later = [start for start in (*starts[number + 1 :], *quiet) if start > starts[number]]
         stop = min([*later, extent.stop])
-        own = tuple(pair for pair in windows if pair[0].level_index == int(message.index))
+        own = tuple(pair for pair in windows if pair[0].level_index == level.index)
         stop = min(max([stop, *(segment.end_sample for segment, _ in own)]), extent.stop)
-        unit = own[0][0].level_unit if own else _unit(int(message.control))
-        kind = TestKind.of(int(getattr(message, "test", 0)))
-        spans.append(LevelSpan(int(message.index), kind, float(message.amplitude), unit, first, stop, message, own))
+        unit = own[0][0].level_unit if own else _unit(level.control)
+        spans.append(LevelSpan(level.index, level.test, level.amplitude, unit, first, stop, level, own))
     spans += [
         LevelSpan(
             own.level_index, own.kind, own.level, own.level_unit, own.first_sample, own.end_sample, None, ((own, e),)
@@ -269,13 +268,13 @@ def _segment_entries(bag: Bag, extent: Extent, rate: float) -> list[dict[str, An
         if span.unit in LEVEL_UNITS:
             head["level_unit"] = span.unit
         head["index"] = span.index
-        message = span.message
-        if message is not None and span.test is TestKind.RANDOM and message.band_high_hz > 0.0:
-            head["band_hz"] = [float(message.band_low_hz), float(message.band_high_hz)]
-        if message is not None and span.test is TestKind.SWEEP:
-            head["rate_hz_s"] = float(message.rate_hz_s)
-            if message.frequency_end_hz > 0.0:
-                head["frequency_end_hz"] = float(message.frequency_end_hz)
+        command = span.command
+        if command is not None and span.test is TestKind.RANDOM and command.band_high_hz > 0.0:
+            head["band_hz"] = [command.band_low_hz, command.band_high_hz]
+        if command is not None and span.test is TestKind.SWEEP:
+            head["rate_hz_s"] = command.rate_hz_s
+            if command.frequency_end_hz > 0.0:
+                head["frequency_end_hz"] = command.frequency_end_hz
         if not locks:
             entries.append({**head, "start": first / rate, "stop": stop / rate, "locked": False})
             continue
@@ -288,10 +287,10 @@ def _segment_entries(bag: Bag, extent: Extent, rate: float) -> list[dict[str, An
                 entry["periods"] = segment.periods
             if segment.frequency_hz > 0.0:
                 entry["frequency_hz"] = segment.frequency_hz
-            if int(event.sample) >= extent.first:
-                entry["lock_time"] = int(event.sample) / rate
-            if math.isfinite(float(event.phase_error)):
-                entry["phase_error"] = float(event.phase_error)
+            if event.sample >= extent.first:
+                entry["lock_time"] = event.sample / rate
+            if math.isfinite(event.phase_error):
+                entry["phase_error"] = event.phase_error
             entries.append(entry)
     return _without_overlap(entries)
 

@@ -10,6 +10,7 @@ from typing import Any
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
+from nmt_core.wire import LEVEL
 from nmt_core.work_progress import tell
 from nmt_extract.linear_file import Linearity, linear_mapping, linearity
 from nmt_extract.linear_test import LinearTest, LinearTestSettings, linear_test
@@ -130,10 +131,9 @@ def _band(bag: Bag, run: Mapping[str, Any], main: Segment) -> tuple[float, float
     plan = run.get("plan") or {}
     if plan.get("band_low_hz") and plan.get("band_high_hz"):
         return float(plan["band_low_hz"]), float(plan["band_high_hz"])
-    if "level" in bag.topics:
-        for _, _, level in bag.messages(["level"]):
-            if level.index == main.level_index and 0.0 < level.band_low_hz < level.band_high_hz:
-                return float(level.band_low_hz), float(level.band_high_hz)
+    for level in bag.records("level", LEVEL):
+        if level.index == main.level_index and 0.0 < level.band_low_hz < level.band_high_hz:
+            return level.band_low_hz, level.band_high_hz
     return DEFAULT_BAND_HZ
 
 

@@ -418,8 +418,7 @@ class Bag:
         if known and message_fields(definition.text) == RUN_RECORD.fields:
             yield from self.records("run_record", RUN_RECORD)
         else:
-            for _, _, record in self.messages(["run_record"]):
-                yield record
+            yield from (record for _, _, record in self.messages(["run_record"]))
 
     def _parse(self, text: str) -> dict[str, Any]:
         if not text:

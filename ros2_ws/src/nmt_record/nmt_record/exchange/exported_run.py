@@ -412,7 +412,7 @@ def _block_rows(bag: Bag, extent: Extent) -> list[BlockRow]:
 
 def _states(bag: Bag, extent: Extent) -> list[LoopStatus]:
     found = []
-    for _, _, _, raw in bag.raw_messages(["frequency"]) if "frequency" in bag.topics else ():
+    for _, _, _, raw in bag.raw_messages(["frequency"]):
         try:
             status = read_status(raw)
         except ValueError:

@@ -125,16 +125,9 @@ class BlockReader:
             raise ValueError(f"the message is not a whole SampleBlock: {error}") from error
         quantity, unit, channels, points = layout.values
         return SampleBlock(
-            first_sample,
-            sample_rate,
-            quantity,
-            unit,
-            channels,
-            points,
-            data.reshape(len(channels), -1),
-            OscillatorPhase(cycles, frequency, rate),
-            flags,
-        )
+            first_sample, sample_rate, quantity, unit, channels, points, data.reshape(len(channels), -1),
+            OscillatorPhase(cycles, frequency, rate), flags,
+        )  # fmt: skip
 
     def head(self, raw: bytes) -> BlockHead:
         """All but the samples, which are not touched: for whoever looks at every block of a long recording.
@@ -204,15 +197,9 @@ class BlockReader:
         if not channels or count % len(channels):
             raise ValueError(f"{count} values do not divide into {len(channels)} channels")
         return _BlockLayout(
-            raw[12:index],
-            raw[quantity_at:data],
-            index,
-            quantity_at,
-            data,
-            count,
-            data + 8 * count,
+            raw[12:index], raw[quantity_at:data], index, quantity_at, data, count, data + 8 * count,
             (quantity, unit, tuple(channels), tuple(points)),
-        )
+        )  # fmt: skip
 
 
 class BlockWriter:
@@ -274,22 +261,10 @@ def write_drive(drive: DriveCommand, sample_rate: float) -> bytes:
         values["harmonics_imag"] = [value.imag for _, value in drive.harmonics]
         return _HARMONIC_DRIVE.pack(values)
     return _DRIVE.pack(
-        ENCAPSULATION,
-        *bench_stamp(drive.based_on_sample, sample_rate),
-        drive.apply_at_sample,
-        drive.based_on_sample,
-        drive.waveform,
-        drive.frequency_hz,
-        drive.amplitude,
-        drive.ramp,
-        0,
-        0,
-        0,
-        drive.band_low_hz,
-        drive.band_high_hz,
-        drive.rate_hz_s,
-        drive.frequency_end_hz,
-    )
+        ENCAPSULATION, *bench_stamp(drive.based_on_sample, sample_rate), drive.apply_at_sample, drive.based_on_sample,
+        drive.waveform, drive.frequency_hz, drive.amplitude, drive.ramp, 0, 0, 0, drive.band_low_hz,
+        drive.band_high_hz, drive.rate_hz_s, drive.frequency_end_hz,
+    )  # fmt: skip
 
 
 def read_drive(raw: bytes) -> DriveCommand:
@@ -339,18 +314,8 @@ _STATUS_TAIL = struct.Struct("<dB")
 
 def write_status(status: LoopStatus, sample_rate: float) -> bytes:
     """Serialise as ``nmt_msgs/Frequency`` with the stamp of ``last_sample``."""
-    head = _STATUS_HEAD.pack(
-        ENCAPSULATION,
-        *bench_stamp(status.last_sample, sample_rate),
-        status.last_sample,
-        status.level_index,
-        status.level_sequence,
-        status.state,
-        status.frequency_hz,
-        status.phase_error,
-        status.force_amplitude,
-        status.response_amplitude,
-    ) + string_bytes(status.response_unit)
+    stamp = bench_stamp(status.last_sample, sample_rate)
+    head = _STATUS_HEAD.pack(ENCAPSULATION, *stamp, *status[:8]) + string_bytes(status.response_unit)
     head += bytes(aligned(len(head), 8) - len(head)) + _STATUS_TAIL.pack(status.drive_amplitude, status.flags)
     return head + bytes(aligned(len(head), 4) - len(head)) + string_bytes(status.reason)
 

@@ -14,7 +14,7 @@ from nmt_core.whole_file import write_whole
 FROZEN_FILE = "frozen.json"
 PACKAGES = ("nmt_core", "nmt_rig", "nmt_record", "nmt_extract", "nmt_diagnose")
 """What a diagnosis is made of."""
-_ENDINGS = (".py", ".json", ".yaml")
+_ENDINGS = (".py", ".json", ".yaml", ".msg")
 
 
 def diagnosis_digest() -> str:

@@ -6,9 +6,9 @@
 
 A page holds its tables between ``<!-- generated: KIND NAME -->`` and ``<!-- end -->``; everything else is
 written by hand. KIND is ``message`` (a .msg, .srv or .action file), ``parameters`` (the table of a node), ``rig``
-(a section of the rig file), ``keys`` (attributes of a class by its docstring), ``options`` (a command), ``python`` (the
-public names of a package), ``effects`` (a place of the diagnosis) or ``priors``. The tables of
-parameters stand in the node modules, so they need ROS 2.
+(a section of the rig file), ``elements`` (a file of local elements), ``keys`` (attributes of a class by its
+docstring), ``options`` (a command), ``python`` (the public names of a package), ``effects`` (a place of the
+diagnosis) or ``priors``. The tables of parameters stand in the node modules, so they need ROS 2.
 """
 
 from __future__ import annotations
@@ -146,56 +146,6 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "point": "point whose motion is recorded as well",
         "fraction": "share of it",
     },
-    "EddyBrakeSection": {
-        "kind": "g = c v / (1 + (v / v_c)²)",
-        "damping_ns_m": "c",
-        "critical_velocity_m_s": "v_c, where the force is largest",
-    },
-    "BacklashDamperSection": {
-        "kind": "spring and damper behind a gap to both sides: |g| = max(e (k + λ ė), 0), e = |w| − gap",
-        "stiffness_n_m": "k",
-        "damping_ns_m2": "λ; the force grows with the penetration, so it does not jump at contact",
-        "gap_m": "free play to each side",
-    },
-    "BoucWenSection": {
-        "kind": "g = k (a w + (1 − a) z), ż = v (1 − |z / z_y|ⁿ (b sign(v z) + 1 − b))",
-        "stiffness_n_m": "k at rest",
-        "yield_displacement_m": "z_y, largest z",
-        "exponent": "n, sharpness of the yield",
-        "post_yield_ratio": "a, stiffness after yield by that at rest",
-        "shape": "b; ½ = straight unloading",
-    },
-    "LuGreSection": {
-        "kind": "g = σ₀ z + σ₁ ż + σ₂ v, ż = v − σ₀ |v| z / s(v), s = F_C + (F_S − F_C) exp(−(v / v_S)²)",
-        "bristle_stiffness_n_m": "σ₀",
-        "bristle_damping_ns_m": "σ₁",
-        "viscous_damping_ns_m": "σ₂",
-        "coulomb_force_n": "F_C",
-        "static_force_n": "F_S, not smaller than F_C",
-        "stribeck_velocity_m_s": "v_S",
-    },
-    "FractionalDamperSection": {
-        "kind": "g = c dᵅw/dtᵅ in a band, within 0.1 %, as a ladder of Maxwell elements",
-        "coefficient_n_sa_m": "c, N sᵅ/m",
-        "order": "α",
-        "low_hz": "lower end of the band",
-        "high_hz": "upper end of the band",
-    },
-    "TunedMassQuadraticSection": {
-        "kind": "oscillator y with the coupling energy κ w² y: m ÿ + 2ζω₀ m ẏ + m ω₀² y + κ w² = 0, g = 2 κ w y",
-        "mass_kg": "m",
-        "frequency_hz": "ω₀ / 2π; near twice the mode's frequency for a 1:2 resonance",
-        "damping_ratio": "ζ",
-        "coupling_n_m2": "κ",
-    },
-    "RattlingMassSection": {
-        "kind": "loose mass y that strikes where |w − y| exceeds its gap (contact as `backlash_damper`)",
-        "mass_kg": "mass",
-        "gap_m": "free play to each side",
-        "contact_stiffness_n_m": "k of the contact",
-        "contact_damping_ns_m2": "λ of the contact",
-        "friction_ns_m": "viscous friction that carries the mass between strokes",
-    },
     "BeamSection": {
         "kind": "uniform Euler–Bernoulli beam",
         "boundary": "left and right end",
@@ -273,61 +223,6 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "dampers_ns_m": "dampers between neighbours; left out = none",
         "ground_springs_n_m": "spring from each mass to the ground; left out = none",
         "ground_dampers_ns_m": "damper from each mass to the ground; left out = none",
-    },
-    "ElementSection": {
-        "name": "name for `--set` and messages",
-        "point": "point the element acts on",
-        "other_point": "second point; left out = the ground",
-        "side": "`exciter`: at the drive point behind the force sensor, so that the measured force contains it; it is "
-        "then no part of the structure",
-        "rotation": "acts on the rotation of a beam's cross-section: N m, rad and their products for N, m and theirs",
-    },
-    "JenkinsSection": {
-        "kind": "elastic Coulomb element: a spring in series with a slider",
-        "tangential_stiffness_n_m": "k_t, stiffness while it sticks",
-        "slip_force_n": "μN, force at which it slips",
-    },
-    "IwanSection": {
-        "kind": "joint with micro-slip: Jenkins elements side by side whose slip displacements follow a power law",
-        "tangential_stiffness_n_m": "K_T, all sliders together while they stick",
-        "slip_force_n": "F_S, all sliders together while they slip",
-        "exponent": "χ of the density of stiffness over slip displacement, R φ^χ",
-        "stiffness_ratio": "β, stiffness of the sliders at the largest slip displacement by that of the power law",
-        "onset_ratio": "smallest by largest slip displacement; 0 = Segalman's distribution",
-        "sliders": "sliders that stand for the power law; one more where β > 0",
-        "partition": "what the sliders have in common: equal `stiffness`, or an equal `ratio` of slip displacements "
-        "over four decades",
-        "remaining_stiffness_n_m": "linear spring beside the sliders",
-    },
-    "CubicSpringSection": {"kind": "g = k₃ w³", "stiffness_n_m3": "k₃; negative softens"},
-    "QuinticSpringSection": {"kind": "g = k₅ w⁵", "stiffness_n_m5": "k₅"},
-    "QuadraticSpringSection": {"kind": "g = k₂ w²", "stiffness_n_m2": "k₂"},
-    "UnilateralStopSection": {
-        "kind": "g = k max(w − gap, 0)",
-        "stiffness_n_m": "k",
-        "gap_m": "gap; negative = preloaded",
-    },
-    "TwoSidedGapSection": {
-        "kind": "stops on both sides",
-        "stiffness_n_m": "stiffness of the stops",
-        "gap_m": "free play to each side",
-    },
-    "QuadraticDragSection": {"kind": "g = c₂ v |v|", "drag_ns2_m2": "c₂"},
-    "AmplitudeDamperSection": {
-        "kind": "g = c w² v: damping that grows with the square of the amplitude (van der Pol type)",
-        "damping_ns_m3": "c",
-    },
-    "PowerLawDamperSection": {
-        "kind": "g = c |v|ᵖ sgn v",
-        "coefficient_n_sp_mp": "c, N sᵖ/mᵖ",
-        "exponent": "p; 1 = linear damper, 2 = quadratic drag",
-    },
-    "LinearSpringSection": {"kind": "g = k w", "stiffness_n_m": "k"},
-    "LinearDamperSection": {"kind": "g = c v", "damping_ns_m": "c"},
-    "TanhFrictionSection": {
-        "kind": "g = μN tanh(v / v₀)",
-        "slip_force_n": "μN",
-        "reference_velocity_m_s": "v₀",
     },
     "ShakerSection": {
         "kind": "electrodynamic shaker driven by a voltage, its table joined to `point` by a rigid stinger",
@@ -490,9 +385,26 @@ def rig_table(name: str) -> str:
     """Keys of one section of the rig file, by the name of its model."""
     from nmt_rig import rig
 
-    model = getattr(rig, name)
-    bases = [base for base in (rig.ElementSection, rig.StructureSection) if issubclass(model, base) and base != model]
-    inherited = {key for base in bases for key in base.model_fields}
+    return _section_table(getattr(rig, name), rig.StructureSection, RIG_MEANINGS[name])
+
+
+def elements_table(name: str) -> str:
+    """Keys of the local elements of one file, by its name; their docstrings say what they mean."""
+    from nmt_rig.model.local_elements.element import ElementSection
+
+    name_of_module = f"nmt_rig.model.local_elements.{name}"
+    tables = []
+    for model in vars(importlib.import_module(name_of_module)).values():
+        own = isinstance(model, type) and model.__module__ == name_of_module and issubclass(model, ElementSection)
+        if own and "Attributes:" in (model.__doc__ or ""):
+            title = model.__doc__.partition("\n")[0].removesuffix(".")
+            title = title if title[1] == " " else title[0].lower() + title[1:]
+            tables.append(_section_table(model, ElementSection, {"kind": title, **_attributes(model)}))
+    return "\n\n".join(tables)
+
+
+def _section_table(model: Any, base: Any, meanings: dict[str, str]) -> str:
+    inherited = base.model_fields if issubclass(model, base) and model is not base else ()
     lines = ["| key | type | unit | range | default | meaning |", "|---|---|---|---|---|---|"]
     for key, field in model.model_fields.items():
         if key in inherited:
@@ -500,9 +412,14 @@ def rig_table(name: str) -> str:
         kind, bounds = _type_and_range(key, field)
         value = field.get_default(call_default_factory=True)
         default = "required" if field.is_required() else _default(value)
-        meaning = RIG_MEANINGS[name][key]
-        lines.append(f"| `{key}` | {kind} | {_unit(key)} | {bounds} | {default} | {_cell(meaning)} |")
+        lines.append(f"| `{key}` | {kind} | {_unit(key)} | {bounds} | {default} | {_cell(meanings[key])} |")
     return "\n".join(lines)
+
+
+def _attributes(model: Any) -> dict[str, str]:
+    """Meanings of the attributes of a class by its docstring."""
+    text = (model.__doc__ or "").partition("Attributes:\n")[2].partition("\n\n")[0]
+    return {key: " ".join(words.split()) for key, words in _ATTRIBUTE.findall(text)}
 
 
 def keys_table(name: str) -> str:
@@ -513,8 +430,7 @@ def keys_table(name: str) -> str:
     """
     module, _, kind = name.rpartition(".")
     model = getattr(importlib.import_module(module), kind)
-    text = (model.__doc__ or "").partition("Attributes:\n")[2].partition("\n\n")[0]
-    meanings = {key: " ".join(words.split()) for key, words in _ATTRIBUTE.findall(text)}
+    meanings = _attributes(model)
     fields = getattr(model, "model_fields", {})
     lines = (
         ["| key | type | default | meaning |", "|---|---|---|---|"] if fields else ["| key | meaning |", "|---|---|"]
@@ -612,6 +528,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "message": message_table,
     "parameters": parameters_table,
     "rig": rig_table,
+    "elements": elements_table,
     "keys": keys_table,
     "options": options_table,
     "python": python_table,

@@ -84,7 +84,7 @@ MUTATIONS = [
             "the back-EMF drives the current",
         ),
         (
-            "nmt_rig/nmt_rig/model/iwan.py",
+            "nmt_rig/nmt_rig/model/local_elements/iwan.py",
             "* (1.0 + self.stiffness_ratio)\n",
             "* (1.0 - self.stiffness_ratio)\n",
             "the slip force of a joint with sliders at the end",

@@ -69,7 +69,7 @@ def package_digest(name: str) -> str:
 
 
 def kernel_sources() -> list[str]:
-    """Python files with compiled kernels, or that only name their compiler.
+    """Python files with compiled kernels or with formulas for them, or that only name their compiler.
 
     numba looks at the file of a kernel alone when it loads it from its cache: a kernel whose callee in another file has
     changed would go on computing the old formula. So a change of any of these files discards the whole cache.
@@ -78,7 +78,7 @@ def kernel_sources() -> list[str]:
     for path in sorted(glob.glob(os.path.join(SOURCE, "*", "*", "**", "*.py"), recursive=True)):
         with contextlib.suppress(OSError), open(path, "rb") as file:
             content = file.read()
-            if b"njit" in content or b"numba" in content or b"@compiled" in content:
+            if b"njit" in content or b"numba" in content or "local_elements" in path:
                 sources.append(path)
     return sources
 

@@ -16,17 +16,11 @@ from nmt_diagnose.twin.equivalent_linear import equivalents
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.local_tables import local_tables
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.local_elements import (
-    AmplitudeDamper,
-    CubicSpring,
-    Jenkins,
-    LocalElement,
-    PowerLawDamper,
-    QuadraticDrag,
-    QuinticSpring,
-    TwoSidedGap,
-    UnilateralStop,
-)
+from nmt_rig.model.local_elements.contacts import TwoSidedGap, UnilateralStop
+from nmt_rig.model.local_elements.dampers import AmplitudeDamper, PowerLawDamper, QuadraticDrag
+from nmt_rig.model.local_elements.element import LocalElement
+from nmt_rig.model.local_elements.friction import Jenkins
+from nmt_rig.model.local_elements.springs import CubicSpring, QuinticSpring
 from nmt_rig.rig import Rig
 
 ALONG = np.ones(1)

@@ -8,16 +8,11 @@ import pytest
 from nmt_diagnose.twin.local_tables import local_tables
 from nmt_diagnose.twin.record_kernel import _step_all, _step_one, step_through
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.local_elements import (
-    AmplitudeDamper,
-    CubicSpring,
-    Jenkins,
-    LocalElement,
-    PowerLawDamper,
-    TanhFriction,
-    TwoSidedGap,
-    UnilateralStop,
-)
+from nmt_rig.model.local_elements.contacts import TwoSidedGap, UnilateralStop
+from nmt_rig.model.local_elements.dampers import AmplitudeDamper, PowerLawDamper
+from nmt_rig.model.local_elements.element import LocalElement
+from nmt_rig.model.local_elements.friction import Jenkins, TanhFriction
+from nmt_rig.model.local_elements.springs import CubicSpring
 
 RATE = 2000.0
 ONE = np.ones(1)

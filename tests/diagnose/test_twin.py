@@ -32,8 +32,9 @@ from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
+from nmt_rig.model.local_elements.springs import LinearSpringSection
 from nmt_rig.model.phase_resonance import phase_resonant_backbone
-from nmt_rig.rig import LinearSpringSection, Rig, load_rig, validate_rig
+from nmt_rig.rig import Rig, load_rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 from nmt_rig.rig_model import build_elements, build_structure, build_system
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import pkgutil
 import re
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import get_args
 
 import pytest
 
 from nmt_bench.cli import COMMANDS, build_parser
+from nmt_rig.model import local_elements
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -135,6 +138,9 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     wanted |= {("parameters", name) for name in ("common", *make_reference.NODE_MODULES)}
     wanted |= {("options", name) for name in COMMANDS}
     sections = {name for name, kind in vars(rig).items() if isinstance(kind, type) and issubclass(kind, rig.Section)}
+    sections -= {"AttachmentSection"}
+    files = (name for _, name, _ in pkgutil.iter_modules(local_elements.__path__))
+    wanted |= {("elements", name) for name in files}
     wanted |= {("rig", name) for name in sections - {"Section"}}
     wanted |= {("python", name) for name in PYTHON}
     wanted |= {("effects", effect.place) for effect in library()} | {("priors", "all")}
@@ -146,10 +152,11 @@ def test_every_rig_key_has_a_meaning_and_no_other() -> None:
 
     for name, meanings in make_reference.RIG_MEANINGS.items():
         fields = set(getattr(rig, name).model_fields)
-        for base in (rig.ElementSection, rig.StructureSection):
-            if issubclass(getattr(rig, name), base) and getattr(rig, name) is not base:
-                fields -= set(base.model_fields)
+        if issubclass(getattr(rig, name), rig.StructureSection) and name != "StructureSection":
+            fields -= set(rig.StructureSection.model_fields)
         assert set(meanings) == fields, name
+    for section in get_args(get_args(local_elements.AnyElement)[0]):
+        assert list(make_reference._attributes(section)) == section.own_keys(), section
 
 
 def test_every_command_and_option_is_on_the_page() -> None:

@@ -114,8 +114,10 @@ def test_kernels_are_cached_once_their_module_exists(project):
     assert project.calls() == []
 
 
-def test_a_changed_kernel_discards_every_cached_one(project):
-    kernel = project.write("ros2_ws/src/nmt_plant/nmt_plant/kernel.py", "from numba import njit\n")
+@pytest.mark.parametrize("name", ["kernel.py", "local_elements/springs.py"])
+def test_a_changed_kernel_discards_every_cached_one(project, name):
+    first, other = ("from numba import njit", "# another") if name == "kernel.py" else ("x = 1", "+ 1")
+    kernel = project.write(f"ros2_ws/src/nmt_plant/nmt_plant/{name}", f"{first}\n")
     project.write("ros2_ws/src/nmt_plant/nmt_plant/plain.py", "x = 1\n")
     project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
     project.launcher.set_up.set_up(None)
@@ -125,7 +127,7 @@ def test_a_changed_kernel_discards_every_cached_one(project):
     project.write("ros2_ws/src/nmt_plant/nmt_plant/plain.py", "x = 2\n")
     project.launcher.set_up.set_up(None)
     assert cached.exists()
-    project.write("ros2_ws/src/nmt_plant/nmt_plant/kernel.py", "from numba import njit  # another formula\n")
+    project.write(f"ros2_ws/src/nmt_plant/nmt_plant/{name}", f"{first}  {other}\n")
     project.calls()
     project.launcher.set_up.set_up(None)
     assert not cached.exists()

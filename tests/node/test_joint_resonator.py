@@ -16,9 +16,9 @@ from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import LOOP_SAMPLES, write_results
 from nmt_extract.offline import extract_bag
 from nmt_report.run_report import report_data_from_bag, report_html
+from nmt_rig.model.local_elements.iwan import IwanSection
 from nmt_rig.reference import compute_reference
-from nmt_rig.rig import IwanSection, load_rig
-from nmt_rig.rig_model import build_iwan
+from nmt_rig.rig import load_rig
 
 LEVELS = [0.6, 3.0, 12.0]
 
@@ -61,9 +61,8 @@ def test_hysteresis_damping_agrees_with_the_energies_of_the_model(finished: RunR
         energy = 0.5 * leaf * stretch**2
         for section in rig.local_elements:
             assert isinstance(section, IwanSection)
-            iwan = build_iwan(section)
-            energy += 0.5 * iwan.remaining_stiffness * reach**2
-            for stiffness, limit in zip(*iwan.slider_table(), strict=True):
+            energy += 0.5 * section.remaining_stiffness_n_m * reach**2
+            for stiffness, limit in zip(*section.slider_table(), strict=True):
                 if reach > limit:
                     work += 4.0 * stiffness * limit * (reach - limit)
                     energy += stiffness * limit**2 if reach > 2.0 * limit else _midline(stiffness, limit, reach)

@@ -6,7 +6,7 @@ import pytest
 
 from nmt_rig.model.assembly import ElectromechanicalSystem, assemble
 from nmt_rig.model.beam import euler_bernoulli_cantilever
-from nmt_rig.model.local_elements import Jenkins
+from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.structure import Structure
 from nmt_rig.rig import Rig, load_rig

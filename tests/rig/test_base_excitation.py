@@ -15,7 +15,7 @@ from nmt_rig.model.assembly import acceleration_output, assemble, displacement_o
 from nmt_rig.model.beam import element_matrices, euler_bernoulli_beam
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.linear_modes import damped_modes, sticking_modes
-from nmt_rig.model.local_elements import CubicSpring
+from nmt_rig.model.local_elements.springs import CubicSpring
 from nmt_rig.model.shaking_table import ShakingTable, effective_mass
 from nmt_rig.model.time_integration import TimeIntegrator
 from nmt_rig.reference import compute_reference, single_point_reference

@@ -14,7 +14,7 @@ from nmt_rig.model.continuation import NotConvergedError
 from nmt_rig.model.epmc import epmc_backbone
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
-from nmt_rig.model.local_elements import CubicSpring
+from nmt_rig.model.local_elements.springs import CubicSpring
 from nmt_rig.model.time_integration import TimeIntegrator
 from nmt_rig.rig import load_rig
 

@@ -11,7 +11,10 @@ from scipy.integrate import solve_ivp
 from nmt_rig.model.assembly import ElectromechanicalSystem, acceleration_output, assemble, displacement_output
 from nmt_rig.model.beam import euler_bernoulli_cantilever
 from nmt_rig.model.chain import lumped_chain
-from nmt_rig.model.local_elements import CubicSpring, Jenkins, LocalElement, TwoSidedGap, UnilateralStop
+from nmt_rig.model.local_elements.contacts import TwoSidedGap, UnilateralStop
+from nmt_rig.model.local_elements.element import LocalElement
+from nmt_rig.model.local_elements.friction import Jenkins
+from nmt_rig.model.local_elements.springs import CubicSpring
 from nmt_rig.model.propagator import state_space
 from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.time_integration import TimeIntegrator

@@ -10,9 +10,9 @@ from rig.effect_rigs import DAMPER, MASS, RATE, SPRING, harmonic, oscillator, ru
 from scipy.integrate import cumulative_simpson, solve_ivp
 
 from nmt_rig.model.assembly import assemble, displacement_output
-from nmt_rig.model.attachments import BoucWen, FractionalDamper, LuGre
 from nmt_rig.model.chain import lumped_chain
-from nmt_rig.model.local_elements import Jenkins
+from nmt_rig.model.local_elements.attachments import BoucWen, FractionalDamper, LuGre
+from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.time_integration import TimeIntegrator
 from nmt_rig.rig_model import build_system
 

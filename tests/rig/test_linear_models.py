@@ -9,7 +9,7 @@ from nmt_rig.model.assembly import assemble
 from nmt_rig.model.beam import euler_bernoulli_cantilever
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.linear_modes import damped_modes, sticking_modes
-from nmt_rig.model.local_elements import Jenkins
+from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.propagator import phi_functions, propagator, state_space
 from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.structure import Structure

@@ -14,7 +14,7 @@ from nmt_rig.model.epmc import epmc_backbone
 from nmt_rig.model.forced_response import ForcedProblem, frequency_response
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
-from nmt_rig.model.local_elements import CubicSpring
+from nmt_rig.model.local_elements.springs import CubicSpring
 from nmt_rig.model.modal_structure import Mode, modal_structure
 from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.structure import Structure

@@ -17,23 +17,12 @@ from nmt_rig.model.assembly import (
     displacement_output,
     input_output,
 )
-from nmt_rig.model.attachments import BoucWen
 from nmt_rig.model.chain import lumped_chain
-from nmt_rig.model.local_elements import (
-    AmplitudeDamper,
-    CubicSpring,
-    Jenkins,
-    LinearDamper,
-    LinearSpring,
-    PowerLawDamper,
-    QuadraticDrag,
-    QuadraticSpring,
-    QuinticSpring,
-    TanhFriction,
-    TwoSidedGap,
-    UnilateralStop,
-    element_response,
-)
+from nmt_rig.model.local_elements.attachments import BoucWen
+from nmt_rig.model.local_elements.contacts import TwoSidedGap, UnilateralStop
+from nmt_rig.model.local_elements.dampers import AmplitudeDamper, LinearDamper, PowerLawDamper, QuadraticDrag
+from nmt_rig.model.local_elements.friction import Jenkins, TanhFriction
+from nmt_rig.model.local_elements.springs import CubicSpring, LinearSpring, QuadraticSpring, QuinticSpring
 from nmt_rig.model.propagator import state_space
 from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator
 
@@ -117,7 +106,11 @@ def test_local_elements_against_solve_ivp(element):
     y = integrator.advance(sine(frequency, seconds, force))[0]
 
     def rate(t, s):
-        g = element_response(element.kind, element.parameters, s[0], s[1], 0.0)[0]
+        if hasattr(element, "response"):
+            g = element.response(*element.values, s[0], s[1])[0]
+        else:
+            side = element.next_branch(*element.values, 0, s[0], s[1], 0.0)
+            g = element.frozen(*element.values, side, s[0], s[1], 0.0)[0]
         return [s[1], (force * np.sin(frequency * t) - 20_000.0 * s[0] - 0.5 * s[1] - g) / 0.5]
 
     times = np.arange(y.size) / RATE

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from nmt_rig.model.beam import euler_bernoulli_cantilever
-from nmt_rig.model.local_elements import Jenkins, LocalElement
+from nmt_rig.model.local_elements.element import LocalElement
+from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.structure import Structure
 

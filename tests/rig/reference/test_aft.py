@@ -9,21 +9,11 @@ from scipy.special import gamma
 from nmt_core.errors import BenchError
 from nmt_rig.model.aft import LocalForces, forces_alone
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.local_elements import (
-    AmplitudeDamper,
-    CubicSpring,
-    Jenkins,
-    LinearDamper,
-    LinearSpring,
-    LocalElement,
-    PowerLawDamper,
-    QuadraticDrag,
-    QuadraticSpring,
-    QuinticSpring,
-    TanhFriction,
-    TwoSidedGap,
-    UnilateralStop,
-)
+from nmt_rig.model.local_elements.contacts import TwoSidedGap, UnilateralStop
+from nmt_rig.model.local_elements.dampers import AmplitudeDamper, LinearDamper, PowerLawDamper, QuadraticDrag
+from nmt_rig.model.local_elements.element import LocalElement
+from nmt_rig.model.local_elements.friction import Jenkins, TanhFriction
+from nmt_rig.model.local_elements.springs import CubicSpring, LinearSpring, QuadraticSpring, QuinticSpring
 
 D = np.array([1.0])
 OMEGA = 3.0

@@ -12,7 +12,9 @@ from nmt_core.errors import BenchError
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.epmc import EpmcProblem, epmc_backbone
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.local_elements import AmplitudeDamper, CubicSpring, Jenkins, PowerLawDamper
+from nmt_rig.model.local_elements.dampers import AmplitudeDamper, PowerLawDamper
+from nmt_rig.model.local_elements.friction import Jenkins
+from nmt_rig.model.local_elements.springs import CubicSpring
 from nmt_rig.model.structure import Structure
 
 ONE = np.array([1.0])

@@ -7,11 +7,14 @@ import pytest
 
 from nmt_core.errors import BenchError
 from nmt_rig.model.assembly import OutputRow, assemble
-from nmt_rig.model.attachments import BoucWen, FractionalDamper, TunedMassQuadratic
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.forced_response import ForcedProblem, _DriveHeld, _ForceHeld, frequency_response
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.local_elements import CubicSpring, Jenkins, QuadraticDrag, UnilateralStop
+from nmt_rig.model.local_elements.attachments import BoucWen, FractionalDamper, TunedMassQuadratic
+from nmt_rig.model.local_elements.contacts import UnilateralStop
+from nmt_rig.model.local_elements.dampers import QuadraticDrag
+from nmt_rig.model.local_elements.friction import Jenkins
+from nmt_rig.model.local_elements.springs import CubicSpring
 from nmt_rig.model.phase_resonance import _Quadrature
 from nmt_rig.model.time_integration import TimeIntegrator
 

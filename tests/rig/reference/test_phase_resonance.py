@@ -129,7 +129,7 @@ def test_linear_phase_resonance_is_that_of_the_structure_alone(beam, joint, shak
 
 
 def test_drive_without_phase_resonance_is_refused(beam, shaker) -> None:
-    from nmt_rig.model.local_elements import Jenkins
+    from nmt_rig.model.local_elements.friction import Jenkins
 
     elements = [Jenkins(beam.direction(2), 5e4, 1.0)]
     reference = float(sticking_modes(beam, elements, 2).frequencies[1])
@@ -139,7 +139,7 @@ def test_drive_without_phase_resonance_is_refused(beam, shaker) -> None:
 
 
 def test_levels_beyond_a_fold_are_refused_or_left_out(beam, shaker) -> None:
-    from nmt_rig.model.local_elements import Jenkins
+    from nmt_rig.model.local_elements.friction import Jenkins
 
     elements = [Jenkins(beam.direction(2), 8e3, 1.0)]
     reference = float(sticking_modes(beam, elements, 2).frequencies[1])

@@ -18,7 +18,7 @@ from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import ElectromechanicalSystem, assemble, displacement_output
 from nmt_rig.model.beam import euler_bernoulli_cantilever
-from nmt_rig.model.local_elements import JENKINS, Jenkins
+from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.propagator import state_space
 from nmt_rig.model.time_integration import TimeIntegrator
 from nmt_rig.rig import Rig, SensorSection, load_rig
@@ -77,7 +77,7 @@ def solve_ivp_peer(
         RuntimeError: solve_ivp failed.
     """
     space = state_space(system)
-    if len(space.elements) > 1 or any(element.kind != JENKINS for element in space.elements):
+    if len(space.elements) > 1 or not all(isinstance(element, Jenkins) for element in space.elements):
         raise ValueError("the peer knows systems with at most one Jenkins element")
     m = space.mechanical_size
     port, w_row, v_row = np.zeros(space.size), np.zeros(space.size), np.zeros(space.size)

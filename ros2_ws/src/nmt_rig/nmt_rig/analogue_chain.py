@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
 
 from nmt_core.arrays import FloatArray
-from nmt_rig.model.local_elements import compiled
 
 # Samples that the polynomial passes through.
 NODES = 6
@@ -50,7 +50,7 @@ def low_pass_weights(rate: float, interval: float, count: int = NODES) -> tuple[
     return weights * ((1.0 - decay) / weights.sum()), decay
 
 
-@compiled
+@njit(cache=True)
 def weigh(extended: FloatArray, weights: FloatArray, decay: float, last: float, result: FloatArray) -> float:
     """result[k] = decay · result[k - 1] + Σ_j weights[j] extended[k + m - 1 - j], m weights; returns the last value.
 

@@ -10,7 +10,6 @@ import numpy as np
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import OscillatorPhase
 from nmt_rig.model.assembly import ElectromechanicalSystem
-from nmt_rig.model.local_elements import Jenkins, LocalElement, TanhFriction
 from nmt_rig.model.time_integration import TimeIntegrator
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_structure
@@ -91,12 +90,6 @@ class Drift:
             replace(
                 self._base,
                 stiffness=self._base.stiffness + change * self._stiffness,
-                elements=tuple(_with_slip(element, share) for element in self._base.elements),
+                elements=tuple(element.with_slip_force(share) for element in self._base.elements),
             )
         )
-
-
-def _with_slip(element: LocalElement, share: float) -> LocalElement:
-    if isinstance(element, Jenkins | TanhFriction):
-        return replace(element, slip_force=share * element.slip_force)
-    return element

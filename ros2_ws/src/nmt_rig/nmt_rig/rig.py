@@ -18,6 +18,8 @@ from nmt_rig.device_sections import NiDaqmxSection as NiDaqmxSection
 from nmt_rig.device_sections import OutputPortSection as OutputPortSection
 from nmt_rig.device_sections import PortAudioSection as PortAudioSection
 from nmt_rig.device_sections import StopInputSection as StopInputSection
+from nmt_rig.model.local_elements import AnyElement
+from nmt_rig.model.local_elements.attachments import AttachmentSection
 from nmt_rig.rig_file import KeyPath, RigDocument, apply_overrides, read_document
 from nmt_rig.rig_places import RIG_PATH_VARIABLE as RIG_PATH_VARIABLE
 from nmt_rig.rig_places import find_rig as find_rig
@@ -35,231 +37,6 @@ from nmt_rig.structure_sections import ModalSection as ModalSection
 from nmt_rig.structure_sections import ModeSection as ModeSection
 from nmt_rig.structure_sections import ResidualSection as ResidualSection
 from nmt_rig.structure_sections import StructureSection as StructureSection
-
-
-class ElementSection(Section):
-    """Common keys of local elements: between `point` and `other_point`, the ground when that is left out.
-
-    side: an element on the side of the exciter acts on the drive point behind the force sensor, so its force is part
-    of the measured one. rotation: it acts on the rotation of the beam's cross-section (N m and rad instead of N and m).
-    """
-
-    name: Name | None = None
-    point: Point
-    other_point: Point | None = None
-    side: Literal["structure", "exciter"] = "structure"
-    rotation: bool = False
-
-
-class JenkinsSection(ElementSection):
-    """Elastic Coulomb element."""
-
-    kind: Literal["jenkins"]
-    tangential_stiffness_n_m: Positive
-    slip_force_n: Positive
-
-
-class IwanSection(ElementSection):
-    """Joint with micro-slip: a distribution of Jenkins elements side by side (see model/iwan.py)."""
-
-    kind: Literal["iwan"]
-    tangential_stiffness_n_m: Positive
-    slip_force_n: Positive
-    exponent: Annotated[float, Field(gt=-1)] = 0.0
-    stiffness_ratio: NotNegative = 0.0
-    onset_ratio: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    sliders: Annotated[int, Field(ge=1, le=200)] = 12
-    partition: Literal["stiffness", "ratio"] = "stiffness"
-    remaining_stiffness_n_m: NotNegative = 0.0
-
-
-class CubicSpringSection(ElementSection):
-    """g = k3 w³."""
-
-    kind: Literal["cubic_spring"]
-    stiffness_n_m3: float
-
-
-class QuinticSpringSection(ElementSection):
-    """g = k5 w⁵."""
-
-    kind: Literal["quintic_spring"]
-    stiffness_n_m5: float
-
-
-class QuadraticSpringSection(ElementSection):
-    """g = k2 w²."""
-
-    kind: Literal["quadratic_spring"]
-    stiffness_n_m2: float
-
-
-class UnilateralStopSection(ElementSection):
-    """g = k max(w - gap, 0)."""
-
-    kind: Literal["unilateral_stop"]
-    stiffness_n_m: Positive
-    gap_m: float
-
-
-class TwoSidedGapSection(ElementSection):
-    """Stops on both sides at distance gap."""
-
-    kind: Literal["two_sided_gap"]
-    stiffness_n_m: Positive
-    gap_m: NotNegative
-
-
-class QuadraticDragSection(ElementSection):
-    """g = c2 v |v|."""
-
-    kind: Literal["quadratic_drag"]
-    drag_ns2_m2: float
-
-
-class AmplitudeDamperSection(ElementSection):
-    """g = c w² v."""
-
-    kind: Literal["amplitude_damper"]
-    damping_ns_m3: float
-
-
-class PowerLawDamperSection(ElementSection):
-    """g = c |v|ᵖ sgn v."""
-
-    kind: Literal["power_law_damper"]
-    coefficient_n_sp_mp: float
-    exponent: Annotated[float, Field(ge=1, le=10)]
-
-
-class LinearSpringSection(ElementSection):
-    """g = k w."""
-
-    kind: Literal["linear_spring"]
-    stiffness_n_m: float
-
-
-class LinearDamperSection(ElementSection):
-    """g = c v."""
-
-    kind: Literal["linear_damper"]
-    damping_ns_m: float
-
-
-class TanhFrictionSection(ElementSection):
-    """g = μN tanh(v / v0)."""
-
-    kind: Literal["tanh_friction"]
-    slip_force_n: Positive
-    reference_velocity_m_s: Positive
-
-
-class EddyBrakeSection(ElementSection):
-    """g = c v / (1 + (v / v_c)²)."""
-
-    kind: Literal["eddy_brake"]
-    damping_ns_m: NotNegative
-    critical_velocity_m_s: Positive
-
-
-class BacklashDamperSection(ElementSection):
-    """Free play with a spring and a damper behind it: g = max(e (k + λ ė), 0), e = |w| - gap > 0, to both sides."""
-
-    kind: Literal["backlash_damper"]
-    stiffness_n_m: Positive
-    damping_ns_m2: NotNegative
-    gap_m: NotNegative
-
-
-class BoucWenSection(ElementSection):
-    """g = k (a w + (1 - a) z), ż = v (1 - |z / z_y|^n (b sign(v z) + 1 - b))."""
-
-    kind: Literal["bouc_wen"]
-    stiffness_n_m: Positive
-    yield_displacement_m: Positive
-    exponent: Annotated[float, Field(ge=1, le=20)] = 1.0
-    post_yield_ratio: Annotated[float, Field(ge=0, le=1)] = 0.0
-    shape: Annotated[float, Field(ge=0, le=1)] = 0.5
-
-
-class LuGreSection(ElementSection):
-    """g = σ₀ z + σ₁ ż + σ₂ v, ż = v - σ₀ |v| z / s(v), s = F_C + (F_S - F_C) exp(-(v / v_S)²)."""
-
-    kind: Literal["lugre"]
-    bristle_stiffness_n_m: Positive
-    bristle_damping_ns_m: NotNegative = 0.0
-    viscous_damping_ns_m: NotNegative = 0.0
-    coulomb_force_n: Positive
-    static_force_n: Positive
-    stribeck_velocity_m_s: Positive
-
-    @model_validator(mode="after")
-    def _static_is_larger(self) -> LuGreSection:
-        if self.static_force_n < self.coulomb_force_n:
-            raise ValueError("static_force_n must not be smaller than coulomb_force_n")
-        return self
-
-
-class FractionalDamperSection(ElementSection):
-    """g = c dᵅw/dtᵅ between two frequencies, as a ladder of Maxwell elements."""
-
-    kind: Literal["fractional_damper"]
-    coefficient_n_sa_m: Positive
-    order: Annotated[float, Field(gt=0, lt=1)] = 0.5
-    low_hz: Positive = 0.1
-    high_hz: Positive = 10_000.0
-
-    @model_validator(mode="after")
-    def _band(self) -> FractionalDamperSection:
-        if self.low_hz >= self.high_hz:
-            raise ValueError("low_hz must be smaller than high_hz")
-        return self
-
-
-class TunedMassQuadraticSection(ElementSection):
-    """Oscillator beside the structure with the coupling energy κ w² y: 1:2 resonance where it is tuned to 2 ω."""
-
-    kind: Literal["tuned_mass_quadratic"]
-    mass_kg: Positive
-    frequency_hz: Positive
-    damping_ratio: NotNegative = 0.0
-    coupling_n_m2: float
-
-
-class RattlingMassSection(ElementSection):
-    """Loose mass with free play: strikes at |w - y| = gap, is carried by viscous friction alone in between."""
-
-    kind: Literal["rattling_mass"]
-    mass_kg: Positive
-    gap_m: Positive
-    contact_stiffness_n_m: Positive
-    contact_damping_ns_m2: NotNegative = 0.0
-    friction_ns_m: NotNegative = 0.0
-
-
-AnyElement = Annotated[
-    JenkinsSection
-    | IwanSection
-    | CubicSpringSection
-    | QuinticSpringSection
-    | QuadraticSpringSection
-    | UnilateralStopSection
-    | TwoSidedGapSection
-    | QuadraticDragSection
-    | AmplitudeDamperSection
-    | PowerLawDamperSection
-    | LinearSpringSection
-    | LinearDamperSection
-    | TanhFrictionSection
-    | EddyBrakeSection
-    | BacklashDamperSection
-    | BoucWenSection
-    | LuGreSection
-    | FractionalDamperSection
-    | TunedMassQuadraticSection
-    | RattlingMassSection,
-    Field(discriminator="kind"),
-]
 
 
 class ShakerSection(Section):
@@ -650,7 +427,7 @@ def _check_table(rig: Rig, table: ShakingTableSection, document: RigDocument) ->
             "row for a unit displacement of the base (or r in the file)."
         )
     for index, element in enumerate(rig.local_elements):
-        if element.side == "exciter" or isinstance(element, TunedMassQuadraticSection | RattlingMassSection):
+        if element.side == "exciter" or (isinstance(element, AttachmentSection) and element.element.inertial):
             raise BenchError(
                 f"{document.place(('local_elements', index))}: local_elements.{index} ({element.kind}) does not go "
                 "with a shaking_table: no element on the side of the exciter, and none with a mass of its own."
@@ -707,12 +484,9 @@ def _check_hysteresis(rig: Rig, document: RigDocument) -> None:
             )
 
 
-def _check_element(rig: Rig, index: int, element: ElementSection, document: RigDocument) -> None:
+def _check_element(rig: Rig, index: int, element: AnyElement, document: RigDocument) -> None:
     """Side and rotation fit exciter and structure."""
-    if element.side == "exciter" and isinstance(
-        element,
-        BoucWenSection | LuGreSection | FractionalDamperSection | TunedMassQuadraticSection | RattlingMassSection,
-    ):
+    if element.side == "exciter" and isinstance(element, AttachmentSection):
         place = document.place(("local_elements", index, "side"))
         raise BenchError(f"{place}: local_elements.{index} ({element.kind}) can only be on the side of the structure.")
     if element.side == "exciter" and (element.point != rig.drive_point or element.other_point is not None):

@@ -2,67 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_rig.model.assembly import ElectromechanicalSystem, assemble
-from nmt_rig.model.attachments import Attachment, BoucWen, FractionalDamper, LuGre, RattlingMass, TunedMassQuadratic
 from nmt_rig.model.beam import euler_bernoulli_beam
 from nmt_rig.model.chain import lumped_chain
-from nmt_rig.model.iwan import IwanJoint
 from nmt_rig.model.linear_modes import modal_damping_matrix, sticking_modes
-from nmt_rig.model.local_elements import (
-    AmplitudeDamper,
-    BacklashDamper,
-    CubicSpring,
-    EddyBrake,
-    Jenkins,
-    LinearDamper,
-    LinearSpring,
-    LocalElement,
-    PowerLawDamper,
-    QuadraticDrag,
-    QuadraticSpring,
-    QuinticSpring,
-    TanhFriction,
-    TwoSidedGap,
-    UnilateralStop,
-)
+from nmt_rig.model.local_elements.attachments import Attachment, AttachmentSection
+from nmt_rig.model.local_elements.dampers import LinearDamper, LinearDamperSection
+from nmt_rig.model.local_elements.element import LocalElement
+from nmt_rig.model.local_elements.springs import LinearSpring, LinearSpringSection
 from nmt_rig.model.modal_structure import Mode, modal_structure
 from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.shaking_table import ShakingTable, effective_mass
-from nmt_rig.model.structure import Array, Structure
+from nmt_rig.model.structure import Structure
 from nmt_rig.rig import (
-    AmplitudeDamperSection,
-    BacklashDamperSection,
     BeamSection,
-    BoucWenSection,
     ChainSection,
-    CubicSpringSection,
-    EddyBrakeSection,
-    ElementSection,
-    FractionalDamperSection,
-    IwanSection,
-    JenkinsSection,
-    LinearDamperSection,
-    LinearSpringSection,
-    LuGreSection,
     MatricesSection,
     ModalSection,
-    PowerLawDamperSection,
-    QuadraticDragSection,
-    QuadraticSpringSection,
-    QuinticSpringSection,
-    RattlingMassSection,
     Rig,
     ShakerSection,
     ShakingTableSection,
-    TanhFrictionSection,
-    TunedMassQuadraticSection,
-    TwoSidedGapSection,
-    UnilateralStopSection,
 )
 
 
@@ -165,133 +127,24 @@ def _matrix_structure(s: MatricesSection) -> Structure:
     )
 
 
-def build_element(section: ElementSection, structure: Structure) -> LocalElement:
-    """Local element of one section of a rig file that stands for one element.
-
-    Raises:
-        KeyError: the structure has no such point.
-        TypeError: a section of an unknown kind.
-    """
-    direction = section_direction(section, structure)
-    if isinstance(section, JenkinsSection):
-        return Jenkins(direction, section.tangential_stiffness_n_m, section.slip_force_n)
-    if isinstance(section, CubicSpringSection):
-        return CubicSpring(direction, section.stiffness_n_m3)
-    if isinstance(section, QuinticSpringSection):
-        return QuinticSpring(direction, section.stiffness_n_m5)
-    if isinstance(section, QuadraticSpringSection):
-        return QuadraticSpring(direction, section.stiffness_n_m2)
-    if isinstance(section, UnilateralStopSection):
-        return UnilateralStop(direction, section.stiffness_n_m, section.gap_m)
-    if isinstance(section, TwoSidedGapSection):
-        return TwoSidedGap(direction, section.stiffness_n_m, section.gap_m)
-    if isinstance(section, QuadraticDragSection):
-        return QuadraticDrag(direction, section.drag_ns2_m2)
-    if isinstance(section, AmplitudeDamperSection):
-        return AmplitudeDamper(direction, section.damping_ns_m3)
-    if isinstance(section, PowerLawDamperSection):
-        return PowerLawDamper(direction, section.coefficient_n_sp_mp, section.exponent)
-    if isinstance(section, LinearSpringSection):
-        return LinearSpring(direction, section.stiffness_n_m)
-    if isinstance(section, LinearDamperSection):
-        return LinearDamper(direction, section.damping_ns_m)
-    if isinstance(section, TanhFrictionSection):
-        return TanhFriction(direction, section.slip_force_n, section.reference_velocity_m_s)
-    if isinstance(section, EddyBrakeSection):
-        return EddyBrake(direction, section.damping_ns_m, section.critical_velocity_m_s)
-    if isinstance(section, BacklashDamperSection):
-        return BacklashDamper(direction, section.stiffness_n_m, section.damping_ns_m2, section.gap_m)
-    raise TypeError(f"no local element for {type(section).__name__}")
-
-
-def section_direction(section: ElementSection, structure: Structure) -> Array:
-    """Direction (n,) of a section of a rig file.
-
-    Raises:
-        KeyError: the structure has no such point, or its points do not rotate.
-    """
-    return structure.direction(section.point, section.other_point, section.rotation)
-
-
-def _elements_of(sections: Iterable[ElementSection], structure: Structure) -> tuple[LocalElement, ...]:
-    elements: list[LocalElement] = []
-    for section in sections:
-        if isinstance(section, ATTACHMENT_SECTIONS):
-            continue
-        if isinstance(section, IwanSection):
-            elements.extend(build_iwan(section).elements(section_direction(section, structure)))
-        else:
-            elements.append(build_element(section, structure))
-    return tuple(elements)
-
-
 def build_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:
     """Local elements on the structure of a rig; an Iwan joint becomes its sliders.
 
     Those on the side of the exciter and attachments are not among them.
     """
-    return _elements_of((s for s in rig.local_elements if s.side == "structure"), structure)
+    return tuple(
+        e for section in rig.local_elements if section.side == "structure" for e in section.elements(structure)
+    )
 
 
 def build_exciter_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:
     """Local elements on the side of the exciter, on the degrees of freedom of the structure."""
-    return _elements_of((s for s in rig.local_elements if s.side == "exciter"), structure)
-
-
-ATTACHMENT_SECTIONS = (
-    BoucWenSection,
-    LuGreSection,
-    FractionalDamperSection,
-    TunedMassQuadraticSection,
-    RattlingMassSection,
-)
+    return tuple(e for section in rig.local_elements if section.side == "exciter" for e in section.elements(structure))
 
 
 def build_attachments(rig: Rig, structure: Structure) -> tuple[Attachment, ...]:
     """Attachments of a rig: local elements with unknowns of their own."""
-    return tuple(
-        _attachment(section, section_direction(section, structure))
-        for section in rig.local_elements
-        if isinstance(section, ATTACHMENT_SECTIONS)
-    )
-
-
-def _attachment(section: ElementSection, direction: Array) -> Attachment:
-    if isinstance(section, BoucWenSection):
-        return BoucWen(
-            direction,
-            section.stiffness_n_m,
-            section.yield_displacement_m,
-            section.exponent,
-            section.post_yield_ratio,
-            section.shape,
-        )
-    if isinstance(section, LuGreSection):
-        return LuGre(
-            direction,
-            section.bristle_stiffness_n_m,
-            section.bristle_damping_ns_m,
-            section.viscous_damping_ns_m,
-            section.coulomb_force_n,
-            section.static_force_n,
-            section.stribeck_velocity_m_s,
-        )
-    if isinstance(section, FractionalDamperSection):
-        low, high = 2.0 * np.pi * section.low_hz, 2.0 * np.pi * section.high_hz
-        return FractionalDamper(direction, section.coefficient_n_sa_m, section.order, low, high)
-    if isinstance(section, TunedMassQuadraticSection):
-        frequency = 2.0 * np.pi * section.frequency_hz
-        return TunedMassQuadratic(direction, section.mass_kg, frequency, section.damping_ratio, section.coupling_n_m2)
-    if isinstance(section, RattlingMassSection):
-        return RattlingMass(
-            direction,
-            section.mass_kg,
-            section.gap_m,
-            section.contact_stiffness_n_m,
-            section.contact_damping_ns_m2,
-            section.friction_ns_m,
-        )
-    raise TypeError(f"no attachment for {type(section).__name__}")
+    return tuple(s.attachment(structure) for s in rig.local_elements if isinstance(s, AttachmentSection))
 
 
 def build_resting_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:
@@ -319,12 +172,13 @@ def refuse_beyond_harmonic_balance(rig: Rig, with_exciter: bool) -> None:
         BenchError: a key that harmonic balance does not cover.
     """
     for index, section in enumerate(rig.local_elements):
-        covered = isinstance(section, FractionalDamperSection | TunedMassQuadraticSection) and with_exciter
-        if isinstance(section, ATTACHMENT_SECTIONS) and not covered:
-            _refuse(rig, f"local_elements.{index} ({section.kind})")
-        if isinstance(section, EddyBrakeSection | BacklashDamperSection) and (
-            with_exciter or section.side == "structure"
-        ):
+        if with_exciter:
+            covered = section.harmonic_balance or (
+                isinstance(section, AttachmentSection) and section.in_forced_response
+            )
+        else:
+            covered = section.harmonic_balance or section.side == "exciter"
+        if not covered:
             _refuse(rig, f"local_elements.{index} ({section.kind})")
     for name, value in rig.drift.model_dump().items():
         if value != 0.0:
@@ -358,20 +212,6 @@ def _refuse(rig: Rig, key: str) -> None:
     raise BenchError(
         f"rig {rig.name} has {key}, which the reference by harmonic balance does not cover; "
         "run the test without reference, or take the key out for the reference."
-    )
-
-
-def build_iwan(section: IwanSection) -> IwanJoint:
-    """Iwan joint of one section of a rig file."""
-    return IwanJoint(
-        section.tangential_stiffness_n_m,
-        section.slip_force_n,
-        section.exponent,
-        section.stiffness_ratio,
-        section.onset_ratio,
-        section.sliders,
-        section.remaining_stiffness_n_m,
-        section.partition,
     )
 
 

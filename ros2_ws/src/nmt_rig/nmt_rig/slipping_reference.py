@@ -19,9 +19,11 @@ from nmt_rig.model.continuation import NotConvergedError, follow_branch, solve_a
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
+from nmt_rig.model.local_elements.friction import JenkinsSection
+from nmt_rig.model.local_elements.iwan import IwanSection
 from nmt_rig.model.phase_resonance import _Quadrature, extract_mode, linear_phase_resonance
 from nmt_rig.reference import SinglePointReference
-from nmt_rig.rig import IwanSection, JenkinsSection, Rig
+from nmt_rig.rig import Rig
 from nmt_rig.rig_model import (
     build_resting_elements,
     build_structure,

@@ -22,7 +22,7 @@ from nmt_extract.harmonics import segment_moments, solve_moments
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Signals, read_stretches, segments
 from nmt_rig.model.linear_modes import sticking_modes
-from nmt_rig.model.local_elements import Jenkins
+from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_model import build_elements, build_resting_elements, build_structure
 

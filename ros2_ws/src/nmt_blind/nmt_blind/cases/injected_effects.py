@@ -13,7 +13,8 @@ from typing import Any
 
 from nmt_blind.cases.operating import Operating
 from nmt_blind.cases.rig_edits import Edit
-from nmt_rig.rig import BeamSection, ChainSection, JenkinsSection, Rig, SensorSection, ShakerSection
+from nmt_rig.model.local_elements.friction import JenkinsSection
+from nmt_rig.rig import BeamSection, ChainSection, Rig, SensorSection, ShakerSection
 
 RESPONSES = ("displacement", "velocity", "acceleration")
 

@@ -11,15 +11,11 @@ from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import with_element, with_value
 from nmt_diagnose.effects.structure_effects import spots
-from nmt_rig.rig import (
-    BeamSection,
-    ElementSection,
-    IwanSection,
-    JenkinsSection,
-    LinearSpringSection,
-    Rig,
-    TanhFrictionSection,
-)
+from nmt_rig.model.local_elements.element import ElementSection
+from nmt_rig.model.local_elements.friction import JenkinsSection
+from nmt_rig.model.local_elements.iwan import IwanSection
+from nmt_rig.model.local_elements.springs import LinearSpringSection
+from nmt_rig.rig import BeamSection, Rig
 
 # Slip displacement as multiples of the largest amplitude: above 1 the contact sticks and is a spring.
 SLIP_GRID = (0.03, 0.1, 0.3, 0.7)
@@ -27,7 +23,6 @@ FRICTION = (
     EffectParameter("kt", "N/m"),
     EffectParameter("slip_displacement", "m", "shape", grid=SLIP_GRID),
 )
-_FRICTION_SECTIONS = (JenkinsSection, IwanSection, TanhFrictionSection)
 # Neighbours differ by 8 % in slip displacement. Fewer, or parts of equal stiffness, leave so few sliders at small
 # amplitudes that each of them shows as a corner of χ².
 _NEW_JOINT_SLIDERS = 120
@@ -85,7 +80,7 @@ def _contact_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
 
 
 def _has_friction(rig: Rig) -> bool:
-    return any(isinstance(element, _FRICTION_SECTIONS) for element in rig.local_elements)
+    return any(element.friction for element in rig.local_elements)
 
 
 def _attached(site: Site) -> dict[str, Any]:

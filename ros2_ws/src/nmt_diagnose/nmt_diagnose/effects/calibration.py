@@ -11,28 +11,7 @@ from scipy.linalg import eigh
 from nmt_diagnose.effects.modal_calibration import MODEL_PRIORS, model_paths
 from nmt_diagnose.effects.placement import PlaceKind
 from nmt_diagnose.effects.rig_edit import Path, value_at, with_value
-from nmt_rig.rig import (
-    AmplitudeDamperSection,
-    BeamSection,
-    ChainSection,
-    CubicSpringSection,
-    ElementSection,
-    ForceSection,
-    IwanSection,
-    JenkinsSection,
-    LinearDamperSection,
-    LinearSpringSection,
-    MatricesSection,
-    PowerLawDamperSection,
-    QuadraticDragSection,
-    QuadraticSpringSection,
-    QuinticSpringSection,
-    Rig,
-    ShakerSection,
-    TanhFrictionSection,
-    TwoSidedGapSection,
-    UnilateralStopSection,
-)
+from nmt_rig.rig import BeamSection, ChainSection, ForceSection, MatricesSection, Rig, ShakerSection
 from nmt_rig.rig_model import build_structure
 
 
@@ -139,24 +118,6 @@ _UNITS = {"_pa": "Pa", "_kg_m3": "kg/m³", "_kg": "kg", "_ns_m": "N s/m", "_ns2_
           "_n_m": "N/m", "_n_m2": "N/m²", "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_a": "N/A", "_ohm": "Ω", "_n": "N",
           "_m_s": "m/s", "_m": "m", "_h": "H", "_s": "s", "newton_per_volt": "N/V",
           "_hz": "Hz", "_m_s2": "m/s²"}  # fmt: skip
-_ELEMENT_KEYS: dict[type[ElementSection], tuple[str, ...]] = {
-    JenkinsSection: ("tangential_stiffness_n_m", "slip_force_n"),
-    IwanSection: (
-        "tangential_stiffness_n_m", "slip_force_n", "exponent", "stiffness_ratio", "onset_ratio",
-        "remaining_stiffness_n_m",
-    ),
-    CubicSpringSection: ("stiffness_n_m3",),
-    QuinticSpringSection: ("stiffness_n_m5",),
-    QuadraticSpringSection: ("stiffness_n_m2",),
-    UnilateralStopSection: ("stiffness_n_m", "gap_m"),
-    TwoSidedGapSection: ("stiffness_n_m", "gap_m"),
-    QuadraticDragSection: ("drag_ns2_m2",),
-    AmplitudeDamperSection: ("damping_ns_m3",),
-    PowerLawDamperSection: ("coefficient_n_sp_mp",),
-    LinearSpringSection: ("stiffness_n_m",),
-    LinearDamperSection: ("damping_ns_m",),
-    TanhFrictionSection: ("slip_force_n", "reference_velocity_m_s"),
-}  # fmt: skip
 # Frequencies over a band's ends up to which a mode has a damping of its own there.
 _BEYOND = 1.3
 # An exponent of a power-law distribution is greater than −1.
@@ -202,10 +163,10 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
         for path in model_paths(structure):
             add(path, "structure")
     for index, element in enumerate(rig.local_elements):
-        friction = isinstance(element, JenkinsSection | IwanSection | TanhFrictionSection)
-        place: PlaceKind = "exciter" if element.side == "exciter" else "joint" if friction else "structure"
-        for key in _ELEMENT_KEYS.get(type(element), ()):
-            add(("local_elements", index, key), place)
+        place: PlaceKind = "exciter" if element.side == "exciter" else "joint" if element.friction else "structure"
+        for key in element.own_keys() if element.harmonic_balance else ():
+            if key in PRIORS and key not in element.not_calibrated:
+                add(("local_elements", index, key), place)
     if isinstance(rig.exciter, ShakerSection):
         for key in _SHAKER_KEYS:
             add(("exciter", key), "exciter")

@@ -8,7 +8,8 @@ from nmt_diagnose.effects.effect import Effect, EffectParameter, Reported, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import value_at, with_element, with_value
-from nmt_rig.rig import BeamSection, CubicSpringSection, LinearSpringSection, Rig, ShakerSection
+from nmt_rig.model.local_elements.springs import CubicSpringSection, LinearSpringSection
+from nmt_rig.rig import BeamSection, Rig, ShakerSection
 
 LARGE_SIGNAL = "Klippel, J. Audio Eng. Soc. 54 (2006) 907 (large-signal parameters of electrodynamic transducers)"
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any, TypeAlias
 
-from nmt_rig.rig import AnyElement, Rig
+from nmt_rig.model.local_elements import AnyElement
+from nmt_rig.rig import Rig
 
 Path: TypeAlias = tuple[str | int, ...]
 

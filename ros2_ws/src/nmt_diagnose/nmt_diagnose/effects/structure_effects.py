@@ -11,22 +11,16 @@ from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import with_element, with_value
-from nmt_rig.rig import (
-    AddedMassSection,
+from nmt_rig.model.local_elements.contacts import TwoSidedGapSection, UnilateralStopSection
+from nmt_rig.model.local_elements.dampers import (
     AmplitudeDamperSection,
-    BeamSection,
-    ChainSection,
-    CubicSpringSection,
-    ElementSection,
     LinearDamperSection,
     PowerLawDamperSection,
     QuadraticDragSection,
-    QuadraticSpringSection,
-    QuinticSpringSection,
-    Rig,
-    TwoSidedGapSection,
-    UnilateralStopSection,
 )
+from nmt_rig.model.local_elements.element import ElementSection
+from nmt_rig.model.local_elements.springs import CubicSpringSection, QuadraticSpringSection, QuinticSpringSection
+from nmt_rig.rig import AddedMassSection, BeamSection, ChainSection, Rig
 
 # Gaps as multiples of the largest amplitude at their point: a stop that is not reached does nothing.
 GAP_GRID = (0.1, 0.3, 0.5, 0.7, 0.9)

@@ -8,11 +8,11 @@ from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import value_at, with_value
-from nmt_rig.rig import IwanSection, JenkinsSection, Rig, TanhFrictionSection
+from nmt_rig.rig import Rig
 
 
 def _preload_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    if not any(isinstance(e, JenkinsSection | IwanSection | TanhFrictionSection) for e in rig.local_elements):
+    if not any(element.friction for element in rig.local_elements):
         return ()
     return (
         Site(

@@ -21,7 +21,8 @@ from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.influence import Source, SourceColumn
-from nmt_rig.rig import ElementSection, Rig
+from nmt_rig.model.local_elements.element import ElementSection
+from nmt_rig.rig import Rig
 
 # Range of ln(level) and ln(line) over which a source keeps its size.
 _LEVEL_LENGTH, _LINE_LENGTH = 1.5, 0.7
@@ -93,8 +94,7 @@ def _response(rig: Rig, channel: MeasuredChannel) -> Placement:
 
 def _joints(rig: Rig) -> list[tuple[int, ElementSection]]:
     """Local elements with friction, numbered as the nonlinear coordinates that they act on."""
-    friction = ("jenkins", "iwan", "tanh_friction")
-    return [(k, element) for k, element in enumerate(rig.local_elements) if element.kind in friction]
+    return [(k, element) for k, element in enumerate(rig.local_elements) if element.friction]
 
 
 def _families(

@@ -15,7 +15,7 @@ from numba import njit
 
 from nmt_core.arrays import FloatArray
 from nmt_rig.model.aft import LocalTables
-from nmt_rig.model.local_elements import element_response
+from nmt_rig.model.element_kernels import response
 
 _DISPLACEMENTS, _VELOCITIES, _CYCLES = 16, 48, 32
 _W, _W_SHARE = np.polynomial.hermite_e.hermegauss(_DISPLACEMENTS)
@@ -58,7 +58,7 @@ def equivalents_kernel(  # type: ignore[no-untyped-def]
             along_w, along_v = 0.0, 0.0
             for a in range(w_nodes.size):
                 for b in range(v_nodes.size):
-                    g = element_response(kinds[number], parameters[number], x * w_nodes[a], y * v_nodes[b], 0.0)[0]
+                    g = response(kinds[number], parameters, number, x * w_nodes[a], y * v_nodes[b])[0]
                     share = w_shares[a] * v_shares[b] * g
                     along_w += share * w_nodes[a]
                     along_v += share * v_nodes[b]

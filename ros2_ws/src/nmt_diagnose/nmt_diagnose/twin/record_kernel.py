@@ -7,7 +7,10 @@ from numba import njit
 
 from nmt_core.arrays import ComplexArray, FloatArray, IntArray
 from nmt_rig.model.aft import LocalTables
-from nmt_rig.model.local_elements import element_response
+from nmt_rig.model.element_kernels import response
+from nmt_rig.model.local_elements.friction import Jenkins
+
+_moved = njit(Jenkins.moved)
 
 ITERATIONS = 12
 TOLERANCE = 1e-7  # of the largest force so far
@@ -41,7 +44,7 @@ def _coordinate_forces(
         stiffness = 0.0
         damping = 0.0
         for e in range(jenkins_start[i], jenkins_start[i + 1]):
-            own, k, _, slider = element_response(1, jenkins[e], w[i], v[i], sliders[e])
+            own, k, slider = _moved(jenkins[e, 0], jenkins[e, 1], w[i], sliders[e])
             moved[e] = slider
             force += own
             stiffness += k
@@ -52,7 +55,7 @@ def _coordinate_forces(
                 force += side * contacts[e, 0] * overlap
                 stiffness += contacts[e, 0]
         for e in range(sampled_start[i], sampled_start[i + 1]):
-            own, k, c, _ = element_response(kinds[e], parameters[e], w[i], v[i], 0.0)
+            own, k, c = response(kinds[e], parameters, e, w[i], v[i])
             force += own
             stiffness += k
             damping += c
@@ -252,7 +255,7 @@ def _step_one(
                     g += side * contacts[e, 0] * overlap
                     by_displacement += contacts[e, 0]
             for e in range(kinds.size):
-                own, stiffness, damping, _ = element_response(kinds[e], parameters[e], w, v, 0.0)
+                own, stiffness, damping = response(kinds[e], parameters, e, w, v)
                 g += own
                 by_displacement += stiffness
                 by_velocity += damping

@@ -27,7 +27,8 @@ from nmt_rig.model.assembly import (
     velocity_output,
 )
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.local_elements import TANH_FRICTION, LinearDamper, LinearSpring, LocalElement
+from nmt_rig.model.local_elements import ELEMENTS
+from nmt_rig.model.local_elements.element import LocalElement
 from nmt_rig.model.shaking_table import driven_by_force
 from nmt_rig.model.structure import Structure
 from nmt_rig.rig import (
@@ -49,12 +50,6 @@ from nmt_rig.rig_model import (
     input_per_volt,
 )
 
-COVERED = frozenset(
-    {
-        "jenkins", "iwan", "cubic_spring", "quintic_spring", "quadratic_spring", "unilateral_stop", "two_sided_gap",
-        "quadratic_drag", "amplitude_damper", "power_law_damper", "linear_spring", "linear_damper", "tanh_friction",
-    }
-)  # fmt: skip
 _OUTPUTS = {
     Quantity.DISPLACEMENT: displacement_output,
     Quantity.VELOCITY: velocity_output,
@@ -124,8 +119,10 @@ class RigParts:
                 # A gap is counted towards its stop, whatever the side: only a preloaded stop is closed at rest.
                 stiffness[i] += own if gap < 0.0 else 0.0
             for number in range(sampled_start[i], sampled_start[i + 1]):
-                if kinds[number] == TANH_FRICTION:
-                    damping[i] += parameters[number, 0] / parameters[number, 1]
+                own = next(element for element in ELEMENTS if element.kind == kinds[number])
+                at_rest = own.response(*parameters[number, : len(own.parameter_names())], 0.0, 0.0)
+                stiffness[i] += at_rest[1]
+                damping[i] += at_rest[2]
         return stiffness, damping
 
 
@@ -332,7 +329,7 @@ def _local_elements(rig: Rig, structure: Structure, size: int, seconds: float, c
     outside: dict[str, list[LocalElement]] = {}
     linear: list[tuple[LocalElement, bool]] = []
     for section in rig.local_elements:
-        if section.kind not in COVERED:
+        if not section.harmonic_balance:
             raise BenchError(
                 f"the diagnosis' model does not cover local element {section.kind}; leave it out of the model."
             )
@@ -343,11 +340,10 @@ def _local_elements(rig: Rig, structure: Structure, size: int, seconds: float, c
         for element in build(rig.model_copy(update={"local_elements": [section]}), structure):
             direction = np.zeros(size)
             direction[: element.direction.shape[0]] = element.direction
-            if isinstance(element, LinearSpring | LinearDamper):
+            if element.linear:
                 linear.append((element.along(direction), measured))
                 continue
-            if slip != 1.0 and hasattr(element, "slip_force"):
-                element = replace(element, slip_force=element.slip_force * slip)  # type: ignore[call-arg]
+            element = element.with_slip_force(slip)
             key = f"{section.point} {section.other_point} {section.rotation} {measured}"
             (outside if measured else inside).setdefault(key, []).append(element.along(direction))
     if not inside and not outside:

@@ -20,7 +20,8 @@ from nmt_diagnose.observations.conditions import (
 )
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.forward import Forward
-from nmt_rig.rig import CubicSpringSection, Rig
+from nmt_rig.model.local_elements.springs import CubicSpringSection
+from nmt_rig.rig import Rig
 
 
 def warm_up_twin(rig: Rig) -> None:

@@ -16,36 +16,12 @@ from numba import njit
 
 from nmt_core.arrays import FloatArray, IntArray
 from nmt_core.errors import BenchError
+from nmt_rig.model.element_kernels import response
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.local_elements import (
-    AMPLITUDE_DAMPER,
-    CUBIC_SPRING,
-    JENKINS,
-    LINEAR_DAMPER,
-    LINEAR_SPRING,
-    PARAMETER_COUNT,
-    POWER_LAW_DAMPER,
-    QUADRATIC_DRAG,
-    QUADRATIC_SPRING,
-    QUINTIC_SPRING,
-    TANH_FRICTION,
-    TWO_SIDED_GAP,
-    UNILATERAL_STOP,
-    LocalElement,
-    element_response,
-)
+from nmt_rig.model.local_elements.element import PARAMETER_COUNT, LocalElement
 from nmt_rig.model.piecewise_forces import add_piecewise_forces
 
-POLYNOMIAL_DEGREE = {
-    LINEAR_SPRING: 1,
-    LINEAR_DAMPER: 1,
-    QUADRATIC_SPRING: 2,
-    CUBIC_SPRING: 3,
-    QUINTIC_SPRING: 5,
-    AMPLITUDE_DAMPER: 3,
-}
-SMOOTH_SAMPLES = {QUADRATIC_DRAG: 1024, TANH_FRICTION: 2048, POWER_LAW_DAMPER: 2048}
-
+ElementRows: TypeAlias = tuple[FloatArray, IntArray, FloatArray, IntArray, IntArray, FloatArray, IntArray]
 LocalTables: TypeAlias = tuple[
     IntArray,  # orders
     IntArray,  # offsets
@@ -60,6 +36,53 @@ LocalTables: TypeAlias = tuple[
     FloatArray,  # values
     FloatArray,  # slopes
 ]
+
+
+def element_rows(
+    groups: Sequence[Sequence[LocalElement]], highest: int, least: int, fitted: bool
+) -> tuple[ElementRows, int]:
+    """Elements of each coordinate, sorted by how their forces are computed.
+
+    Args:
+        groups: elements of each coordinate.
+        highest: harmonic order.
+        least: samples per period.
+        fitted: samples of smooth elements as a model needs them that is fitted, not a reference.
+
+    Returns:
+        jenkins … sampled_start of `LocalForces`, and the samples per period that the elements need.
+
+    Raises:
+        BenchError: an element that harmonic balance does not cover.
+    """
+    jenkins: list[tuple[float, float]] = []
+    contacts: list[tuple[float, float, float]] = []
+    kinds: list[int] = []
+    parameters: list[FloatArray] = []
+    starts: tuple[list[int], list[int], list[int]] = ([0], [0], [0])
+    for group in groups:
+        for element in group:
+            jenkins.extend(element.sliders)
+            contacts.extend(element.contacts)
+            if element.degree or element.samples[fitted]:
+                kinds.append(element.kind)
+                parameters.append(element.parameters)
+                least = max(least, (element.degree + 1) * highest + 1 if element.degree else element.samples[fitted])
+            elif not element.sliders and not element.contacts:
+                raise BenchError(
+                    f"harmonic balance does not cover a {type(element).__name__}; leave it out of the model."
+                )
+        for start, rows in zip(starts, (len(jenkins), len(contacts), len(kinds)), strict=True):
+            start.append(rows)
+    return (
+        np.array(jenkins, dtype=np.float64).reshape(-1, 2),
+        np.array(starts[0], dtype=np.int64),
+        np.array(contacts, dtype=np.float64).reshape(-1, 3),
+        np.array(starts[1], dtype=np.int64),
+        np.array(kinds, dtype=np.int64),
+        np.array(parameters, dtype=np.float64).reshape(-1, PARAMETER_COUNT),
+        np.array(starts[2], dtype=np.int64),
+    ), least
 
 
 @dataclass(frozen=True)
@@ -110,7 +133,7 @@ class LocalForces:
             idle_direction: (n,) coordinate to keep (without force) when there is no element at all.
 
         Raises:
-            BenchError: an element's kind is unknown here, or there are neither elements nor an idle
+            BenchError: an element that harmonic balance does not cover, or there are neither elements nor an idle
                 direction.
         """
         directions: list[FloatArray] = []
@@ -129,44 +152,12 @@ class LocalForces:
             directions, members = [np.asarray(idle_direction, dtype=np.float64)], [[]]
 
         highest = int(basis.orders[-1])
-        needed = 64
-        jenkins: list[list[float]] = []
-        contacts: list[list[float]] = []
-        kinds: list[int] = []
-        parameters: list[FloatArray] = []
-        starts = ([0], [0], [0])
-        for group in members:
-            for element in group:
-                p = element.parameters
-                if element.kind == JENKINS:
-                    jenkins.append([p[0], p[1]])
-                elif element.kind == UNILATERAL_STOP:
-                    contacts.append([p[0], p[1], 1.0])
-                elif element.kind == TWO_SIDED_GAP:
-                    contacts.extend([[p[0], p[1], 1.0], [p[0], p[1], -1.0]])
-                elif element.kind in POLYNOMIAL_DEGREE or element.kind in SMOOTH_SAMPLES:
-                    kinds.append(element.kind)
-                    parameters.append(p)
-                    degree = POLYNOMIAL_DEGREE.get(element.kind)
-                    needed = max(needed, SMOOTH_SAMPLES[element.kind] if degree is None else (degree + 1) * highest + 1)
-                else:
-                    raise BenchError(
-                        f"harmonic balance does not know local element {type(element).__name__}; "
-                        "add its kind to nmt_rig/model/aft.py."
-                    )
-            for start, rows in zip(starts, (len(jenkins), len(contacts), len(kinds)), strict=True):
-                start.append(rows)
+        rows, needed = element_rows(members, highest, 64, fitted=False)
         count = samples if samples is not None else 1 << (needed - 1).bit_length()
         return cls(
-            directions=np.array(directions),
-            basis=basis,
-            jenkins=np.array(jenkins, dtype=np.float64).reshape(-1, 2),
-            jenkins_start=np.array(starts[0], dtype=np.int64),
-            contacts=np.array(contacts, dtype=np.float64).reshape(-1, 3),
-            contacts_start=np.array(starts[1], dtype=np.int64),
-            kinds=np.array(kinds, dtype=np.int64),
-            parameters=np.array(parameters, dtype=np.float64).reshape(-1, PARAMETER_COUNT),
-            sampled_start=np.array(starts[2], dtype=np.int64),
+            np.array(directions),
+            basis,
+            *rows,
             slope_basis=basis.sampled_slope(max(64, 8 * highest)),
             samples=count,
             values=basis.sampled(count),
@@ -305,7 +296,7 @@ def _add_local_forces(
             stiffness = 0.0
             damping = 0.0
             for e in range(sampled_start[i], sampled_start[i + 1]):
-                g_e, k_e, c_e, _ = element_response(kinds[e], parameters[e], w, angular_frequency * slope, 0.0)
+                g_e, k_e, c_e = response(kinds[e], parameters, e, w, angular_frequency * slope)
                 g += g_e
                 stiffness += k_e
                 damping += c_e

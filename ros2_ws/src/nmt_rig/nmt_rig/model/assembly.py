@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from nmt_rig.model.attachments import Attachment
 from nmt_rig.model.couplings import FORCE_FACTOR, Coupling, coupling_parameters
-from nmt_rig.model.local_elements import LINEAR_DAMPER, LINEAR_SPRING, LocalElement
+from nmt_rig.model.local_elements.attachments import Attachment
+from nmt_rig.model.local_elements.element import LocalElement
 from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.shaking_table import BaseMotion, ShakingTable, on_table
 from nmt_rig.model.structure import Array, PointMotion, Structure
@@ -232,8 +232,8 @@ def assemble(
     elif not exciter_elements:
         system = _with_exciter(structure, elements, drive_point, shaker)
     else:
-        linear = [element for element in exciter_elements if element.kind in (LINEAR_SPRING, LINEAR_DAMPER)]
-        others = [element for element in exciter_elements if element.kind not in (LINEAR_SPRING, LINEAR_DAMPER)]
+        linear = [element for element in exciter_elements if element.linear]
+        others = [element for element in exciter_elements if not element.linear]
         system = _with_exciter(structure, (*elements, *others), drive_point, shaker)
         # A moment (an element on the rotation) is no part of the lateral stinger force.
         drive = structure.selector(drive_point)

@@ -17,10 +17,11 @@ located on a grid of step / 2^K. Four things differ, so that a place at rest cos
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from nmt_rig.model.integration_kernel import _SMALLEST, Integers, next_branch
-from nmt_rig.model.local_elements import compiled
+from nmt_rig.model.element_kernels import margin, next_branch, piece
+from nmt_rig.model.integration_kernel import _SMALLEST, JENKINS, Integers
 from nmt_rig.model.structure import Array
 
 Flags = NDArray[np.bool_]
@@ -34,7 +35,7 @@ _SWEEPS = 14
 _FEW = 5
 
 
-@compiled
+@njit(cache=True)
 def row_product(matrix: Array, row: int, vector: Array, size: int) -> float:
     """matrix[row] · vector over the leading `size` entries, always summed in the same order."""
     t0 = 0.0
@@ -51,7 +52,7 @@ def row_product(matrix: Array, row: int, vector: Array, size: int) -> float:
     return (t0 + t1) + (t2 + t3)
 
 
-@compiled
+@njit(cache=True)
 def column_products(columns: Array, vector: Array, result: Array) -> None:
     """result = vector · columns for (Z, n) `columns`; where many of them are asked for, faster than row by row."""
     n = result.size
@@ -72,7 +73,7 @@ def column_products(columns: Array, vector: Array, result: Array) -> None:
             result[r] += columns[i, r] * vector[i]
 
 
-@compiled
+@njit(cache=True)
 def project(projection: Array, active: Integers, count: int, forces: Array, own: Array, own_slope: Array) -> None:
     """Overwrite `own` and `own_slope` (Z,) with the active ports' forces and slopes on the working coordinates."""
     size = own.size
@@ -99,29 +100,7 @@ def project(projection: Array, active: Integers, count: int, forces: Array, own:
             own_slope[i] += sq * projection[q, i]
 
 
-@compiled
-def own_force(kind: int, p: Array, e: int, branch: int, slider: float, absorbed: float) -> tuple[float, float]:
-    """Stiffness (N/m) and constant (N) of an element's force on its branch, less the absorbed stiffness."""
-    if kind == 1:
-        if branch == 0:
-            return p[e, 0] - absorbed, -p[e, 0] * slider
-        return -absorbed, branch * p[e, 1]
-    if branch == 0:
-        return 0.0, 0.0
-    return p[e, 0], -p[e, 0] * branch * p[e, 1]
-
-
-@compiled
-def margin(kind: int, p: Array, e: int, branch: int, w: float, slider: float) -> float:
-    """Way in m from a resting element's displacement to its next corner; not positive where that is passed."""
-    if kind == 1:
-        return float(p[e, 1] / p[e, 0] - abs(w - slider))
-    if branch != 0:
-        return float(branch * w - p[e, 1])
-    return float(p[e, 1] - (w if kind == 5 else abs(w)))
-
-
-@compiled
+@njit(cache=True)
 def factorise(matrix: Array, order: Integers, n: int) -> None:
     """LU factors of the leading n x n part in place, partial pivoting; `order` is overwritten with the rows' swaps."""
     for i in range(n):
@@ -143,7 +122,7 @@ def factorise(matrix: Array, order: Integers, n: int) -> None:
                     matrix[r, c] -= factor * matrix[i, c]
 
 
-@compiled
+@njit(cache=True)
 def solve_factored(columns: Array, level: int, order: Integers, right: Array, n: int) -> None:
     """Solve with the factors of `factorise`, given by columns; the solution replaces `right`."""
     for i in range(n):
@@ -163,7 +142,7 @@ def solve_factored(columns: Array, level: int, order: Integers, right: Array, n:
             right[r] -= columns[level, i, r] * value
 
 
-@compiled
+@njit(cache=True)
 def gather(
     kinds: Integers,
     parameters: Array,
@@ -194,10 +173,11 @@ def gather(
         place[q] = -1
     for e in range(kinds.size):
         q = element_port[e]
-        k, rest = own_force(kinds[e], parameters, e, branch[e], slider[e], absorbed[e])
+        k, rest = piece(kinds[e], parameters, e, branch[e], slider[e])
+        k -= absorbed[e]
         stiffness[q] += k
         constant[q] += rest
-        if k != 0.0 or (kinds[e] == 1 and branch[e] != 0):
+        if k != 0.0 or (kinds[e] == JENKINS and branch[e] != 0):
             place[q] = 0
     count = 0
     for q in range(ports):
@@ -208,7 +188,7 @@ def gather(
     return count
 
 
-@compiled
+@njit(cache=True)
 def quiet_ticks(
     kinds: Integers,
     parameters: Array,
@@ -252,7 +232,7 @@ def quiet_ticks(
     return low
 
 
-@compiled
+@njit(cache=True)
 def integrate_contacts(
     pair: Array,
     holds: Array,
@@ -557,7 +537,7 @@ def integrate_contacts(
                     q = active[a]
                     for n in range(port_start[q], port_start[q + 1]):
                         e = port_elements[n]
-                        if kinds[e] == 1 and branch[e] != 0:
+                        if kinds[e] == JENKINS and branch[e] != 0:
                             dissipated[e] += branch[e] * parameters[e, 1] * (w_trial[q] - kinematics[q])
                             slider[e] = w_trial[q] - branch[e] * parameters[e, 1] / parameters[e, 0]
                     forces[q] = force_trial[q]
@@ -592,7 +572,7 @@ def integrate_contacts(
                             e = port_elements[n]
                             new = next_branch(kinds[e], parameters, e, branch[e], w_trial[q], v_trial[q], slider[e])
                             if new != branch[e]:
-                                if kinds[e] == 1 and branch[e] == 0:
+                                if kinds[e] == JENKINS and branch[e] == 0:
                                     slipped = w_trial[q] - new * parameters[e, 1] / parameters[e, 0]
                                     dissipated[e] += new * parameters[e, 1] * (slipped - slider[e])
                                     slider[e] = slipped
@@ -606,8 +586,8 @@ def integrate_contacts(
                             near = np.inf
                             for n in range(port_start[q], port_start[q + 1]):
                                 e = port_elements[n]
-                                own_k, own_rest = own_force(kinds[e], parameters, e, branch[e], slider[e], absorbed[e])
-                                k_sum += own_k
+                                own_k, own_rest = piece(kinds[e], parameters, e, branch[e], slider[e])
+                                k_sum += own_k - absorbed[e]
                                 rest += own_rest
                                 near = min(near, margin(kinds[e], parameters, e, branch[e], kinematics[q], slider[e]))
                             forces[q] = rest + k_sum * kinematics[q]

@@ -7,22 +7,58 @@ couplings never come here.
 
 from __future__ import annotations
 
-from nmt_rig.model.couplings import coupling_response
+import numpy as np
+from numba import njit
+
+from nmt_rig.model.couplings import BOUC_WEN, FORCE_FACTOR, LUGRE
+from nmt_rig.model.element_kernels import frozen, next_branch
 from nmt_rig.model.integration_kernel import (
     _NEWTON_STEPS,
     _NEWTON_TOLERANCE,
     _SLOPE_TOLERANCE,
     _SMALLEST,
+    JENKINS,
     Integers,
-    frozen_response,
-    next_branch,
     solve_in_place,
 )
-from nmt_rig.model.local_elements import compiled
 from nmt_rig.model.structure import Array
 
 
-@compiled
+@njit(cache=True)
+def coupling_response(kind: int, p: Array, first: float, second: float) -> tuple[float, float, float]:
+    """f, ∂f/∂y₁ and ∂f/∂y₂ of one coupling.
+
+    Args:
+        kind: code of the coupling.
+        p: (COUPLING_PARAMETERS,) parameters.
+        first, second: y₁ and y₂.
+    """
+    if kind == FORCE_FACTOR:
+        share = first * (p[1] + p[2] * first)
+        return p[0] * share * second, p[0] * (p[1] + 2.0 * p[2] * first) * second, p[0] * share
+    if kind == BOUC_WEN:
+        v, z = first, second
+        reach = abs(z) / p[0]
+        side = 1.0 if v * z > 0.0 else -1.0
+        weight = p[2] * side + 1.0 - p[2]
+        power = reach ** p[1]
+        by_z = 0.0
+        if z != 0.0:
+            by_z = v * weight * p[1] * power / z
+        return v * power * weight, power * weight, by_z
+    if kind == LUGRE:
+        v, z = first, second
+        ratio = v / p[3]
+        bump = (p[2] - p[1]) * np.exp(-ratio * ratio)
+        level = p[1] + bump
+        side = 1.0 if v > 0.0 else -1.0
+        f = p[0] * abs(v) * z / level
+        by_v = p[0] * z / level * (side + abs(v) * bump * 2.0 * ratio / (p[3] * level))
+        return f, by_v, p[0] * abs(v) / level
+    return 0.0, 0.0, 0.0
+
+
+@njit(cache=True)
 def coupled_forces(
     kinds: Integers,
     parameters: Array,
@@ -54,7 +90,7 @@ def coupled_forces(
         tangents[q, 1] = 0.0
     for e in range(kinds.size):
         q = element_port[e]
-        g, g_w, g_v = frozen_response(kinds[e], parameters, e, branch[e], kinematics[q], kinematics[own + q], slider[e])
+        g, g_w, g_v = frozen(kinds[e], parameters, e, branch[e], kinematics[q], kinematics[own + q], slider[e])
         forces[q] += g
         tangents[q, 0] += g_w
         tangents[q, 1] += g_v
@@ -73,7 +109,7 @@ def coupled_forces(
         forces[ports + q] = f_1 * kinematics[rate] + f_2 * kinematics[rate + 1]
 
 
-@compiled
+@njit(cache=True)
 def integrate_coupled(
     dense: Array,
     start_weights: Array,
@@ -226,7 +262,7 @@ def integrate_coupled(
                 for i in range(size):
                     state[i] = trial[i]
                 for e in range(elements):
-                    if kinds[e] == 1 and branch[e] != 0:
+                    if kinds[e] == JENKINS and branch[e] != 0:
                         q = element_port[e]
                         dissipated[e] += branch[e] * parameters[e, 1] * (kin_trial[q] - kinematics[q])
                         slider[e] = kin_trial[q] - branch[e] * parameters[e, 1] / parameters[e, 0]
@@ -238,7 +274,7 @@ def integrate_coupled(
                             kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[own + q], slider[e]
                         )
                         if new != branch[e]:
-                            if kinds[e] == 1 and branch[e] == 0:
+                            if kinds[e] == JENKINS and branch[e] == 0:
                                 slipped = kin_trial[q] - new * parameters[e, 1] / parameters[e, 0]
                                 dissipated[e] += new * parameters[e, 1] * (slipped - slider[e])
                                 slider[e] = slipped

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_rig.model.local_elements import compiled
 from nmt_rig.model.structure import Array
 
 FORCE_FACTOR = 1
@@ -44,37 +43,3 @@ def coupling_parameters(*values: float) -> Array:
     result = np.zeros(COUPLING_PARAMETERS)
     result[: len(values)] = values
     return result
-
-
-@compiled
-def coupling_response(kind: int, p: Array, first: float, second: float) -> tuple[float, float, float]:
-    """f, ∂f/∂y₁ and ∂f/∂y₂ of one coupling.
-
-    Args:
-        kind: code of the coupling.
-        p: (COUPLING_PARAMETERS,) parameters.
-        first, second: y₁ and y₂.
-    """
-    if kind == 1:
-        share = first * (p[1] + p[2] * first)
-        return p[0] * share * second, p[0] * (p[1] + 2.0 * p[2] * first) * second, p[0] * share
-    if kind == 2:
-        v, z = first, second
-        reach = abs(z) / p[0]
-        side = 1.0 if v * z > 0.0 else -1.0
-        weight = p[2] * side + 1.0 - p[2]
-        power = reach ** p[1]
-        by_z = 0.0
-        if z != 0.0:
-            by_z = v * weight * p[1] * power / z
-        return v * power * weight, power * weight, by_z
-    if kind == 3:
-        v, z = first, second
-        ratio = v / p[3]
-        bump = (p[2] - p[1]) * np.exp(-ratio * ratio)
-        level = p[1] + bump
-        side = 1.0 if v > 0.0 else -1.0
-        f = p[0] * abs(v) * z / level
-        by_v = p[0] * z / level * (side + abs(v) * bump * 2.0 * ratio / (p[3] * level))
-        return f, by_v, p[0] * abs(v) / level
-    return 0.0, 0.0, 0.0

@@ -37,7 +37,7 @@ from nmt_rig.model.harmonic_balance import (
     transfer_matrices,
 )
 from nmt_rig.model.linear_modes import without_rounding
-from nmt_rig.model.local_elements import LocalElement
+from nmt_rig.model.local_elements.element import LocalElement
 from nmt_rig.model.structure import Structure
 
 

@@ -8,13 +8,14 @@ to step / 2^K. There it is accepted and the branch switched, so a corner is time
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from nmt_rig.model.local_elements import compiled, element_response
+from nmt_rig.model.element_kernels import frozen, next_branch, piece
+from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.structure import Array
 
-# A sticking element yields only above this multiple of its slip force: rounding must not toggle it at rest.
-_YIELD = 1.0 + 1e-12
+JENKINS = Jenkins.kind
 _NEWTON_STEPS = 25
 _NEWTON_TOLERANCE = 1e-13
 _SLOPE_TOLERANCE = 1e-9
@@ -23,56 +24,7 @@ _SMALLEST = 1e-290
 Integers = NDArray[np.int64]
 
 
-@compiled
-def frozen_response(
-    kind: int, p: Array, e: int, branch: int, w: float, v: float, slider: float
-) -> tuple[float, float, float]:
-    """g, ∂g/∂w, ∂g/∂ẇ of an element whose branch does not change; parameters p[e]."""
-    if kind == 1:
-        if branch == 0:
-            return p[e, 0] * (w - slider), p[e, 0], 0.0
-        return branch * p[e, 1], 0.0, 0.0
-    if kind == 5 or kind == 6:
-        if branch == 0:
-            return 0.0, 0.0, 0.0
-        return p[e, 0] * (w - branch * p[e, 1]), p[e, 0], 0.0
-    g, g_w, g_v, _ = element_response(kind, p[e], w, v, slider)
-    return g, g_w, g_v
-
-
-@compiled
-def next_branch(kind: int, p: Array, e: int, branch: int, w: float, v: float, slider: float) -> int:
-    """Branch that fits the end of a sub-step; equal to `branch` unless a corner was passed."""
-    if kind == 1:
-        if branch == 0:
-            trial = p[e, 0] * (w - slider)
-            if trial > p[e, 1] * _YIELD:
-                return 1
-            if trial < -p[e, 1] * _YIELD:
-                return -1
-            return 0
-        if branch * v < 0.0:
-            return 0
-        return branch
-    if kind == 5:
-        return 1 if w > p[e, 1] else 0
-    if kind == 6:
-        if w > p[e, 1]:
-            return 1
-        if w < -p[e, 1]:
-            return -1
-        return 0
-    if kind == 12:
-        # Its force needs no branch; contact is located all the same.
-        if w > p[e, 2]:
-            return 1
-        if w < -p[e, 2]:
-            return -1
-        return 0
-    return 0
-
-
-@compiled
+@njit(cache=True)
 def solve_in_place(matrix: Array, right: Array, n: int) -> None:
     """Gaussian elimination with partial pivoting of the leading n x n part; the solution replaces `right`."""
     for i in range(n):
@@ -100,7 +52,7 @@ def solve_in_place(matrix: Array, right: Array, n: int) -> None:
         right[i] /= matrix[i, i]
 
 
-@compiled
+@njit(cache=True)
 def port_forces(
     kinds: Integers,
     parameters: Array,
@@ -128,9 +80,7 @@ def port_forces(
         damping[q] = 0.0
     for e in range(kinds.size):
         q = element_port[e]
-        g, g_w, g_v = frozen_response(
-            kinds[e], parameters, e, branch[e], kinematics[q], kinematics[ports + q], slider[e]
-        )
+        g, g_w, g_v = frozen(kinds[e], parameters, e, branch[e], kinematics[q], kinematics[ports + q], slider[e])
         forces[q] += g
         stiffness[q] += g_w
         damping[q] += g_v
@@ -138,7 +88,7 @@ def port_forces(
         forces[ports + q] = stiffness[q] * kinematics[ports + q] + damping[q] * kinematics[2 * ports + q]
 
 
-@compiled
+@njit(cache=True)
 def integrate(
     modal: bool,
     pair: Array,
@@ -283,16 +233,9 @@ def integrate(
                     k_sum = 0.0
                     g_rest = 0.0
                     for e in range(elements):
-                        side = branch[e]
-                        if kinds[e] == 1:
-                            if side == 0:
-                                k_sum += parameters[e, 0]
-                                g_rest -= parameters[e, 0] * slider[e]
-                            else:
-                                g_rest += side * parameters[e, 1]
-                        elif side != 0:
-                            k_sum += parameters[e, 0]
-                            g_rest -= parameters[e, 0] * side * parameters[e, 1]
+                        own_k, own_rest = piece(kinds[e], parameters, e, branch[e], slider[e])
+                        k_sum += own_k
+                        g_rest += own_rest
                     w = kin_free[0]
                     v = kin_free[1]
                     if k_sum == 0.0:
@@ -389,7 +332,7 @@ def integrate(
                     for i in range(size):
                         state[i] = trial[i]
                 for e in range(elements):
-                    if kinds[e] == 1 and branch[e] != 0:
+                    if kinds[e] == JENKINS and branch[e] != 0:
                         q = element_port[e]
                         travelled = kin_trial[q] - kinematics[q]
                         dissipated[e] += branch[e] * parameters[e, 1] * travelled
@@ -402,7 +345,7 @@ def integrate(
                             kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[ports + q], slider[e]
                         )
                         if new != branch[e]:
-                            if kinds[e] == 1 and branch[e] == 0:
+                            if kinds[e] == JENKINS and branch[e] == 0:
                                 slipped = kin_trial[q] - new * parameters[e, 1] / parameters[e, 0]
                                 dissipated[e] += new * parameters[e, 1] * (slipped - slider[e])
                                 slider[e] = slipped

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eig, eigh
 
 from nmt_rig.model.assembly import ElectromechanicalSystem
-from nmt_rig.model.local_elements import LocalElement
+from nmt_rig.model.local_elements.element import LocalElement
 from nmt_rig.model.structure import Array, Structure
 
 # A mode whose strain energy φᵀKφ is so small a share of the sum of its terms' sizes is a rigid-body mode with rounding.

@@ -21,7 +21,7 @@ from scipy.linalg import expm
 
 from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
 from nmt_rig.model.couplings import Coupling
-from nmt_rig.model.local_elements import LINEAR_DAMPER, LINEAR_SPRING, LocalElement
+from nmt_rig.model.local_elements.element import LocalElement
 from nmt_rig.model.structure import Array
 
 # Beyond this condition number of the scaled eigenvectors the modal form loses more digits than it saves time.
@@ -94,10 +94,9 @@ def state_space(system: ElectromechanicalSystem) -> StateSpace:
     rest: list[LocalElement] = []
     behind: list[bool] = []
     for position, element in enumerate(system.elements):
-        outer = np.outer(element.direction, element.direction)
-        if element.kind == LINEAR_SPRING:
+        if element.linear:
+            outer = np.outer(element.direction, element.direction)
             stiffness += element.linear_stiffness * outer
-        elif element.kind == LINEAR_DAMPER:
             damping += element.linear_damping * outer
         else:
             rest.append(element)

@@ -9,25 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
-from nmt_rig.model.contact_kernel import integrate_contacts, own_force
+from nmt_rig.model.contact_kernel import integrate_contacts
 from nmt_rig.model.coupled_kernel import coupled_forces, integrate_coupled
 from nmt_rig.model.couplings import COUPLING_PARAMETERS
 from nmt_rig.model.integration_kernel import integrate, port_forces
-from nmt_rig.model.local_elements import (
-    BACKLASH_DAMPER,
-    JENKINS,
-    LINEAR_DAMPER,
-    LINEAR_SPRING,
-    PARAMETER_COUNT,
-    TWO_SIDED_GAP,
-    UNILATERAL_STOP,
-    LocalElement,
-    element_stored_energy,
-)
+from nmt_rig.model.local_elements.element import PARAMETER_COUNT, LocalElement
+from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.propagator import propagator, state_space
 from nmt_rig.model.structure import Array
 
-_PIECEWISE_LINEAR = frozenset({JENKINS, UNILATERAL_STOP, TWO_SIDED_GAP})
 # A corner is timed to step / 2^8; its error in impulse falls with the square of that.
 CORNER_LEVELS = 8
 _LINE = 8  # numbers
@@ -74,7 +64,7 @@ class TimeIntegrator:
         self._levels = int(corner_levels)
         self._outputs = list(outputs)
         self._dense = bool(dense or system.couplings)
-        self._affine = all(element.kind in _PIECEWISE_LINEAR for element in _local(system))
+        self._affine = all(hasattr(element, "piece") for element in _local(system))
         self._take(system)
         elements, couplings = self._space.elements, self._space.couplings
         self._kinds = np.array([element.kind for element in elements], dtype=np.int64)
@@ -97,7 +87,7 @@ class TimeIntegrator:
         ports = space.directions.shape[0]
         if self._affine and not self._dense and ports > 1:
             absorbed = [
-                element.linear_stiffness if element.kind == JENKINS and not space.exciter_ports[port] else 0.0
+                element.linear_stiffness if isinstance(element, Jenkins) and not space.exciter_ports[port] else 0.0
                 for element, port in zip(space.elements, space.element_port, strict=True)
             ]
             stiffness = system.stiffness.copy()
@@ -191,22 +181,18 @@ class TimeIntegrator:
             return
         kinematics[:] = p.port_rows @ self._state
         forces[:] = 0.0
-        for e, (kind, values) in enumerate(zip(self._kinds, self._parameters, strict=True)):
+        for e, element in enumerate(self._space.elements):
             q = self._space.element_port[e]
             w, v = kinematics[q], kinematics[ports + q]
             branch[e] = 0
-            if kind == JENKINS:
-                reach = values[1] / values[0]
+            if isinstance(element, Jenkins):
+                reach = element.slip_force / element.tangential_stiffness
                 if abs(w - slider[e]) > reach:
                     side = 1 if w > slider[e] else -1
                     slider[e] = w - side * reach
                     branch[e] = side if side * v > 0 else 0
-            elif kind == UNILATERAL_STOP:
-                branch[e] = int(w > values[1])
-            elif kind == TWO_SIDED_GAP:
-                branch[e] = int(w > values[1]) - int(w < -values[1])
-            elif kind == BACKLASH_DAMPER:
-                branch[e] = int(w > values[2]) - int(w < -values[2])
+            elif hasattr(element, "next_branch"):
+                branch[e] = element.next_branch(*element.values, 0, w, v, 0.0)
         if self._at_many_places:
             self._settle_own_forces()
             return
@@ -230,8 +216,9 @@ class TimeIntegrator:
         ports = self._space.directions.shape[0]
         kinematics[:] = self._propagator.port_rows @ self._state
         forces[:] = 0.0
-        for e, (kind, q) in enumerate(zip(self._kinds, self._space.element_port, strict=True)):
-            k, rest = own_force(kind, self._parameters, e, branch[e], slider[e], self._absorbed[e])
+        for e, (element, q) in enumerate(zip(self._space.elements, self._space.element_port, strict=True)):
+            k, rest = element.piece(*element.values, int(branch[e]), slider[e])
+            k -= self._absorbed[e]
             forces[q] += rest + k * kinematics[q]
             forces[ports + q] += k * kinematics[ports + q]
         self._due[:] = 0.0
@@ -337,15 +324,15 @@ class TimeIntegrator:
         if system.current is not None:
             energy += 0.5 * float(system.damping[system.current, system.current]) * float(i[0]) ** 2
         for element in system.elements:
-            if element.kind in (LINEAR_SPRING, LINEAR_DAMPER):
+            if element.linear:
                 energy += 0.5 * element.linear_stiffness * float(element.direction[:m] @ x) ** 2
         slider = self._memory[3]
         for e, element in enumerate(self._space.elements):
             w = float(element.direction[:m] @ x)
-            energy += element_stored_energy(element.kind, element.parameters, w, slider[e])
+            energy += element.energy(w, slider[e])
         return energy
 
 
 def _local(system: ElectromechanicalSystem) -> list[LocalElement]:
     """Elements that are not part of the linear motion."""
-    return [element for element in system.elements if element.kind not in (LINEAR_SPRING, LINEAR_DAMPER)]
+    return [element for element in system.elements if not element.linear]

@@ -9,13 +9,17 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from nmt_rig.model.couplings import BOUC_WEN, LUGRE, Coupling, coupling_parameters
-from nmt_rig.model.local_elements import BacklashDamper, LocalElement, QuadraticSpring
-from nmt_rig.model.structure import Array
+from nmt_rig.model.local_elements.contacts import BacklashDamper
+from nmt_rig.model.local_elements.element import ElementSection, LocalElement
+from nmt_rig.model.local_elements.springs import QuadraticSpring
+from nmt_rig.model.structure import Array, Structure
+from nmt_rig.rig_section import NotNegative, Positive
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,26 @@ class Attachment(ABC):
         return mass, damping, stiffness
 
 
+class AttachmentSection(ElementSection):
+    """Base of the sections of attachments; they stand on the side of the structure."""
+
+    harmonic_balance: ClassVar = False
+    in_forced_response: ClassVar[bool] = False  # whether harmonic balance covers it together with the exciter
+
+    def elements(self, structure: Structure) -> tuple[LocalElement, ...]:
+        """None of its elements is on the structure alone."""
+        return ()
+
+    def attachment(self, structure: Structure) -> Attachment:
+        """The attachment.
+
+        Raises:
+            KeyError: as :meth:`direction`.
+        """
+        result: Attachment = self.element(self.direction(structure), *self.own_values())
+        return result
+
+
 @dataclass(frozen=True)
 class BoucWen(Attachment):
     """Hysteretic spring g = k (a w + (1 - a) z) with ż = v (1 - |z / z_y|ⁿ (b sign(v z) + 1 - b)); z_y in m.
@@ -101,6 +125,26 @@ class BoucWen(Attachment):
     def resting_stiffness(self) -> float:
         """k, N/m."""
         return self.stiffness
+
+
+class BoucWenSection(AttachmentSection):
+    """g = k (a w + (1 − a) z), ż = v (1 − |z / z_y|ⁿ (b sign(v z) + 1 − b)).
+
+    Attributes:
+        stiffness_n_m: k at rest
+        yield_displacement_m: z_y, largest z
+        exponent: n, sharpness of the yield
+        post_yield_ratio: a, stiffness after yield by that at rest
+        shape: b; ½ = straight unloading
+    """
+
+    kind: Literal["bouc_wen"]
+    stiffness_n_m: Positive
+    yield_displacement_m: Positive
+    exponent: Annotated[float, Field(ge=1, le=20)] = 1.0
+    post_yield_ratio: Annotated[float, Field(ge=0, le=1)] = 0.0
+    shape: Annotated[float, Field(ge=0, le=1)] = 0.5
+    element: ClassVar = BoucWen
 
 
 @dataclass(frozen=True)
@@ -143,6 +187,34 @@ class LuGre(Attachment):
     def resting_damping(self) -> float:
         """σ₁ + σ₂, N s/m."""
         return self.bristle_damping + self.viscous_damping
+
+
+class LuGreSection(AttachmentSection):
+    """g = σ₀ z + σ₁ ż + σ₂ v, ż = v − σ₀ |v| z / s(v), s = F_C + (F_S − F_C) exp(−(v / v_S)²).
+
+    Attributes:
+        bristle_stiffness_n_m: σ₀
+        bristle_damping_ns_m: σ₁
+        viscous_damping_ns_m: σ₂
+        coulomb_force_n: F_C
+        static_force_n: F_S, not smaller than F_C
+        stribeck_velocity_m_s: v_S
+    """
+
+    kind: Literal["lugre"]
+    bristle_stiffness_n_m: Positive
+    bristle_damping_ns_m: NotNegative = 0.0
+    viscous_damping_ns_m: NotNegative = 0.0
+    coulomb_force_n: Positive
+    static_force_n: Positive
+    stribeck_velocity_m_s: Positive
+    element: ClassVar = LuGre
+
+    @model_validator(mode="after")
+    def _static_is_larger(self) -> LuGreSection:
+        if self.static_force_n < self.coulomb_force_n:
+            raise ValueError("static_force_n must not be smaller than coulomb_force_n")
+        return self
 
 
 def _velocity_and_state() -> tuple[Array, Array]:
@@ -199,6 +271,31 @@ class FractionalDamper(Attachment):
         return mass, damping, stiffness
 
 
+class FractionalDamperSection(AttachmentSection):
+    """g = c dᵅw/dtᵅ in a band, within 0.1 %, as a ladder of Maxwell elements.
+
+    Attributes:
+        coefficient_n_sa_m: c, N sᵅ/m
+        order: α
+        low_hz: lower end of the band
+        high_hz: upper end of the band
+    """
+
+    kind: Literal["fractional_damper"]
+    coefficient_n_sa_m: Positive
+    order: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    low_hz: Positive = 0.1
+    high_hz: Positive = 10_000.0
+    element: ClassVar = FractionalDamper
+    in_forced_response: ClassVar = True
+
+    @model_validator(mode="after")
+    def _band(self) -> FractionalDamperSection:
+        if self.low_hz >= self.high_hz:
+            raise ValueError("low_hz must be smaller than high_hz")
+        return self
+
+
 @dataclass(frozen=True)
 class TunedMassQuadratic(Attachment):
     """Oscillator m ÿ + 2ζω₀ m ẏ + m ω₀² y + κ w² = 0 whose energy κ w² y acts back on the structure with 2 κ w y.
@@ -229,6 +326,25 @@ class TunedMassQuadratic(Attachment):
         )
 
 
+class TunedMassQuadraticSection(AttachmentSection):
+    """Oscillator y with the coupling energy κ w² y: m ÿ + 2ζω₀ m ẏ + m ω₀² y + κ w² = 0, g = 2 κ w y.
+
+    Attributes:
+        mass_kg: m
+        frequency_hz: ω₀ / 2π; near twice the mode's frequency for a 1:2 resonance
+        damping_ratio: ζ
+        coupling_n_m2: κ
+    """
+
+    kind: Literal["tuned_mass_quadratic"]
+    mass_kg: Positive
+    frequency_hz: Positive
+    damping_ratio: NotNegative = 0.0
+    coupling_n_m2: float
+    element: ClassVar = TunedMassQuadratic
+    in_forced_response: ClassVar = True
+
+
 @dataclass(frozen=True)
 class RattlingMass(Attachment):
     """Loose mass y: it strikes where |w - y| exceeds the gap, and viscous friction carries it in between."""
@@ -255,3 +371,28 @@ class RattlingMass(Attachment):
     def resting_damping(self) -> float:
         """Friction, N s/m."""
         return self.friction
+
+
+class RattlingMassSection(AttachmentSection):
+    """Loose mass y that strikes where |w − y| exceeds its gap (contact as `backlash_damper`).
+
+    Attributes:
+        mass_kg: mass
+        gap_m: free play to each side
+        contact_stiffness_n_m: k of the contact
+        contact_damping_ns_m2: λ of the contact
+        friction_ns_m: viscous friction that carries the mass between strokes
+    """
+
+    kind: Literal["rattling_mass"]
+    mass_kg: Positive
+    gap_m: Positive
+    contact_stiffness_n_m: Positive
+    contact_damping_ns_m2: NotNegative = 0.0
+    friction_ns_m: NotNegative = 0.0
+    element: ClassVar = RattlingMass
+
+
+AnyAttachment = (
+    BoucWenSection | LuGreSection | FractionalDamperSection | TunedMassQuadraticSection | RattlingMassSection
+)

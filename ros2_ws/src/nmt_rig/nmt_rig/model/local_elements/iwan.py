@@ -9,61 +9,48 @@ which everything sticks: this gives the sharp bend between sticking and micro-sl
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
-from nmt_rig.model.local_elements import Jenkins, LinearSpring, LocalElement
-from nmt_rig.model.structure import Array
+from nmt_rig.model.local_elements.element import ElementSection, LocalElement
+from nmt_rig.model.local_elements.friction import Jenkins
+from nmt_rig.model.local_elements.springs import LinearSpring
+from nmt_rig.model.structure import Array, Structure
+from nmt_rig.rig_section import NotNegative, Positive
 
 Partition = Literal["stiffness", "ratio"]
 
 _FINEST = 1e-4  # φ / φ_max from which on parts have equal ratios
 
 
-@dataclass(frozen=True)
-class IwanJoint:
-    """Parameters of one joint.
+class IwanSection(ElementSection):
+    """Joint with micro-slip: Jenkins elements side by side whose slip displacements follow a power law.
 
     Attributes:
-        tangential_stiffness: K_T, stiffness of all sliders together while they stick, N/m.
-        slip_force: F_S, force of all sliders together while they slip, N.
-        exponent: χ > -1 of the power law.
-        stiffness_ratio: β ≥ 0, stiffness of the sliders at φ_max by that of the power law.
-        onset_ratio: φ_min / φ_max in [0, 1); 0 = Segalman's distribution.
-        sliders: number of sliders that stand for the power law; one more for the share at φ_max where β > 0.
-        remaining_stiffness: linear spring beside the sliders, N/m.
-        partition: parts of the power law that a slider each stands for. ``stiffness``: of equal stiffness, best near
-            φ_max. ``ratio``: of equal ratio of slip displacements over four decades, equally good at all amplitudes.
-
-    Raises:
-        ValueError: a parameter that is not finite or not within its range.
+        tangential_stiffness_n_m: K_T, all sliders together while they stick
+        slip_force_n: F_S, all sliders together while they slip
+        exponent: χ of the density of stiffness over slip displacement, R φ^χ
+        stiffness_ratio: β, stiffness of the sliders at the largest slip displacement by that of the power law
+        onset_ratio: smallest by largest slip displacement; 0 = Segalman's distribution
+        sliders: sliders that stand for the power law; one more where β > 0
+        partition: what the sliders have in common: equal `stiffness`, or an equal `ratio` of slip displacements over
+            four decades
+        remaining_stiffness_n_m: linear spring beside the sliders
     """
 
-    tangential_stiffness: float
-    slip_force: float
-    exponent: float = 0.0
-    stiffness_ratio: float = 0.0
-    onset_ratio: float = 0.0
-    sliders: int = 12
-    remaining_stiffness: float = 0.0
+    kind: Literal["iwan"]
+    tangential_stiffness_n_m: Positive
+    slip_force_n: Positive
+    exponent: Annotated[float, Field(gt=-1)] = 0.0
+    stiffness_ratio: NotNegative = 0.0
+    onset_ratio: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    sliders: Annotated[int, Field(ge=1, le=200)] = 12
     partition: Partition = "stiffness"
-
-    def __post_init__(self) -> None:
-        for entry in fields(self):
-            if entry.name != "partition" and not np.isfinite(getattr(self, entry.name)):
-                raise ValueError(f"Iwan joint: {entry.name} must be finite, got {getattr(self, entry.name)}")
-        for name in ("tangential_stiffness", "slip_force", "sliders"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Iwan joint: {name} must be positive, got {getattr(self, name)}")
-        for name in ("stiffness_ratio", "remaining_stiffness"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"Iwan joint: {name} must not be negative, got {getattr(self, name)}")
-        if not self.exponent > -1:
-            raise ValueError(f"Iwan joint: exponent must be greater than -1, got {self.exponent}")
-        if not 0 <= self.onset_ratio < 1:
-            raise ValueError(f"Iwan joint: onset_ratio must be in [0, 1), got {self.onset_ratio}")
+    remaining_stiffness_n_m: NotNegative = 0.0
+    friction: ClassVar = True
+    not_calibrated: ClassVar = ("sliders", "partition")
 
     @property
     def largest_slip_displacement(self) -> float:
@@ -72,19 +59,20 @@ class IwanJoint:
         From F_S = ∫ φ ρ dφ; for φ_min = 0 it is Segalman's F_S (1 + β) / (K_T (β + (χ + 1) / (χ + 2))).
         """
         return (
-            self.slip_force
+            self.slip_force_n
             * (1.0 + self.stiffness_ratio)
-            / (self.tangential_stiffness * (self.stiffness_ratio + self._mean_ratio(self.onset_ratio, 1.0)))
+            / (self.tangential_stiffness_n_m * (self.stiffness_ratio + self._mean_ratio(self.onset_ratio, 1.0)))
         )
 
     def slider_table(self) -> tuple[Array, Array]:
         """Stiffness (N/m) and slip displacement (m) of each slider, ascending.
 
         The power law is cut into parts; each slips at the mean of its part, so that K_T and F_S are met exactly.
+        Parts of equal stiffness are best near φ_max, parts of equal ratio equally good at all amplitudes.
         """
         power = self.exponent + 1.0
         low = self.onset_ratio**power
-        continuous = self.tangential_stiffness / (1.0 + self.stiffness_ratio)
+        continuous = self.tangential_stiffness_n_m / (1.0 + self.stiffness_ratio)
         if self.partition == "stiffness":
             edges = (low + (1.0 - low) * np.arange(self.sliders + 1) / self.sliders) ** (1.0 / power)
             stiffness = [continuous / self.sliders] * self.sliders
@@ -97,15 +85,22 @@ class IwanJoint:
             stiffness.append(self.stiffness_ratio * continuous)
         return np.array(stiffness), self.largest_slip_displacement * np.array(ratios)
 
-    def elements(self, direction: Array) -> tuple[LocalElement, ...]:
-        """Jenkins elements, and the remaining spring if there is one, along one direction."""
-        sliders: tuple[LocalElement, ...] = tuple(
+    def elements(self, structure: Structure) -> tuple[LocalElement, ...]:
+        """Jenkins elements, and the remaining spring if there is one.
+
+        Raises:
+            KeyError: as :meth:`direction`.
+            ValueError: a value out of its range, where the section was made without validation.
+        """
+        self.model_validate(self.model_dump())
+        direction = self.direction(structure)
+        elements: list[LocalElement] = [
             Jenkins(direction, float(stiffness), float(stiffness * displacement))
             for stiffness, displacement in zip(*self.slider_table(), strict=True)
-        )
-        if self.remaining_stiffness == 0.0:
-            return sliders
-        return (*sliders, LinearSpring(direction, self.remaining_stiffness))
+        ]
+        if self.remaining_stiffness_n_m != 0.0:
+            elements.append(LinearSpring(direction, self.remaining_stiffness_n_m))
+        return tuple(elements)
 
     def _edges_of_equal_ratio(self) -> Array:
         if self.onset_ratio >= _FINEST:

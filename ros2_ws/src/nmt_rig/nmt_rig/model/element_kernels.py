@@ -1,0 +1,43 @@
+"""Compiled dispatch: the formulas of all local elements by the number of their class.
+
+A call is ``formula(kind, p, e, …)`` with the parameters of element e in p[e]. Kernels that call these carry them in
+their own cache, which numba takes for up to date whatever changes in another file: after a change of a formula
+``./nmt`` discards the cached kernels, and who calls Python directly deletes ``*.nb[ic]``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit
+
+from nmt_rig.model.local_elements import ELEMENTS
+
+
+def _dispatch(formula: str, arguments: str, otherwise: str = "") -> Any:
+    """Compiled function that calls one formula of the element of a kind, or returns `otherwise` where it has none.
+
+    Without `otherwise` the last one is called whatever the kind.
+    """
+    names: dict[str, Any] = {**globals()}
+    kinds: dict[Any, list[int]] = {}
+    for element in ELEMENTS:
+        if hasattr(element, formula):
+            kinds.setdefault(getattr(element, formula), []).append(element.kind)
+    lines = [f"def {formula}(kind, p, e, {arguments}):"]
+    for position, (own, numbers) in enumerate(kinds.items(), 1):
+        names[f"formula_{position}"] = njit(own, forceinline=True)
+        count = own.__code__.co_argcount - len(arguments.split(", "))
+        call = ", ".join([f"p[e, {number}]" for number in range(count)] + [arguments])
+        asked = " or ".join(f"kind == {number}" for number in numbers)
+        last = not otherwise and position == len(kinds)
+        lines.append(f"    {'' if last else f'if {asked}: '}return formula_{position}({call})")
+    exec("\n".join([*lines, f"    return {otherwise}"]), names)
+    return njit(names[formula], forceinline=True)
+
+
+response = _dispatch("response", "w, v", "0.0, 0.0, 0.0")
+frozen = _dispatch("frozen", "branch, w, v, slider", "response(kind, p, e, w, v)")
+next_branch = _dispatch("next_branch", "branch, w, v, slider", "0")
+piece = _dispatch("piece", "branch, slider")
+margin = _dispatch("margin", "branch, w, slider")

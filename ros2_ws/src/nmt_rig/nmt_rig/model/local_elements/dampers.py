@@ -1,0 +1,167 @@
+"""Dampers whose force has no corners."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from nmt_rig.model.local_elements.element import ElementSection, LocalElement, Response
+from nmt_rig.rig_section import NotNegative, Positive
+
+
+@dataclass(frozen=True)
+class LinearDamper(LocalElement):
+    """g = c v; damping in N s/m."""
+
+    damping: float
+    degree: ClassVar[int] = 1
+
+    @staticmethod
+    def response(c: float, w: float, v: float) -> Response:
+        """g and its tangents."""
+        return c * v, 0.0, c
+
+
+class LinearDamperSection(ElementSection):
+    """g = c v.
+
+    Attributes:
+        damping_ns_m: c
+    """
+
+    kind: Literal["linear_damper"]
+    damping_ns_m: float
+    element: ClassVar = LinearDamper
+
+
+@dataclass(frozen=True)
+class QuadraticDrag(LocalElement):
+    """g = c2 v |v|; c2 in N s²/m²."""
+
+    drag: float
+    samples: ClassVar[tuple[int, int]] = (1024, 256)  # a kink in the second derivative
+
+    @staticmethod
+    def response(c: float, w: float, v: float) -> Response:
+        """g and its tangents."""
+        return c * v * abs(v), 0.0, 2.0 * c * abs(v)
+
+
+class QuadraticDragSection(ElementSection):
+    """g = c₂ v |v|.
+
+    Attributes:
+        drag_ns2_m2: c₂
+    """
+
+    kind: Literal["quadratic_drag"]
+    drag_ns2_m2: float
+    element: ClassVar = QuadraticDrag
+
+
+@dataclass(frozen=True)
+class AmplitudeDamper(LocalElement):
+    """g = c w² v; damping that grows with the square of the amplitude, c in N s/m³.
+
+    The nonlinear term of the van der Pol equation; of its kind is the damping of large bending of slender beams
+    (Zaitsev et al., Nonlinear Dyn. 67 (2012) 859).
+    """
+
+    damping: float
+    degree: ClassVar[int] = 3
+
+    @staticmethod
+    def response(c: float, w: float, v: float) -> Response:
+        """g and its tangents."""
+        return c * w * w * v, 2.0 * c * w * v, c * w * w
+
+
+class AmplitudeDamperSection(ElementSection):
+    """g = c w² v: damping that grows with the square of the amplitude (van der Pol type).
+
+    Attributes:
+        damping_ns_m3: c
+    """
+
+    kind: Literal["amplitude_damper"]
+    damping_ns_m3: float
+    element: ClassVar = AmplitudeDamper
+
+
+@dataclass(frozen=True)
+class PowerLawDamper(LocalElement):
+    """g = c |v|ᵖ sgn v; coefficient c in N (s/m)ᵖ, exponent p ≥ 1 (Ruzicka and Derby 1971, section 2).
+
+    At p = 1 a linear damper, at p = 2 quadratic drag.
+
+    Raises:
+        ValueError: an exponent below 1, whose tangent at rest is infinite.
+    """
+
+    coefficient: float
+    exponent: float
+    samples: ClassVar[tuple[int, int]] = (2048, 512)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.exponent < 1.0:
+            raise ValueError(f"{type(self).__name__}: exponent must be at least 1, got {self.exponent}")
+
+    @staticmethod
+    def response(c: float, p: float, w: float, v: float) -> Response:
+        """g and its tangents."""
+        tangent = c * abs(v) ** (p - 1.0)
+        return tangent * v, 0.0, p * tangent
+
+
+class PowerLawDamperSection(ElementSection):
+    """g = c |v|ᵖ sgn v.
+
+    Attributes:
+        coefficient_n_sp_mp: c, N sᵖ/mᵖ
+        exponent: p; 1 = linear damper, 2 = quadratic drag
+    """
+
+    kind: Literal["power_law_damper"]
+    coefficient_n_sp_mp: float
+    exponent: Annotated[float, Field(ge=1, le=10)]
+    element: ClassVar = PowerLawDamper
+    not_calibrated: ClassVar = ("exponent",)
+
+
+@dataclass(frozen=True)
+class EddyBrake(LocalElement):
+    """g = c v / (1 + (v / v_c)²): the force of an eddy-current brake falls beyond its critical velocity (m/s)."""
+
+    damping: float
+    critical_velocity: float
+    must_be_positive: ClassVar[tuple[str, ...]] = ("critical_velocity",)
+
+    @staticmethod
+    def response(c: float, critical: float, w: float, v: float) -> Response:
+        """g and its tangents."""
+        ratio = v / critical
+        share = 1.0 / (1.0 + ratio * ratio)
+        return c * v * share, 0.0, c * share * share * (1.0 - ratio * ratio)
+
+
+class EddyBrakeSection(ElementSection):
+    """g = c v / (1 + (v / v_c)²).
+
+    Attributes:
+        damping_ns_m: c
+        critical_velocity_m_s: v_c, where the force is largest
+    """
+
+    kind: Literal["eddy_brake"]
+    damping_ns_m: NotNegative
+    critical_velocity_m_s: Positive
+    element: ClassVar = EddyBrake
+    harmonic_balance: ClassVar = False
+
+
+AnyDamper = (
+    LinearDamperSection | QuadraticDragSection | AmplitudeDamperSection | PowerLawDamperSection | EddyBrakeSection
+)

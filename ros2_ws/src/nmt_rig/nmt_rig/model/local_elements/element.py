@@ -1,0 +1,187 @@
+"""What local elements and their sections of a rig file share.
+
+An element has a direction d (n,): it sees w = d · q and v = d · q̇ and acts on the structure as -d g(w, v). Its formulas
+are static methods of plain numbers, first the parameters in the order of the class; numba compiles them in
+element_kernels.py, and time integration, harmonic balance and diagnosis share them:
+
+* ``response(…, w, v)``: g (N), ∂g/∂w (N/m), ∂g/∂v (N s/m).
+
+An element whose force has corners has branches: sticking 0, slipping ±1; open 0, closed ±1. The time integration
+locates where they change, with the position of a slider (m) as the memory of the one element that has any:
+
+* ``next_branch(…, branch, w, v, slider)``: the branch that fits; equal to ``branch`` unless a corner was passed.
+
+Where the force is linear between its corners, harmonic balance switches it exactly (``sliders``, ``contacts``), and
+
+* ``frozen(…, branch, w, v, slider)``: what ``response`` gives, on a branch;
+* ``piece(…, branch, slider)``: stiffness (N/m) and constant (N) of the force on a branch;
+* ``margin(…, branch, w, slider)``: way (m) from a resting element to its next corner, not positive beyond it.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from nmt_rig.model.structure import Array, Structure
+from nmt_rig.rig_section import Name, Point, Section
+
+PARAMETER_COUNT = 4
+
+Response = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class LocalElement:
+    """Base of the local elements.
+
+    Attributes:
+        direction: (n,) direction d on the degrees of freedom it acts on, w = d · q.
+        kind: number of the class in compiled code.
+        degree: of a polynomial force, whose samples over a period are then free of aliasing.
+        samples: over a period of another smooth force, for references and for models that are fitted (errors of the
+            harmonics below 1e-5); without these, degree, sliders and contacts harmonic balance refuses the element.
+
+    Raises:
+        ValueError: a parameter that is not finite or not within its range.
+    """
+
+    direction: Array = field(repr=False)
+    kind: ClassVar[int] = 0
+    degree: ClassVar[int] = 0
+    samples: ClassVar[tuple[int, int]] = (0, 0)
+    must_be_positive: ClassVar[tuple[str, ...]] = ()
+    must_not_be_negative: ClassVar[tuple[str, ...]] = ()
+    response: ClassVar[Callable[..., Response]]
+    frozen: ClassVar[Callable[..., Response]]
+    next_branch: ClassVar[Callable[..., int]]
+    piece: ClassVar[Callable[..., tuple[float, float]]]
+
+    def __init_subclass__(cls) -> None:
+        # By name: the numbers in cached kernels stay right when elements are added.
+        cls.kind = zlib.crc32(cls.__name__.encode())
+
+    def __post_init__(self) -> None:
+        for name, value in zip(self.parameter_names(), self.values, strict=True):
+            if not np.isfinite(value):
+                raise ValueError(f"{type(self).__name__}: {name} must be finite, got {value}")
+            if name in self.must_be_positive and not value > 0:
+                raise ValueError(f"{type(self).__name__}: {name} must be positive, got {value}")
+            if name in self.must_not_be_negative and not value >= 0:
+                raise ValueError(f"{type(self).__name__}: {name} must not be negative, got {value}")
+
+    @classmethod
+    def parameter_names(cls) -> list[str]:
+        """Names of the parameters, in the order of the class."""
+        return [entry.name for entry in fields(cls) if entry.name != "direction"]
+
+    @property
+    def values(self) -> list[float]:
+        """Parameters in the order of the class."""
+        return [float(getattr(self, name)) for name in self.parameter_names()]
+
+    @property
+    def parameters(self) -> Array:
+        """(PARAMETER_COUNT,) parameters in the order of the class, zeros behind."""
+        return np.array(self.values + [0.0] * PARAMETER_COUNT)[:PARAMETER_COUNT]
+
+    @property
+    def linear(self) -> bool:
+        """Whether it is part of the linear motion."""
+        return self.degree == 1
+
+    @property
+    def linear_stiffness(self) -> float:
+        """∂g/∂w at rest (the Jenkins element sticks), N/m."""
+        return float(self._at_rest()[1])
+
+    @property
+    def linear_damping(self) -> float:
+        """∂g/∂v at rest, N s/m."""
+        return float(self._at_rest()[2])
+
+    def _at_rest(self) -> Response:
+        if hasattr(self, "frozen"):
+            branch = self.next_branch(*self.values, 0, 0.0, 0.0, 0.0)
+            return self.frozen(*self.values, branch, 0.0, 0.0, 0.0)
+        return self.response(*self.values, 0.0, 0.0)
+
+    @property
+    def sliders(self) -> tuple[tuple[float, float], ...]:
+        """Stiffness (N/m) and slip force (N) of the sliders that it is, for harmonic balance."""
+        return ()
+
+    @property
+    def contacts(self) -> tuple[tuple[float, float, float], ...]:
+        """Stiffness (N/m), gap (m) and side (±1) of the stops that it is, for harmonic balance."""
+        return ()
+
+    def energy(self, w: float, slider: float) -> float:
+        """Elastic energy, J; 0 for purely dissipative elements."""
+        return 0.0
+
+    def along(self, direction: Array) -> LocalElement:
+        """The same element on another direction."""
+        return replace(self, direction=direction)
+
+    def with_slip_force(self, factor: float) -> LocalElement:
+        """The same element with a slip force, if it has one, times a factor."""
+        slip = getattr(self, "slip_force", None)
+        return self if slip is None else replace(self, slip_force=factor * slip)  # type: ignore[call-arg]
+
+
+class ElementSection(Section):
+    """Common keys of local elements: between `point` and `other_point`, the ground when that is left out.
+
+    side: an element on the side of the exciter acts on the drive point behind the force sensor, so its force is part
+    of the measured one. rotation: it acts on the rotation of the beam's cross-section (N m and rad instead of N and m).
+
+    Attributes:
+        name: name for `--set` and messages
+        point: point the element acts on
+        other_point: second point; left out = the ground
+        side: `exciter`: at the drive point behind the force sensor, so that the measured force contains it; it is then
+            no part of the structure
+        rotation: acts on the rotation of a beam's cross-section: N m, rad and their products for N, m and theirs
+    """
+
+    name: Name | None = None
+    point: Point
+    other_point: Point | None = None
+    side: Literal["structure", "exciter"] = "structure"
+    rotation: bool = False
+
+    element: ClassVar[Any] = None  # class that is made of the section's own keys, in their order
+    friction: ClassVar[bool] = False
+    harmonic_balance: ClassVar[bool] = True  # whether it covers the element
+    not_calibrated: ClassVar[tuple[str, ...]] = ()  # own keys that the diagnosis takes as given
+
+    @classmethod
+    def own_keys(cls) -> list[str]:
+        """Keys that not every element has."""
+        return [key for key in cls.model_fields if key != "kind" and key not in ElementSection.model_fields]
+
+    def direction(self, structure: Structure) -> Array:
+        """Direction (n,) that the element acts along.
+
+        Raises:
+            KeyError: the structure has no such point, or its points do not rotate.
+        """
+        return structure.direction(self.point, self.other_point, self.rotation)
+
+    def own_values(self) -> list[Any]:
+        """Values of the own keys: frequencies in Hz become rad/s, all else is taken as it is."""
+        values = [(key, getattr(self, key)) for key in self.own_keys()]
+        return [2.0 * np.pi * value if key.endswith("_hz") else value for key, value in values]
+
+    def elements(self, structure: Structure) -> tuple[LocalElement, ...]:
+        """Local elements that it stands for.
+
+        Raises:
+            KeyError: as :meth:`direction`.
+        """
+        return (self.element(self.direction(structure), *self.own_values()),)

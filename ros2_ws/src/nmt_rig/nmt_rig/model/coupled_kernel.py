@@ -17,8 +17,8 @@ from nmt_rig.model.integration_kernel import (
     _NEWTON_TOLERANCE,
     _SLOPE_TOLERANCE,
     _SMALLEST,
-    JENKINS,
     Integers,
+    accept,
     solve_in_place,
 )
 from nmt_rig.model.structure import Array
@@ -261,24 +261,11 @@ def integrate_coupled(
                         trial[i] += end_weights[level, c, i] * value
                 for i in range(size):
                     state[i] = trial[i]
-                for e in range(elements):
-                    if kinds[e] == JENKINS and branch[e] != 0:
-                        q = element_port[e]
-                        dissipated[e] += branch[e] * parameters[e, 1] * (kin_trial[q] - kinematics[q])
-                        slider[e] = kin_trial[q] - branch[e] * parameters[e, 1] / parameters[e, 0]
+                accept(
+                    kinds, parameters, element_port, branch, slider, dissipated, kinematics, kin_trial, own, corner
+                )  # fmt: skip
                 if corner:
                     counters[1] += 1
-                    for e in range(elements):
-                        q = element_port[e]
-                        new = next_branch(
-                            kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[own + q], slider[e]
-                        )
-                        if new != branch[e]:
-                            if kinds[e] == JENKINS and branch[e] == 0:
-                                slipped = kin_trial[q] - new * parameters[e, 1] / parameters[e, 0]
-                                dissipated[e] += new * parameters[e, 1] * (slipped - slider[e])
-                                slider[e] = slipped
-                            branch[e] = new
                     coupled_forces(
                         kinds, parameters, element_port, branch, slider, coupling_kinds, coupling_parameters,
                         kin_trial, own, force_trial, tangents,

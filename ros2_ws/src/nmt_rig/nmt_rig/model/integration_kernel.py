@@ -88,6 +88,34 @@ def port_forces(
         forces[ports + q] = stiffness[q] * kinematics[ports + q] + damping[q] * kinematics[2 * ports + q]
 
 
+@njit(cache=True, forceinline=True)
+def accept(
+    kinds: Integers,
+    parameters: Array,
+    element_port: Integers,
+    branch: Integers,
+    slider: Array,
+    dissipated: Array,
+    before: Array,
+    after: Array,
+    ports: int,
+    corner: bool,
+) -> None:
+    """Move the sliders that slip with their ports, count what they lose; past a corner, take the branches that fit."""
+    for e in range(kinds.size):
+        q = element_port[e]
+        if kinds[e] == JENKINS and branch[e] != 0:
+            dissipated[e] += branch[e] * parameters[e, 1] * (after[q] - before[q])
+            slider[e] = after[q] - branch[e] * parameters[e, 1] / parameters[e, 0]
+        if corner:
+            new = next_branch(kinds[e], parameters, e, branch[e], after[q], after[ports + q], slider[e])
+            if new != branch[e] and branch[e] == 0 and kinds[e] == JENKINS:
+                slipped = after[q] - new * parameters[e, 1] / parameters[e, 0]
+                dissipated[e] += new * parameters[e, 1] * (slipped - slider[e])
+                slider[e] = slipped
+            branch[e] = new
+
+
 @njit(cache=True)
 def integrate(
     modal: bool,
@@ -331,25 +359,11 @@ def integrate(
                             trial[i] += end_weights[level, c, i] * value
                     for i in range(size):
                         state[i] = trial[i]
-                for e in range(elements):
-                    if kinds[e] == JENKINS and branch[e] != 0:
-                        q = element_port[e]
-                        travelled = kin_trial[q] - kinematics[q]
-                        dissipated[e] += branch[e] * parameters[e, 1] * travelled
-                        slider[e] = kin_trial[q] - branch[e] * parameters[e, 1] / parameters[e, 0]
+                accept(
+                    kinds, parameters, element_port, branch, slider, dissipated, kinematics, kin_trial, ports, corner
+                )  # fmt: skip
                 if corner:
                     counters[1] += 1
-                    for e in range(elements):
-                        q = element_port[e]
-                        new = next_branch(
-                            kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[ports + q], slider[e]
-                        )
-                        if new != branch[e]:
-                            if kinds[e] == JENKINS and branch[e] == 0:
-                                slipped = kin_trial[q] - new * parameters[e, 1] / parameters[e, 0]
-                                dissipated[e] += new * parameters[e, 1] * (slipped - slider[e])
-                                slider[e] = slipped
-                            branch[e] = new
                     port_forces(
                         kinds, parameters, element_port, branch, slider, kin_trial, ports,
                         force_trial, stiffness, damping,

@@ -14,11 +14,12 @@ from numba import njit
 from nmt_rig.model.local_elements import ELEMENTS
 
 
-def _dispatch(formula: str, arguments: str, otherwise: str = "") -> Any:
+def _dispatch(formula: str, arguments: str, otherwise: str = "", **how: Any) -> Any:
     """Compiled function that calls one formula of the element of a kind, or returns `otherwise` where it has none.
 
     Without `otherwise` the last one is called whatever the kind.
     """
+    how = how or {"forceinline": True}
     names: dict[str, Any] = {**globals()}
     kinds: dict[Any, list[int]] = {}
     for element in ELEMENTS:
@@ -26,14 +27,14 @@ def _dispatch(formula: str, arguments: str, otherwise: str = "") -> Any:
             kinds.setdefault(getattr(element, formula), []).append(element.kind)
     lines = [f"def {formula}(kind, p, e, {arguments}):"]
     for position, (own, numbers) in enumerate(kinds.items(), 1):
-        names[f"formula_{position}"] = njit(own, forceinline=True)
+        names[f"formula_{position}"] = njit(own, **how)
         count = own.__code__.co_argcount - len(arguments.split(", "))
         call = ", ".join([f"p[e, {number}]" for number in range(count)] + [arguments])
         asked = " or ".join(f"kind == {number}" for number in numbers)
         last = not otherwise and position == len(kinds)
         lines.append(f"    {'' if last else f'if {asked}: '}return formula_{position}({call})")
     exec("\n".join([*lines, f"    return {otherwise}"]), names)
-    return njit(names[formula], forceinline=True)
+    return njit(names[formula], **how)
 
 
 response = _dispatch("response", "w, v", "0.0, 0.0, 0.0")
@@ -41,3 +42,6 @@ frozen = _dispatch("frozen", "branch, w, v, slider", "response(kind, p, e, w, v)
 next_branch = _dispatch("next_branch", "branch, w, v, slider", "0")
 piece = _dispatch("piece", "branch, slider")
 margin = _dispatch("margin", "branch, w, slider")
+# Copied into their callers: a tenth of a step where many sliders share a place, but slower at many places.
+next_branch_here = _dispatch("next_branch", "branch, w, v, slider", "0", inline="always")
+piece_here = _dispatch("piece", "branch, slider", inline="always")

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from nmt_rig.model.element_kernels import frozen, next_branch, piece
+from nmt_rig.model.element_kernels import frozen, next_branch_here, piece_here
 from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.structure import Array
 
@@ -108,7 +108,7 @@ def accept(
             dissipated[e] += branch[e] * parameters[e, 1] * (after[q] - before[q])
             slider[e] = after[q] - branch[e] * parameters[e, 1] / parameters[e, 0]
         if corner:
-            new = next_branch(kinds[e], parameters, e, branch[e], after[q], after[ports + q], slider[e])
+            new = next_branch_here(kinds[e], parameters, e, branch[e], after[q], after[ports + q], slider[e])
             if new != branch[e] and branch[e] == 0 and kinds[e] == JENKINS:
                 slipped = after[q] - new * parameters[e, 1] / parameters[e, 0]
                 dissipated[e] += new * parameters[e, 1] * (slipped - slider[e])
@@ -261,7 +261,7 @@ def integrate(
                     k_sum = 0.0
                     g_rest = 0.0
                     for e in range(elements):
-                        own_k, own_rest = piece(kinds[e], parameters, e, branch[e], slider[e])
+                        own_k, own_rest = piece_here(kinds[e], parameters, e, branch[e], slider[e])
                         k_sum += own_k
                         g_rest += own_rest
                     w = kin_free[0]
@@ -336,7 +336,9 @@ def integrate(
                 for e in range(elements):
                     q = element_port[e]
                     if (
-                        next_branch(kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[ports + q], slider[e])
+                        next_branch_here(
+                            kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[ports + q], slider[e]
+                        )
                         != branch[e]
                     ):
                         corner = True

@@ -63,7 +63,7 @@ class LocalElement:
 
     def __init_subclass__(cls) -> None:
         # By name: the numbers in cached kernels stay right when elements are added.
-        cls.kind = zlib.crc32(cls.__name__.encode())
+        cls.kind = zlib.crc32(cls.__name__.encode()) % 2**31
 
     def __post_init__(self) -> None:
         for name, value in zip(self.parameter_names(), self.values, strict=True):

@@ -80,3 +80,18 @@ def test_the_answer_says_how_much_is_left_and_where(observations: Observations) 
 
     assert "It explains 94 %; 6 % is left, most of it in levels: frequency at the highest levels" in said(rest)
     assert "left" not in said(None)
+
+
+def test_what_closes_most_is_no_cause_where_something_unnamed_is_certain() -> None:
+    share = Share(0.94, 0.9, 0.97)
+    told = {
+        p: sentences(
+            Verdict.EFFECT, (), (Ranked("air_drag", "structure", "2", p, (), {}, share, 9.0),), None, LEFT, (), ()
+        )[1]
+        for p in (0.95, 0.5, 0.0)
+    }
+    assert told[0.95].startswith("The cause is air drag")
+    assert told[0.5].startswith("The most probable cause is air drag")
+    assert told[0.0] == (
+        "Most of it is what air drag would do; what that leaves is more than noise, so something unnamed acts too."
+    )

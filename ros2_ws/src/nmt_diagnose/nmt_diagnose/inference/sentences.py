@@ -20,7 +20,7 @@ PLACES = {
     "controller": "the controller",
     "time": "a change over time",
 }
-_LIKELY = 0.9
+_LIKELY, _UNLIKELY = 0.9, 0.1
 
 
 def sentences(
@@ -58,10 +58,15 @@ def sentences(
     if verdict is Verdict.UNKNOWN:
         return (place, "Nothing in the library explains all of it." + _nearest(ranking, named, gap), *_ahead(ahead))
     head = ranking[0]
-    sure = "The cause is" if head.probability >= _LIKELY else "The most probable cause is"
     values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())
-    where_it_acts = _at(named)
-    which = f"{sure} {_title(head.effect)}{where_it_acts} ({values}), probability {_sure(head.probability)}"
+    what = f"{_title(head.effect)}{_at(named)}" + (f" ({values})" if values else "")
+    if head.probability < _UNLIKELY:
+        which = (
+            f"Most of it is what {what} would do; what that leaves is more than noise, so something unnamed acts too"
+        )
+    else:
+        sure = "The cause is" if head.probability >= _LIKELY else "The most probable cause is"
+        which = f"{sure} {what}, probability {_sure(head.probability)}"
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
     return (place, which + ".", _how_far(gap, "Adding it") + _left(remainder), *_ahead(ahead))

@@ -109,8 +109,8 @@ class Scores:
         calibrated: share of null cases with shifted parameters called calibration; plain_none: of those without shift
             called none.
         width, count: reliability over bins of equal width and of equal count, of null cases and effects from 8 σ.
-        closed: median share of the held-out gap that was closed where an effect was accepted; harm: share of cases
-            whose held-out gap grew.
+        closed: median share of the held-out gap that was closed where an effect was accepted; harm: share of
+            such cases whose held-out gap grew.
         by_strength: sigma -> (detected, right first) of single effects.
         confusion: truth -> answer -> number of cases.
         roc: false alarms and detections of effects from 8 σ.
@@ -275,7 +275,9 @@ def compute_scores(cases: Sequence[ScoredCase], about: dict[str, Any], classifie
     distinct = [case for case in unnamed if case.alone >= STRONG]
     limit = threshold_for([_unknown(case) for case in named], WRONGLY_UNKNOWN)
     accepted = [case for case in cases if case.verdict == "effect" and case.known and math.isfinite(case.closed)]
-    judged = [case for case in cases if math.isfinite(case.before) and math.isfinite(case.after)]
+    judged = [
+        case for case in cases if case.verdict == "effect" and math.isfinite(case.before) and math.isfinite(case.after)
+    ]
     settled = [case for case in cases if case.verdict != "failed"]
     # Of an effect that the recordings do not show, "none" is no wrong answer.
     shown = [case for case in settled if case.kind == "null" or case.sigma >= STRONG]

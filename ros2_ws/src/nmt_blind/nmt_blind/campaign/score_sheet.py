@@ -75,7 +75,7 @@ def figures(scores: Scores) -> list[tuple[str, str, str, str, bool | None]]:
             f"{number(scores.width.error)} / {number(scores.count.error)}", ece, lambda value: value <= 0.06),
         row(f"held-out gap closed, median of {scores.closed_cases} accepted effects", "closed",
             f"{number(100 * scores.closed, 1)} %", scores.closed, lambda value: value >= 0.85),
-        row("held-out gap larger than before (harm)", "harm", percent(scores.harm), scores.harm.value,
+        row("held-out gap larger than before, accepted effects (harm)", "harm", percent(scores.harm), scores.harm.value,
             lambda value: value <= 0.02),
         share("two effects, both among the first three", "compound", scores.compound, 0.85),
         share("truth within 3 standard uncertainties, effects named rightly", "covered", scores.covered, 0.95),

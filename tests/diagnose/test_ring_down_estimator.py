@@ -16,6 +16,7 @@ from nmt_diagnose.observations.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
 from nmt_diagnose.observations.decay_nodes import nodes
 from nmt_diagnose.observations.decay_signal import demodulated, middles, ridges, slow_amplitude, window
+from nmt_diagnose.observations.half_cycles import half_cycle_nodes
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -248,3 +249,49 @@ def test_segments_of_the_largest_amplitudes_are_half_as_long() -> None:
     assert large.sum() >= 2
     assert np.mean(apart[~large]) == pytest.approx(2.0 * np.mean(apart[large]), rel=0.35)
     assert max(node.omega_std / node.omega for node in found) < 1e-3
+
+
+def stopped(rate: float, seconds: float, offset: float) -> FloatArray:
+    """Displacement of 1 kg on a spring, let go at 1 mm, stopped by dry friction that displaces its rest by ``offset``.
+
+    Closed form: half cosines about the displaced rests.
+    """
+    x = np.full(round(seconds * rate), math.nan)
+    half, top, first = 0.5 / HZ, 1e-3, 0
+    for k in range(x.size):
+        now = k / rate - first * half
+        if now >= half and abs(top) > offset:
+            top, first = 2.0 * math.copysign(offset, top) - top, first + 1
+            now -= half
+        rest = math.copysign(offset, top)
+        x[k] = rest + (top - rest) * math.cos(OMEGA * now) if abs(top) > offset else top
+    return x
+
+
+def test_a_decay_that_friction_stops_after_a_few_periods() -> None:
+    rate, offset = 5_000.0, 3e-5
+    clean = stopped(rate, 0.4, offset) + 2e-4  # the channel has an offset, too
+    noisy = clean + 1e-6 * np.random.default_rng(5).standard_normal(clean.size)
+    found = half_cycle_nodes(noisy, rate, 1.02 * HZ)
+    assert 6 <= len(found) <= 8
+    for node in found:
+        assert abs(node.omega - OMEGA) < 4.0 * node.omega_std < 0.02 * OMEGA
+        # Amplitude falls by 4 offsets a period, evenly.
+        assert node.rate * node.amplitude == pytest.approx(4.0 * offset * HZ, abs=4.0 * node.rate_std * node.amplitude)
+        assert node.rate_std < 0.05 * node.rate
+    assert np.all(np.diff([node.amplitude for node in found]) < -3.0 * offset)
+
+
+def test_a_viscous_decay_of_a_few_periods_has_rows_of_its_own() -> None:
+    rate, ratio = 5_000.0, 0.03
+    samples = linear(rate, 9.0 / HZ, ratio=ratio) + 1e-4 * np.random.default_rng(6).standard_normal(
+        round(9 / HZ * rate)
+    )
+    observations = observations_of(samples, rate, rig())
+    assert "between its turning points" in observations.notes[0]
+    damping = values(observations, Part.DAMPING)
+    assert damping.size >= 3
+    assert damping == pytest.approx(np.full(damping.size, ratio), rel=0.03)
+    short = observations_of(linear(rate, 2.5 / HZ), rate, rig())
+    assert not len(short.rows)
+    assert "turns" in short.notes[0]

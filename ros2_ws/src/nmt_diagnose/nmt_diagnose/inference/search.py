@@ -29,6 +29,7 @@ from nmt_diagnose.inference.candidate_starts import (
 from nmt_diagnose.inference.fitting import Data, FitError, Fitted, Metric, approach, fit, predicted, without_rows
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.tuned import (
+    ALIKE,
     FAR_BEHIND,
     FINALISTS,
     FIRST_EFFECTS,
@@ -305,16 +306,26 @@ class Search:
         )
         return again if again.log_evidence > found.log_evidence else found
 
-    def chosen(self, scores: Sequence[Score], effects: int, places: int, least: float) -> list[Score]:
-        """The best effects at their best places, one start each."""
+    def chosen(self, base: Found, scores: Sequence[Score], effects: int, places: int, least: float) -> list[Score]:
+        """The best effects at their best places, one start each.
+
+        Effects that change the rows alike, such as two laws of damping, count as one of ``effects``.
+        """
         result: list[Score] = []
         by_effect: dict[str, list[Score]] = {}
+        ways: list[FloatArray] = []
+        weights = np.sqrt(base.fit.errors.weights)
         for score in scores:
             if score.gain < least:
                 break
             candidate = self.candidates[score.candidate]
-            if candidate.effect.name not in by_effect and len(by_effect) == effects:
-                continue
+            if candidate.effect.name not in by_effect:
+                way = weights * score.column
+                way = way / max(float(np.linalg.norm(way)), 1e-300)
+                if all(abs(float(way @ other)) < ALIKE for other in ways):
+                    if len(ways) == effects:
+                        continue
+                    ways.append(way)
             mine = by_effect.setdefault(candidate.effect.name, [])
             if len(mine) < places and all(score.candidate != own.candidate for own in mine):
                 mine.append(score)
@@ -323,7 +334,7 @@ class Search:
 
     def singles(self, null: Found, scores: Sequence[Score]) -> list[Found]:
         """Explanations by one effect, the best first."""
-        wanted = self.chosen(scores, FIRST_EFFECTS, FIRST_PLACES, LEAST_GAIN)
+        wanted = self.chosen(null, scores, FIRST_EFFECTS, FIRST_PLACES, LEAST_GAIN)
         self.tell(f"fitting {len(wanted)} explanations")
         found = self._all(null, wanted)
         if not found:
@@ -332,7 +343,7 @@ class Search:
         tried = {own.explanation for own in found}
         others = [
             score
-            for score in self.chosen(scores, len(self.candidates), len(self.candidates), -math.inf)
+            for score in self.chosen(null, scores, len(self.candidates), len(self.candidates), -math.inf)
             if self.candidates[score.candidate].effect.name in best.effects
             and score.gain > OTHER_PLACES * scores[0].gain
             and Explanation((self.candidates[score.candidate].cause,)) not in tried
@@ -347,7 +358,7 @@ class Search:
             if single.effects in heads or len(heads) == HEADS:
                 continue
             heads.add(single.effects)
-            wanted = self.chosen(self.scores(single), SECOND_EFFECTS, 1, SECOND_GAIN)
+            wanted = self.chosen(single, self.scores(single), SECOND_EFFECTS, 1, SECOND_GAIN)
             found += self._all(single, wanted)
         return best_of(found)
 

@@ -26,6 +26,8 @@ BROYDEN_TRUST = 0.75
 REWEIGHTINGS = 20
 # Search: effects that are fitted, places of each, fall of the cost below which nothing is tried.
 FIRST_EFFECTS, FIRST_PLACES, LEAST_GAIN = 5, 2, 6.0
+# Cosine between changes of the rows from which two effects count as one of those that are fitted.
+ALIKE = 0.98
 # Second effects: explanations they are added to, how many to each, fall of the cost that they must promise.
 HEADS, SECOND_EFFECTS, SECOND_GAIN = 2, 2, 16.0
 # Strength in standard deviations below which a member of two effects says nothing.

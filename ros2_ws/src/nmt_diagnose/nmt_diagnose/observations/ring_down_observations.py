@@ -28,6 +28,7 @@ from nmt_diagnose.observations.decay_signal import (
     ridges,
     slow_amplitude,
 )
+from nmt_diagnose.observations.half_cycles import half_cycle_nodes
 from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -35,6 +36,7 @@ from nmt_diagnose.observations.row_table import Place, RowTable, empty
 
 _SWITCH_OFF = 1  # periods within which the drive goes to zero
 _WRONG_FREQUENCY = 1.6
+_FEW = 3  # times the periods that spectra need: up to there turning points are tried
 _WIDTHS = (1, 2, 4)
 _NARROWER_PAYS = 0.5  # share of the uncertainty from which a narrower band is taken
 _COMPARED = 60  # amplitudes
@@ -91,19 +93,11 @@ def ring_down_observations(
         except BenchError as error:
             reason = reason or str(error)
     if decay is None:
-        return empty((f"{name}: the ring-down is left out: {reason}.",))
+        return _short_decay(name, stretch, usable[0], channels, view, settings, reason)
     others = [c for c in usable if c is not own]
     table = RowTable()
-    amplitudes: list[float] = []
     floors = settings.floors
-    for node, bend in zip(decay.good, _bends(decay.good), strict=True):
-        place = Place(len(amplitudes), stretch.start_s + node.time_s, node.omega / (2.0 * math.pi), node.amplitude)
-        std = math.hypot(node.omega_std / node.omega, bend * node.log_std)
-        table.add(Part.LOG_FREQUENCY, math.log(node.omega), std, floors.decay_log_frequency, place, 0, 1)
-        std = node.rate_std / node.omega
-        if std < max(_WORST_DAMPING * abs(node.damping), 1e-5):
-            table.add(Part.DAMPING, node.damping, std, floors.decay_damping * abs(node.damping), place, 0, 1)
-        amplitudes.append(node.amplitude)
+    amplitudes = _add_nodes(table, decay.good, stretch, settings)
     for index, other in enumerate(others, start=1):
         samples = stretch.row(other.name)
         samples, _ = without_hum(samples - samples.mean(), stretch.sample_rate, decay.ridge, _SWITCH_OFF)
@@ -126,6 +120,43 @@ def ring_down_observations(
         tuple(channels[other.name] for other in others),
     )
     return table.observations(test, notes)
+
+
+def _add_nodes(table: RowTable, good: list[Node], stretch: SampleStretch, settings: ObservationSettings) -> list[float]:
+    """Rows of frequency and damping of every node; returns their amplitudes."""
+    floors = settings.floors
+    for level, (node, bend) in enumerate(zip(good, _bends(good), strict=True)):
+        place = Place(level, stretch.start_s + node.time_s, node.omega / (2.0 * math.pi), node.amplitude)
+        std = math.hypot(node.omega_std / node.omega, bend * node.log_std)
+        table.add(Part.LOG_FREQUENCY, math.log(node.omega), std, floors.decay_log_frequency, place, 0, 1)
+        std = node.rate_std / node.omega
+        if std < max(_WORST_DAMPING * abs(node.damping), 1e-5):
+            table.add(Part.DAMPING, node.damping, std, floors.decay_damping * abs(node.damping), place, 0, 1)
+    return [node.amplitude for node in good]
+
+
+def _short_decay(
+    name: str,
+    stretch: SampleStretch,
+    channel: MeasuredChannel,
+    channels: dict[str, MeasuredChannel],
+    view: ModelView,
+    settings: ObservationSettings,
+    reason: str,
+) -> Observations:
+    """Observables of a decay of too few periods for spectra: by its turning points, where there are enough of them."""
+    own, lowest = channels[channel.name], float(min(view.frequencies_hz))
+    if stretch.samples / stretch.sample_rate * lowest > _FEW * FEWEST_PERIODS:
+        return empty((f"{name}: the ring-down is left out: {reason}.",))
+    try:
+        good = half_cycle_nodes(stretch.row(channel.name), stretch.sample_rate, lowest)
+    except BenchError as error:
+        return empty((f"{name}: the ring-down is left out: {reason}; {error}.",))
+    table = RowTable()
+    amplitudes = _add_nodes(table, good, stretch, settings)
+    note = f"{name}: the decay lasts a few periods only: frequency and damping are those between its turning points."
+    test = RingDownTest(name, view.rig.drive_point, own, np.array(amplitudes), good[-1].omega / (2.0 * math.pi))
+    return table.observations(test, [note])
 
 
 def _decay(
@@ -226,8 +257,7 @@ def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView, seconds: f
     if seconds * lowest < FEWEST_PERIODS:
         raise BenchError(
             f"its {seconds:.4g} s are {seconds * lowest:.2g} periods of the mode at {lowest:.4g} Hz, and a decay needs "
-            f"{FEWEST_PERIODS}: start it from more, or read frequency and damping over amplitude yourself and import "
-            "them as a table of kind backbone"
+            f"{FEWEST_PERIODS}"
         )
     modes = ", ".join(dict.fromkeys(f"{value:.4g}" for value in view.frequencies_hz[:4]))
     raise BenchError(f"it decays at {seen} Hz, where the model {view.rig.name} has no mode (it has {modes} Hz)")

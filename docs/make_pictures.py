@@ -140,8 +140,8 @@ def make_results(base: Path) -> None:
     base.mkdir(parents=True, exist_ok=True)
     for folder, _, words in REPORTS.values():
         if not (base / folder / "report.html").exists():
-            command = [sys.executable, "-m", "nmt_bench", *words, "--out", folder, "--force"]
-            subprocess.run(command, cwd=base, check=True)
+            shutil.rmtree(base / folder, ignore_errors=True)
+            subprocess.run([sys.executable, "-m", "nmt_bench", *words, "--out", folder], cwd=base, check=True)
 
 
 async def screenshots(base: Path, folder: Path) -> None:

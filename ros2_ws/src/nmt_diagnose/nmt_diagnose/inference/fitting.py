@@ -244,7 +244,7 @@ class Fitted:
         prediction: of the model at θ, without the errors of the chain.
         cost: −2 ln of likelihood and priors.
         log_evidence: ln ∫ likelihood · prior, without constants of the rows.
-        promised: fall of the cost that one more step promises.
+        promised: fall of the cost that one more step promises; 0 where no step along it lowers the cost, however short.
     """
 
     parametrisation: Parametrisation
@@ -357,7 +357,7 @@ def fit(
     cost = errors.cost + float(np.sum((theta / std) ** 2))
     fresh = jacobian is None
     slopes = sensitivities(data, parametrisation, theta, prediction, errors) if jacobian is None else jacobian
-    damping = 1e-3
+    damping, settled = 1e-3, False
     for _ in range(steps if theta.size else 0):
         normal, gradient = _normal(slopes, errors, theta, std)
         trial = None
@@ -381,6 +381,7 @@ def fit(
             damping = max(damping, 1e-4) * 10.0
         if trial is None:
             # Sensitivities from elsewhere may promise nothing where those at the estimate would lead on.
+            settled = fresh
             if fresh or refreshes <= 0 or not (exact or promised >= 0.1 * CONVERGED):
                 break
             slopes, fresh = sensitivities(data, parametrisation, theta, prediction, errors), True
@@ -400,7 +401,7 @@ def fit(
             break
     if exact and not fresh:
         slopes = sensitivities(data, parametrisation, theta, prediction, errors)
-    return _finished(parametrisation, theta, errors, slopes, prediction, cost)
+    return _finished(parametrisation, theta, errors, slopes, prediction, cost, settled)
 
 
 def _normal(slopes: FloatArray, errors: Errors, theta: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -436,12 +437,13 @@ def _finished(
     slopes: FloatArray,
     prediction: Prediction,
     cost: float,
+    settled: bool,
 ) -> Fitted:
     std = parametrisation.prior_std
     chain = Metric(errors.slopes, np.ones(errors.chain.size), errors.weights)
     normal, gradient = _normal(slopes, errors, theta, std)
     step = _bounded(normal, gradient, 0.0, theta, parametrisation.lower)
-    promised = float(2.0 * gradient @ step - step @ normal @ step)
+    promised = 0.0 if settled else float(2.0 * gradient @ step - step @ normal @ step)
     _, of_theta = np.linalg.slogdet(normal)
     log_evidence = -0.5 * cost - 0.5 * (chain.log_determinant + float(of_theta)) - float(np.sum(np.log(std)))
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)

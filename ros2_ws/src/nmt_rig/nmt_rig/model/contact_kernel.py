@@ -18,62 +18,32 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from nmt_rig.model.element_kernels import margin, next_branch, piece
 from nmt_rig.model.integration_kernel import _SMALLEST, JENKINS, Integers
 from nmt_rig.model.structure import Array
 
-Flags = NDArray[np.bool_]
-
 # A bound on a motion is a sum of rounded numbers; so much earlier the element itself is looked at.
 _CAUTION = 1.0 - 1e-9
-# Sweeps for the forces end where one changes less than this share of them; each gains a factor of 20 or more.
+# Share of a force that it causes itself by the end of a step, below which forces are iterated for.
+_ITERATED_BELOW = 0.05
+# Sweeps for the forces end where the next one would change less than this share of them.
 _SETTLED = 1e-14
 _SWEEPS = 14
-# Active ports below which their rows are multiplied one by one.
-_FEW = 5
+# Sums may be taken several terms at a time, in an order that the compiler fixes once for all.
+_IN_LANES = {"reassoc", "contract"}
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=_IN_LANES)
 def row_product(matrix: Array, row: int, vector: Array, size: int) -> float:
     """matrix[row] · vector over the leading `size` entries, always summed in the same order."""
-    t0 = 0.0
-    t1 = 0.0
-    t2 = 0.0
-    t3 = 0.0
-    for i in range(0, size - 3, 4):
-        t0 += matrix[row, i] * vector[i]
-        t1 += matrix[row, i + 1] * vector[i + 1]
-        t2 += matrix[row, i + 2] * vector[i + 2]
-        t3 += matrix[row, i + 3] * vector[i + 3]
-    for i in range(size - size % 4, size):
-        t0 += matrix[row, i] * vector[i]
-    return (t0 + t1) + (t2 + t3)
+    total = 0.0
+    for i in range(size):
+        total += matrix[row, i] * vector[i]
+    return total
 
 
-@njit(cache=True)
-def column_products(columns: Array, vector: Array, result: Array) -> None:
-    """result = vector · columns for (Z, n) `columns`; where many of them are asked for, faster than row by row."""
-    n = result.size
-    size = vector.size
-    for r in range(n):
-        result[r] = 0.0
-    for i in range(0, size - 3, 4):
-        x0 = vector[i]
-        x1 = vector[i + 1]
-        x2 = vector[i + 2]
-        x3 = vector[i + 3]
-        for r in range(n):
-            result[r] += (columns[i, r] * x0 + columns[i + 1, r] * x1) + (
-                columns[i + 2, r] * x2 + columns[i + 3, r] * x3
-            )
-    for i in range(size - size % 4, size):
-        for r in range(n):
-            result[r] += columns[i, r] * vector[i]
-
-
-@njit(cache=True)
+@njit(cache=True, fastmath=_IN_LANES)
 def project(projection: Array, active: Integers, count: int, forces: Array, own: Array, own_slope: Array) -> None:
     """Overwrite `own` and `own_slope` (Z,) with the active ports' forces and slopes on the working coordinates."""
     size = own.size
@@ -81,23 +51,21 @@ def project(projection: Array, active: Integers, count: int, forces: Array, own:
     for i in range(size):
         own[i] = 0.0
         own_slope[i] = 0.0
-    for a in range(0, count - 1, 2):
+    for a in range(0, count - 3, 4):
+        q0, q1, q2, q3 = active[a], active[a + 1], active[a + 2], active[a + 3]
+        g0, g1, g2, g3 = forces[q0], forces[q1], forces[q2], forces[q3]
+        s0, s1, s2, s3 = forces[ports + q0], forces[ports + q1], forces[ports + q2], forces[ports + q3]
+        for i in range(size):
+            p0, p1, p2, p3 = projection[q0, i], projection[q1, i], projection[q2, i], projection[q3, i]
+            own[i] += (g0 * p0 + g1 * p1) + (g2 * p2 + g3 * p3)
+            own_slope[i] += (s0 * p0 + s1 * p1) + (s2 * p2 + s3 * p3)
+    for a in range(count - count % 4, count):
         q = active[a]
-        p = active[a + 1]
-        gq = forces[q]
-        gp = forces[p]
-        sq = forces[ports + q]
-        sp = forces[ports + p]
+        g = forces[q]
+        slope = forces[ports + q]
         for i in range(size):
-            own[i] += gq * projection[q, i] + gp * projection[p, i]
-            own_slope[i] += sq * projection[q, i] + sp * projection[p, i]
-    if count % 2 == 1:
-        q = active[count - 1]
-        gq = forces[q]
-        sq = forces[ports + q]
-        for i in range(size):
-            own[i] += gq * projection[q, i]
-            own_slope[i] += sq * projection[q, i]
+            own[i] += g * projection[q, i]
+            own_slope[i] += slope * projection[q, i]
 
 
 @njit(cache=True)
@@ -239,7 +207,6 @@ def integrate_contacts(
     start_weights: Array,
     projection: Array,
     port_rows: Array,
-    port_columns: Array,
     answers: Array,
     reach: Array,
     kinds: Integers,
@@ -248,7 +215,7 @@ def integrate_contacts(
     element_port: Integers,
     port_start: Integers,
     port_elements: Integers,
-    iterated: Flags,
+    gains: Array,
     levels: int,
     step: float,
     substeps: int,
@@ -274,12 +241,12 @@ def integrate_contacts(
         holds: (K+1, 4, 4, pairs) blocks that take the projected forces and slopes at the start, then at the end of a
             step to the state.
         projection: (ports, Z) of port forces on the working coordinates' rates.
-        port_columns: (Z, 2 ports) the rows of displacements and velocities, transposed.
         answers: (K+1, 2 ports, 2 ports) the propagator's compliance of displacements and velocities, transposed.
         reach: (Z,) largest |share| of each working coordinate in the ports' displacements.
         absorbed: (elements,) stiffness that is part of the linear motion, N/m.
         port_start, port_elements: (ports + 1,), (elements,) elements of each port.
-        iterated: (K+1,) whether a fixed-point iteration soon finds the ports' forces at a step width; else factorised.
+        gains: (K+1,) largest share of a change of the ports' forces that it causes again by the end of a step; where it
+            is small a fixed-point iteration finds the forces, else they are factorised.
         step: of the integration, s.
         inputs: (n + 1,) input at the samples and one beyond; straight between them.
         state: (Z,) working state, updated.
@@ -321,6 +288,8 @@ def integrate_contacts(
     order = np.zeros((levels + 1, 2 * ports), dtype=np.int64)
     row_order = np.zeros(2 * ports, dtype=np.int64)
     right = np.zeros(2 * ports)
+    change = np.zeros(ports)
+    iterated = gains < _ITERATED_BELOW
     turned = np.zeros(ports, dtype=np.bool_)
     known = np.zeros(levels + 1, dtype=np.bool_)
     ticks = 1 << levels
@@ -412,23 +381,14 @@ def integrate_contacts(
                         trial[j] += (holds[level, 0, 2, i] * own[i] + holds[level, 0, 3, i] * own[j]) + (
                             holds[level, 1, 2, i] * own_slope[i] + holds[level, 1, 3, i] * own_slope[j]
                         )
-                    if count < _FEW:
-                        for a in range(count):
-                            q = active[a]
-                            free[q] = row_product(port_rows, q, trial, size)
-                            free[ports + q] = row_product(port_rows, ports + q, trial, size)
-                    else:
-                        column_products(port_columns, trial, free)
                     for a in range(count):
                         q = active[a]
-                        w = free[q]
-                        v = free[ports + q]
-                        if iterated[level]:
-                            right[a] = forces[q] + span * forces[ports + q]
-                            right[count + a] = forces[ports + q]
-                        else:
-                            right[a] = constant[q] + stiffness[q] * w
-                            right[count + a] = stiffness[q] * v
+                        w = row_product(port_rows, q, trial, size)
+                        v = row_product(port_rows, ports + q, trial, size)
+                        free[q] = w
+                        free[ports + q] = v
+                        right[a] = constant[q] + stiffness[q] * w
+                        right[count + a] = stiffness[q] * v
                     if not iterated[level]:
                         solve_factored(columns, level, order, right, 2 * count)
                     for _ in range(_SWEEPS):
@@ -440,17 +400,22 @@ def integrate_contacts(
                             slope = right[count + b]
                             for q in range(2 * ports):
                                 seen_at[q] += answers[level, c, q] * g + answers[level, ports + c, q] * slope
-                        settled = True
+                        largest = 0.0
                         for a in range(count if iterated[level] else 0):
                             q = active[a]
                             g = constant[q] + stiffness[q] * seen_at[q]
                             slope = stiffness[q] * seen_at[ports + q]
-                            change = abs(g - right[a]) + span * abs(slope - right[count + a])
-                            # Written so that NaN counts as settled; the state tells of it.
-                            if change > _SETTLED * (abs(g) + abs(constant[q]) + span * abs(slope)) + _SMALLEST:
-                                settled = False
+                            change[a] = abs(g - right[a]) + span * abs(slope - right[count + a])
+                            largest = max(largest, change[a])
                             right[a] = g
                             right[count + a] = slope
+                        # The next sweep would change no force more than this. NaN counts as settled; the state tells.
+                        largest *= gains[level]
+                        settled = True
+                        for a in range(count if iterated[level] else 0):
+                            scale = abs(right[a]) + abs(constant[active[a]]) + span * abs(right[count + a])
+                            if min(change[a], largest) > _SETTLED * scale + _SMALLEST:
+                                settled = False
                         if settled:
                             break
                     for a in range(count):

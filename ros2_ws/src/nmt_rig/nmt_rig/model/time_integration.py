@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
 from nmt_rig.model.contact_kernel import integrate_contacts
@@ -21,8 +20,6 @@ from nmt_rig.model.structure import Array
 # A corner is timed to step / 2^8; its error in impulse falls with the square of that.
 CORNER_LEVELS = 8
 _LINE = 8  # numbers
-# Share of a force that it causes itself by the end of a step, below which forces at many places are iterated for.
-_ITERATED_BELOW = 0.05
 
 
 class IntegrationError(ArithmeticError):
@@ -98,9 +95,8 @@ class TimeIntegrator:
             if found.modal:
                 self._space, self._propagator, self._at_many_places = stuck, found, True
                 self._absorbed = np.array(absorbed)
-                self._port_columns = np.ascontiguousarray(found.port_rows[: 2 * ports].T)
                 self._answers = np.ascontiguousarray(found.compliance[:, : 2 * ports].transpose(0, 2, 1))
-                self._iterated = self._loosely_coupled(step)
+                self._gains = self._force_gains(step)
         if not self._at_many_places:
             self._space = space
             self._propagator = propagator(space, step, self._levels, self._dense)
@@ -112,20 +108,20 @@ class TimeIntegrator:
         c, self._d_ports, self._d_input = self._space.output(self._outputs)
         self._c = np.ascontiguousarray(c @ self._propagator.from_working)
 
-    def _loosely_coupled(self, step: float) -> NDArray[np.bool_]:
-        """(K + 1,) step widths at which forces act back on their ports so little that an iteration is soon done."""
+    def _force_gains(self, step: float) -> Array:
+        """(K + 1,) largest share of a change of the ports' forces that it causes again by the end of a step."""
         space, compliance = self._space, self._propagator.compliance
         ports = space.directions.shape[0]
         stiffest = np.zeros(ports)
         for element, port in zip(space.elements, space.element_port, strict=True):
             stiffest[port] += element.parameters[0]
-        loosely = np.zeros(self._levels + 1, dtype=np.bool_)
+        gains = np.zeros(self._levels + 1)
         for level, share in enumerate(np.abs(compliance)):
             width = step / 2.0**level  # takes slopes and velocities to forces and displacements
             w = share[:ports, :ports].sum(axis=1) + share[:ports, ports:].sum(axis=1) / width
             v = width * share[ports : 2 * ports, :ports].sum(axis=1) + share[ports : 2 * ports, ports:].sum(axis=1)
-            loosely[level] = (stiffest * np.maximum(w, v)).max() < _ITERATED_BELOW
-        return loosely
+            gains[level] = (stiffest * np.maximum(w, v)).max()
+        return gains
 
     def change(self, system: ElectromechanicalSystem) -> None:
         """Go on with slightly different matrices or parameters of elements; motion and memory stay as they are.
@@ -252,9 +248,9 @@ class TimeIntegrator:
         result = np.empty((self._c.shape[0], n))
         if self._at_many_places:
             good = integrate_contacts(
-                p.pair, p.holds, p.start_weights, p.projection, p.port_rows, self._port_columns, self._answers,
-                self._reach, self._kinds, self._parameters, self._absorbed, self._space.element_port,
-                self._port_start, self._port_elements, self._iterated, self._levels,
+                p.pair, p.holds, p.start_weights, p.projection, p.port_rows, self._answers, self._reach,
+                self._kinds, self._parameters, self._absorbed, self._space.element_port,
+                self._port_start, self._port_elements, self._gains, self._levels,
                 1.0 / (self.sample_rate * self.substeps), self.substeps, inputs, self._state, *self._memory,
                 self._due, self._way, self._c, self._d_ports, self._d_input, result,
             )  # fmt: skip

@@ -238,7 +238,7 @@ def single_point_reference(
     elements = build_resting_elements(rig, structure)
     modes = sticking_modes(structure, elements, max(rig.extraction.linear_modes, rig.test.mode))
     problem = ForcedProblem(
-        build_system(rig), FourierBasis.up_to(harmonics), float(modes.frequencies[rig.test.mode - 1])
+        build_system(rig, structure), FourierBasis.up_to(harmonics), float(modes.frequencies[rig.test.mode - 1])
     )
     volts = np.asarray(levels, dtype=np.float64)
     # Start the branch in the linear range, even if the lowest level lies beyond it.

@@ -17,6 +17,8 @@ from nmt_rig.model.assembly import ElectromechanicalSystem
 
 MOST_PORTS = 12
 _RELATIVE = 1e-9
+# Modes that the ports move most, from whose entries the damping between the ports is found.
+_FITTED = 64
 
 
 def port_directions(system: ElectromechanicalSystem, inertial: np.ndarray) -> FloatArray | None:
@@ -39,13 +41,15 @@ def split_damping(modal: FloatArray, ports: FloatArray) -> tuple[FloatArray, Flo
     """
     m = ports.shape[1]
     pairs = [(a, b) for a in range(m) for b in range(a, m)]
-    above = np.triu_indices(len(modal), 1)
-    terms = [ports[:, [a]] * ports[:, b] for a, b in pairs]
+    moved = np.sort(np.argsort(-np.sum(ports**2, axis=1), kind="stable")[:_FITTED])
+    some = ports[moved]
+    above = np.triu_indices(len(moved), 1)
+    terms = [some[:, [a]] * some[:, b] for a, b in pairs]
     terms = [term if a == b else term + term.T for term, (a, b) in zip(terms, pairs, strict=True)]
     matrix = np.column_stack([term[above] for term in terms])
     scale = np.linalg.norm(matrix, axis=0)
     scale[scale == 0.0] = 1.0
-    values = np.linalg.lstsq(matrix / scale, modal[above], rcond=None)[0] / scale
+    values = np.linalg.lstsq(matrix / scale, modal[np.ix_(moved, moved)][above], rcond=None)[0] / scale
     between = np.zeros((m, m))
     for (a, b), value in zip(pairs, values, strict=True):
         between[a, b] = between[b, a] = value

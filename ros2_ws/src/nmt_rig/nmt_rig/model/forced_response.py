@@ -82,7 +82,8 @@ class ForcedProblem:
         self.basis = basis
         self.reference_frequency = float(reference_frequency)
         self.local = LocalForces.gather(system.elements, basis, samples, system.selector(system.drive_point))
-        self.impedance = ModalImpedance.of(system)
+        self.with_every_port = ModalImpedance.with_every_port(system)
+        self.impedance = self.with_every_port.worthwhile()
         shapes = self.impedance.shapes
         displacement, velocity, acceleration = force_rows(system)
         r = self.local.coordinates

@@ -70,34 +70,36 @@ class ModalImpedance:
     def of(cls, system: Structure | ElectromechanicalSystem) -> ModalImpedance:
         """Transform a structure, or a structure with exciter, to the modal coordinates of its undamped
         mechanical part."""
-        found = cls.of_matrices(system, system.stiffness, system.damping)
-        ports = found.ports.directions.shape[1]
-        few = 0 < ports <= MOST_PORTS and _WORTH * ports <= len(found.mass)
-        return found if few and not found.diagonal else replace(found, ports=_without_ports(len(found.mass)))
+        return cls.with_every_port(system).worthwhile()
+
+    def worthwhile(self) -> ModalImpedance:
+        """The same, its ports only where a system of them is solved sooner than the whole."""
+        ports = self.ports.directions.shape[1]
+        few = 0 < ports <= MOST_PORTS and _WORTH * ports <= len(self.mass)
+        return self if few and not self.diagonal else replace(self, ports=_without_ports(len(self.mass)))
 
     @classmethod
-    def of_matrices(
-        cls, system: Structure | ElectromechanicalSystem, stiffness_matrix: FloatArray, damping_matrix: FloatArray
-    ) -> ModalImpedance:
-        """The same of a system with other stiffness and damping matrices (n, n), with all the ports that it has."""
+    def with_every_port(cls, system: Structure | ElectromechanicalSystem) -> ModalImpedance:
+        """The same with all the ports that a system has."""
         n = system.mass.shape[0]
         massless = np.flatnonzero(~system.mass.any(axis=1))
         inertial = np.flatnonzero(system.mass.any(axis=1))
         mass = system.mass[np.ix_(inertial, inertial)]
-        stiffness = stiffness_matrix[np.ix_(inertial, inertial)]
+        stiffness = system.stiffness[np.ix_(inertial, inertial)]
         _, vectors = eigh(0.5 * (stiffness + stiffness.T), mass)
         shapes = np.zeros((n, n))
         shapes[np.ix_(inertial, np.arange(inertial.size))] = vectors
         for position, index in enumerate(massless, start=inertial.size):
             # √L i has the unit of a modal velocity: keeps the electrical rows as large as the mechanical
             # ones.
-            shapes[index, position] = 1.0 / np.sqrt(damping_matrix[index, index] or 1.0)
-        modal = [shapes.T @ matrix @ shapes for matrix in (system.mass, damping_matrix, stiffness_matrix)]
-        diagonal = massless.size == 0 and all(_is_diagonal(matrix) for matrix in modal)
+            shapes[index, position] = 1.0 / np.sqrt(system.damping[index, index] or 1.0)
+        mass = np.diag((np.arange(n) < inertial.size).astype(np.float64))
+        damping, stiffness = (shapes.T @ matrix @ shapes for matrix in (system.damping, system.stiffness))
+        diagonal = massless.size == 0 and _is_diagonal(damping) and _is_diagonal(stiffness)
         ports = None
         if isinstance(system, ElectromechanicalSystem):
-            ports = _ports(system, vectors, inertial, modal[1], modal[2])
-        return cls(shapes, modal[0], modal[1], modal[2], diagonal, ports or _without_ports(n))
+            ports = _ports(system, vectors, inertial, damping, stiffness)
+        return cls(shapes, mass, damping, stiffness, diagonal, ports or _without_ports(n))
 
 
 def _without_ports(size: int) -> Ports:

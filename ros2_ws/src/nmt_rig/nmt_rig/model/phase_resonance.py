@@ -121,7 +121,7 @@ def linear_phase_resonance(problem: ForcedProblem, band: float = 0.3) -> float:
         return float((force * np.conj(system.motion(system.drive_point, unknowns))).real)
 
     grid = reference * np.linspace(1.0 - band, 1.0 + band, 1201)
-    response = RestResponse.of(system)
+    response = RestResponse.of(system, problem.with_every_port)
     if response is not None:
 
         def fast(frequencies: FloatArray) -> FloatArray:
@@ -131,10 +131,11 @@ def linear_phase_resonance(problem: ForcedProblem, band: float = 0.3) -> float:
         bracket = _falling_bracket(grid, fast(grid), reference)
         if bracket is not None:
             near = float(brentq(lambda omega: float(fast(np.array([omega]))[0]), *bracket, xtol=1e-10 * reference))
-            # The system's own solution decides, next to what the ports give.
-            bracket = near * (1.0 - _NEAR), near * (1.0 + _NEAR)
-            if quadrature(bracket[0]) > 0.0 >= quadrature(bracket[1]):
-                return float(brentq(quadrature, *bracket, xtol=1e-10 * reference))
+            # The system's own solution decides, next to what the ports give; it is straight there.
+            low, high = near * (1.0 - _NEAR), near * (1.0 + _NEAR)
+            above, below = quadrature(low), quadrature(high)
+            if above > 0.0 >= below:
+                return low + (high - low) * above / (above - below)
     values = np.array([quadrature(omega) for omega in grid])
     bracket = _falling_bracket(grid, values, reference)
     if bracket is None:

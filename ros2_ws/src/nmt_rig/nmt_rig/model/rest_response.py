@@ -7,7 +7,7 @@ over the modes that lead from port to port, and a system of the ports.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ class RestResponse:
     """Lateral displacement of the drive point and force on it, for a unit input.
 
     Attributes:
-        impedance: of the system linearised at rest; its ports give the matrices.
+        impedance: of the linear part; its ports give the matrices, those of the local elements at rest among them.
         rows: (4, N) drive-point displacement, and displacement, velocity and acceleration rows of the force.
         given: (N,) input.
         feedthrough: force per input, beside the motion.
@@ -33,21 +33,26 @@ class RestResponse:
     feedthrough: float
 
     @classmethod
-    def of(cls, system: ElectromechanicalSystem) -> RestResponse | None:
-        """Of a system; None where its damping is not diagonal but for a few ports."""
+    def of(cls, system: ElectromechanicalSystem, impedance: ModalImpedance) -> RestResponse | None:
+        """Of a system and its impedance with every port; None where damping is not diagonal but for a few ports."""
         if system.force.exciter_elements:
             return None
-        stiffness, damping = system.sticking_stiffness(), system.resting_damping()
+        stiffness, ports = system.stiffness, impedance.ports
         block = np.ix_(*[np.flatnonzero(system.mass.any(axis=1))] * 2)
         if not np.allclose(stiffness[block], stiffness[block].T, rtol=1e-9, atol=1e-12 * np.abs(stiffness).max()):
             return None
-        impedance = ModalImpedance.of_matrices(system, stiffness, damping)
-        if not impedance.ports.directions.shape[1]:
+        if not ports.directions.shape[1]:
             return None
+        between = [ports.between_stiffness.copy(), ports.between_damping.copy()]
+        for element in system.elements:
+            along = ports.directions.T @ (impedance.shapes.T @ element.direction)
+            between[0] += element.linear_stiffness * np.outer(along, along)
+            between[1] += element.linear_damping * np.outer(along, along)
+        ports = ports._replace(between_stiffness=between[0], between_damping=between[1])
         force = system.force
         rows = np.array([system.selector(system.drive_point), force.displacement, force.velocity, force.acceleration])
         given = impedance.shapes.T @ system.input_vector
-        return cls(impedance, rows @ impedance.shapes, given, float(force.feedthrough))
+        return cls(replace(impedance, ports=ports), rows @ impedance.shapes, given, float(force.feedthrough))
 
     def __call__(self, frequencies: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """(k,) m and (k,) N at frequencies (k,) ω, rad/s, as the system's own solution gives them but for rounding."""
@@ -81,5 +86,5 @@ def responses_at_rest(
     Returns:
         (k,) m and (k,) N; None where the damping is not diagonal but for a few ports.
     """
-    response = RestResponse.of(system)
+    response = RestResponse.of(system, ModalImpedance.with_every_port(system))
     return None if response is None else response(frequencies)

@@ -17,6 +17,7 @@ from nmt_rig.rig_model import build_system
     [
         ("beam", []),
         ("beam", ["structure.elements=28"]),
+        ("beam", ["structure.elements=100", "structure.mesh_refinement=1"]),
         ("beam", ["exciter.point=2"]),
         ("clamped_beam", []),
         ("joint_resonator", []),
@@ -32,6 +33,15 @@ def test_ports_give_what_the_whole_system_gives(rig: str, changes: list[str]) ->
         unknowns, force = system.response(float(omega))
         assert found[0][k] == pytest.approx(system.motion(system.drive_point, unknowns), rel=1e-7)
         assert abs(found[1][k] - force) <= 1e-6 * abs(force) + 1e-9
+
+
+@pytest.mark.parametrize("elements", [7, 150])
+def test_a_fine_beam_is_solved_as_a_coarse_one(elements: int) -> None:
+    system = build_system(load_rig("beam", [f"structure.elements={elements}", "structure.mesh_refinement=1"]))
+    for omega in (100.0, 2e3, 3e4):
+        unknowns, _ = system.response(omega)
+        impedance = system.impedance(omega)
+        assert unknowns == pytest.approx(np.linalg.solve(impedance, system.input_vector), rel=1e-9)
 
 
 def test_damping_of_another_form_is_refused() -> None:

@@ -81,10 +81,9 @@ def sticking_modes(
         outer = np.outer(element.direction, element.direction)
         stiffness += element.linear_stiffness * outer
         damping += element.linear_damping * outer
-    squares, vectors = eigh(stiffness, structure.mass)
-    keep = slice(0, count)
-    full = vectors[:, keep]
-    frequencies = np.sqrt(without_rounding(squares[keep], full, stiffness))
+    highest = structure.size if count is None else min(count, structure.size)
+    squares, full = eigh(stiffness, structure.mass, subset_by_index=[0, highest - 1])
+    frequencies = np.sqrt(without_rounding(squares, full, stiffness))
     points = structure.point_numbers
     at_points = np.array([structure.motion(point, full) for point in points]).reshape(len(points), full.shape[1])
     reference = at_points if points else full

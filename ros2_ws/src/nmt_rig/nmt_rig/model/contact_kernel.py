@@ -314,17 +314,17 @@ def integrate_contacts(
                     count = gather(
                         kinds, parameters, absorbed, element_port, branch, slider, stiffness, constant, active, place
                     )
-                    for i in range(size):
-                        steady[i] = 0.0
                     earliest = np.inf
+                    seen = 0
                     for q in range(ports):
                         if place[q] < 0:
                             forces[q] = constant[q]
                             forces[ports + q] = 0.0
                             earliest = min(earliest, due[q])
                             if constant[q] != 0.0:
-                                for i in range(size):
-                                    steady[i] += constant[q] * projection[q, i]
+                                looked[seen] = q
+                                seen += 1
+                    project(projection, looked, seen, forces, steady, next_slope)
                     project(projection, active, count, forces, own, own_slope)
                     for n in range(levels + 1):
                         known[n] = False

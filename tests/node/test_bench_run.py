@@ -247,7 +247,7 @@ def test_in_lockstep_a_stopped_recorder_is_waited_for(tmp_path: Path) -> None:
 
         def look() -> None:
             turn()
-            if bench.client.plant_said.get("waits_for_bag") == "1" and not said:
+            if stopped and bench.client.plant_said.get("waits_for_bag") == "1" and not said:
                 said.append(bench.client.plant_said["next_sample"])
                 os.kill(recorder, signal.SIGCONT)
 

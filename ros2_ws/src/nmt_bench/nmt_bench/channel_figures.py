@@ -249,7 +249,7 @@ def _run(
     from nmt_bench.harness import Bench
 
     with Bench(
-        rig, levels=levels, processes=processes, window_periods=periods, pacing=pacing, node_values=node_values
+        rig, levels=levels, processes=processes, window_periods=periods, pacing=pacing, node_values=node_values or {}
     ) as bench:
         nodes = [] if bench.processes is None else list(bench.processes.pids.values())
         begun: list[float] = []

@@ -25,7 +25,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Unpack
 
 import rclpy
 from action_msgs.msg import GoalStatusArray
@@ -51,7 +51,6 @@ from nmt_bench.orchestration.surroundings import check_surroundings
 from nmt_core.base_node import LINK_PERIOD, STATE_QOS, calm_collector
 from nmt_core.dds_profile import PROFILE_VARIABLE, lockstep_profile
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
 from nmt_core.link import Link, serve
 from nmt_core.liveness import HANG_LIMIT, Liveness
 from nmt_core.modal_point import ModalPoint
@@ -68,7 +67,7 @@ from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import Rig
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session.node_plan import NODES, NodePlan, plan_nodes
-from nmt_session.plan_test import plan_test
+from nmt_session.plan_test import TestSettings, plan_test
 from nmt_session.run_result import Progress, RunResult
 
 START_TIMEOUT = 120.0  # s; on a busy computer the plant compiles and loads for a minute
@@ -86,27 +85,10 @@ class Bench:
     """The nodes of one test.
 
     Args:
-        rig: name of a rig that comes with the bench, path of a rig file, or a loaded rig.
-        levels: drive amplitudes in V, the notation of ``--levels``, or None for the rig's own.
+        rig, levels, settings: as of :func:`nmt_session.plan_test.plan_test`.
         out: folder that gets ``bag``, ``rig.yaml``, ``run.json`` and the nodes' logs; None = a temporary one.
         processes: each node its own process.
-        overrides: ``key=value`` texts applied to the rig file.
-        exciter: drive point; None = the rig's own.
-        seed: seed of all noise; None = the rig's own.
-        pacing: ``lockstep`` or ``realtime``.
-        latency_blocks: blocks of buffering between command and excitation.
-        window_periods, ramp, timeout: None = the rig's own; periods, s, s.
-        stop_on_lost_lock: end at the first level that does not lock.
-        run_id: name of the run; None = from the clock.
-        linear: linear description for loop and extraction; None = from the rig's model.
         domain_id: ROS domain; None = any that no other bench uses.
-        node_values: further parameters by node name.
-        control: what the levels are: ``voltage`` (V), ``response`` (m or m/s²) or ``force`` (N).
-        strategy: ``stepped`` or ``ramp``, see :class:`nmt_session.node_plan.TestPlan`.
-        test, frequencies_hz, band_hz, rate_hz_s, frequency_end_hz, duration: kind of test and its settings, see there.
-            A stepped sine with several frequencies and one level is run at that level at each of them.
-        device, device_address: what is driven, see there; a converter is always in real time.
-        linked: whether in lockstep the sample path may go past the middleware, see there.
 
     Raises:
         BenchError: the rig, the levels or a setting is refused; nothing has been started then.
@@ -119,58 +101,10 @@ class Bench:
         *,
         out: Path | str | None = None,
         processes: bool = False,
-        overrides: Sequence[str] = (),
-        exciter: int | None = None,
-        seed: int | None = None,
-        pacing: str = "lockstep",
-        latency_blocks: int = 0,
-        window_periods: int | None = None,
-        ramp: float | None = None,
-        timeout: float | None = None,
-        stop_on_lost_lock: bool = False,
-        run_id: str | None = None,
-        linear: LinearDescription | None = None,
         domain_id: int | None = None,
-        node_values: Mapping[str, Mapping[str, Any]] | None = None,
-        control: str = "voltage",
-        strategy: str = "stepped",
-        test: str = "phase_resonance",
-        frequencies_hz: Sequence[float] = (),
-        band_hz: tuple[float, float] | None = None,
-        rate_hz_s: float = 0.0,
-        frequency_end_hz: float = 0.0,
-        duration: float = 0.0,
-        device: str = "",
-        device_address: str = "",
-        linked: bool = True,
+        **settings: Unpack[TestSettings],
     ) -> None:
-        self.test = plan_test(
-            rig,
-            levels,
-            overrides=overrides,
-            exciter=exciter,
-            seed=seed,
-            pacing=pacing,
-            latency_blocks=latency_blocks,
-            window_periods=window_periods,
-            ramp=ramp,
-            timeout=timeout,
-            stop_on_lost_lock=stop_on_lost_lock,
-            run_id=run_id,
-            linear=linear,
-            node_values=node_values,
-            control=control,
-            strategy=strategy,
-            test=test,
-            frequencies_hz=frequencies_hz,
-            band_hz=band_hz,
-            rate_hz_s=rate_hz_s,
-            frequency_end_hz=frequency_end_hz,
-            duration=duration,
-            device=device,
-            device_address=device_address,
-            linked=linked,
-        )
+        self.test = plan_test(rig, levels, **settings)
         self.rig = self.test.rig
         self.use_processes = processes
         self._out = Path(out) if out is not None else None

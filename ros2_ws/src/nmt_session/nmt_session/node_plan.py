@@ -5,12 +5,13 @@ from __future__ import annotations
 import datetime
 import json
 import platform
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -63,21 +64,46 @@ NODES: dict[str, tuple[str, str, str]] = {
 }
 
 
+class PlanSettings(TypedDict, total=False):
+    """Keyword arguments of a test; meanings and defaults are those of the fields of `TestPlan`."""
+
+    run_id: str
+    pacing: str
+    latency_blocks: int
+    window_periods: int | None
+    ramp: float | None
+    timeout: float | None
+    stop_on_lost_lock: bool
+    linear: LinearDescription | None
+    node_values: Mapping[str, Mapping[str, Any]]
+    control: str
+    strategy: str
+    test: str
+    frequencies_hz: Sequence[float]
+    band_hz: Sequence[float] | None
+    rate_hz_s: float
+    frequency_end_hz: float
+    duration: float
+    device: str
+    device_address: str
+    linked: bool
+
+
 @dataclass(frozen=True)
 class TestPlan:
-    """One test of a rig.
+    """One test of a rig; numbers of numpy become Python's.
 
     Attributes:
         rig: the rig with all overrides applied.
         rig_yaml: its text, kept in the bag.
-        levels: drive amplitudes, V, in order.
-        run_id: name of the run.
-        pacing: ``lockstep`` or ``realtime``.
+        levels: amplitudes in order, in the unit of ``control``.
+        run_id: name of the run; empty = from the clock.
+        pacing: ``lockstep`` or ``realtime``; a converter is always in real time.
         latency_blocks: blocks of buffering between command and excitation. In real time as many wait at the output; 0
             stands for `REAL_TIME_LEAD` there.
-        window_periods, ramp, timeout: None = the rig's own.
+        window_periods, ramp, timeout: periods, s, s; None = the rig's own.
         stop_on_lost_lock: end the test at the first level that does not lock.
-        linear: linear description; None = from the rig's model, for tests that need one.
+        linear: linear description for loop and extraction; None = from the rig's model, for tests that need one.
         node_values: further parameters by node name.
         control: what the levels are: ``voltage`` (V), ``response`` (amplitude at the drive point, m or m/s²) or
             ``force`` (N).
@@ -87,22 +113,25 @@ class TestPlan:
             ``stepped_sine`` or ``ring_down``. Only the phase-locked kinds use a linear description.
         frequencies_hz: start of the sweep or frequency of the stepped sine, one for all levels or one a level.
         band_hz: band of the noise of a random test, Hz; its levels are V rms.
-        device: what is driven: empty or ``simulated``, or a kind of converter, see `nmt_rig.device_sections`.
-        device_address: of NI's device server.
-        tick_blocks: blocks between two decisions of the sequencer.
-        block_reason: why blocks are as long as they are, where that was chosen; see `nmt_session.block_length`.
-        linked: whether plant, loop and sequencer are on one host, so that in lockstep they may hand on the sample path
-            past the middleware.
         rate_hz_s, frequency_end_hz: rate and end of the sweep.
         duration: length of the window of a random test, or of the free decay of a ring-down, s.
+        device: what is driven: empty or ``simulated``, or a kind of converter, see `nmt_rig.device_sections`.
+        device_address: of NI's device server.
+        linked: whether plant, loop and sequencer are on one host, so that in lockstep they may hand on the sample path
+            past the middleware.
+        tick_blocks: blocks between two decisions of the sequencer.
+        block_reason: why blocks are as long as they are, where that was chosen; see `nmt_session.block_length`.
+
+    Raises:
+        BenchError: the rig, the levels or a setting is refused.
     """
 
     __test__ = False
 
     rig: Rig
     rig_yaml: str
-    levels: tuple[float, ...]
-    run_id: str
+    levels: Sequence[float]
+    run_id: str = ""
     pacing: str = "lockstep"
     latency_blocks: int = 0
     window_periods: int | None = None
@@ -114,29 +143,37 @@ class TestPlan:
     control: str = "voltage"
     strategy: str = "stepped"
     test: str = "phase_resonance"
-    frequencies_hz: tuple[float, ...] = ()
-    band_hz: tuple[float, float] | None = None
+    frequencies_hz: Sequence[float] = ()
+    band_hz: Sequence[float] | None = None
     rate_hz_s: float = 0.0
     frequency_end_hz: float = 0.0
     duration: float = 0.0
     device: str = ""
     device_address: str = ""
+    linked: bool = True
     tick_blocks: int = 5
     block_reason: str = ""
-    linked: bool = True
 
     def __post_init__(self) -> None:
-        if self.pacing not in PACINGS:
-            raise BenchError(f"Pacing '{self.pacing}' is not known; use {' or '.join(PACINGS)}.")
-        if self.device not in ("", *SIMULATED_OR_CONVERTERS):
-            raise BenchError(f"Device '{self.device}' is not known; use {' or '.join(SIMULATED_OR_CONVERTERS)}.")
+        plain = {item.name: _plain(getattr(self, item.name)) for item in fields(self)}
+        plain["run_id"] = self.run_id or time.strftime(f"{self.rig.name}-%Y%m%d-%H%M%S")
+        plain["node_values"] = plain["node_values"] or {}
+        for name in ("levels", "frequencies_hz", "band_hz"):
+            plain[name] = None if plain[name] is None else tuple(plain[name])
+        for name, value in plain.items():
+            object.__setattr__(self, name, value)
+        for what, value, known in (
+            ("Pacing", self.pacing, PACINGS),
+            ("Device", self.device or SIMULATED, SIMULATED_OR_CONVERTERS),
+            ("Strategy", self.strategy, STRATEGIES),
+        ):
+            if value not in known:
+                raise BenchError(f"{what} '{value}' is not known; use {' or '.join(known)}.")
         if self.is_on_hardware and self.pacing != "realtime":
             raise BenchError("A test on hardware is in real time; leave out --pacing lockstep.")
         control = ControlKind.named(self.control)
-        limits = level_limits(self.rig)
-        limits.check(self.levels, control, TestKind.named(self.test), f"The test of rig {self.rig.name}")
-        if self.strategy not in STRATEGIES:
-            raise BenchError(f"Strategy '{self.strategy}' is not known; use {' or '.join(STRATEGIES)}.")
+        kind = TestKind.named(self.test)
+        level_limits(self.rig).check(self.levels, control, kind, f"The test of rig {self.rig.name}")
         if self.latency_blocks < 0:
             raise BenchError(f"latency_blocks must not be negative, got {self.latency_blocks}.")
         if self.window_periods is not None and self.window_periods < 3:
@@ -145,7 +182,6 @@ class TestPlan:
             value = getattr(self, name)
             if value is not None and not 0 < value < 1e6:
                 raise BenchError(f"The {name} must be positive and below 1e6 s, got {value:g}.")
-        kind = TestKind.named(self.test)
         if self.band_hz is not None and len(self.band_hz) != 2:
             raise BenchError(f"band_hz needs a lower and an upper edge, got {len(self.band_hz)} values.")
         if self.strategy == "ramp" and kind is not TestKind.PHASE_RESONANCE:
@@ -376,6 +412,15 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     values["recorder"]["run_json"] = json.dumps(run)
     values["recorder"]["rig_yaml"] = test.rig_yaml
     return NodePlan(values, run, goal)
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and arrays of numpy as Python's, at any depth: neither JSON nor YAML takes the former."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def level_limits(rig: Rig) -> LevelLimits:

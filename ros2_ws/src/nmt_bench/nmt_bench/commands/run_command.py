@@ -153,7 +153,7 @@ def _run(arguments: argparse.Namespace) -> int:
         timeout=arguments.timeout,
         stop_on_lost_lock=arguments.stop_on_lost_lock,
         domain_id=arguments.domain,
-        node_values={"pll": {"loop": arguments.pll}} if arguments.pll else None,
+        node_values={"pll": {"loop": arguments.pll}} if arguments.pll else {},
         control=arguments.control,
         strategy=arguments.strategy,
         linear=linear,

@@ -1,0 +1,55 @@
+"""A test plan: its settings are told once, and numbers of numpy are numbers."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from nmt_core.errors import BenchError
+from nmt_session import TestPlan, plan_nodes, plan_test
+from nmt_session.node_plan import PlanSettings
+
+
+def test_the_settings_are_the_fields_of_the_plan() -> None:
+    made = {"rig", "rig_yaml", "levels", "tick_blocks", "block_reason"}
+    assert set(PlanSettings.__annotations__) == {item.name for item in fields(TestPlan)} - made
+
+
+def test_numbers_of_numpy_give_the_same_files_as_those_of_python(tmp_path: Path) -> None:
+    def files(test: TestPlan) -> tuple[object, object]:
+        plan = plan_nodes(test, Path("bag"), Path("rig.yaml"))
+        plan.write_parameters(tmp_path / "nodes.yaml")
+        values = yaml.safe_load((tmp_path / "nodes.yaml").read_text(encoding="utf-8"))
+        del values["/**/recorder"]["ros__parameters"]["run_json"]  # it has the time
+        return values, plan.goal
+
+    own = plan_test(
+        "beam", [0.2, 0.5], run_id="one", seed=3, exciter=2, window_periods=40, ramp=0.5, latency_blocks=1,
+        node_values={"pll": {"settling_time": 0.4}, "extract": {"harmonics": 5}},
+    )  # fmt: skip
+    numpy = plan_test(
+        "beam", np.array([0.2, 0.5]), run_id="one", seed=np.int64(3), exciter=np.int64(2), window_periods=np.int64(40),
+        ramp=np.float64(0.5), latency_blocks=np.int32(1),
+        node_values={"pll": {"settling_time": np.float64(0.4)}, "extract": {"harmonics": np.int64(5)}},
+    )  # fmt: skip
+    assert files(numpy) == files(own)
+    assert [type(level) for level in numpy.levels] == [float, float]
+
+
+def test_frequencies_and_band_may_be_arrays() -> None:
+    stepped = plan_test("beam", [np.float64(0.2)], test="stepped_sine", frequencies_hz=np.linspace(20.0, 21.0, 3))
+    assert (stepped.levels, stepped.frequencies_hz) == ((0.2,) * 3, (20.0, 20.5, 21.0))
+    noise = plan_test("beam", np.array([0.05]), test="random", band_hz=np.array([10, 2000]), duration=np.float64(2.0))
+    assert noise.band_hz == (10, 2000)
+    assert noise.goal["band_high_hz"] == 2000.0
+
+
+def test_a_wrong_setting_is_named() -> None:
+    with pytest.raises(TypeError, match="'colour'"):
+        plan_test("beam", [0.2], colour=1)
+    with pytest.raises(BenchError, match="Pacing 'slow' is not known; use lockstep or realtime"):
+        plan_test("beam", [0.2], pacing="slow")

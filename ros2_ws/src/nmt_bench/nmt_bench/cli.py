@@ -21,16 +21,21 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from nmt_bench.command_parser import EXIT_USER, CommandParser, CommandRefusal, leaf_parsers
+from nmt_bench.command_parser import (
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    EXIT_USER,
+    CommandParser,
+    CommandRefusal,
+    leaf_parsers,
+)
 from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-EXIT_DONE = 0
 EXIT_UNEXPECTED = 1
-EXIT_INTERRUPTED = 130
 
 PROGRAM = "nmt" if os.path.basename(sys.argv[0]) == "nmt" else "./nmt"
 """As the user calls it: the script that pip installs, or the launcher, which starts ``python -m nmt_bench``."""

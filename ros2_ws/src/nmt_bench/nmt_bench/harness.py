@@ -170,9 +170,9 @@ class Bench:
 
         self.context = Context()
         rclpy.init(args=[], context=self.context, domain_id=domain.id, signal_handler_options=SignalHandlerOptions.NO)
-        self._cleanup.callback(self._shut_context)
+        self._cleanup.callback(rclpy.try_shutdown, context=self.context)
         self.executor = EventsExecutor(context=self.context)
-        self._cleanup.callback(self._shut_executor)
+        self._cleanup.callback(self.executor.shutdown)
         if self.use_processes:
             if self.test.pacing == "lockstep":
                 profile = self.out / "log" / "fastdds.xml"
@@ -214,12 +214,6 @@ class Bench:
         if shut_down is not None:
             shut_down()
         node.destroy_node()
-
-    def _shut_executor(self) -> None:
-        self.executor.shutdown()
-
-    def _shut_context(self) -> None:
-        rclpy.try_shutdown(context=self.context)
 
     # -- use -----------------------------------------------------------------------------------------------------
 
@@ -265,7 +259,8 @@ class Bench:
             obituary = self._obituary(lost)  # before what is left of the nodes is ended
             bag_state, lacks = self._await_bag(lost)
             if message is not None and message.result_code == ResultCode.LIMIT:
-                self._spin_while(lambda: not self.client.plant_trip, 1.0)  # the plant's next heartbeat says which
+                # The plant's next heartbeat says which.
+                self._spin_while(lambda: not self.client.plant_said.get("tripped"), 1.0)
         if message is None:
             code, text = ResultCode.NODE_LOST, obituary
             points = self._recorded_points()
@@ -627,16 +622,12 @@ class _RunClient(Node):  # type: ignore[misc]
         return self._counters.get("plant", {})
 
     @property
-    def plant_trip(self) -> str:
-        return self.plant_said.get("tripped", "")
-
-    @property
     def drive_is_at_zero(self) -> bool:
-        return self._counters.get("plant", {}).get("drive_at_zero") == "1"
+        return self.plant_said.get("drive_at_zero") == "1"
 
     def remarks(self, pacing: str) -> list[str]:
         """Sentences on what the nodes counted."""
-        plant, recorder = self._counters.get("plant", {}), self._counters.get("recorder", {})
+        plant, recorder = self.plant_said, self._counters.get("recorder", {})
         lines = []
         if recorder:
             lines.append(

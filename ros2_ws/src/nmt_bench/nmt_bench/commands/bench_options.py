@@ -3,22 +3,54 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING, Unpack
 
-_SET_HELP = "change a value of the rig file{example}; may be repeated"
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from nmt_bench.harness import Bench
+    from nmt_session.node_plan import PlanSettings
+
 _LATENCY = "blocks of converter buffering (default: 0; in real time 6, and 3 at least)"
 
 
 def add_rig_options(parser: argparse.ArgumentParser, example: str = "") -> None:
-    """``--exciter``, ``--seed`` and ``--set``: what is changed of the rig.
-
-    Args:
-        parser: of the command.
-        example: for the help of ``--set``, key=value.
-    """
+    """``--exciter``, ``--seed`` and ``--set``: what is changed of the rig."""
     parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
     parser.add_argument("--seed", metavar="N", type=int, help="seed of all noise (default: the rig's)")
+    add_set_option(parser, example)
+
+
+def add_set_option(parser: argparse.ArgumentParser, example: str = "") -> None:
+    """``--set``; ``example``: key=value, for its help."""
     shown = f", for example {example}" if example else ""
-    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=_SET_HELP.format(example=shown))
+    text = f"change a value of the rig file{shown}; may be repeated"
+    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=text)
+
+
+def bench_of(
+    arguments: argparse.Namespace, levels: Sequence[float] | str | None = None, **settings: Unpack[PlanSettings]
+) -> Bench:
+    """The bench that the options of rig, device and processes ask for; levels and settings as of `plan_test`.
+
+    Raises:
+        BenchError: the rig, a level or an option is refused, or the converter is not there or not checked.
+    """
+    from nmt_bench.commands.hardware_options import device_settings
+    from nmt_bench.harness import Bench
+
+    return Bench(
+        arguments.rig,
+        levels,
+        out=arguments.out,
+        processes=not arguments.one_process,
+        domain_id=arguments.domain,
+        overrides=arguments.set,
+        exciter=arguments.exciter,
+        seed=arguments.seed,
+        **settings,
+        **device_settings(arguments),
+    )
 
 
 def add_pacing_option(parser: argparse.ArgumentParser) -> None:

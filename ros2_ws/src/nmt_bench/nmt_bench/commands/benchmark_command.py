@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nmt_bench.command_parser import Subparsers
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from nmt_bench.benchmark_figures import Figure
-
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 PARTS = ("plant", "reference", "bag", "levels", "diagnosis", "ramp", "command", "bench", "channels", "scheduler")
 
@@ -91,11 +89,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         text = json.dumps({"figures": [asdict(figure) for figure in figures]}, indent=1, ensure_ascii=False)
         arguments.json.write_text(text + "\n", encoding="utf-8")
-        console.print(f"Figures in {arguments.json}", markup=False)
-    sys.stdout.flush()
+        console.print(f"Figures in {arguments.json}")
     missed = [figure for figure in figures if figure.met is False]
     if missed:
-        console.print(f"Missed: {'; '.join(figure.name for figure in missed)}.", markup=False)
+        console.print(f"Missed: {'; '.join(figure.name for figure in missed)}.")
     return 1 if arguments.check and missed else 0
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, Subparsers
 from nmt_bench.commands.bench_options import add_task_page_option
 from nmt_bench.commands.worker_count import add_jobs, worker_count
 
@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 
     from nmt_bench.page.task_feed import TaskFeed
 
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
-
-EXIT_DONE, EXIT_FAILED = 0, 1
 RIGS = ("beam", "joint_resonator", "modal_beam")
 TOLERANCES = ("laboratory", "none")
 
@@ -163,7 +160,6 @@ def run(arguments: argparse.Namespace) -> int:
         "strengths": _strengths,
     }
     status = parts[arguments.part](arguments)
-    sys.stdout.flush()
     return status
 
 
@@ -237,8 +233,8 @@ def _score(arguments: argparse.Namespace) -> int:
     )
     files = write_sheets(scores, arguments.out, arguments.docs)
     for line in print_scores(scores):
-        _console().print(line, markup=False)
-    _console().print(f"written: {', '.join(str(file) for file in files)}", markup=False)
+        _console().print(line)
+    _console().print(f"written: {', '.join(str(file) for file in files)}")
     return EXIT_DONE
 
 
@@ -260,7 +256,7 @@ def _explain(arguments: argparse.Namespace) -> int:
         f"what follows: {found.follows}",
     ]
     for line in lines:
-        console.print(line, markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     return EXIT_DONE
 
 
@@ -331,9 +327,9 @@ class _Bar:
         self._bar.update(self._task, completed=done, total=total)
         if not self._live and (time.monotonic() - self._said > self._QUIET or done == total):
             self._said = time.monotonic()
-            self._console.print(f"{self._title}: {done} of {total}", markup=False)
+            self._console.print(f"{self._title}: {done} of {total}")
 
     def say(self, sentence: str) -> None:
         """A line above the bar."""
         self._page.step(sentence)
-        self._console.print(sentence, markup=False, soft_wrap=True)
+        self._console.print(sentence, soft_wrap=True)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nmt_bench.command_parser import Subparsers
 from nmt_bench.commands.bench_options import add_device_option
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
@@ -16,8 +16,6 @@ from nmt_core.errors import BenchError
 if TYPE_CHECKING:
     from nmt_plant.hardware_check import CheckResult
     from nmt_plant.hardware_rig import HardwareRig
-
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 EXIT_PASSED, EXIT_FOUND = 0, 1
 
@@ -106,8 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
         (folder / "report.html").write_text(check_page(document), encoding="utf-8")
     keep_check(rig, section, document)
     _show(result, console, section.check_valid_hours)
-    console.print(f"Results in {arguments.out}: check.json, report.html", markup=False, soft_wrap=True)
-    sys.stdout.flush()
+    console.print(f"Results in {arguments.out}: check.json, report.html", soft_wrap=True)
     return EXIT_PASSED if result.passed else EXIT_FOUND
 
 
@@ -130,7 +127,7 @@ def _progress(console: Any) -> Any:
         tenth = int(10.0 * share)
         if tenth > told:
             told = tenth
-            console.print(f"checking: {10 * tenth} %", markup=False, highlight=False)
+            console.print(f"checking: {10 * tenth} %", highlight=False)
 
     return tell
 
@@ -176,16 +173,15 @@ def _show(result: CheckResult, console: Any, valid: float) -> None:
     console.print(
         f"Round trip {result.round_trip_samples} samples{stated}{clock}; largest drive {result.drive_peak_v:.3g} V of "
         f"{result.drive_limit_v:.3g} V allowed; resonance at {result.frequency_hz:.4g} Hz.",
-        markup=False,
         soft_wrap=True,
     )
     for mode in result.modes:
         hz = uncertain(mode.frequency_hz, mode.frequency_std)
         damping = uncertain(100.0 * mode.damping_ratio, 100.0 * mode.damping_std)
         model = f"model {mode.model_hz:.5g} Hz, {100.0 * mode.model_damping:.3g} %"
-        console.print(f"Mode {mode.number}: {hz} Hz, {damping} % ({model}).", markup=False, soft_wrap=True)
+        console.print(f"Mode {mode.number}: {hz} Hz, {damping} % ({model}).", soft_wrap=True)
     for finding in result.findings:
         where = f"{', '.join(finding.channels)}: " if finding.channels else ""
-        console.print(f"{where}{finding.sentence}; {finding.remedy}.", style="red", markup=False, soft_wrap=True)
+        console.print(f"{where}{finding.sentence}; {finding.remedy}.", style="red", soft_wrap=True)
     if result.passed:
-        console.print(f"Passed; tests may begin for {valid:g} h.", style="green", markup=False)
+        console.print(f"Passed; tests may begin for {valid:g} h.", style="green")

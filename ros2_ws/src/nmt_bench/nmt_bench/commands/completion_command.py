@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 
+from nmt_bench.command_parser import Subparsers
 from nmt_core.errors import BenchError
 
-Subparsers = argparse._SubParsersAction
 
-
-def add_parser(subparsers: Subparsers[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Subparsers) -> None:
     """Add the command and its options."""
     parser = subparsers.add_parser(
         "completion",
@@ -41,5 +40,4 @@ def run(arguments: argparse.Namespace) -> int:
     sys.stdout.write(shtab.complete(parser, arguments.shell) + "\n")
     if arguments.shell == "bash":  # the launcher is called by its path
         sys.stdout.write("complete -o filenames -F _shtab_nmt ./nmt\n")
-    sys.stdout.flush()
     return 0

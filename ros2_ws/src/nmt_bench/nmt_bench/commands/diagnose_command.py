@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nmt_bench.command_parser import EXIT_DONE, Subparsers
 from nmt_bench.commands.bench_options import add_task_page_option
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_bench.commands.worker_count import add_jobs, worker_count
@@ -20,10 +20,6 @@ if TYPE_CHECKING:
 
     from nmt_bench.page.task_feed import TaskFeed
     from nmt_diagnose.inference.diagnosis import Diagnosis
-
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
-
-EXIT_DONE = 0
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -164,11 +160,10 @@ def run(arguments: argparse.Namespace) -> int:
         page.tell(outcome=f"Diagnosed. {outcome.diagnosis.sentences[0] if outcome.diagnosis.sentences else ''}")
     show(outcome.diagnosis, console)
     if remark:
-        console.print(remark, style="yellow", markup=False, soft_wrap=True)
+        console.print(remark, style="yellow", soft_wrap=True)
     new = "" if remark else f" New rig file: {arguments.out / 'model.yaml'}"
-    console.print(f"Diagnosed in {time.monotonic() - started:.0f} s.{new}", markup=False, soft_wrap=True)
-    console.print(f"Report: {(arguments.out / 'report.html').resolve()}", markup=False, soft_wrap=True)
-    sys.stdout.flush()
+    console.print(f"Diagnosed in {time.monotonic() - started:.0f} s.{new}", soft_wrap=True)
+    console.print(f"Report: {(arguments.out / 'report.html').resolve()}", soft_wrap=True)
     return EXIT_DONE
 
 
@@ -231,7 +226,7 @@ class DiagnosisProgress:
         if self._live:
             self._progress.update(self._task, description=escape(counted))
         elif not self._quiet:
-            self._console.print(counted, markup=False, soft_wrap=True)
+            self._console.print(counted, soft_wrap=True)
 
     def _count(self, sentence: str) -> str:
         """How much of the present work is done and the time left; empty where it is not counted."""

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from nmt_bench.command_parser import Subparsers
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
 from nmt_record.exchange import FORMATS
-
-if TYPE_CHECKING:
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
-
 
 _OTHER_NAMES = {"hdf5": "h5", "hdf": "h5", "matlab": "mat", "uff58": "uff", "unv": "uff"}
 
@@ -80,9 +75,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.format == "uff" and _export_modes(arguments.source, folder):
             files.append("modes.uff")
     if exported.loss:
-        console.print(exported.loss, style="yellow", markup=False)
-    console.print(f"Results in {arguments.out}: {', '.join(files)}", markup=False, soft_wrap=True)
-    sys.stdout.flush()
+        console.print(exported.loss, style="yellow")
+    console.print(f"Results in {arguments.out}: {', '.join(files)}", soft_wrap=True)
     return 0
 
 

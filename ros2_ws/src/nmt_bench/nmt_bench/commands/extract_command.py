@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nmt_bench.command_parser import Subparsers
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
 from nmt_core.hardened import json_value, read_text
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from nmt_extract.uncertainty_budget import MethodError
     from nmt_record.bag.bag_reader import Bag
     from nmt_record.exchange.calibration_file import CalibrationSheet
-
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -120,14 +118,13 @@ def run(arguments: argparse.Namespace) -> int:
             write_report(data, folder / "report.html")
     for sentence in (result.loss, _lack_of_run(bag)):
         if sentence:
-            console.print(sentence, style="yellow", markup=False)
+            console.print(sentence, style="yellow")
     print_modal_table(result.points, reference, console)
     if linear is None and settings is None:
-        console.print(_comparison(result.points, recorded_points(bag)), markup=False)
+        console.print(_comparison(result.points, recorded_points(bag)))
     written = ("modal.csv", "modal.json", "uncertainty.csv", "uncertainty.json", "hysteresis.csv", "report.html")
     names = ", ".join(name for name in written if (arguments.out / name).exists())
-    console.print(f"Results in {arguments.out}: {names}", markup=False)
-    sys.stdout.flush()
+    console.print(f"Results in {arguments.out}: {names}")
     return 0
 
 

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from nmt_bench.command_parser import Subparsers
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
-
-if TYPE_CHECKING:
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -60,9 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
         written = write_figures(source, folder, formats, width, arguments.letters, arguments.figure)
     kinds = ", ".join([*formats, "csv"])
     for figure in written:
-        console.print(f"{figure.name}: {figure.title}", markup=False, soft_wrap=True)
-    console.print(f"{len(written)} figures in {out}, each as {kinds}.", markup=False, soft_wrap=True)
-    sys.stdout.flush()
+        console.print(f"{figure.name}: {figure.title}", soft_wrap=True)
+    console.print(f"{len(written)} figures in {out}, each as {kinds}.", soft_wrap=True)
     return 0
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 
+from nmt_bench.command_parser import Subparsers
 from nmt_core.errors import BenchError
 
-Subparsers = argparse._SubParsersAction
 
-
-def add_parser(subparsers: Subparsers[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Subparsers) -> None:
     """Add the command and its options."""
     parser = subparsers.add_parser(
         "help",

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nmt_bench.command_parser import Subparsers
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
 
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from nmt_record.exchange.imported_run import ImportedRun
-
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 _DATA = (".csv", ".txt", ".tsv", ".dat", ".asc", ".npz", ".mat", ".h5", ".hdf5", ".uff", ".unv", ".58", ".lvm",
          ".tdms")  # fmt: skip
@@ -74,17 +73,14 @@ def run(arguments: argparse.Namespace) -> int:
     if imported.segments or imported.tables:
         console.print(_segment_table(imported))
     for note in imported.notes:
-        console.print(note, style="yellow", markup=False, soft_wrap=True)
+        console.print(note, style="yellow", soft_wrap=True)
     if imported.channels and imported.linear is None:
-        console.print("No linear modes: './nmt extract' will need --linear FILE.", markup=False)
-    console.print(f"Results in {arguments.out}: bag", markup=False)
+        console.print("No linear modes: './nmt extract' will need --linear FILE.")
+    console.print(f"Results in {arguments.out}: bag")
     if rig.text:
         model = arguments.sidecar.parent / str(imported.sidecar.rig)
         name = model if model.is_file() else imported.sidecar.rig
-        console.print(
-            f"What the model lacks: ./nmt diagnose --model {name} --real {arguments.out}", markup=False, soft_wrap=True
-        )
-    sys.stdout.flush()
+        console.print(f"What the model lacks: ./nmt diagnose --model {name} --real {arguments.out}", soft_wrap=True)
     return 0
 
 
@@ -108,7 +104,6 @@ def _init(data: Path, force: bool) -> int:
             write_whole(target, text)
         asks = "Answer what has a question mark and check" if "'?'" in text else "Check"
         sys.stdout.write(f"{text}\nWritten to {target}. {asks} it, then: ./nmt import {target} --out DIR\n")
-    sys.stdout.flush()
     return 0
 
 

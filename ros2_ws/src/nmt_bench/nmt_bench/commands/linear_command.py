@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_bench.commands.bench_options import add_device_option, add_pacing_option, add_process_options, add_rig_options
+from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, Subparsers
+from nmt_bench.commands.bench_options import (
+    add_device_option,
+    add_pacing_option,
+    add_process_options,
+    add_rig_options,
+    bench_of,
+)
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
@@ -17,11 +23,7 @@ if TYPE_CHECKING:
     from nmt_extract.linear_evaluation import LinearTestResult
     from nmt_record.bag.bag_reader import Bag
     from nmt_rig.rig import Rig
-    from nmt_session.run_result import RunResult
 
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
-
-EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
 DEFAULT_DURATION = 60.0
 DEFAULT_BAND = "10:2000"
 _STEPS = "evaluating the recording", "writing the report"
@@ -117,10 +119,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: Any) -> int:
-    from nmt_bench.commands.hardware_options import device_settings
-    from nmt_bench.commands.run_command import measure
+    from nmt_bench.commands.run_command import measure, pace_line
     from nmt_bench.commands.work_display import WorkDisplay
-    from nmt_bench.harness import Bench
     from nmt_bench.orchestration.interrupts import terminate_as_interrupt
     from nmt_core.vocabulary import ResultCode
     from nmt_record.bag.bag_reader import Bag
@@ -131,17 +131,10 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
     level = arguments.level if arguments.level is not None else min(parse_levels(rig.test.levels))
     if not 0.0 < level < float("inf"):
         raise BenchError(f"--level must be positive, got {level:g} V.")
-    bench = Bench(
-        arguments.rig,
+    bench = bench_of(
+        arguments,
         # The lower level first: sliders that a higher one has moved would still be displaced.
-        levels=[level] if arguments.no_half_level else [0.5 * level, level],
-        out=arguments.out,
-        processes=not arguments.one_process,
-        overrides=arguments.set,
-        exciter=arguments.exciter,
-        seed=arguments.seed,
-        **device_settings(arguments),
-        domain_id=arguments.domain,
+        [level] if arguments.no_half_level else [0.5 * level, level],
         test="random",
         band_hz=band,
         duration=arguments.duration,
@@ -149,7 +142,7 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
     with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
         result = measure(bench, console, arguments.quiet, arguments.page)
         if result.bag is None or not result.bag.exists():
-            console.print(result.message, style="yellow", markup=False)
+            console.print(result.message, style="yellow")
             return EXIT_FAILED
         try:
             with WorkDisplay(console, _STEPS[:1], arguments.quiet):
@@ -158,13 +151,12 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
             console.print(
                 f"Stopped before the evaluation was done. The recording is in {folder / 'bag'}; './nmt linear --bag "
                 f"{folder / 'bag'} --out DIR' evaluates it.",
-                markup=False,
                 soft_wrap=True,
             )
             return EXIT_INTERRUPTED
         except BenchError as error:
             if result.interrupted or result.code != ResultCode.SUCCEEDED:
-                console.print(result.message, style="yellow", markup=False)
+                console.print(result.message, style="yellow")
             raise BenchError(
                 f"{str(error).rstrip('.')}. The recording is in {folder / 'bag'}; './nmt linear --bag' evaluates it "
                 "again."
@@ -172,23 +164,12 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
         with WorkDisplay(console, _STEPS[1:], arguments.quiet):
             _write(*evaluated, folder, arguments)
     _show(*evaluated, arguments, console)
-    _say_how_it_ran(result, console)
+    if result.code != ResultCode.SUCCEEDED:
+        console.print(result.message, style="yellow")
+    console.print(pace_line(result))
     if result.interrupted:
         return EXIT_INTERRUPTED
     return EXIT_DONE if result.code == ResultCode.SUCCEEDED and result.bag_state == "closed" else EXIT_FAILED
-
-
-def _say_how_it_ran(result: RunResult, console: Any) -> None:
-    from nmt_core.vocabulary import ResultCode
-    from nmt_report.quantity_format import duration
-
-    if result.code != ResultCode.SUCCEEDED:
-        console.print(result.message, style="yellow", markup=False)
-    console.print(
-        f"Bench time {duration(result.bench_time)} in {result.wall_time:.1f} s: {result.real_time_factor:.1f} × real "
-        f"time; bag {result.bag_state}.",
-        markup=False,
-    )
 
 
 def _band(text: str) -> tuple[float, float]:
@@ -298,20 +279,18 @@ def _show(result: LinearTestResult, rig: Rig | None, arguments: argparse.Namespa
         table.add_row(*row)
     console.print(table)
     if exact is not None:
-        console.print("Δ: against the exact sticking modes of the rig's model.", markup=False)
+        console.print("Δ: against the exact sticking modes of the rig's model.")
     plant = test.plant
     if plant is not None:
         console.print(
             f"With exciter: {plant.frequency_hz:.4f} Hz, damping ratio {100 * plant.damping_ratio:.4f} %, "
             f"{plant.force_per_volt:.4g} N/V and {plant.displacement_per_volt:.4g} m/V at the target's frequency, "
             f"moving mass {plant.moving_mass_kg:.4g} kg.",
-            markup=False,
             soft_wrap=True,
         )
     if result.check is not None:
         style = None if result.check.is_linear else "yellow"
-        console.print(result.check.sentence, style=style, markup=False, soft_wrap=True)
+        console.print(result.check.sentence, style=style, soft_wrap=True)
     for line in result.remarks:
-        console.print(line, style="yellow", markup=False, soft_wrap=True)
-    console.print(f"Results in {arguments.out}: linear.json, frf.csv, report.html", markup=False, soft_wrap=True)
-    sys.stdout.flush()
+        console.print(line, style="yellow", soft_wrap=True)
+    console.print(f"Results in {arguments.out}: linear.json, frf.csv, report.html", soft_wrap=True)

@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nmt_bench.command_parser import Subparsers
+
 if TYPE_CHECKING:
     from nmt_bench.page.server import PageServer
-
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 def add_parser(subparsers: Subparsers) -> None:

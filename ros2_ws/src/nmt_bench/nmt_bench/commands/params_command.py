@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from nmt_bench.commands.bench_options import add_device_option
+from nmt_bench.command_parser import Subparsers
+from nmt_bench.commands.bench_options import add_device_option, add_set_option
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
-
-if TYPE_CHECKING:
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -38,13 +34,7 @@ def add_parser(subparsers: Subparsers) -> None:
         help="realtime: by the clock, as with hardware; lockstep: as fast as the machine goes (default: realtime)",
     )
     add_device_option(parser)
-    parser.add_argument(
-        "--set",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
-        help="change a value of the rig file; may be repeated",
-    )
+    add_set_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -56,12 +46,10 @@ def run(arguments: argparse.Namespace) -> int:
     check_output(arguments.out, arguments.force)
 
     from nmt_bench.commands.console import make_console
+    from nmt_bench.commands.hardware_options import rig_changes
     from nmt_bench.orchestration.bench_files import write_bench_files
     from nmt_session.node_plan import NODES
 
-    changes = list(arguments.set)
-    if arguments.exciter is not None:
-        changes.append(f"exciter.point={arguments.exciter}")
     out: Path = arguments.out.resolve()
     with OutputFolder(arguments.out, arguments.force) as folder:
         plan = write_bench_files(
@@ -70,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
             out,
             levels=arguments.levels,
             pacing=arguments.pacing,
-            changes=changes,
+            changes=rig_changes(arguments),
             device=arguments.device,
         )
     console = make_console()
@@ -78,15 +66,11 @@ def run(arguments: argparse.Namespace) -> int:
     for name in ("recorder", "extract", "pll", "plant", "sequencer"):
         package, executable, _ = NODES[name]
         console.print(
-            f"  ros2 run {package} {executable} --ros-args --params-file {out / 'nodes.yaml'}",
-            markup=False,
-            soft_wrap=True,
+            f"  ros2 run {package} {executable} --ros-args --params-file {out / 'nodes.yaml'}", soft_wrap=True
         )
     console.print("Then start the run:")
     console.print(
         f"  ros2 action send_goal --feedback /run_levels nmt_msgs/action/RunLevels '{json.dumps(plan.goal)}'",
-        markup=False,
         soft_wrap=True,
     )
-    sys.stdout.flush()
     return 0

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nmt_bench.command_parser import Subparsers
+from nmt_bench.commands.bench_options import add_set_option
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
 
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     from nmt_report.run_data import ReferenceCurve
     from nmt_rig.reference import Reference
     from nmt_rig.rig import Rig
-
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 CONVERGENCE_ORDERS = (1, 3, 5, 7, 20, 61)
@@ -37,13 +36,7 @@ def add_parser(subparsers: Subparsers) -> None:
     )
     parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
     add_output_options(parser, "reference.csv, shapes.csv, report.html")
-    parser.add_argument(
-        "--set",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
-        help="change a value of the rig file, for example local_elements.0.slip_force_n=2; may be repeated",
-    )
+    add_set_option(parser, "local_elements.0.slip_force_n=2")
     parser.add_argument(
         "--harmonics", metavar="H", type=int, default=7, help="highest harmonic order, 1 to 200 (default: 7)"
     )
@@ -113,14 +106,13 @@ def run(arguments: argparse.Namespace) -> int:
         write_shapes_csv(reference, shapes, folder / "shapes.csv")
         (folder / "report.html").write_text(reference_page(rig, reference, shapes, given), encoding="utf-8")
     for line in _summary(reference):
-        console.print(line, markup=False)
-    console.print(f"solved in {elapsed:.3f} s once compiled", markup=False)
+        console.print(line)
+    console.print(f"solved in {elapsed:.3f} s once compiled")
     if given is not None:
-        console.print(_comparison(reference, given, arguments.compare), markup=False, soft_wrap=True)
+        console.print(_comparison(reference, given, arguments.compare), soft_wrap=True)
     if arguments.convergence:
         console.print(_convergence(rig, reference))
-    console.print(f"Results in {arguments.out}: reference.csv, shapes.csv, report.html", markup=False)
-    sys.stdout.flush()
+    console.print(f"Results in {arguments.out}: reference.csv, shapes.csv, report.html")
     return 0
 
 

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from nmt_bench.command_parser import Subparsers
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
-
-if TYPE_CHECKING:
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -49,11 +45,10 @@ def run(arguments: argparse.Namespace) -> int:
         bag.repair(folder / "bag")
         (folder / "repair.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     if bag.loss:
-        console.print(bag.loss, style="yellow", markup=False, soft_wrap=True)
+        console.print(bag.loss, style="yellow", soft_wrap=True)
     else:
-        console.print(f"The bag {arguments.bag} is whole; the copy equals it.", markup=False, soft_wrap=True)
+        console.print(f"The bag {arguments.bag} is whole; the copy equals it.", soft_wrap=True)
     kept = ", ".join(f"{count} of {topic}" for topic, count in sorted(record["kept"].items()))
-    console.print(f"Kept messages: {kept}.", markup=False, soft_wrap=True)
-    console.print(f"Results in {arguments.out}: bag, repair.json", markup=False, soft_wrap=True)
-    sys.stdout.flush()
+    console.print(f"Kept messages: {kept}.", soft_wrap=True)
+    console.print(f"Results in {arguments.out}: bag, repair.json", soft_wrap=True)
     return 0

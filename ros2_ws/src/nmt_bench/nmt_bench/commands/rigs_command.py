@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
-Subparsers = argparse._SubParsersAction
+from nmt_bench.command_parser import Subparsers
 
 
-def add_parser(subparsers: Subparsers[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Subparsers) -> None:
     """Add the command and its options."""
     parser = subparsers.add_parser(
         "rigs",
@@ -58,5 +57,4 @@ def run(arguments: argparse.Namespace) -> int:
     for row in rig_rows():
         table.add_row(row["name"], row["description"], *([row["path"]] if arguments.paths else []))
     make_console().print(table)
-    sys.stdout.flush()
     return 0

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, Subparsers
 from nmt_bench.commands.bench_options import (
     add_device_option,
     add_latency_option,
     add_pacing_option,
     add_process_options,
     add_rig_options,
+    bench_of,
 )
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_bench.orchestration.interrupts import deferred_interrupts, terminate_as_interrupt
@@ -27,10 +28,6 @@ if TYPE_CHECKING:
     from nmt_record.exchange.calibration_file import CalibrationSheet
     from nmt_report.run_data import ReferenceCurve
     from nmt_session.run_result import RunResult
-
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
-
-EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -131,28 +128,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     from nmt_bench.commands.console import make_console
-    from nmt_bench.commands.hardware_options import device_settings
     from nmt_bench.commands.linear_input import check_fits, read_linear
     from nmt_bench.commands.work_display import WorkDisplay
-    from nmt_bench.harness import Bench
     from nmt_record.exchange.calibration_file import read_calibration
 
     linear = read_linear(arguments.linear) if arguments.linear is not None else None
     sheet = None if arguments.calibration is None else read_calibration(arguments.calibration)
-    bench = Bench(
-        arguments.rig,
-        levels=_levels(arguments),
-        out=arguments.out,
-        processes=not arguments.one_process,
-        overrides=arguments.set,
-        exciter=arguments.exciter,
-        seed=arguments.seed,
-        **{"latency_blocks": arguments.latency_blocks, **device_settings(arguments)},
+    bench = bench_of(
+        arguments,
+        _levels(arguments),
         window_periods=arguments.periods,
         ramp=arguments.ramp,
         timeout=arguments.timeout,
         stop_on_lost_lock=arguments.stop_on_lost_lock,
-        domain_id=arguments.domain,
         node_values={"pll": {"loop": arguments.pll}} if arguments.pll else {},
         control=arguments.control,
         strategy=arguments.strategy,
@@ -167,8 +155,7 @@ def _run(arguments: argparse.Namespace) -> int:
             reference, unwritten, interrupted = evaluate(
                 result, bench, folder, arguments.reference, not arguments.no_report, sheet
             )
-        _summarise(result, bench, reference, console, folder, unwritten)
-    sys.stdout.flush()
+        _summarise(result, reference, console, folder, unwritten)
     if result.interrupted or interrupted:
         return EXIT_INTERRUPTED
     return EXIT_FAILED if unwritten else _exit_code(result)
@@ -247,15 +234,14 @@ def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunR
 
             arguments = ("--domain", str(bench.domain_id))
             for line in stack.enter_context(page_process(bench.out / "log" / "page.log", arguments)).lines:
-                console.print(line, markup=False, soft_wrap=True)
+                console.print(line, soft_wrap=True)
         if quiet:
             return bench.run()
         console.print(
             f"{bench.rig.name}, drive point {bench.rig.drive_point}, {len(bench.test.levels)} levels from "
             f"{min(bench.test.levels):g} to {max(bench.test.levels):g} {unit_text(bench.test.level_unit)}, "
             f"run {bench.test.run_id}; nodes started in {time.monotonic() - began:.1f} s in ROS domain "
-            f"{bench.domain_id}",
-            markup=False,
+            f"{bench.domain_id}"
         )
         count, unit = len(bench.test.levels), bench.test.level_unit
         with RunProgress(bench.rig.sample_rate_hz, count, unit, console) as progress:
@@ -362,34 +348,36 @@ def _saving(folder: Path, write: Callable[[], None]) -> str:
     return ""
 
 
-def _summarise(
-    result: RunResult,
-    bench: Bench,
-    reference: ReferenceCurve | None,
-    console: Any,
-    folder: Path,
-    unwritten: str,
-) -> None:
+def pace_line(result: RunResult) -> str:
+    """How long a run took, as a sentence."""
+    from nmt_report.quantity_format import duration
+
+    return (
+        f"Bench time {duration(result.bench_time)} in {result.wall_time:.1f} s: {result.real_time_factor:.1f} × real "
+        f"time; bag {result.bag_state}."
+    )
+
+
+def _summarise(result: RunResult, reference: ReferenceCurve | None, console: Any, folder: Path, unwritten: str) -> None:
     from nmt_bench.commands.terminal import print_modal_table
     from nmt_core.vocabulary import ResultCode
 
     if result.points:
         print_modal_table(result.points, reference, console)
     style = None if result.code == ResultCode.SUCCEEDED else "yellow"
-    console.print(result.message, style=style, markup=False)
+    console.print(result.message, style=style)
     if result.bench_time > 0:
         levels = max(1, len(result.points))
         console.print(
             f"Bench time {result.bench_time:.1f} s ({result.bench_time / levels:.1f} s a level) in "
-            f"{result.wall_time:.1f} s: {result.real_time_factor:.1f} × real time; bag {result.bag_state}.",
-            markup=False,
+            f"{result.wall_time:.1f} s: {result.real_time_factor:.1f} × real time; bag {result.bag_state}."
         )
     for line in result.remarks:
-        console.print(line, markup=False)
+        console.print(line)
     if unwritten and folder.is_dir():
-        console.print(unwritten, style="red", markup=False, soft_wrap=True)
+        console.print(unwritten, style="red", soft_wrap=True)
     if (folder / "report.html").exists():
-        console.print(f"Report: {(folder / 'report.html').resolve()}", markup=False, soft_wrap=True)
+        console.print(f"Report: {(folder / 'report.html').resolve()}", soft_wrap=True)
 
 
 def _exit_code(result: RunResult) -> int:

@@ -7,12 +7,11 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
+from nmt_bench.command_parser import Subparsers
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
     from nmt_core.records import DriveStop
-
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 EXIT_STOPPED, EXIT_UNKNOWN = 0, 1
 _LAST_DOMAIN = 232

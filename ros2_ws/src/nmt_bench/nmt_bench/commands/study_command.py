@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import shutil
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, Subparsers
 from nmt_bench.commands.bench_options import add_task_page_option
 from nmt_bench.commands.worker_count import add_jobs, worker_count
 from nmt_core.errors import BenchError
@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     from nmt_study.study import Finding
     from nmt_study.study_runner import CaseReport
     from nmt_study.study_table import SummaryRow
-
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
-
-EXIT_DONE, EXIT_FAILED = 0, 1
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -86,8 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         page.tell(outcome=f"The study is done{'' if complete else ', but some of its cases have no result'}.")
     from nmt_report.quantity_format import duration
 
-    console.print(f"{duration(time.monotonic() - began)}; results in {arguments.out}", markup=False)
-    sys.stdout.flush()
+    console.print(f"{duration(time.monotonic() - began)}; results in {arguments.out}")
     return EXIT_DONE if complete else EXIT_FAILED
 
 
@@ -126,7 +121,7 @@ def _run_study(
     todo = store.missing(cases)
     done = len(cases) - len(todo)
     text = f"{module.TITLE}: {len(cases)} cases"
-    console.print(text + (f", {done} of them done before" if done else ""), style="bold", markup=False)
+    console.print(text + (f", {done} of them done before" if done else ""), style="bold")
     progress = _Progress(console, len(todo), page)
     page.step(f"{module.TITLE}: cases", 0, len(todo))
     bags = folder / "bags" if arguments.keep_bags else None
@@ -150,7 +145,7 @@ def _run_study(
     write_whole(folder / "report.html", page_text)
     print_summary(console, summary, output.findings)
     for report in failures:
-        console.print(f"Case {report.case.name} failed: {report.failure}", style="red", markup=False)
+        console.print(f"Case {report.case.name} failed: {report.failure}", style="red")
     return not failures, module.TITLE, summary, output.findings, table
 
 
@@ -178,7 +173,7 @@ def print_summary(console: Any, summary: Sequence[SummaryRow], findings: Sequenc
     words = {True: ("holds", "green"), False: ("does not hold", "red"), None: ("not judged", "dim")}
     for finding in findings:
         word, style = words[finding.holds]
-        console.print(f"{word}: {finding.claim} {finding.found}.", style=style, markup=False)
+        console.print(f"{word}: {finding.claim} {finding.found}.", style=style)
 
 
 class _Progress:
@@ -207,4 +202,4 @@ class _Progress:
         self._page.tell(done=self._count, total=self._total)
         self._page.table(("case", "what became of it"), self._rows)
         left = f"; about {duration(rest)} left" if self._count < self._total else ""
-        self._console.print(f"  {self._count}/{self._total} {report.case.title}: {what}{left}", markup=False)
+        self._console.print(f"  {self._count}/{self._total} {report.case.title}: {what}{left}")

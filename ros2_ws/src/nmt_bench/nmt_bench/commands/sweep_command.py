@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, Subparsers
 from nmt_bench.commands.bench_options import (
     add_device_option,
     add_latency_option,
     add_pacing_option,
     add_process_options,
     add_rig_options,
+    bench_of,
 )
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 from nmt_core.errors import BenchError
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
     from nmt_report.response_analysis import HeldForce, ModelResponse
     from nmt_session.run_result import RunResult
 
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
-
-EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
 _MOST_STEPS = 2000
 
 
@@ -106,21 +104,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _measure(arguments: argparse.Namespace, levels: list[float], start: float, stop: float) -> int:
     from nmt_bench.commands.console import make_console
-    from nmt_bench.commands.hardware_options import device_settings
     from nmt_bench.commands.run_command import measure
-    from nmt_bench.harness import Bench
     from nmt_bench.orchestration.interrupts import terminate_as_interrupt
 
-    bench = Bench(
-        arguments.rig,
-        out=arguments.out,
-        processes=not arguments.one_process,
-        overrides=arguments.set,
-        exciter=arguments.exciter,
-        seed=arguments.seed,
-        **{"latency_blocks": arguments.latency_blocks, **device_settings(arguments)},
+    bench = bench_of(
+        arguments,
         ramp=arguments.ramp,
-        domain_id=arguments.domain,
         control=arguments.control,
         **_excitation(arguments, levels, start, stop),
     )
@@ -180,12 +169,12 @@ def _finish(
     arguments: argparse.Namespace, bench: Bench, result: RunResult, levels: list[float], folder: Path, console: Any
 ) -> int:
     """Analyse the bag, write and print."""
+    from nmt_bench.commands.run_command import pace_line
     from nmt_bench.commands.work_display import WorkDisplay
     from nmt_core.vocabulary import ResultCode
     from nmt_core.whole_file import write_whole
     from nmt_extract.response_table import write_response_csv
     from nmt_record.bag.bag_reader import Bag
-    from nmt_report.quantity_format import duration
     from nmt_report.response_analysis import held_force, responses_of_bag
 
     tables: list[FrequencyResponseTable] = []
@@ -210,18 +199,13 @@ def _finish(
             text = _report(arguments, bench, result, tables, models, comparisons, forces, remarks)
             write_whole(folder / "report.html", text)
     for line in (*force_lines(forces), *comparison_lines(comparisons, "the model's steady response")):
-        console.print(line, markup=False)
+        console.print(line)
     for line in remarks:
-        console.print(line, style="yellow", markup=False, soft_wrap=True)
+        console.print(line, style="yellow", soft_wrap=True)
     if result.bench_time > 0:
-        console.print(
-            f"Bench time {duration(result.bench_time)} in {result.wall_time:.1f} s: "
-            f"{result.real_time_factor:.1f} × real time; bag {result.bag_state}.",
-            markup=False,
-        )
+        console.print(pace_line(result))
     if tables:
-        console.print(f"Report: {(folder / 'report.html').resolve()}", markup=False, soft_wrap=True)
-    sys.stdout.flush()
+        console.print(f"Report: {(folder / 'report.html').resolve()}", soft_wrap=True)
     if result.interrupted:
         return EXIT_INTERRUPTED
     complete = result.code == ResultCode.SUCCEEDED and result.bag_state == "closed" and not remarks

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nmt_bench.command_parser import Subparsers
 from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
 
 if TYPE_CHECKING:
     from nmt_extract.synthesised_responses import SynthesisResult
-
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -86,15 +84,12 @@ def run(arguments: argparse.Namespace) -> int:
             write_whole(folder / "synthesis.csv", table)
             write_whole(folder / "report.html", _report(arguments, result))
     q = result.backbone.modal_amplitude
-    console.print(
-        f"Backbone of {q.size} amplitudes, q from {q[0]:.3g} to {q[-1]:.3g} m√kg; {result.others.origin}.", markup=False
-    )
+    console.print(f"Backbone of {q.size} amplitudes, q from {q[0]:.3g} to {q[-1]:.3g} m√kg; {result.others.origin}.")
     for line in comparison_lines(result.comparisons, "synthesis"):
-        console.print(line, markup=False)
+        console.print(line)
     for line in result.remarks:
-        console.print(line, style="yellow", markup=False, soft_wrap=True)
-    console.print(f"Results in {arguments.out}: synthesis.csv, report.html", markup=False)
-    sys.stdout.flush()
+        console.print(line, style="yellow", soft_wrap=True)
+    console.print(f"Results in {arguments.out}: synthesis.csv, report.html")
     return 0
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 from nmt_bench.page.bench_link import StartRequest
 from nmt_core.errors import BenchError
+from nmt_core.excitation import Excitation
 from nmt_core.vocabulary import TestKind
 from nmt_sequencer.level_plan import LevelLimits, parse_levels
 
@@ -16,11 +18,7 @@ _KEPT = (
     "window_periods",
     "timeout",
     "stop_on_lost_lock",
-    "band_low_hz",
-    "band_high_hz",
-    "rate_hz_s",
-    "frequency_end_hz",
-    "duration",
+    *(item.name for item in fields(Excitation) if item.name != "test"),
 )
 _MOST_PERIODS = 1_000_000
 

@@ -66,7 +66,7 @@ def task_page(wanted: bool, title: str, console: Any) -> Iterator[TaskFeed]:
         page_process(Path(folder) / "page.log", ("--task",), lines=1) as page,
     ):
         for line in page.lines:
-            console.print(line, markup=False, soft_wrap=True)
+            console.print(line, soft_wrap=True)
         feed = TaskFeed(page.feed)
         feed.tell(title=title)
         yield feed
